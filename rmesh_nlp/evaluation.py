@@ -1,0 +1,48 @@
+"""Fast numerical evaluation of CasADi Functions on numpy arrays."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+class Evaluator:
+    """A CasADi Function called on numpy arrays through its buffer interface.
+
+    ``Function.__call__`` converts every argument to a DM and back; for the large sparse
+    results of an assembled mesh that costs more than the evaluation itself.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Arguments may be of any shape; they are passed column-major, as CasADi stores them.
+
+    Notes
+    -----
+    A call returns one flat array of the nonzeros of each output, in CasADi's (column-major)
+    order. The arrays are fresh at each call.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self.function = function
+        self._buffer, self._run = function.buffer()
+        self._inputs = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
+        self._outputs = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+        for i, array in enumerate(self._inputs):
+            self._buffer.set_arg(i, memoryview(array))
+        for i, array in enumerate(self._outputs):
+            self._buffer.set_res(i, memoryview(array))
+
+    def __call__(self, *arguments: ArrayLike) -> list[Array]:
+        """Evaluate; a scalar argument is broadcast over its whole input."""
+        if len(arguments) != len(self._inputs):
+            raise ValueError(
+                f"{self.function.name()} takes {len(self._inputs)} arguments, got {len(arguments)}"
+            )
+        for store, value in zip(self._inputs, arguments, strict=True):
+            store[:] = np.asarray(value, dtype=float).ravel(order="F")
+        self._run()
+        return [output.copy() for output in self._outputs]
