@@ -1,0 +1,159 @@
+"""Element potential energies as CasADi Functions of (X_e, u_e), and their element groups.
+
+All energies are per unit thickness, in N m/m. Columns run node by node:
+``X_e = (x_1, y_1, x_2, y_2, ...)``, and ``u_e`` likewise with one or two components.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from skfem.quadrature import get_quadrature_line, get_quadrature_tri
+
+from rmesh_nlp.assembly import ElementGroup, Field, Index, constant_field
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem import Coefficient, ContactProblem, Laplace, Law, Obstacle, Traction, at
+
+TRACTION_DEGREE = 4
+"""Degree of the Gauss rule for tractions: exact for constant and linear ones times P1."""
+
+
+def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
+    """Barycentric coordinates (3, points) and weights (points,), summing to 1.
+
+    "midpoint" is the three edge midpoints, exact to degree 2; a number asks for that degree.
+    """
+    if quadrature == "midpoint":
+        return (np.ones((3, 3)) - np.eye(3)) / 2, np.full(3, 1 / 3)
+    if not isinstance(quadrature, int) or quadrature < 1:
+        raise ValueError(f"quadrature must be 'midpoint' or a degree of at least 1, got {quadrature!r}")
+    points, weights = get_quadrature_tri(quadrature)
+    return np.vstack([1 - points.sum(axis=0), points]), 2 * weights
+
+
+def strain_energy(law: Law) -> ca.Function:
+    """``(X_e, u_e) -> (energy, empty)`` of one P1 triangle: 1/2 a(u, u) of (3.3), (3.15)."""
+    X, u = ca.SX.sym("X", 2, 3), ca.SX.sym("u", law.components, 3)
+    jacobian = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
+    det = jacobian[0, 0] * jacobian[1, 1] - jacobian[0, 1] * jacobian[1, 0]
+    # gradients of the barycentric coordinates, without a division per entry
+    inverse = ca.vertcat(
+        ca.horzcat(jacobian[1, 1], -jacobian[0, 1]), ca.horzcat(-jacobian[1, 0], jacobian[0, 0])
+    )
+    difference = ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0])
+    scaled_gradient = difference @ inverse  # det * grad u
+    if isinstance(law, Laplace):
+        density = 0.5 * ca.sumsqr(scaled_gradient)
+    else:
+        strain = (scaled_gradient + scaled_gradient.T) / 2
+        density = 0.5 * law.lame_lambda * ca.trace(strain) ** 2 + law.lame_mu * ca.sumsqr(strain)
+    return ca.Function("strain_energy", [ca.vec(X), ca.vec(u)], [density / (2 * det), ca.SX(0, 1)])
+
+
+def load_energy(law: Law, quadrature: str | int) -> ca.Function:
+    """``(X_e, u_e) -> (-integral of load . u, empty)`` of one P1 triangle by quadrature."""
+    load = (law.source,) if isinstance(law, Laplace) else law.body_force
+    X, u = ca.SX.sym("X", 2, 3), ca.SX.sym("u", law.components, 3)
+    area = ((X[0, 1] - X[0, 0]) * (X[1, 2] - X[1, 0]) - (X[0, 2] - X[0, 0]) * (X[1, 1] - X[1, 0])) / 2
+    work = _work(load, X, u, *triangle_rule(quadrature))
+    return ca.Function("load_energy", [ca.vec(X), ca.vec(u)], [-area * work, ca.SX(0, 1)])
+
+
+def traction_energy(traction: Traction) -> ca.Function:
+    """``(X_e, u_e) -> (-integral of traction . u, empty)`` on one boundary edge."""
+    X, u = ca.SX.sym("X", 2, 2), ca.SX.sym("u", len(traction.value), 2)
+    points, weights = get_quadrature_line(TRACTION_DEGREE)
+    work = _work(traction.value, X, u, np.vstack([1 - points, points]), weights)
+    length = ca.norm_2(X[:, 1] - X[:, 0])
+    return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, ca.SX(0, 1)])
+
+
+def _work(load: tuple[Coefficient, ...], X: ca.SX, u: ca.SX, barycentric: Array, weights: Array) -> Any:
+    """Weighted sum of load . u over the points; the mean over the element."""
+    work = ca.SX(0)
+    for point, weight in zip(barycentric.T, weights, strict=True):
+        x, y = ca.vertsplit(X @ point)
+        value = ca.vertcat(*[at(component, x, y) for component in load])
+        work += weight * ca.dot(value, u @ point)
+    return work
+
+
+def friction_energy(obstacle: Obstacle) -> ca.Function:
+    """``(X_e, s_e) -> (energy, empty)`` on one contact edge.
+
+    g |e| / 2 (s_1 + s_2), where s_i stands for |u_t,i|: the trapezoidal rule of (5.9), whose
+    weights omega_i move with the nodes.
+    """
+    X, s = ca.SX.sym("X", 2, 2), ca.SX.sym("s", 2)
+    length = ca.norm_2(X[:, 1] - X[:, 0])
+    return ca.Function(
+        "friction_energy", [ca.vec(X), s], [obstacle.friction * length * ca.sum1(s) / 2, ca.SX(0, 1)]
+    )
+
+
+def gap_function(obstacle: Obstacle) -> ca.Function:
+    """``(X_i, u_i) -> (0, gap)`` of one contact node: normal . u + offset(X)."""
+    X, u = ca.SX.sym("X", 2), ca.SX.sym("u", len(obstacle.normal))
+    gap = ca.dot(ca.DM(obstacle.normal), u) + at(obstacle.offset, X[0], X[1])
+    return ca.Function("gap", [X, u], [0, gap])
+
+
+def contact_edges(problem: ContactProblem) -> Index:
+    """(2, edges) node numbers of the contact boundary."""
+    facets = problem.mesh.boundaries[problem.obstacle.boundary]
+    return np.asarray(problem.mesh.facets[:, facets], dtype=np.int64)
+
+
+def bulk_groups(problem: ContactProblem, positions: Field, displacement: Field) -> list[ElementGroup]:
+    """Strain energy, source or body force, and tractions: J without friction."""
+    triangles, law = problem.triangles, problem.law
+    local = (positions.at(triangles), displacement.at(triangles))
+    groups = [_objective_group(strain_energy(law), local)]
+    if _is_loaded(law):
+        groups.append(_objective_group(load_energy(law, problem.quadrature), local))
+    for traction in problem.tractions:
+        edges = np.asarray(problem.mesh.facets[:, problem.mesh.boundaries[traction.boundary]], dtype=np.int64)
+        local = (positions.at(edges), displacement.at(edges))
+        groups.append(_objective_group(traction_energy(traction), local))
+    return groups
+
+
+def friction_group(problem: ContactProblem, positions: Field, slip: Field) -> ElementGroup:
+    """Friction energy as a function of nodal slip magnitudes (1, nodes)."""
+    edges = contact_edges(problem)
+    return _objective_group(friction_energy(problem.obstacle), (positions.at(edges), slip.at(edges)))
+
+
+def gap_group(
+    problem: ContactProblem, positions: Field, displacement: Field, first_row: int = 0
+) -> ElementGroup:
+    """One constraint row per contact node: its gap."""
+    nodes = problem.contact_nodes[None, :]
+    rows = first_row + np.arange(nodes.size)[None, :]
+    return ElementGroup(gap_function(problem.obstacle), (positions.at(nodes), displacement.at(nodes)), rows)
+
+
+def displacement_field(problem: ContactProblem, first: int = 0) -> tuple[Field, int]:
+    """The displacement as unknowns numbered from ``first``, zero where it is held.
+
+    Returns the field (components, nodes) and the number of unknowns.
+    """
+    shape = (problem.components, problem.mesh.p.shape[1])
+    field = constant_field(np.zeros(shape))
+    movable = np.ones(shape[1], dtype=bool)
+    movable[problem.boundary_nodes(problem.dirichlet)] = False
+    movable[np.setdiff1d(np.arange(shape[1]), problem.mesh.t)] = False
+    count = int(movable.sum()) * shape[0]
+    field.index[:, movable] = first + np.arange(count).reshape(-1, shape[0]).T
+    return field, count
+
+
+def _is_loaded(law: Law) -> bool:
+    load = (law.source,) if isinstance(law, Laplace) else law.body_force
+    return any(callable(component) or component != 0 for component in load)
+
+
+def _objective_group(function: ca.Function, local: tuple[Field, ...]) -> ElementGroup:
+    return ElementGroup(function, local, np.zeros((0, local[0].index.shape[1]), dtype=np.int64))
