@@ -10,11 +10,15 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.special import roots_jacobi
 from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
 from rmesh_nlp.assembly import ElementGroup, Field, Index, constant_field
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import Coefficient, ContactProblem, Laplace, Law, Obstacle, Traction, at
+
+HIGHEST_TABULATED_DEGREE = 19
+"""Highest degree of scikit-fem's triangle rules."""
 
 TRACTION_DEGREE = 4
 """Degree of the Gauss rule for tractions: exact for constant and linear ones times P1."""
@@ -29,8 +33,21 @@ def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
         return (np.ones((3, 3)) - np.eye(3)) / 2, np.full(3, 1 / 3)
     if not isinstance(quadrature, int) or quadrature < 1:
         raise ValueError(f"quadrature must be 'midpoint' or a degree of at least 1, got {quadrature!r}")
-    points, weights = get_quadrature_tri(quadrature)
+    if quadrature <= HIGHEST_TABULATED_DEGREE:
+        points, weights = get_quadrature_tri(quadrature)
+    else:
+        points, weights = _conical_product_rule(quadrature)
     return np.vstack([1 - points.sum(axis=0), points]), 2 * weights
+
+
+def _conical_product_rule(degree: int) -> tuple[Array, Array]:
+    """Gauss-Jacobi times Gauss-Legendre on the reference triangle, for any degree (Stroud 1971)."""
+    n = degree // 2 + 1
+    r, weight_r = roots_jacobi(n, 1, 0)
+    s, weight_s = roots_jacobi(n, 0, 0)
+    x, z = (1 + r) / 2, (1 + s) / 2
+    points = np.vstack([np.repeat(x, n), np.outer(1 - x, z).ravel()])
+    return points, np.outer(weight_r / 4, weight_s / 2).ravel()
 
 
 def strain_energy(law: Law) -> ca.Function:

@@ -159,10 +159,10 @@ class ContactModel:
         hessian = inner.derivatives.hess_lag(zero, X, 1.0, ca.MX.zeros(self.contact_nodes.size))
         self._evaluate = Evaluator(ca.Function("contact_system", [X], [hessian, -gradient, value, gap]))
         self._upper = _pattern(hessian.sparsity())
-        self._normals = self._unit_rows(problem.obstacle.normal)
+        self.normals = self._unit_rows(problem.obstacle.normal)
         self._friction = problem.obstacle.friction > 0
         scalar = problem.components == 1
-        self._tangents = sp.csr_array((0, self.n_u)) if scalar else self._unit_rows(problem.obstacle.tangent)
+        self.tangents = sp.csr_array((0, self.n_u)) if scalar else self._unit_rows(problem.obstacle.tangent)
         if self._friction:
             slip = ca.MX.sym("s", n_nodes)
             friction = assemble([friction_group(problem, positions, unknown_field((1, n_nodes)))], slip, X, 0)
@@ -176,9 +176,7 @@ class ContactModel:
         upper.data = hessian
         stiffness = sp.csc_array(upper + sp.triu(upper, 1).T)
         bound = self._weights(nodes)[0][self.contact_nodes] if self._friction else np.zeros(0)
-        return ContactSystem(
-            stiffness, load, float(constant[0]), self._normals, self._tangents, offset, bound
-        )
+        return ContactSystem(stiffness, load, float(constant[0]), self.normals, self.tangents, offset, bound)
 
     def solve(self, nodes: Array, start: ActiveSet | None = None) -> Equilibrium:
         """Contact solve at node positions (2, nodes)."""

@@ -1,0 +1,39 @@
+"""No relocation: the contact problem on the mesh as given, the baseline of all comparisons."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.referee import OnStep, Referee
+from rmesh_nlp.solution import Solution, Step
+
+
+def solve(problem: ContactProblem, *, on_step: OnStep | None = None) -> Solution:
+    """Solve the contact problem on the initial mesh.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    on_step : callable, optional
+        Called once with the only step.
+    """
+    referee = Referee(problem)
+    began = time.perf_counter()
+    equilibrium = referee.model.solve(problem.mesh.p)
+    seconds = time.perf_counter() - began
+    step = Step(equilibrium.iterations, equilibrium.energy, float("nan"), 0.0, float("nan"), 1, seconds)
+    if on_step is not None:
+        on_step(step)
+    return referee.judge(
+        "fixed",
+        np.zeros(referee.relocation.n_q),
+        status=equilibrium.status,
+        history=[step],
+        iterations=equilibrium.iterations,
+        contact_solves=1,
+        wall_time_s=seconds,
+        stationarity="",
+    )

@@ -1,0 +1,43 @@
+"""Histories of Ipopt runs as Steps."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.nlp import NLPResult
+from rmesh_nlp.referee import OnStep
+from rmesh_nlp.solution import Step
+
+NAN = float("nan")
+
+
+class Recorder:
+    """A monitor of an NLP solver that notes when each iterate came, and reports it.
+
+    Parameters
+    ----------
+    on_step : callable, optional
+        Called with each step as it comes; residuals are known only afterwards.
+    """
+
+    def __init__(self, on_step: OnStep | None = None) -> None:
+        self._on_step = on_step
+        self._began = time.perf_counter()
+        self._steps: list[Step] = []
+
+    def __call__(self, iteration: int, x: Array, f: float) -> None:
+        step = Step(iteration, f, NAN, NAN, NAN, 0, time.perf_counter() - self._began)
+        self._steps.append(step)
+        if self._on_step is not None:
+            self._on_step(step)
+
+    def steps(self, result: NLPResult) -> list[Step]:
+        """The steps with the solver's residuals and barrier parameter filled in."""
+        history = result.history
+        columns = zip(history["mu"], history["inf_pr"], history["inf_du"], strict=True)
+        return [
+            replace(step, t=mu, primal_residual=primal, dual_residual=dual)
+            for step, (mu, primal, dual) in zip(self._steps, columns, strict=False)
+        ]

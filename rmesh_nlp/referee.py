@@ -1,0 +1,194 @@
+"""From the last node positions of a strategy to a judged Solution; the same for all strategies."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from skfem import MeshTri
+
+from rmesh_nlp.audit import Audit, Auditor
+from rmesh_nlp.equilibrium import ContactModel, Equilibrium
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.nlp import Status
+from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.reduced import ReducedEnergy, ReducedPoint
+from rmesh_nlp.relocation import Relocation, relocation
+from rmesh_nlp.solution import Solution, Step, is_success
+
+OnStep = Callable[[Step], None]
+"""Called after each iteration of a strategy, for progress."""
+
+ENERGY_AGREEMENT = 1e-6
+"""Largest relative difference between a solver's energy and the exact contact solve."""
+
+KKT_TOLERANCE = 1e-6
+"""Largest first-order residual of the outer problem that earns the label "KKT"."""
+
+
+class Referee:
+    """Holds what every strategy shares for one problem, and judges what it ends with.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+    model : ContactModel
+        Contact solves with the problem's own quadrature.
+    relocation : Relocation
+    reduced : ReducedEnergy
+    initial : Equilibrium
+        Contact solution on the initial mesh.
+    """
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self.problem = problem
+        self.model = ContactModel(problem)
+        self.relocation: Relocation = relocation(problem)
+        self.reduced = ReducedEnergy(self.relocation, self.model)
+        self._auditor = Auditor(problem, self.model)
+        began = time.perf_counter()
+        self.initial: Equilibrium = self.model.solve(problem.mesh.p)
+        self._contact_time = time.perf_counter() - began
+
+    def start(self, seed: int | None) -> Array:
+        """Moves to start from: none, or drawn uniformly from the boxes with a seed.
+
+        A draw that breaks element validity is halved until it does not.
+        """
+        q = np.zeros(self.relocation.n_q)
+        if seed is None:
+            return q
+        q = np.random.default_rng(seed).uniform(-1, 1, q.size)
+        while self.least_area_ratio(q) < self.problem.motion.min_area_fraction:
+            q = q / 2
+        return q
+
+    def least_area_ratio(self, q: Array) -> float:
+        """Least signed element area over its initial value."""
+        triangles = self.problem.triangles
+        areas = signed_areas(self.relocation.nodes(q), triangles)
+        return float(np.min(areas / signed_areas(self.problem.mesh.p, triangles)))
+
+    def judge(
+        self,
+        formulation: str,
+        q: Array,
+        *,
+        status: Status,
+        history: list[Step],
+        iterations: int,
+        contact_solves: int,
+        wall_time_s: float,
+        objective: str = "energy",
+        claimed_energy: float | None = None,
+        equilibrium: Equilibrium | None = None,
+        stationarity: str | None = None,
+        seed: int | None = None,
+        extra: dict[str, Any] | None = None,
+    ) -> Solution:
+        """Solve the contact problem at ``q``, audit it, and decide on success.
+
+        Parameters
+        ----------
+        claimed_energy : float, optional
+            What the strategy says the energy is; a disagreement with the contact solve by
+            more than 1e-6 relative makes the status INACCURATE.
+        equilibrium : Equilibrium, optional
+            The strategy's own displacement and forces, which are then what is audited and
+            returned, instead of the contact solve.
+        stationarity : str, optional
+            Label computed by the strategy; by default "KKT" if the measured residual allows.
+        """
+        nodes = self.relocation.nodes(q)
+        common: dict[str, Any] = {
+            "problem": self.problem,
+            "formulation": formulation,
+            "objective": objective,
+            "mesh": relocated_mesh(self.problem.mesh, nodes),
+            "energy_initial": self.initial.energy,
+            "energy_initial_audited": self._auditor.energy(self.problem.mesh.p),
+            "history": tuple(history),
+            "iterations": iterations,
+            "contact_solves": contact_solves,
+            "wall_time_s": wall_time_s,
+            "contact_time_s": self._contact_time,
+            "seed": seed,
+            "extra": extra or {},
+        }
+        ratio = self.least_area_ratio(q)
+        if not ratio > 0:
+            return _without_solution(common, self.problem, ratio)
+        exact = self.reduced(q)
+        found = equilibrium or exact.equilibrium
+        audit = self._auditor(nodes, found.u, found.normal_force, found.tangential_force)
+        status = _checked(status, exact, claimed_energy if equilibrium is None else found.energy)
+        success = is_success(status, audit)
+        if status is Status.CONVERGED and not success:
+            status = Status.INACCURATE
+        residual = float("nan")
+        if objective == "energy":
+            residual = self.reduced.stationarity_residual(exact)
+            if stationarity is None:
+                stationarity = "KKT" if residual <= KKT_TOLERANCE else ""
+        weights = nodal_weights(self.problem, nodes)
+        return Solution(
+            **common,
+            displacement=self.model.displacement.values(found.u),
+            pressure=self._stress(found.normal_force, weights),
+            tangential_stress=self._stress(found.tangential_force, weights),
+            energy=found.energy,
+            audit=audit,
+            status=status,
+            success=success,
+            stationarity=stationarity or "",
+            stationarity_residual=residual,
+        )
+
+    def _stress(self, force: Array, weights: Array) -> Array:
+        stress = np.zeros(self.problem.mesh.p.shape[1])
+        if force.size:
+            stress[self.model.contact_nodes] = force / weights
+        return stress
+
+
+def _checked(status: Status, exact: ReducedPoint, claimed: float | None) -> Status:
+    if exact.equilibrium.status is not Status.CONVERGED:
+        return exact.equilibrium.status
+    if claimed is not None and status is Status.CONVERGED:
+        wrong = abs(claimed - exact.energy) > ENERGY_AGREEMENT * max(abs(exact.energy), 1e-300)
+        return Status.INACCURATE if wrong else status
+    return status
+
+
+def _without_solution(common: dict[str, Any], problem: ContactProblem, ratio: float) -> Solution:
+    """A row for a mesh on which the contact problem cannot be solved."""
+    nan = float("nan")
+    n_nodes = problem.mesh.p.shape[1]
+    return Solution(
+        **common,
+        displacement=np.full((problem.components, n_nodes), nan),
+        pressure=np.full(n_nodes, nan),
+        tangential_stress=np.full(n_nodes, nan),
+        energy=nan,
+        audit=Audit(nan, nan, nan, ratio),
+        status=Status.INVALID_MESH,
+        success=False,
+        stationarity="",
+        stationarity_residual=nan,
+    )
+
+
+def relocated_mesh(mesh: MeshTri, nodes: Array) -> MeshTri:
+    """The mesh with its nodes at ``nodes`` (2, nodes), names kept."""
+    return replace(mesh, doflocs=np.ascontiguousarray(nodes))
+
+
+def nodal_weights(problem: ContactProblem, nodes: Array) -> Array:
+    """omega_i of (5.9): half the length of the contact edges at each contact node."""
+    edges = problem.mesh.facets[:, problem.mesh.boundaries[problem.obstacle.boundary]]
+    length = np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
+    weight = np.bincount(edges.ravel(), np.tile(length / 2, 2), nodes.shape[1])
+    return np.asarray(weight[problem.contact_nodes])

@@ -1,0 +1,174 @@
+"""What every strategy returns, and the record of it that tables and figures are made from."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from skfem import MeshTri
+
+from rmesh_nlp.audit import TOLERANCE, Audit
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.nlp import Status
+from rmesh_nlp.problem import ContactProblem
+
+
+@dataclass(frozen=True)
+class Step:
+    """One line of a history.
+
+    Attributes
+    ----------
+    iteration : int
+    energy : float
+        Objective energy at the iterate; meaningful as J only where ``primal_residual`` is small.
+    t : float
+        Relaxation or barrier parameter, NaN where there is none.
+    primal_residual, dual_residual : float
+        Constraint violation and dual infeasibility as the solver scales them.
+    contact_solves : int
+        Contact solves so far; 0 for the all-at-once strategies.
+    seconds : float
+        Wall time since the start.
+    """
+
+    iteration: int
+    energy: float
+    t: float
+    primal_residual: float
+    dual_residual: float
+    contact_solves: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A relocated mesh with its contact solution.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+    formulation, objective : str
+    mesh : skfem.MeshTri
+        The relocated mesh, boundaries named as before.
+    displacement : (components, nodes) array
+        In units of length.
+    pressure : (nodes,) array
+        Contact pressure in N/m^2, >= 0, zero off the contact boundary: nodal force over omega_i.
+    tangential_stress : (nodes,) array
+        Friction on the body in N/m^2, along the tangent; zero without friction.
+    energy : float
+        J(u) on the relocated mesh with the problem's own quadrature.
+    energy_initial : float
+        The same on the initial mesh.
+    energy_initial_audited : float
+        The same with the rule of the audit.
+    audit : Audit
+    status : Status
+    success : bool
+        Residuals at most 1e-6 in scaled units, a valid mesh, and a solver that converged.
+    stationarity : str
+        "KKT" or an MPCC label (W, C, M, S, B) where it was computed, else "".
+    stationarity_residual : float
+        First-order residual of the outer problem, measured with the energy gradient (5.11);
+        NaN for other objectives.
+    history : tuple of Step
+    iterations, contact_solves : int
+    wall_time_s : float
+        Build and solve, without the audit.
+    contact_time_s : float
+        One cold contact solve on the initial mesh, the unit of cost.
+    seed : int or None
+    extra : dict
+        Further entries of the record.
+    """
+
+    problem: ContactProblem
+    formulation: str
+    objective: str
+    mesh: MeshTri
+    displacement: Array
+    pressure: Array
+    tangential_stress: Array
+    energy: float
+    energy_initial: float
+    energy_initial_audited: float
+    audit: Audit
+    status: Status
+    success: bool
+    stationarity: str
+    stationarity_residual: float
+    history: tuple[Step, ...]
+    iterations: int
+    contact_solves: int
+    wall_time_s: float
+    contact_time_s: float
+    seed: int | None = None
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    def record(self) -> dict[str, Any]:
+        """Everything a table needs, as plain JSON values. NaN becomes None."""
+        row = {
+            "example": self.problem.name,
+            "formulation": self.formulation,
+            "objective": self.objective,
+            "n": self.problem.size,
+            "delta": list(self.problem.motion.delta),
+            "status": self.status.value,
+            "success": self.success,
+            "energy_initial": self.energy_initial,
+            "energy": self.energy,
+            "energy_initial_audited": self.energy_initial_audited,
+            "energy_audited": self.audit.energy_audited,
+            "gain": self.energy_initial - self.energy,
+            "gain_audited": self.energy_initial_audited - self.audit.energy_audited,
+            "u_min": float(self.displacement.min()),
+            "u_max": float(self.displacement.max()),
+            "min_area_ratio": self.audit.min_area_ratio,
+            "iterations": self.iterations,
+            "contact_solves": self.contact_solves,
+            "wall_time_s": self.wall_time_s,
+            "contact_time_s": self.contact_time_s,
+            "equilibrium_residual": self.audit.equilibrium_residual,
+            "complementarity_residual": self.audit.complementarity_residual,
+            "stationarity": self.stationarity,
+            "stationarity_residual": self.stationarity_residual,
+            "nodes": int(self.mesh.p.shape[1]),
+            "triangles": int(self.mesh.t.shape[1]),
+            "quadrature": self.problem.quadrature,
+            "versions": versions(),
+            "seed": self.seed,
+            **self.extra,
+        }
+        return {key: _plain(value) for key, value in row.items()}
+
+    def history_rows(self) -> list[dict[str, Any]]:
+        """The history as a list of plain dictionaries (for JSON or pandas)."""
+        return [{key: _plain(value) for key, value in asdict(step).items()} for step in self.history]
+
+
+def is_success(status: Status, audit: Audit) -> bool:
+    """Whether residuals and mesh allow the solution to be called a success."""
+    return (
+        status is Status.CONVERGED
+        and audit.equilibrium_residual <= TOLERANCE
+        and audit.complementarity_residual <= TOLERANCE
+        and audit.min_area_ratio > 0
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that decide the figures."""
+    packages = ("rmesh-nlp", "casadi", "numpy", "scipy", "scikit-fem")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (np.generic,)):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
