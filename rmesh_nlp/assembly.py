@@ -108,7 +108,14 @@ class Assembled:
 
     f: ca.MX
     g: ca.MX
-    derivatives: Derivatives
+    grad_f: ca.Function
+    jac_g: ca.Function
+    hess_lag: ca.Function
+
+    @property
+    def derivatives(self) -> Derivatives:
+        """The derivative Functions in the form that nlpsol takes."""
+        return Derivatives(self.grad_f, self.jac_g, self.hess_lag)
 
 
 def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> Assembled:
@@ -133,11 +140,9 @@ def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) ->
     return Assembled(
         f=f,
         g=ca.densify(g),
-        derivatives=Derivatives(
-            grad_f=ca.Function("nlp_grad_f", [x, p], [f, ca.densify(gradient)]),
-            jac_g=ca.Function("nlp_jac_g", [x, p], [ca.densify(g), jacobian]),
-            hess_lag=ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian]),
-        ),
+        grad_f=ca.Function("nlp_grad_f", [x, p], [f, ca.densify(gradient)]),
+        jac_g=ca.Function("nlp_jac_g", [x, p], [ca.densify(g), jacobian]),
+        hess_lag=ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian]),
     )
 
 

@@ -154,9 +154,10 @@ class ContactModel:
         ]
         inner = assemble(groups, u, X, self.contact_nodes.size)
         zero = ca.MX.zeros(self.n_u)
-        value, gradient = inner.derivatives.grad_f(zero, X)
+        value, gradient = inner.grad_f(zero, X)
         gap = ca.Function("gap", [u, X], [inner.g])(zero, X)
-        hessian = inner.derivatives.hess_lag(zero, X, 1.0, ca.MX.zeros(self.contact_nodes.size))
+        no_rows = ca.MX.zeros(self.contact_nodes.size)
+        hessian = inner.hess_lag(zero, X, 1.0, no_rows)
         self._evaluate = Evaluator(ca.Function("contact_system", [X], [hessian, -gradient, value, gap]))
         self._upper = _pattern(hessian.sparsity())
         self.normals = self._unit_rows(problem.obstacle.normal)
@@ -166,7 +167,7 @@ class ContactModel:
         if self._friction:
             slip = ca.MX.sym("s", n_nodes)
             friction = assemble([friction_group(problem, positions, unknown_field((1, n_nodes)))], slip, X, 0)
-            weights = friction.derivatives.grad_f(ca.MX.zeros(n_nodes), X)[1]
+            weights = friction.grad_f(ca.MX.zeros(n_nodes), X)[1]
             self._weights = Evaluator(ca.Function("weights", [X], [weights]))
 
     def system(self, nodes: Array) -> ContactSystem:
@@ -211,14 +212,16 @@ def solve(
     """
     rotated = _Rotated(system)
     active = start if start is not None else _initial_set(system)
-    fewest, patience, seen = np.inf, PATIENCE, set()
+    fewest, patience = np.inf, PATIENCE
+    seen: set[bytes] = set()
     for iteration in range(1, max_iterations + 1):
         state = rotated.solve(active)
         proposal, violations = _next_set(system, state, active)
         if violations == 0:
             return replace(state, iterations=iteration)
         if violations < fewest:
-            fewest, patience, seen = violations, PATIENCE, set()
+            fewest, patience = violations, PATIENCE
+            seen.clear()
         elif patience > 0:
             patience -= 1
         else:

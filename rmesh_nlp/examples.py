@@ -70,7 +70,7 @@ PAPER = {
 EXACT_ENERGY_61 = -(625 / 2016 + 125 * np.pi**2 / 202752 + 125 * (220 + 7 * np.pi**2) / 22176)
 """J(u) of Example 6.1, -1.9456096613, as printed in closed form in section 6."""
 
-LAME = {"lame_lambda": 1.15e4, "lame_mu": 0.83e4}
+MATERIAL = PlaneStrain(lame_lambda=1.15e4, lame_mu=0.83e4)
 LOAD = 57.5
 
 
@@ -166,7 +166,7 @@ def _elastic(
     alpha = PiecewiseLinear((0.0, 4.0), (bottom, bottom))
     return ContactProblem(
         mesh=mesh,
-        law=PlaneStrain(**LAME),
+        law=MATERIAL,
         dirichlet=("left",),
         obstacle=Obstacle("contact", normal=(0.0, 1.0), offset=alpha, friction=friction),
         motion=Motion(_delta(delta, name, (nx, ny)), pinned=("top",)),

@@ -28,6 +28,7 @@ class Recorder:
         self._steps: list[Step] = []
 
     def __call__(self, iteration: int, x: Array, f: float) -> None:
+        """Note an iterate."""
         step = Step(iteration, f, NAN, NAN, NAN, 0, time.perf_counter() - self._began)
         self._steps.append(step)
         if self._on_step is not None:

@@ -104,14 +104,14 @@ class Derivatives:
         ``(x, p) -> (f, grad_f_x)``, the gradient a dense column.
     jac_g : casadi.Function
         ``(x, p) -> (g, jac_g_x)``.
-    hess_lag : casadi.Function
+    hess_lag : casadi.Function or None
         ``(x, p, lam_f, lam_g) -> triu_hess_gamma_x_x``, upper triangle of the Hessian of
-        ``lam_f f + lam_g^T g``.
+        ``lam_f f + lam_g^T g``. None where only quasi-Newton methods are meant.
     """
 
     grad_f: ca.Function
     jac_g: ca.Function
-    hess_lag: ca.Function
+    hess_lag: ca.Function | None
 
 
 @dataclass(frozen=True)
@@ -219,9 +219,12 @@ def _extend_derivatives(
     g_old, jacobian = base.jac_g(nlp.x, nlp.p)
     lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", nlp.n_g + int(g.shape[0]))
     lam_old, lam_new = lam_g[: nlp.n_g], lam_g[nlp.n_g :]
-    hessian = ca.diagcat(base.hess_lag(nlp.x, nlp.p, lam_f, lam_old), kind(n_new, n_new))
-    # triu(H) of the sum: the appended part is small or sparse, CasADi colours it well
-    hessian_new = ca.triu(ca.hessian(lam_f * f + ca.dot(lam_new, g), x)[0])
+    hess_lag = None
+    if base.hess_lag is not None:
+        hessian = ca.diagcat(base.hess_lag(nlp.x, nlp.p, lam_f, lam_old), kind(n_new, n_new))
+        # the appended part is small or sparse: CasADi colours it well
+        hessian_new = ca.triu(ca.hessian(lam_f * f + ca.dot(lam_new, g), x)[0])
+        hess_lag = ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian + hessian_new])
     jacobian_old = ca.horzcat(jacobian, kind(nlp.n_g, n_new))
     return Derivatives(
         grad_f=ca.Function(
@@ -232,7 +235,7 @@ def _extend_derivatives(
         jac_g=ca.Function(
             "nlp_jac_g", [x, p], [ca.vertcat(g_old, g), ca.vertcat(jacobian_old, ca.jacobian(g, x))]
         ),
-        hess_lag=ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian + hessian_new]),
+        hess_lag=hess_lag,
     )
 
 

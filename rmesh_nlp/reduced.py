@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import nnls
 
-from rmesh_nlp.equilibrium import ContactModel, Equilibrium
+from rmesh_nlp.equilibrium import ActiveSet, ContactModel, Equilibrium
 from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.relocation import Relocation
 
@@ -43,26 +43,30 @@ class ReducedEnergy:
         self.relocation = relocation
         self.model = model or ContactModel(relocation.problem)
         self.contact_solves = 0
-        self._active = None
+        self._active: ActiveSet | None = None
+        self._last: ReducedPoint | None = None
         nlp = relocation.nlp
         lam = ca.MX.sym("lam", relocation.n_contact)
-        gap_jacobian = nlp.derivatives.jac_g(nlp.x, nlp.p)[1][relocation.gap_rows, : relocation.n_q]
-        energy_gradient = nlp.derivatives.grad_f(nlp.x, nlp.p)[1][: relocation.n_q]
+        gap_jacobian = relocation.derivatives.jac_g(nlp.x, nlp.p)[1][relocation.gap_rows, : relocation.n_q]
+        energy_gradient = relocation.derivatives.grad_f(nlp.x, nlp.p)[1][: relocation.n_q]
         gradient = energy_gradient - gap_jacobian.T @ lam
         self._gradient = Evaluator(ca.Function("reduced_gradient", [nlp.x, lam], [ca.densify(gradient)]))
         validity = relocation.validity_rows
-        rows = nlp.derivatives.jac_g(nlp.x, nlp.p)
+        rows = relocation.derivatives.jac_g(nlp.x, nlp.p)
         self._areas = ca.Function("areas", [nlp.x], [rows[0][validity], rows[1][validity, : relocation.n_q]])
 
     def __call__(self, q: Array) -> ReducedPoint:
-        """Evaluate at moves ``q``."""
+        """Evaluate at moves ``q``; the last point is remembered."""
+        if self._last is not None and np.array_equal(self._last.q, q):
+            return self._last
         nodes = self.relocation.nodes(q)
         equilibrium = self.model.solve(nodes, self._active)
         self.contact_solves += 1
         self._active = equilibrium.active
         x = self.point(q, equilibrium)
         (gradient,) = self._gradient(x, equilibrium.normal_force)
-        return ReducedPoint(q, equilibrium.energy, gradient, equilibrium)
+        self._last = ReducedPoint(np.array(q), equilibrium.energy, gradient, equilibrium)
+        return self._last
 
     def point(self, q: Array, equilibrium: Equilibrium) -> Array:
         """The unknowns ``(q, u, s)`` of the energy program at a contact solution."""

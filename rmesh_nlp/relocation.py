@@ -21,7 +21,7 @@ from rmesh_nlp.assembly import ElementGroup, Field, assemble, constant_field
 from rmesh_nlp.energy import bulk_groups, displacement_field, friction_group, gap_group
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.motion import Freedoms, freedoms, validity_group
-from rmesh_nlp.nlp import NLP
+from rmesh_nlp.nlp import NLP, Derivatives
 from rmesh_nlp.problem import ContactProblem, Obstacle
 
 
@@ -35,6 +35,8 @@ class Relocation:
     freedoms : Freedoms
     nlp : NLP
         Unknowns ``(q, u, s)``; rows: gaps, the two slip rows of each contact node, validity.
+    derivatives : Derivatives
+        Those of ``nlp``.
     n_q, n_u, n_s : int
         Numbers of moves, displacement unknowns, slip magnitudes.
     n_contact, n_valid : int
@@ -44,6 +46,7 @@ class Relocation:
     problem: ContactProblem
     freedoms: Freedoms
     nlp: NLP
+    derivatives: Derivatives
     n_q: int
     n_u: int
     n_s: int
@@ -103,7 +106,7 @@ def relocation(problem: ContactProblem) -> Relocation:
         ubg=np.full(n_rows + n_valid, np.inf),
         derivatives=assembled.derivatives,
     )
-    return Relocation(problem, free, nlp, free.n, n_u, n_s, n_contact, n_valid)
+    return Relocation(problem, free, nlp, assembled.derivatives, free.n, n_u, n_s, n_contact, n_valid)
 
 
 def slip_field(problem: ContactProblem, first: int) -> Field:
