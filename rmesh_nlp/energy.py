@@ -61,12 +61,17 @@ def strain_energy(law: Law) -> ca.Function:
     )
     difference = ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0])
     scaled_gradient = difference @ inverse  # det * grad u
+    # the density is quadratic, so the division by det comes once, at the end
+    energy = energy_density(law, scaled_gradient) / (2 * det)
+    return ca.Function("strain_energy", [ca.vec(X), ca.vec(u)], [energy, ca.SX(0, 1)])
+
+
+def energy_density(law: Law, gradient: Any) -> Any:
+    """Energy per area as a function of the displacement gradient (components, 2)."""
     if isinstance(law, Laplace):
-        density = 0.5 * ca.sumsqr(scaled_gradient)
-    else:
-        strain = (scaled_gradient + scaled_gradient.T) / 2
-        density = 0.5 * law.lame_lambda * ca.trace(strain) ** 2 + law.lame_mu * ca.sumsqr(strain)
-    return ca.Function("strain_energy", [ca.vec(X), ca.vec(u)], [density / (2 * det), ca.SX(0, 1)])
+        return 0.5 * ca.sumsqr(gradient)
+    strain = (gradient + gradient.T) / 2
+    return 0.5 * law.lame_lambda * ca.trace(strain) ** 2 + law.lame_mu * ca.sumsqr(strain)
 
 
 def load_energy(law: Law, quadrature: str | int) -> ca.Function:
@@ -127,20 +132,20 @@ def bulk_groups(problem: ContactProblem, positions: Field, displacement: Field) 
     """Strain energy, source or body force, and tractions: J without friction."""
     triangles, law = problem.triangles, problem.law
     local = (positions.at(triangles), displacement.at(triangles))
-    groups = [_objective_group(strain_energy(law), local)]
+    groups = [objective_group(strain_energy(law), local)]
     if _is_loaded(law):
-        groups.append(_objective_group(load_energy(law, problem.quadrature), local))
+        groups.append(objective_group(load_energy(law, problem.quadrature), local))
     for traction in problem.tractions:
         edges = np.asarray(problem.mesh.facets[:, problem.mesh.boundaries[traction.boundary]], dtype=np.int64)
         local = (positions.at(edges), displacement.at(edges))
-        groups.append(_objective_group(traction_energy(traction), local))
+        groups.append(objective_group(traction_energy(traction), local))
     return groups
 
 
 def friction_group(problem: ContactProblem, positions: Field, slip: Field) -> ElementGroup:
     """Friction energy as a function of nodal slip magnitudes (1, nodes)."""
     edges = contact_edges(problem)
-    return _objective_group(friction_energy(problem.obstacle), (positions.at(edges), slip.at(edges)))
+    return objective_group(friction_energy(problem.obstacle), (positions.at(edges), slip.at(edges)))
 
 
 def gap_group(
@@ -172,5 +177,6 @@ def _is_loaded(law: Law) -> bool:
     return any(callable(component) or component != 0 for component in load)
 
 
-def _objective_group(function: ca.Function, local: tuple[Field, ...]) -> ElementGroup:
+def objective_group(function: ca.Function, local: tuple[Field, ...]) -> ElementGroup:
+    """Elements that add to the objective and to no constraint."""
     return ElementGroup(function, local, np.zeros((0, local[0].index.shape[1]), dtype=np.int64))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Any
 
 import casadi as ca
@@ -191,14 +192,17 @@ def _grid(x: NDArray, y: NDArray, *, rising: bool) -> MeshTri:
 
 
 def _size(n: Size) -> tuple[int, int]:
-    pair = (n, n) if isinstance(n, int) else tuple(n)
-    if len(pair) != 2 or any(not isinstance(k, int) or k < 2 for k in pair):
+    pair = tuple(n) if isinstance(n, (tuple, list)) else (n, n)
+    if len(pair) != 2 or any(not isinstance(k, Integral) or k < 2 for k in pair):
         raise ValueError(f"the size must be a whole number of at least 2, or two of them, got {n!r}")
-    return pair[0], pair[1]
+    return int(pair[0]), int(pair[1])
 
 
 def _delta(delta: Delta | None, name: str, size: tuple[int, int]) -> tuple[float, float]:
     paper = PAPER[name]
     if delta is None:
         return (paper.delta[0] * paper.size[0] / size[0], paper.delta[1] * paper.size[1] / size[1])
-    return (float(delta), float(delta)) if isinstance(delta, (int, float)) else (delta[0], delta[1])
+    pair = tuple(delta) if isinstance(delta, (tuple, list)) else (delta, delta)
+    if len(pair) != 2 or any(not isinstance(value, Real) for value in pair):
+        raise ValueError(f"delta must be a number, or two of them, got {delta!r}")
+    return float(pair[0]), float(pair[1])
