@@ -77,8 +77,9 @@ LOAD = 57.5
 
 def exact_displacement_61(x: Any, y: Any) -> Any:
     """The exact solution (6.2); 2 x_2^3 - 2 x_2^2 + x_2 / 2 is written as 2 x_2 (1/2 - x_2)^2."""
-    lower = 200 * y * (0.5 - y) ** 4 * ca.sin(2 * np.pi * x)
-    upper = 100 * (1 - y) * (0.5 - y) ** 4 * ca.sin(np.pi * x / 2)
+    quartic = ((0.5 - y) ** 2) ** 2  # squares are products to CasADi, fourth powers call pow
+    lower = 200 * y * quartic * ca.sin(2 * np.pi * x)
+    upper = 100 * (1 - y) * quartic * ca.sin(np.pi * x / 2)
     return ca.if_else(y <= 0.5, lower, upper)
 
 
