@@ -19,10 +19,15 @@ from rmesh_nlp.assembly import assemble
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.motion import validity_group
 from rmesh_nlp.nlp import NLP, Derivatives, Solver, Status
+from rmesh_nlp.objectives import parse_objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.reduced import ReducedEnergy
+from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
 from rmesh_nlp.referee import OnStep, Referee
 from rmesh_nlp.solution import Solution, Step
+
+NAN = float("nan")
+
+Reduced = ReducedEnergy | ReducedObjective
 
 IPOPT_OPTIONS: Mapping[str, Any] = {
     "hessian_approximation": "limited-memory",
@@ -39,15 +44,22 @@ SCIPY_MAX_ITERATIONS = 500
 def solve(
     problem: ContactProblem,
     *,
+    objective: str = "energy",
     outer: str = "ipopt",
     seed: int | None = None,
     on_step: OnStep | None = None,
 ) -> Solution:
-    """Minimise L(X) with exact contact solves inside.
+    """Minimise an outer objective with exact contact solves inside.
+
+    The energy needs no adjoint; other objectives get one with the active set held, which is
+    their gradient wherever strict complementarity holds. The contact nodes where it fails at
+    the end are listed in the record as ``biactive_nodes``: they are what may have stopped it.
 
     Parameters
     ----------
     problem : ContactProblem
+    objective : str
+        Terms of :mod:`rmesh_nlp.objectives`, such as "energy" or "error-l2 + 0.01*quality".
     outer : str
         Outer solver: "ipopt" (limited-memory BFGS), "slsqp", "trust-constr" or "l-bfgs-b".
     seed : int, optional
@@ -58,14 +70,19 @@ def solve(
     Raises
     ------
     ValueError
-        If the outer solver is unknown, or cannot hold the element areas that need it.
+        If the objective or the outer solver is unknown, or the solver cannot hold the element
+        areas that need it.
     """
     if outer not in OUTER_SOLVERS:
         raise ValueError(f"unknown outer solver {outer!r}: choose from {', '.join(OUTER_SOLVERS)}")
     referee = Referee(problem)
     began = time.perf_counter()
-    recorder = _Recorder(referee.reduced, on_step, began)
-    program = reduced_nlp(referee)
+    outer_objective = parse_objective(objective)
+    function: Reduced = referee.reduced
+    if not outer_objective.is_energy:
+        function = ReducedObjective(referee.reduced, outer_objective)
+    recorder = _Recorder(function, on_step, began)
+    program = reduced_nlp(referee, function)
     finish = OUTER_SOLVERS[outer](program, referee.start(seed), recorder)
     seconds = time.perf_counter() - began
     return referee.judge(
@@ -76,9 +93,9 @@ def solve(
         iterations=finish.iterations,
         contact_solves=referee.reduced.contact_solves,
         wall_time_s=seconds,
-        claimed_energy=finish.energy,
+        objective=objective,
         seed=seed,
-        extra={"outer": outer},
+        extra={"outer": outer, **_outer_figures(referee, function, finish.q)},
     )
 
 
@@ -90,7 +107,7 @@ class ReducedProgram:
     """
 
     nlp: NLP
-    energy: ReducedEnergy
+    function: Reduced
     areas: ca.Function
     oracle: ca.Callback
 
@@ -100,18 +117,17 @@ class OuterResult:
     """Where an outer solver stopped."""
 
     q: Array
-    energy: float
     status: Status
     iterations: int
 
 
-def reduced_nlp(referee: Referee) -> ReducedProgram:
-    """The NLP ``min L(q)`` over boxes and element areas; its objective is a contact solve."""
+def reduced_nlp(referee: Referee, function: Reduced) -> ReducedProgram:
+    """The NLP ``min F(q)`` over boxes and element areas; its objective is a contact solve."""
     rel = referee.relocation
     q, p = ca.MX.sym("q", rel.n_q), ca.MX(0, 1)
     validity, bound = validity_group(rel.problem, rel.freedoms)
     areas = assemble([validity], q, p, bound.size)
-    oracle = _Oracle(referee.reduced, rel.n_q)
+    oracle = _Oracle(function, rel.n_q)
     value, gradient = oracle(q)
     nlp = NLP(
         x=q,
@@ -128,15 +144,16 @@ def reduced_nlp(referee: Referee) -> ReducedProgram:
             hess_lag=None,
         ),
     )
-    return ReducedProgram(nlp, referee.reduced, areas.jac_g, oracle)
+    return ReducedProgram(nlp, function, areas.jac_g, oracle)
 
 
 class _Oracle(ca.Callback):
-    """L(q) and its gradient as a CasADi Function."""
+    """F(q) and its gradient as a CasADi Function, in units of ``|F(0)|``: a squared error may be small."""
 
-    def __init__(self, energy: ReducedEnergy, n: int) -> None:
+    def __init__(self, function: Reduced, n: int) -> None:
         super().__init__()
-        self._energy, self._n = energy, n
+        self._function, self._n = function, n
+        self._scale = _scale(function, n)
         self.construct("reduced_energy", {})
 
     def get_n_in(self) -> int:
@@ -152,22 +169,39 @@ class _Oracle(ca.Callback):
         return ca.Sparsity.dense(self._n if i else 1)
 
     def eval(self, arg: list[ca.DM]) -> list[Any]:
-        point = self._energy(arg[0].full().ravel())
-        return [point.energy, point.gradient]
+        point = self._function(arg[0].full().ravel())
+        return [point.value / self._scale, point.gradient / self._scale]
+
+
+def _scale(function: Reduced, n: int) -> float:
+    return abs(function(np.zeros(n)).value) or 1.0
+
+
+def _outer_figures(referee: Referee, function: Reduced, q: Array) -> dict[str, Any]:
+    """Record entries of an outer objective: its value before and after, and biactive nodes."""
+    start, end = function(np.zeros(q.size)), function(q)
+    weak = referee.model.contact_nodes[end.weak]
+    return {
+        "objective_initial": start.value,
+        "objective_value": end.value,
+        "outer_stationarity_residual": referee.reduced.stationarity_residual(end),
+        "biactive_nodes": [int(node) for node in weak],
+    }
 
 
 class _Recorder:
     """Turns the iterates of an outer solver into Steps."""
 
-    def __init__(self, energy: ReducedEnergy, on_step: OnStep | None, began: float) -> None:
-        self._energy, self._on_step, self._began = energy, on_step, began
+    def __init__(self, function: Reduced, on_step: OnStep | None, began: float) -> None:
+        self._function, self._on_step, self._began = function, on_step, began
         self.steps: list[Step] = []
 
-    def __call__(self, iteration: int, q: Array, energy: float) -> None:
-        point = self._energy(q)
-        residual = float(np.max(np.abs(q - np.clip(q - point.gradient / abs(energy), -1, 1)), initial=0.0))
-        solves, seconds = self._energy.contact_solves, time.perf_counter() - self._began
-        step = Step(iteration, energy, float("nan"), 0.0, residual, solves, seconds)
+    def __call__(self, iteration: int, q: Array, _: float) -> None:
+        point = self._function(q)
+        scale = max(abs(point.value), 1e-300)
+        residual = float(np.max(np.abs(q - np.clip(q - point.gradient / scale, -1, 1)), initial=0.0))
+        solves, seconds = self._function.contact_solves, time.perf_counter() - self._began
+        step = Step(iteration, point.equilibrium.energy, NAN, 0.0, residual, solves, seconds)
         self.steps.append(step)
         if self._on_step is not None:
             self._on_step(step)
@@ -176,15 +210,15 @@ class _Recorder:
 def _ipopt(program: ReducedProgram, start: Array, recorder: _Recorder) -> OuterResult:
     result = Solver(program.nlp, options=IPOPT_OPTIONS, monitor=recorder)(start)
     status = Status.CONVERGED if result.converged else result.status
-    return OuterResult(result.x, result.f, status, result.iterations)
+    return OuterResult(result.x, status, result.iterations)
 
 
 def _scipy(method: str) -> Callable[[ReducedProgram, Array, _Recorder], OuterResult]:
     """An outer solver of scipy.optimize with our gradient."""
 
     def run(program: ReducedProgram, start: Array, recorder: _Recorder) -> OuterResult:
-        nlp, energy = program.nlp, program.energy
-        constraints = []
+        nlp, function = program.nlp, program.function
+        constraints, scale = [], _scale(function, nlp.n_x)
         if nlp.n_g:
             if method == "L-BFGS-B":
                 raise ValueError(
@@ -204,12 +238,12 @@ def _scipy(method: str) -> Callable[[ReducedProgram, Array, _Recorder], OuterRes
         def callback(q: Array, *_: Any) -> None:
             nonlocal count
             count += 1
-            recorder(count, np.clip(q, -1, 1), energy(np.clip(q, -1, 1)).energy)
+            recorder(count, np.clip(q, -1, 1), NAN)
 
         result = minimize(
-            lambda q: energy(q).energy,
+            lambda q: function(q).value / scale,
             start,
-            jac=lambda q: energy(q).gradient,
+            jac=lambda q: function(q).gradient / scale,
             method=method,
             bounds=Bounds(-1, 1),
             constraints=constraints,
@@ -217,11 +251,10 @@ def _scipy(method: str) -> Callable[[ReducedProgram, Array, _Recorder], OuterRes
             tol=SCIPY_TOLERANCE,
             options={"maxiter": SCIPY_MAX_ITERATIONS},
         )
-        q = np.clip(result.x, -1, 1)
         status = Status.CONVERGED if result.success else Status.STALLED
         if count >= SCIPY_MAX_ITERATIONS:
             status = Status.ITERATION_LIMIT
-        return OuterResult(q, energy(q).energy, status, count)
+        return OuterResult(np.clip(result.x, -1, 1), status, count)
 
     return run
 

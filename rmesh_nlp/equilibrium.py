@@ -19,6 +19,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -159,7 +160,7 @@ class ContactModel:
         no_rows = ca.MX.zeros(self.contact_nodes.size)
         hessian = inner.hess_lag(zero, X, 1.0, no_rows)
         self._evaluate = Evaluator(ca.Function("contact_system", [X], [hessian, -gradient, value, gap]))
-        self._upper = _pattern(hessian.sparsity())
+        self._upper = pattern(hessian.sparsity())
         self.normals = self._unit_rows(problem.obstacle.normal)
         self._friction = problem.obstacle.friction > 0
         scalar = problem.components == 1
@@ -266,6 +267,49 @@ def _single_change(active: ActiveSet, proposal: ActiveSet) -> ActiveSet:
     return ActiveSet(touching, sliding)
 
 
+def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Array, Array]:
+    """Adjoint of the contact solution with its active set held.
+
+    Solves ``K p = right`` over the displacements that the active set leaves free, p = 0 in
+    the normal direction of touching and in the tangential direction of sticking nodes.
+
+    Returns
+    -------
+    p : (m,) array
+    reaction : (contact nodes,) array
+        ``right - K p`` in the normal direction of touching nodes, zero at the others.
+    """
+    rotated = _Rotated(system)
+    turned = right if rotated.basis is None else rotated.basis.T @ right
+    inside = np.flatnonzero(rotated.free(active))
+    p = np.zeros(turned.size)
+    p[inside] = _factor(rotated.K[:, inside][inside]).solve(turned[inside])
+    reaction = np.where(active.touching, (turned - rotated.K @ p)[rotated.normal], 0.0)
+    return p if rotated.basis is None else rotated.basis @ p, reaction
+
+
+def weakly_active(system: ContactSystem, state: Equilibrium, tolerance: float = 1e-6) -> NDArray[np.bool_]:
+    """Contact nodes where strict complementarity fails, in scaled units.
+
+    Gap and normal force both vanish, or slip vanishes while the friction is at its bound.
+    There u(X) has only one-sided derivatives.
+    """
+    force = system.force_scale
+    length = max(float(np.max(np.abs(state.u), initial=0.0)), 1e-300)
+    gap = system.normals @ state.u + system.offset
+    weak = np.maximum(np.abs(gap) / length, np.abs(state.normal_force) / force) < tolerance
+    if system.slip_bound.size:
+        slip = np.abs(system.tangents @ state.u) / length
+        reserve = np.abs(system.slip_bound - np.abs(state.tangential_force)) / force
+        weak |= np.maximum(slip, reserve) < tolerance
+    return np.asarray(weak)
+
+
+def _factor(K: sp.csc_array) -> Any:
+    """Sparse factorisation of a symmetric positive definite matrix."""
+    return splu(K, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+
+
 class _Rotated:
     """The system in coordinates in which every gap and slip is one unknown (plus a constant)."""
 
@@ -276,23 +320,27 @@ class _Rotated:
         self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
         self.F = system.load if basis is None else basis.T @ system.load
 
+    def free(self, active: ActiveSet) -> NDArray[np.bool_]:
+        """Unknowns that touching and sticking nodes leave free."""
+        free = np.ones(self.F.size, dtype=bool)
+        free[self.normal[active.touching]] = False
+        if self.system.slip_bound.size:
+            free[self.tangent[active.sliding == 0]] = False
+        return free
+
     def solve(self, active: ActiveSet) -> Equilibrium:
         """Equilibrium with the given nodes touching, sticking and sliding."""
         system = self.system
         w = np.zeros(self.F.size)
-        free = np.ones(w.size, dtype=bool)
-        touching = self.normal[active.touching]
-        free[touching] = False
-        w[touching] = -system.offset[active.touching]
+        w[self.normal[active.touching]] = -system.offset[active.touching]
         F = self.F
         if system.slip_bound.size:
             F = F.copy()
             F[self.tangent] -= system.slip_bound * active.sliding
-            free[self.tangent[active.sliding == 0]] = False
-        inside = np.flatnonzero(free)
+        inside = np.flatnonzero(self.free(active))
         K = self.K[:, inside]
         right = F[inside] - (self.K[inside] @ w)
-        w[inside] = splu(K[inside], permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(right)
+        w[inside] = _factor(K[inside]).solve(right)
         residual = self.K @ w - self.F
         normal_force = np.where(active.touching, residual[self.normal], 0.0)
         tangential = np.zeros(0)
@@ -341,7 +389,8 @@ def _row(matrix: sp.csr_array, i: int) -> tuple[NDArray, Array]:
     return matrix.indices[part], matrix.data[part]
 
 
-def _pattern(sparsity: ca.Sparsity) -> sp.csc_array:
+def pattern(sparsity: ca.Sparsity) -> sp.csc_array:
+    """A scipy matrix of ones with the pattern of a CasADi one."""
     shape = sparsity.shape
     data = np.ones(sparsity.nnz())
     return sp.csc_array((data, sparsity.row(), sparsity.colind()), shape=shape)

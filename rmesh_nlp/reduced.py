@@ -6,10 +6,23 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from rmesh_nlp.equilibrium import ActiveSet, ContactModel, Equilibrium
+from rmesh_nlp.assembly import assemble
+from rmesh_nlp.equilibrium import (
+    ActiveSet,
+    ContactModel,
+    ContactSystem,
+    Equilibrium,
+    adjoint,
+    pattern,
+    solve,
+    weakly_active,
+)
 from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.objectives import Objective
 from rmesh_nlp.relocation import Relocation
 
 ACTIVE_AREA = 1e-6
@@ -18,12 +31,22 @@ ACTIVE_AREA = 1e-6
 
 @dataclass(frozen=True)
 class ReducedPoint:
-    """L, its gradient with respect to the moves q, and the contact solution behind them."""
+    """An outer objective, its gradient with respect to the moves q, and the contact solution behind it."""
 
     q: Array
-    energy: float
+    value: float
     gradient: Array
+    system: ContactSystem
     equilibrium: Equilibrium
+
+    @property
+    def weak(self) -> NDArray[np.bool_]:
+        """Contact nodes where strict complementarity fails.
+
+        There the gradient of an objective other than the energy is only one element of a
+        generalised gradient.
+        """
+        return weakly_active(self.system, self.equilibrium)
 
 
 class ReducedEnergy:
@@ -59,13 +82,13 @@ class ReducedEnergy:
         """Evaluate at moves ``q``; the last point is remembered."""
         if self._last is not None and np.array_equal(self._last.q, q):
             return self._last
-        nodes = self.relocation.nodes(q)
-        equilibrium = self.model.solve(nodes, self._active)
+        system = self.model.system(self.relocation.nodes(q))
+        equilibrium = solve(system, self._active)
         self.contact_solves += 1
         self._active = equilibrium.active
         x = self.point(q, equilibrium)
         (gradient,) = self._gradient(x, equilibrium.normal_force)
-        self._last = ReducedPoint(np.array(q), equilibrium.energy, gradient, equilibrium)
+        self._last = ReducedPoint(np.array(q), equilibrium.energy, gradient, system, equilibrium)
         return self._last
 
     def point(self, q: Array, equilibrium: Equilibrium) -> Array:
@@ -74,13 +97,13 @@ class ReducedEnergy:
         return np.concatenate([q, equilibrium.u, slip])
 
     def stationarity_residual(self, point: ReducedPoint) -> float:
-        """How far q is from a first-order point of L over the admissible set, relative to the energy.
+        """How far q is from a first-order point of L over the admissible set, relative to the objective.
 
         The natural residual ``max |q - clip(q - r / scale, -1, 1)|``, r the gradient less the
         pull of active element areas, whose non-negative multipliers are fitted by least
-        squares. The moves are in units of their boxes, so r has the unit of an energy.
+        squares. The moves are in units of their boxes, so r has the unit of the objective.
         """
-        scale = max(abs(point.energy), 1e-300)
+        scale = max(abs(point.value), 1e-300)
         r = point.gradient
         if self.relocation.n_valid:
             area, jacobian = self._areas(self.point(point.q, point.equilibrium))
@@ -92,3 +115,55 @@ class ReducedEnergy:
                 multipliers = nnls(rows[:, inside].T, r[inside])[0]
                 r = r - rows.T @ multipliers
         return float(np.max(np.abs(point.q - np.clip(point.q - r / scale, -1, 1)), initial=0.0))
+
+
+class ReducedObjective:
+    """Any outer objective F(X, u(X)) with its gradient by the adjoint.
+
+    With the active set held, ``dF/dq = F_q - R_q^T p - gamma_q^T r``, where K p = F_u on the
+    displacements that are free, R is the out-of-balance force and r the adjoint reaction at
+    touching nodes (:func:`rmesh_nlp.equilibrium.adjoint`). That is the gradient wherever
+    strict complementarity holds.
+    """
+
+    def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
+        self.energy = energy
+        rel = energy.relocation
+        nlp = rel.nlp
+        fields = (rel.freedoms.positions, rel.displacement, rel.slip)
+        outer = assemble(objective.groups(rel.problem, *fields), nlp.x, nlp.p, 0)
+        value, gradient = outer.grad_f(nlp.x, nlp.p)
+        self._outer = Evaluator(ca.Function("outer", [nlp.x], [value, gradient]))
+        lam = ca.MX.sym("lam", rel.n_contact)
+        rows = ca.vertcat(-lam, ca.MX.zeros(nlp.n_g - rel.n_contact))
+        mixed = rel.derivatives.hess_lag(nlp.x, nlp.p, 1.0, rows)[: rel.n_q, rel.n_q :]
+        gap = rel.derivatives.jac_g(nlp.x, nlp.p)[1][rel.gap_rows, : rel.n_q]
+        self._mixed_pattern, self._gap_pattern = pattern(mixed.sparsity()), pattern(gap.sparsity())
+        self._inner = Evaluator(ca.Function("inner", [nlp.x, lam], [mixed, gap]))
+
+    @property
+    def contact_solves(self) -> int:
+        """Number of contact solves so far."""
+        return self.energy.contact_solves
+
+    def __call__(self, q: Array) -> ReducedPoint:
+        """Evaluate at moves ``q``."""
+        rel, inner = self.energy.relocation, self.energy(q)
+        system, state = inner.system, inner.equilibrium
+        x = self.energy.point(q, state)
+        value, gradient = self._outer(x)
+        f_q, f_u, f_s = np.split(gradient, [rel.n_q, rel.n_q + rel.n_u])
+        direction = np.sign(system.tangents @ state.u) if rel.n_s else np.zeros(0)
+        if rel.n_s:
+            f_u = f_u + system.tangents.T @ (direction * f_s)
+        p, reaction = adjoint(system, state.active, f_u)
+        mixed, gap = self._inner(x, state.normal_force)
+        to_p = p if not rel.n_s else np.concatenate([p, state.active.sliding * (system.tangents @ p)])
+        total = (
+            f_q - _filled(self._mixed_pattern, mixed) @ to_p - _filled(self._gap_pattern, gap).T @ reaction
+        )
+        return ReducedPoint(np.array(q), float(value[0]), total, system, state)
+
+
+def _filled(shape: sp.csc_array, data: Array) -> sp.csc_array:
+    return sp.csc_array((data, shape.indices, shape.indptr), shape=shape.shape)

@@ -158,7 +158,7 @@ def _checked(status: Status, exact: ReducedPoint, claimed: float | None) -> Stat
     if exact.equilibrium.status is not Status.CONVERGED:
         return exact.equilibrium.status
     if claimed is not None and status is Status.CONVERGED:
-        wrong = abs(claimed - exact.energy) > ENERGY_AGREEMENT * max(abs(exact.energy), 1e-300)
+        wrong = abs(claimed - exact.value) > ENERGY_AGREEMENT * max(abs(exact.value), 1e-300)
         return Status.INACCURATE if wrong else status
     return status
 

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.assembly import ElementGroup, Field, assemble, constant_field
+from rmesh_nlp.assembly import Assembled, ElementGroup, Field, assemble, constant_field
 from rmesh_nlp.energy import bulk_groups, displacement_field, friction_group, gap_group
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.motion import Freedoms, freedoms, validity_group
-from rmesh_nlp.nlp import NLP, Derivatives
+from rmesh_nlp.nlp import NLP
 from rmesh_nlp.problem import ContactProblem, Obstacle
 
 
@@ -35,8 +35,10 @@ class Relocation:
     freedoms : Freedoms
     nlp : NLP
         Unknowns ``(q, u, s)``; rows: gaps, the two slip rows of each contact node, validity.
-    derivatives : Derivatives
-        Those of ``nlp``.
+    derivatives : Assembled
+        Those of ``nlp``, second ones included.
+    displacement, slip : Field
+        (components, nodes) and (1, nodes), functions of the unknowns; slip is zero without friction.
     n_q, n_u, n_s : int
         Numbers of moves, displacement unknowns, slip magnitudes.
     n_contact, n_valid : int
@@ -46,7 +48,9 @@ class Relocation:
     problem: ContactProblem
     freedoms: Freedoms
     nlp: NLP
-    derivatives: Derivatives
+    derivatives: Assembled
+    displacement: Field
+    slip: Field
     n_q: int
     n_u: int
     n_s: int
@@ -85,6 +89,7 @@ def relocation(problem: ContactProblem) -> Relocation:
         gap_group(problem, free.positions, displacement),
     ]
     n_rows = n_contact
+    slip = constant_field(np.zeros((1, problem.mesh.p.shape[1])))
     if frictional:
         slip = slip_field(problem, first=free.n + n_u)
         groups.append(friction_group(problem, free.positions, slip))
@@ -106,7 +111,19 @@ def relocation(problem: ContactProblem) -> Relocation:
         ubg=np.full(n_rows + n_valid, np.inf),
         derivatives=assembled.derivatives,
     )
-    return Relocation(problem, free, nlp, assembled.derivatives, free.n, n_u, n_s, n_contact, n_valid)
+    return Relocation(
+        problem=problem,
+        freedoms=free,
+        nlp=nlp,
+        derivatives=assembled,
+        displacement=displacement,
+        slip=slip,
+        n_q=free.n,
+        n_u=n_u,
+        n_s=n_s,
+        n_contact=n_contact,
+        n_valid=n_valid,
+    )
 
 
 def slip_field(problem: ContactProblem, first: int) -> Field:
