@@ -144,7 +144,7 @@ class NLP:
     _of: tuple[int, int] = field(default=(0, 0), repr=False)
 
     def __post_init__(self) -> None:
-        of = (hash(self.f), hash(self.g))
+        of = (_identity(self.f), _identity(self.g))
         if self.derivatives is not None and self._of not in ((0, 0), of):
             raise ValueError(
                 "f or g was replaced but the derivatives were not: use extended(), or derivatives=None"
@@ -208,6 +208,11 @@ class NLP:
             derivatives=derivatives,
             _of=(0, 0),
         )
+
+
+def _identity(expression: Any) -> int:
+    """A number for an expression; SX columns have no hash."""
+    return hash(expression) if isinstance(expression, ca.MX) else id(expression)
 
 
 def _extend_derivatives(

@@ -1,0 +1,23 @@
+"""A general solver for mathematical programs with complementarity constraints.
+
+>>> from rmesh_nlp.mpcc import MPCC, solve
+"""
+
+from rmesh_nlp.mpcc.multistart import MultiStart, multistart
+from rmesh_nlp.mpcc.options import Options
+from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.mpcc.relaxations import RELAXATIONS
+from rmesh_nlp.mpcc.result import MPCCResult, Step
+from rmesh_nlp.mpcc.solver import MPCCSolver, solve
+
+__all__ = [
+    "MPCC",
+    "RELAXATIONS",
+    "MPCCResult",
+    "MPCCSolver",
+    "MultiStart",
+    "Options",
+    "Step",
+    "multistart",
+    "solve",
+]

@@ -1,0 +1,82 @@
+"""The homotopy: relaxations with t going down, and the exact finish as soon as the sides are clear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.finish import Finish, exact, finish
+from rmesh_nlp.mpcc.programs import BoolArray, Log, Programs
+from rmesh_nlp.nlp import NLPResult, Status
+
+_MAX_RETREATS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """End of one homotopy: the best finish, the last relaxed result, and the last status of a failed step."""
+
+    finish: Finish | None
+    relaxed: NLPResult | None
+    failure: Status | None
+
+
+def follow(programs: Programs, z0: Array, p: Array, t0: float, log: Log) -> Path:
+    """Follow the relaxed solutions from ``t0`` to ``t_final`` and finish exactly.
+
+    A step that fails is retried cold (from ``z0``); if that fails too, t retreats half of the way (in
+    its logarithm) and goes down by a smaller factor from there.
+    """
+    options = programs.options
+    t, factor, retreats = t0, options.factor, 0
+    last: NLPResult | None = None
+    sides: BoolArray | None = None
+    best: Finish | None = None
+    failure: Status | None = None
+    while True:
+        result = _step(programs, log, z0, last, p, t)
+        if result.converged:
+            last, failure = result, None
+            before, sides = sides, _sides(programs, result.x)
+            settled = before is not None and t <= options.crossover and bool(np.all(before == sides))
+            complementary = exact(programs, result.x, p)
+            if settled or complementary or t <= options.t_final:
+                best = _better(best, finish(programs, result.x, p, log))
+                if best.solved or complementary or t <= options.t_final:
+                    break
+            t = max(t * factor, options.t_final)
+        else:
+            failure = result.status
+            retreats += 1
+            if last is None or retreats > _MAX_RETREATS:
+                break
+            factor = np.sqrt(factor)
+            t = t / factor
+    if last is not None and best is None:
+        best = finish(programs, last.x, p, log)
+    return Path(best, last, failure)
+
+
+def _step(programs: Programs, log: Log, z0: Array, last: NLPResult | None, p: Array, t: float) -> NLPResult:
+    """Solve the relaxation at ``t`` from the last solution, and from the start if that fails."""
+    warm = last if programs.options.warm_duals else None
+    result = programs.relaxed(z0 if last is None else last.x, p, t, warm)
+    log.add("relaxed", t, result)
+    if not result.converged and last is not None:
+        cold = programs.relaxed(z0, p, t)
+        log.add("relaxed", t, cold)
+        return cold if cold.converged else result
+    return result
+
+
+def _sides(programs: Programs, z: Array) -> BoolArray:
+    return z[programs.lifted.first] <= z[programs.lifted.second]
+
+
+def _better(a: Finish | None, b: Finish) -> Finish:
+    """Of two finishes the solved one, of two solved ones the lower."""
+    if a is None or (b.solved, -b.f) > (a.solved, -a.f):
+        return b
+    return a

@@ -1,0 +1,194 @@
+"""Lifting: every member of a pair becomes a plain non-negative unknown.
+
+With ``z = (x, s)``, one slack for each member that is not already an unknown, the rows of the oracle
+become ``(g, G_i - s_i, H_i - s_i)`` and a pair is ``z[first_i] _|_ z[second_i]``. A relaxation is then a
+function of two unknowns with trivial derivatives, and fixing a member at zero is a bound: the
+sparsity of the NLP never changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.nlp import NLP, Derivatives
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """An MPCC over plain unknowns.
+
+    Attributes
+    ----------
+    source : MPCC
+    nlp : NLP
+        Unknowns ``z``; constraint rows without any complementarity; ``z >= 0`` for members.
+    first, second : int arrays
+        Pair i is ``z[first[i]] _|_ z[second[i]]``. An unknown may be in several pairs, also in both
+        places of one.
+    rows : int array
+        Row of ``vertcat(g, G, H)`` behind each constraint row; the first ``n_g`` are ``g``.
+    value, jacobian : Evaluator
+        ``(z, p) -> (f, gradient)`` and ``(z, p) -> (rows, nonzeros of their Jacobian)``.
+    source_values : Evaluator
+        ``(x, p) -> (f, g, G, H)`` of the source problem.
+    member : bool array
+        Whether an unknown is a member of a pair.
+    """
+
+    source: MPCC
+    nlp: NLP
+    first: IntArray
+    second: IntArray
+    rows: IntArray
+    value: Evaluator
+    jacobian: Evaluator
+    source_values: Evaluator
+    member: NDArray[np.bool_]
+
+    def start(self, x0: Array, p: Array) -> Array:
+        """Extend a start by slacks that satisfy their rows, as far as the signs allow."""
+        z = np.concatenate([x0, np.zeros(self.nlp.n_x - x0.size)])
+        rows, _ = self.jacobian(z, p)
+        z[x0.size :] = np.maximum(np.nan_to_num(rows[self.source.n_g :], posinf=0.0, neginf=0.0), 0.0)
+        return z
+
+    def linearise(self, z: Array, p: Array) -> tuple[float, Array, Array, sp.csr_matrix]:
+        """Objective, its gradient, the rows and their sparse Jacobian at ``z``."""
+        f, gradient = self.value(z, p)
+        rows, nonzeros = self.jacobian(z, p)
+        sparsity = self.jacobian.function.sparsity_out(1)
+        matrix = sp.csc_matrix((nonzeros, sparsity.row(), sparsity.colind()), shape=sparsity.shape)
+        return float(f[0]), gradient, rows, matrix.tocsr()
+
+
+def lift(mpcc: MPCC) -> Lifted:
+    """Lift the pairs of ``mpcc``; a member that is an unknown with room at zero keeps its place."""
+    x, p, column, f = _pure(mpcc)
+    derivatives = mpcc.derivatives or automatic_derivatives(x, p, f, column)
+    n_x, n_g, n_pairs = mpcc.n_x, mpcc.n_g, mpcc.n_pairs
+    plain = _plain_unknowns(derivatives, n_x, n_g, x.is_empty())
+    # a slack takes the sign of an unknown whose own bounds exclude zero: its row then shows the conflict
+    usable = (plain >= 0) & (np.asarray(mpcc.ubx)[plain] >= 0) & (np.asarray(mpcc.lbx)[plain] <= 0)
+    slack_rows = np.flatnonzero(~usable)
+    n_s = slack_rows.size
+    place = np.where(usable, plain, 0)
+    place[slack_rows] = n_x + np.arange(n_s)
+    rows = np.concatenate([np.arange(n_g), n_g + slack_rows]).astype(np.int64)
+    lower = np.concatenate([np.asarray(mpcc.lbx), np.zeros(n_s)])
+    lower[place] = np.maximum(lower[place], 0.0)
+    nlp = _lifted_nlp(x, p, f, column, derivatives, rows, n_g, n_s)
+    nlp = NLP(
+        x=nlp.x, p=nlp.p, f=nlp.f, g=nlp.g, derivatives=nlp.derivatives,
+        lbx=lower,
+        ubx=np.concatenate([np.asarray(mpcc.ubx), np.full(n_s, np.inf)]),
+        lbg=np.concatenate([np.asarray(mpcc.lbg), np.zeros(n_s)]),
+        ubg=np.concatenate([np.asarray(mpcc.ubg), np.zeros(n_s)]),
+    )  # fmt: skip
+    assert nlp.derivatives is not None
+    member = np.zeros(nlp.n_x, dtype=bool)
+    member[place] = True
+    return Lifted(
+        source=mpcc,
+        nlp=nlp,
+        first=place[:n_pairs],
+        second=place[n_pairs:],
+        rows=rows,
+        value=Evaluator(nlp.derivatives.grad_f),
+        jacobian=Evaluator(nlp.derivatives.jac_g),
+        source_values=Evaluator(ca.Function("source", [mpcc.x, mpcc.p], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])),
+        member=member,
+    )
+
+
+def _pure(mpcc: MPCC) -> tuple[Any, Any, Any, Any]:
+    """x, p, vertcat(g, G, H), f; an MX built of several symbols is replaced by one, so that CasADi can derive."""
+    column = ca.vertcat(mpcc.g, mpcc.G, mpcc.H)
+    if isinstance(mpcc.x, ca.SX) or (mpcc.x.is_symbolic() and (mpcc.p.is_symbolic() or mpcc.p.is_empty())):
+        return mpcc.x, mpcc.p, column, mpcc.f
+    oracle = ca.Function("oracle", [mpcc.x, mpcc.p], [column, mpcc.f])
+    x, p = ca.MX.sym("x", mpcc.n_x), ca.MX.sym("p", mpcc.p.shape[0])
+    column, f = oracle.call([x, p], True, False)
+    return x, p, column, f
+
+
+def automatic_derivatives(x: Any, p: Any, f: Any, g: Any) -> Derivatives:
+    """CasADi's own derivatives, made once and shared by every NLP built on the oracle."""
+    kind = type(x)
+    lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", g.shape[0])
+    gradient = ca.densify(ca.gradient(f, x))
+    lagrangian = lam_f * f + ca.dot(lam_g, g)
+    return Derivatives(
+        grad_f=ca.Function("nlp_grad_f", [x, p], [f, gradient]),
+        jac_g=ca.Function("nlp_jac_g", [x, p], [g, ca.jacobian(g, x)]),
+        hess_lag=ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [ca.triu(ca.hessian(lagrangian, x)[0])]),
+    )
+
+
+def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int, empty: bool) -> IntArray:
+    """For each row of (G, H) the unknown it equals, or -1.
+
+    A row equals ``x_j`` if its Jacobian has the single structural entry j, with value 1 at two random
+    points, and its value is x_j there: asked numerically, so that it works for any oracle.
+    """
+    sparsity = derivatives.jac_g.sparsity_out(1)
+    n_rows = sparsity.size1()
+    plain = np.full(n_rows, -1, dtype=np.int64)
+    if empty or n_rows == n_g:
+        return plain[n_g:]
+    row_of, column_of = (np.asarray(part, dtype=np.int64) for part in sparsity.get_triplet())
+    single = np.bincount(row_of, minlength=n_rows) == 1
+    entry = np.zeros(n_rows, dtype=np.int64)
+    entry[row_of] = np.arange(row_of.size)
+    candidate = single.copy()
+    jacobian = Evaluator(derivatives.jac_g)
+    random = np.random.default_rng(0)
+    unknown = column_of[entry] if row_of.size else entry
+    for _ in range(2):
+        x = random.uniform(0.3, 1.3, n_x)
+        p = random.uniform(0.3, 1.3, derivatives.jac_g.numel_in(1))
+        value, nonzeros = jacobian(x, p)
+        if row_of.size:
+            candidate &= (nonzeros[entry] == 1.0) & (value == x[unknown])
+    plain[candidate] = unknown[candidate]
+    return plain[n_g:]
+
+
+def _lifted_nlp(
+    x: Any, p: Any, f: Any, column: Any, base: Derivatives, rows: IntArray, n_g: int, n_s: int
+) -> NLP:
+    """Select the kept rows of the oracle and subtract the slacks; only constant matrices are added."""
+    kind, n_rows = type(x), column.shape[0]
+    s = kind.sym("s", n_s)
+    z = ca.vertcat(x, s) if kind is ca.SX else kind.sym("z", x.shape[0] + n_s)
+    keep = [int(row) for row in rows]
+    shift = ca.DM(ca.Sparsity.triplet(len(keep), n_s, list(range(n_g, n_g + n_s)), list(range(n_s))), 1.0)
+    head, tail = z[: x.shape[0]], z[x.shape[0] :]
+    f_value, gradient = base.grad_f(head, p)
+    g_value, jacobian = base.jac_g(head, p)
+    slack_part = kind(shift)
+    g_new = g_value[keep] - ca.mtimes(slack_part, tail) if n_s else g_value[keep]
+    lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", len(keep))
+    scatter = ca.DM(ca.Sparsity.triplet(n_rows, len(keep), keep, list(range(len(keep)))), 1.0)
+    hess_lag = None
+    if base.hess_lag is not None:
+        hessian = base.hess_lag(head, p, lam_f, ca.densify(ca.mtimes(kind(scatter), lam_g)))
+        hess_lag = ca.Function("nlp_hess_l", [z, p, lam_f, lam_g], [ca.diagcat(hessian, kind(n_s, n_s))])
+    derivatives = Derivatives(
+        grad_f=ca.Function("nlp_grad_f", [z, p], [f_value, ca.vertcat(gradient, kind.zeros(n_s, 1))]),
+        jac_g=ca.Function("nlp_jac_g", [z, p], [g_new, ca.horzcat(jacobian[keep, :], -slack_part)]),
+        hess_lag=hess_lag,
+    )
+    empty = np.zeros(0)
+    return NLP(
+        x=z, p=p, f=f_value, g=g_new, lbx=empty, ubx=empty, lbg=empty, ubg=empty, derivatives=derivatives
+    )

@@ -1,0 +1,91 @@
+"""Settings of the solver: every number that is a choice and not mathematics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+_RELAXED: Mapping[str, Any] = {
+    "tol": 1e-8,
+    "bound_relax_factor": 0.0,
+    "mu_strategy": "adaptive",
+    "mu_oracle": "quality-function",
+    "max_iter": 500,
+}
+_EXACT: Mapping[str, Any] = {
+    "tol": 1e-10,
+    "constr_viol_tol": 1e-9,
+    "compl_inf_tol": 1e-9,
+    "bound_relax_factor": 0.0,
+    "mu_strategy": "adaptive",
+    "mu_oracle": "quality-function",
+    "max_iter": 500,
+}
+
+
+@dataclass(frozen=True)
+class Options:
+    """How an MPCC is solved.
+
+    Attributes
+    ----------
+    relaxation : str
+        A name in ``RELAXATIONS``.
+    t0, factor, t_final : float
+        Homotopy: t starts at ``t0`` and is multiplied by ``factor`` down to ``t_final``.
+    rescue_t0 : float
+        Start of the second homotopy, tried when the first gives no stationary point.
+    crossover : float
+        The exact finish is tried from the first ``t <= crossover`` at which the sides of all
+        pairs are those of the step before, and anyway at ``t_final``.
+    warm_duals : bool
+        Start each relaxation from the multipliers of the one before.
+    feasibility : float
+        Tolerance of constraints, relative to ``max(1, |bound|, largest term J_ij x_j)`` of the row.
+    complementarity : float
+        Tolerance of ``min(|G|, |H|)``, relative to ``max(1, largest term)`` of the smaller member.
+    activity : float
+        What counts as active or biactive, relative to ``1 + |bound|``; an interior-point method meets a
+        weakly active bound only to the square root of its tolerance.
+    stationarity : float
+        Tolerance of the Lagrangian gradient and of LPEC descent, in units of ``max(1, |gradient f|)``.
+    max_pivots : int
+        Branches visited by the exact finish.
+    ipopt_relaxed, ipopt_exact : mapping
+        Ipopt options that add to or override those of the relaxed and of the exact NLPs.
+    """
+
+    relaxation: str = "scholtes"
+    t0: float = 1.0
+    factor: float = 1e-2
+    t_final: float = 1e-8
+    rescue_t0: float = 1e-3
+    crossover: float = 1e-2
+    warm_duals: bool = False
+    feasibility: float = 1e-8
+    complementarity: float = 1e-9
+    activity: float = 1e-6
+    stationarity: float = 1e-6
+    max_pivots: int = 30
+    ipopt_relaxed: Mapping[str, Any] = field(default_factory=dict)
+    ipopt_exact: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("t0", "t_final", "rescue_t0", "crossover"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise ValueError(f"{name} = {getattr(self, name)} must be positive and finite")
+        if not 0 < self.factor < 1:
+            raise ValueError(f"factor = {self.factor} must lie between 0 and 1")
+        if self.t_final > self.t0:
+            raise ValueError(f"t_final = {self.t_final} lies above t0 = {self.t0}")
+
+    @property
+    def relaxed(self) -> dict[str, Any]:
+        """Ipopt options of the relaxed NLP."""
+        return {**_RELAXED, **self.ipopt_relaxed}
+
+    @property
+    def exact(self) -> dict[str, Any]:
+        """Ipopt options of the exact NLP."""
+        return {**_EXACT, **self.ipopt_exact}

@@ -1,0 +1,199 @@
+"""The mathematical program with complementarity constraints (MPCC), checked at the door.
+
+Form and signs::
+
+    minimise f(x, p)   subject to   lbg <= g(x, p) <= ubg,   lbx <= x <= ubx,
+                                    0 <= G(x, p)  _|_  H(x, p) >= 0   componentwise,
+
+that is ``G_i >= 0``, ``H_i >= 0`` and ``G_i H_i = 0`` for every pair i.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.nlp import Derivatives
+
+
+@dataclass(frozen=True, eq=False)
+class MPCC:
+    """A parametric MPCC in CasADi expressions.
+
+    Attributes
+    ----------
+    x : SX or MX, or a list of symbols
+        Unknowns; stored as one column of symbols.
+    f : scalar expression
+        Objective, minimised.
+    g : column or list of expressions, or None
+        Ordinary constraints.
+    G, H : columns or lists of expressions of one length
+        The complementarity pairs. Their signs need not be repeated in ``g`` or ``lbx``.
+    lbx, ubx, lbg, ubg : array_like
+        Bounds; a scalar holds for every component, an omitted bound is infinite.
+    p : SX or MX, optional
+        Parameters, given values at each solve.
+    derivatives : Derivatives, optional
+        Assembled derivatives of the oracle with objective ``f`` and constraint column
+        ``vertcat(g, G, H)``. None: CasADi derives them.
+
+    Raises
+    ------
+    ValueError
+        If x is not symbolic, f is not scalar, an expression has free symbols, G and H differ in
+        length, or a bound has the wrong length, is NaN, or lies above its partner.
+    """
+
+    x: Any
+    f: Any
+    g: Any
+    G: Any
+    H: Any
+    lbx: ArrayLike = -np.inf
+    ubx: ArrayLike = np.inf
+    lbg: ArrayLike = -np.inf
+    ubg: ArrayLike = np.inf
+    p: Any = None
+    derivatives: Derivatives | None = None
+
+    def __post_init__(self) -> None:
+        x = _column("x", self.x, None)
+        kind = type(x)
+        if kind not in (ca.SX, ca.MX) or not x.is_valid_input():
+            raise ValueError(f"x must be a column of CasADi SX or MX symbols, got {self.x!r}"[:300])
+        columns = {name: _column(name, getattr(self, name), kind) for name in ("f", "g", "G", "H", "p")}
+        columns["x"] = x
+        if columns["f"].shape != (1, 1):
+            raise ValueError(f"f must be a scalar expression, its shape is {columns['f'].shape}")
+        if not columns["p"].is_valid_input():
+            raise ValueError("p must be a column of symbols")
+        n_G, n_H = columns["G"].shape[0], columns["H"].shape[0]
+        if n_G != n_H:
+            raise ValueError(f"G has length {n_G} and H has length {n_H}: they must pair up")
+        _refuse_free_symbols(columns)
+        for name, value in columns.items():
+            object.__setattr__(self, name, value)
+        for name, n in (("x", x.shape[0]), ("g", columns["g"].shape[0])):
+            lower = _bound(f"lb{name}", getattr(self, f"lb{name}"), n)
+            upper = _bound(f"ub{name}", getattr(self, f"ub{name}"), n)
+            _refuse_crossing(name, lower, upper)
+            object.__setattr__(self, f"lb{name}", lower)
+            object.__setattr__(self, f"ub{name}", upper)
+        self._check_derivatives()
+
+    def _check_derivatives(self) -> None:
+        """The assembled constraint column must be as long as vertcat(g, G, H)."""
+        if self.derivatives is None:
+            return
+        expected = (self.n_g + 2 * self.n_pairs, self.n_x)
+        got = self.derivatives.jac_g.size_out(1)
+        if tuple(got) != expected:
+            raise ValueError(
+                f"derivatives.jac_g gives a Jacobian of shape {tuple(got)}, vertcat(g, G, H) needs {expected}"
+            )
+
+    @property
+    def n_x(self) -> int:
+        """Number of unknowns."""
+        return int(self.x.shape[0])
+
+    @property
+    def n_g(self) -> int:
+        """Number of ordinary constraints."""
+        return int(self.g.shape[0])
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of complementarity pairs."""
+        return int(self.G.shape[0])
+
+    def start(self, x0: ArrayLike) -> Array:
+        """Return ``x0`` as a checked array; a scalar fills it."""
+        return checked("x0", x0, self.n_x, "unknowns")
+
+    def parameters(self, p: ArrayLike) -> Array:
+        """Return the values of ``p`` as a checked array."""
+        return checked("p", p, int(self.p.shape[0]), "parameters")
+
+
+def checked(name: str, value: ArrayLike, n: int, what: str) -> Array:
+    """Return ``value`` as a finite array of length ``n`` or say what is wrong with it."""
+    array = np.array(_numbers(name, value), dtype=float).ravel()
+    if array.size == 1 and n != 1:
+        array = np.full(n, array[0])
+    if array.size != n:
+        raise ValueError(f"{name} has length {array.size}, the problem has {n} {what}")
+    if not np.all(np.isfinite(array)):
+        i = int(np.flatnonzero(~np.isfinite(array))[0])
+        raise ValueError(f"{name}[{i}] = {array[i]} is not finite")
+    return array
+
+
+def _numbers(name: str, value: Any) -> Any:
+    if isinstance(value, ca.DM):
+        return value.full()
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{name} must be numeric, got {value!r}"[:300]) from error
+
+
+def _column(name: str, value: Any, kind: Any) -> Any:
+    """``value`` (None, expression, number or list of them) as one column of ``kind``."""
+    if value is None:
+        return kind(0, 1) if kind is not None else None
+    try:
+        column = ca.vertcat(*value) if isinstance(value, (list, tuple)) else value
+        if kind is not None:
+            column = kind(0, 1) if isinstance(column, ca.DM) and column.is_empty() else kind(column)
+    except (NotImplementedError, TypeError, RuntimeError) as error:
+        raise ValueError(f"{name} must be a column of {kind.__name__ if kind else 'symbol'}s") from error
+    if kind is None and type(column) not in (ca.SX, ca.MX):
+        return column
+    if column.is_empty():
+        return type(column)(0, 1)
+    if not column.is_column():
+        if not column.is_row():
+            raise ValueError(f"{name} must be a column, its shape is {column.shape}")
+        column = column.T
+    return column if name == "x" else ca.densify(column)
+
+
+def _bound(name: str, value: ArrayLike, n: int) -> Array:
+    array = np.array(_numbers(name, value), dtype=float)
+    if array.ndim == 0:
+        array = np.full(n, float(array))
+    array = array.ravel()
+    if array.size != n:
+        raise ValueError(f"{name} has length {array.size}, expected {n}")
+    if np.any(np.isnan(array)):
+        raise ValueError(f"{name}[{int(np.flatnonzero(np.isnan(array))[0])}] is NaN")
+    return array
+
+
+def _refuse_crossing(name: str, lower: Array, upper: Array) -> None:
+    wrong = np.flatnonzero((lower > upper) | (lower == np.inf) | (upper == -np.inf))
+    if wrong.size:
+        i = int(wrong[0])
+        raise ValueError(
+            f"lb{name}[{i}] = {lower[i]} and ub{name}[{i}] = {upper[i]} leave no value: "
+            "the lower bound must not lie above the upper, and both cannot be the same infinity"
+        )
+
+
+def _refuse_free_symbols(columns: dict[str, Any]) -> None:
+    names = [name for name in ("f", "g", "G", "H") if columns[name].numel() > 0]
+    try:
+        oracle = ca.Function(
+            "check", [columns["x"], columns["p"]], [columns[name] for name in names], {"allow_free": True}
+        )
+    except RuntimeError as error:  # the same symbol twice
+        raise ValueError(f"x and p must be distinct symbols: {error}") from error
+    if oracle.has_free():
+        raise ValueError(f"free symbols {oracle.get_free()}: they are neither in x nor in p")

@@ -1,0 +1,166 @@
+"""The compiled NLPs of one MPCC: one per relaxation with t as a parameter, one for every branch."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.lifting import Lifted, lift
+from rmesh_nlp.mpcc.options import Options
+from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.mpcc.relaxations import relaxation
+from rmesh_nlp.mpcc.result import Residuals, Step, excess, residuals
+from rmesh_nlp.nlp import NLP, NLPResult, Solver, Status
+
+Progress = Callable[[str], None]
+BoolArray = NDArray[np.bool_]
+
+
+class Programs:
+    """Solves relaxations and branches of one MPCC and logs every solve.
+
+    Nothing is rebuilt between solves: t is a parameter, a pair is fixed by a bound.
+    """
+
+    def __init__(self, mpcc: MPCC, options: Options) -> None:
+        began = time.perf_counter()
+        self.options = options
+        self.lifted: Lifted = lift(mpcc)
+        self._relax = relaxation(options.relaxation)
+        self.build_seconds = time.perf_counter() - began
+
+    @cached_property
+    def _relaxed(self) -> _Tolerant:
+        """The relaxed NLP: the lifted one and the relaxation's rows, t the last parameter."""
+        lifted = self.lifted
+        nlp = lifted.nlp
+        t = type(nlp.x).sym("t")
+        relaxed = self._relax(nlp.x[lifted.first.tolist()], nlp.x[lifted.second.tolist()], t)
+        n_rows = relaxed.rows.shape[0]
+        if not relaxed.signs:
+            n_x = lifted.source.n_x
+            own = np.concatenate([np.asarray(lifted.source.lbx), np.full(nlp.n_x - n_x, -np.inf)])
+            nlp = replace(nlp, lbx=own)
+        nlp = nlp.extended(
+            p=t, f=relaxed.penalty, g=relaxed.rows, lbg=np.full(n_rows, -np.inf), ubg=np.zeros(n_rows)
+        )
+        return self._timed(nlp, self.options.relaxed)
+
+    @cached_property
+    def _exact(self) -> _Tolerant:
+        return self._timed(self.lifted.nlp, self.options.exact)
+
+    def _timed(self, nlp: NLP, options: dict[str, Any]) -> _Tolerant:
+        began = time.perf_counter()
+        solver = _Tolerant(nlp, options)
+        self.build_seconds += time.perf_counter() - began
+        return solver
+
+    def relaxed(self, z: Array, p: Array, t: float, warm: NLPResult | None = None) -> NLPResult:
+        """Solve the relaxation at ``t`` from ``z``; ``warm`` gives multipliers to start from."""
+        lam = {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
+        return self._relaxed(z, p=np.append(p, t), **lam)
+
+    def branch(self, z: Array, p: Array, fix_G: BoolArray, fix_H: BoolArray) -> NLPResult:
+        """Solve the NLP in which the given members are zero, from ``z``."""
+        lifted = self.lifted
+        upper = lifted.nlp.ubx.copy()
+        upper[lifted.first[fix_G]] = 0.0
+        upper[lifted.second[fix_H]] = 0.0
+        return self._exact(np.clip(z, lifted.nlp.lbx, upper), p=p, ubx=upper)
+
+    def measure(self, z: Array, p: Array) -> tuple[float, Residuals, tuple[Array, Array, Array]]:
+        """Objective, residuals and (g, G, H) of the source problem at a lifted point."""
+        source = self.lifted.source
+        x = z[: source.n_x]
+        f, g, G, H = self.lifted.source_values(x, p)
+        return float(f[0]), residuals(source, x, g, G, H), (g, G, H)
+
+    def excess(self, z: Array, p: Array) -> float:
+        """Largest residual of the source problem in units of its tolerance: at most 1 is a solution.
+
+        A row is allowed its tolerance times its largest term ``|J_ij z_j|`` (at least 1): rounding is
+        relative to that.
+        """
+        lifted, options = self.lifted, self.options
+        source = lifted.source
+        x = z[: source.n_x]
+        _, _, _, jacobian = lifted.linearise(z, p)
+        scale = np.ones(source.n_g + 2 * source.n_pairs)
+        terms = abs(jacobian.multiply(z[None, :])).max(axis=1).toarray().ravel() if z.size else np.zeros(0)
+        scale[lifted.rows] = np.maximum(1.0, terms)
+        f, g, G, H = lifted.source_values(x, p)
+        rows = np.concatenate([g, G, H])
+        zeros, infinite = np.zeros(2 * source.n_pairs), np.full(2 * source.n_pairs, np.inf)
+        lower, upper = np.append(source.lbg, zeros), np.append(source.ubg, infinite)
+        pairs = np.abs(rows[source.n_g :]) / scale[source.n_g :]
+        worst = max(
+            excess(rows / scale, lower / scale, upper / scale) / options.feasibility,
+            excess(x, np.asarray(source.lbx), np.asarray(source.ubx)) / options.feasibility,
+            float(np.max(np.minimum(pairs[: source.n_pairs], pairs[source.n_pairs :]), initial=0.0))
+            / options.complementarity,
+        )
+        return worst if np.isfinite(worst) and np.isfinite(f[0]) else np.inf
+
+
+class Log:
+    """The table of steps; each new line may be shown at once."""
+
+    def __init__(self, programs: Programs, p: Array, progress: Progress | None) -> None:
+        self.steps: list[Step] = []
+        self._programs, self._p, self._progress = programs, p, progress
+        if progress is not None:
+            progress(Step.HEADER)
+
+    def add(self, phase: str, t: float, result: NLPResult) -> Step:
+        """Measure a solve on the source problem and append its line."""
+        f, res, _ = self._programs.measure(result.x, self._p)
+        step = Step(
+            phase, t, f, res.constraint_violation, res.complementarity, res.product,
+            result.iterations, result.status, result.seconds,
+        )  # fmt: skip
+        self.steps.append(step)
+        if self._progress is not None:
+            self._progress(step.line())
+        return step
+
+
+class _Tolerant:
+    """A Solver that also takes programs with more equations than free unknowns.
+
+    Ipopt refuses those. Idle unknowns with a quadratic term, one per equation, keep it from counting;
+    they cost nothing but are added only once it has refused.
+    """
+
+    def __init__(self, nlp: NLP, options: dict[str, Any]) -> None:
+        self.nlp, self._options = nlp, options
+        self._solver = Solver(nlp, options=options)
+        self._padded: Solver | None = None
+
+    def __call__(self, z: Array, **arguments: Any) -> NLPResult:
+        result = self._solver(z, **arguments)
+        if result.status is Status.TOO_FEW_FREEDOMS:
+            result = self._with_idle_unknowns(z, **arguments)
+        if result.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        return result
+
+    def _with_idle_unknowns(self, z: Array, **arguments: Any) -> NLPResult:
+        n, extra = self.nlp.n_x, self.nlp.n_g + 1
+        if self._padded is None:
+            idle = type(self.nlp.x).sym("idle", extra)
+            free = np.full(extra, np.inf)
+            padded = self.nlp.extended(x=idle, f=0.5 * (idle.T @ idle), lbx=-free, ubx=free)
+            self._padded = Solver(padded, options=self._options)
+        for name, fill in (("lbx", -np.inf), ("ubx", np.inf), ("lam_x0", 0.0)):
+            if name in arguments:
+                arguments[name] = np.append(arguments[name], np.full(extra, fill))
+        result = self._padded(np.append(z, np.zeros(extra)), **arguments)
+        return replace(result, x=result.x[:n], lam_x=result.lam_x[:n])

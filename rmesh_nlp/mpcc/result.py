@@ -1,0 +1,164 @@
+"""What a solve returns: the point, residuals of the source problem, multipliers, labels, history."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.nlp import Status
+
+
+@dataclass(frozen=True)
+class Step:
+    """One NLP solve of the homotopy or of the exact finish, measured on the source problem.
+
+    Attributes
+    ----------
+    phase : str
+        ``relaxed`` (a relaxation solved at ``t``), ``branch`` (each pair fixed on one side) or
+        ``tightened`` (biactive pairs fixed on both).
+    t : float
+        Relaxation parameter; 0 in the finish.
+    objective, constraint_violation : float
+    complementarity, product : float
+        Maximum over the pairs of ``min(|G|, |H|)`` and of ``|G H|``.
+    iterations : int
+    status : Status
+    seconds : float
+    """
+
+    phase: str
+    t: float
+    objective: float
+    constraint_violation: float
+    complementarity: float
+    product: float
+    iterations: int
+    status: Status
+    seconds: float
+
+    HEADER = f"{'phase':>9} {'t':>8} {'objective':>15} {'violation':>9} {'max min':>8} {'max GH':>8} {'iter':>5} status"
+
+    def line(self) -> str:
+        """One line of the log; the columns are those of ``Step.HEADER``."""
+        return (
+            f"{self.phase:>9} {self.t:8.1e} {self.objective:15.8e} {self.constraint_violation:9.1e} "
+            f"{self.complementarity:8.1e} {self.product:8.1e} {self.iterations:5d} {self.status.value}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals of the source problem at a point: nothing that a solver said enters here."""
+
+    constraint_violation: float
+    complementarity: float
+    product: float
+
+
+def residuals(mpcc: MPCC, x: Array, g: Array, G: Array, H: Array) -> Residuals:
+    """Largest violation of bounds, of g and of the signs of G and H; and how far the pairs are from zero."""
+    violation = max(
+        excess(x, np.asarray(mpcc.lbx), np.asarray(mpcc.ubx)),
+        excess(g, np.asarray(mpcc.lbg), np.asarray(mpcc.ubg)),
+        excess(G, 0.0, np.inf),
+        excess(H, 0.0, np.inf),
+    )
+    return Residuals(
+        violation,
+        float(np.max(np.minimum(np.abs(G), np.abs(H)), initial=0.0)),
+        float(np.max(np.abs(G * H), initial=0.0)),
+    )
+
+
+def excess(value: Array, lower: Array | float, upper: Array | float) -> float:
+    """Largest distance of ``value`` from ``[lower, upper]``; infinite where it is NaN."""
+    if value.size == 0:
+        return 0.0
+    worst = float(np.max(np.maximum(np.maximum(lower - value, value - upper), 0.0)))
+    return worst if np.isfinite(worst) else np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class MPCCResult:
+    """A solution of an MPCC and everything that was measured on it.
+
+    Attributes
+    ----------
+    x : array
+    f : float
+    status : Status
+    success : bool
+        True only if feasible, complementary and stationary within the tolerances, all measured
+        on the source problem.
+    message : str
+        One sentence for people.
+    constraint_violation : float
+        Largest violation of bounds, of ``g`` and of ``G, H >= 0`` (absolute).
+    complementarity : float
+        Maximum over the pairs of ``min(|G|, |H|)`` (absolute).
+    product : float
+        Maximum over the pairs of ``|G H|``.
+    stationarity : str
+        ``"S"``, ``"M"``, ``"C"`` or ``"W"``: the strongest for which multipliers were shown to
+        exist; ``"none"`` if they were sought and do not exist, ``""`` if nothing was computed.
+    b_stationary : bool or None
+        Whether no linearised feasible direction descends, over all branches of the biactive set.
+        None: not computed.
+    lam_x, lam_g, lam_G, lam_H : arrays
+        Multipliers of ``f + lam_x^T x + lam_g^T g + lam_G^T G + lam_H^T H`` (an active lower bound has a
+        non-positive one): those that prove ``stationarity``. NaN if there are none. A lower bound
+        ``x_j >= 0`` of an unknown that is itself a member of a pair is counted with the pair.
+    G, H, g : arrays
+        Values at ``x``.
+    biactive : int array
+        Pairs with ``G = H = 0`` within the activity tolerance.
+    history : tuple of Step
+    counts : mapping
+        ``nlp_solves``, ``ipopt_iterations``, ``pivots``, ``lpecs``, ...
+    seconds : mapping
+        Wall time of each phase: ``build``, ``homotopy``, ``finish``, ``total``.
+    """
+
+    x: Array
+    f: float
+    status: Status
+    success: bool
+    message: str
+    constraint_violation: float
+    complementarity: float
+    product: float
+    stationarity: str
+    b_stationary: bool | None
+    lam_x: Array
+    lam_g: Array
+    lam_G: Array
+    lam_H: Array
+    g: Array
+    G: Array
+    H: Array
+    biactive: NDArray[np.int64]
+    history: tuple[Step, ...]
+    counts: Mapping[str, int]
+    seconds: Mapping[str, float]
+
+    def table(self) -> str:
+        """The history as text, one line per NLP solve."""
+        return "\n".join([Step.HEADER, *(step.line() for step in self.history)])
+
+    def columns(self) -> dict[str, list[object]]:
+        """The history by column, ready for ``pandas.DataFrame``."""
+        return {f.name: [getattr(step, f.name) for step in self.history] for f in fields(Step)}
+
+    def __str__(self) -> str:
+        b_word = {True: "B-stationary", False: "not B-stationary", None: "B not computed"}[self.b_stationary]
+        return (
+            f"{self.status.value}: f = {self.f:.10g}, violation {self.constraint_violation:.1e}, "
+            f"complementarity {self.complementarity:.1e}, {self.stationarity or 'no label'}-stationary ({b_word}), "
+            f"{len(self.biactive)} biactive"
+        )
