@@ -152,7 +152,7 @@ class Objective:
     ) -> list[ElementGroup]:
         """Element groups of the sum."""
         return [
-            _weighted(group, weight)
+            scaled_group(group, weight)
             for weight, name in self.terms
             for group in TERMS[name](problem, positions, displacement, slip)
         ]
@@ -247,7 +247,8 @@ def _with_body_on_the_left(problem: ContactProblem, edges: Index) -> Index:
     return np.where(forward, edges, edges[::-1])
 
 
-def _weighted(group: ElementGroup, weight: float) -> ElementGroup:
+def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
+    """The group with its objective multiplied by ``weight``."""
     if weight == 1.0:
         return group
     symbols = [ca.SX.sym(f"a{i}", group.function.size1_in(i)) for i in range(group.function.n_in())]

@@ -1,0 +1,154 @@
+"""All at once: the contact problem as KKT conditions, an MPCC in positions, displacement and forces.
+
+For the energy objective it agrees with ``joint`` and the multipliers of the equilibrium
+constraints vanish (the term with U' drops out, seen from the other side). It is meant for outer
+objectives for which the levels do not collapse.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rmesh_nlp.bilevel import Bilevel, bilevel
+from rmesh_nlp.equilibrium import ActiveSet, Equilibrium
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc import MPCC, MPCCResult, MPCCSolver
+from rmesh_nlp.objectives import parse_objective
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
+from rmesh_nlp.referee import OnStep, Referee
+from rmesh_nlp.solution import Solution, Step
+
+OPTIONS: Mapping[str, Any] = {
+    "t_final": 1e-9,
+    # Many node boxes are weakly active, and an interior point meets those only to the square
+    # root of its tolerance.
+    "ipopt_exact": {"tol": 1e-12, "compl_inf_tol": 1e-12},
+}
+"""Options of :class:`rmesh_nlp.mpcc.Options` for mesh problems."""
+
+
+def build(problem: ContactProblem, objective: str = "energy") -> MPCC:
+    """The symbolic MPCC, see :mod:`rmesh_nlp.bilevel`; in units of N/m, m and the objective's own."""
+    return bilevel(problem, parse_objective(objective)).mpcc
+
+
+def solve(
+    problem: ContactProblem,
+    *,
+    objective: str = "energy",
+    relaxation: str = "scholtes",
+    seed: int | None = None,
+    options: Mapping[str, Any] | None = None,
+    on_step: OnStep | None = None,
+) -> Solution:
+    """Solve the MPCC by a homotopy of relaxations and an exact finish.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    objective : str
+        Terms of :mod:`rmesh_nlp.objectives`, such as "energy" or "error-l2 + 0.01*quality".
+    relaxation : str
+        A name in ``rmesh_nlp.mpcc.RELAXATIONS``.
+    seed : int, optional
+        Random start of the positions; by default the initial mesh.
+    options : mapping, optional
+        Fields of :class:`rmesh_nlp.mpcc.Options`.
+    on_step : callable, optional
+        Called after the homotopy with each of its steps.
+
+    Raises
+    ------
+    ValueError
+        If the objective or the relaxation is unknown.
+    """
+    outer = parse_objective(objective)
+    referee = Referee(problem)
+    began = time.perf_counter()
+    q = referee.start(seed)
+    start = referee.reduced(q)
+    function: ReducedEnergy | ReducedObjective = referee.reduced
+    if not outer.is_energy:
+        function = ReducedObjective(referee.reduced, outer)
+    value = function(np.zeros(q.size)).value
+    two_level = bilevel(
+        problem,
+        outer,
+        length=float(np.max(np.abs(start.equilibrium.u))) or 1.0,
+        force=start.system.force_scale,
+        value=abs(value) or 1.0,
+    )
+    solver = MPCCSolver(two_level.mpcc, **{"relaxation": relaxation, **OPTIONS, **(options or {})})
+    result = solver(two_level.point(q, start.equilibrium, start.system))
+    seconds = time.perf_counter() - began
+    history = _history(result, two_level.value if outer.is_energy else float("nan"))
+    if on_step is not None:
+        for step in history:
+            on_step(step)
+    q, u, normal, tangential = two_level.split(result.x)
+    return referee.judge(
+        "mpcc",
+        np.clip(q, -1, 1),
+        status=result.status,
+        history=history,
+        iterations=result.counts["ipopt_iterations"],
+        contact_solves=1,
+        wall_time_s=seconds,
+        objective=objective,
+        equilibrium=_equilibrium(referee, q, u, normal, tangential, result),
+        stationarity=result.stationarity,
+        seed=seed,
+        extra={
+            "relaxation": relaxation,
+            "objective_initial": value,
+            "objective_value": function(np.clip(q, -1, 1)).value,
+            "b_stationary": result.b_stationary,
+            "biactive": int(result.biactive.size),
+            "biactive_nodes": _nodes(referee, two_level, result),
+            "equilibrium_multiplier": float(np.max(np.abs(result.lam_g[: two_level.n_u]))),
+            "constraint_violation": result.constraint_violation,
+            "complementarity": result.complementarity,
+            "nlp_solves": result.counts["nlp_solves"],
+        },
+    )
+
+
+def _equilibrium(
+    referee: Referee, q: Array, u: Array, normal: Array, tangential: Array, result: MPCCResult
+) -> Equilibrium:
+    """The MPCC's own displacement and forces, to be audited as they are."""
+    system = referee.model.system(referee.relocation.nodes(q))
+    slip = system.tangents @ u if system.slip_bound.size else np.zeros(0)
+    active = ActiveSet(normal > 0, np.sign(slip).astype(np.int8))
+    return Equilibrium(u, system.energy(u), normal, tangential, active, result.status, 0)
+
+
+def _history(result: MPCCResult, unit: float) -> list[Step]:
+    """One step per NLP of the homotopy and of the exact finish."""
+    steps, iterations, seconds = [], 0, 0.0
+    for nlp in result.history:
+        iterations += nlp.iterations
+        seconds += nlp.seconds
+        steps.append(
+            Step(
+                iterations,
+                nlp.objective * unit,
+                nlp.t,
+                nlp.constraint_violation,
+                nlp.complementarity,
+                0,
+                seconds,
+            )
+        )
+    return steps
+
+
+def _nodes(referee: Referee, two_level: Bilevel, result: MPCCResult) -> list[int]:
+    """Mesh nodes of the biactive pairs."""
+    contact = result.biactive % max(two_level.n_contact, 1)
+    return sorted({int(node) for node in referee.model.contact_nodes[contact]})
