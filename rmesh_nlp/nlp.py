@@ -223,7 +223,7 @@ def _extend_derivatives(
     f_old, gradient = base.grad_f(nlp.x, nlp.p)
     g_old, jacobian = base.jac_g(nlp.x, nlp.p)
     lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", nlp.n_g + int(g.shape[0]))
-    lam_old, lam_new = lam_g[: nlp.n_g], lam_g[nlp.n_g :]
+    lam_old, lam_new = ca.vertsplit(lam_g, [0, nlp.n_g, lam_g.shape[0]])
     hess_lag = None
     if base.hess_lag is not None:
         hessian = ca.diagcat(base.hess_lag(nlp.x, nlp.p, lam_f, lam_old), kind(n_new, n_new))

@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lpec import descent
+from rmesh_nlp.mpcc.lpec import descent, nearest_branch
 from rmesh_nlp.mpcc.programs import BoolArray, Log, Programs
 from rmesh_nlp.mpcc.stationarity import Label, Linearisation, label, linearisation, witness
 from rmesh_nlp.nlp import NLPResult, Status
 
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|
-_NEAR_BIACTIVE = 1e-3  # pairs closer to the corner than this are tried on both sides at once
+_REACHES = (2.0, 20.0)  # radii of the search for a feasible branch, in units of the largest min(G, H)
+_NEAR_BIACTIVE = 3e-5  # pairs closer to the corner than this are tried on both sides at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +56,13 @@ class Finish:
         return self.status in (Status.CONVERGED, Status.ACCEPTABLE)
 
 
-def finish(programs: Programs, z: Array, p: Array, log: Log) -> Finish:
+def finish(programs: Programs, z: Array, p: Array, log: Log, *, search: bool) -> Finish:
     """Make the pairs of a relaxed point exact and descend to a stationary branch."""
     lifted, options = programs.lifted, programs.options
     fix_G = z[lifted.first] <= z[lifted.second]
     result = _solve(programs, log, z, p, fix_G)
+    if search and not exact(programs, result.x, p):
+        result, fix_G = _other_branch(programs, log, z, p, fix_G, result)
     if not exact(programs, result.x, p):
         status = Status.INACCURATE if result.converged else result.status
         return Finish(result.x, result.f, status)
@@ -94,6 +97,23 @@ def _solve(programs: Programs, log: Log, z: Array, p: Array, fix_G: BoolArray) -
     result = programs.branch(z, p, fix_G, ~fix_G)
     log.add("branch", 0.0, result)
     return result
+
+
+def _other_branch(
+    programs: Programs, log: Log, z: Array, p: Array, fix_G: BoolArray, result: NLPResult
+) -> tuple[NLPResult, BoolArray]:
+    """Branches that the linearisation at the relaxed point can satisfy, with a growing radius."""
+    lifted = programs.lifted
+    distance = float(np.max(np.minimum(z[lifted.first], z[lifted.second]), initial=0.0))
+    for reach in _REACHES:
+        near = nearest_branch(lifted, z, p, reach * max(distance, programs.options.activity))
+        if near is None or np.array_equal(near[1], fix_G):
+            continue
+        fix_G = near[1]
+        result = _solve(programs, log, near[0], p, fix_G)
+        if exact(programs, result.x, p):
+            break
+    return result, fix_G
 
 
 def _tighten(programs: Programs, log: Log, result: NLPResult, p: Array, fix_G: BoolArray) -> NLPResult:

@@ -42,11 +42,13 @@ def follow(programs: Programs, z0: Array, p: Array, t0: float, log: Log) -> Path
             before, sides = sides, _sides(programs, result.x)
             settled = before is not None and t <= options.crossover and bool(np.all(before == sides))
             complementary = exact(programs, result.x, p)
-            if settled or complementary or t <= options.t_final:
-                best = _better(best, finish(programs, result.x, p, log))
-                if best.solved or complementary or t <= options.t_final:
+            final = complementary or t <= options.t_final
+            if settled or final:
+                best = _better(best, finish(programs, result.x, p, log, search=final))
+                if best.solved or final:
                     break
-            t = max(t * factor, options.t_final)
+            # where the products are already smaller than t the relaxation does not act: go below them
+            t = max(factor * min(t, log.steps[-1].product), options.t_final)
         else:
             failure = result.status
             retreats += 1
@@ -55,7 +57,7 @@ def follow(programs: Programs, z0: Array, p: Array, t0: float, log: Log) -> Path
             factor = np.sqrt(factor)
             t = t / factor
     if last is not None and best is None:
-        best = finish(programs, last.x, p, log)
+        best = finish(programs, last.x, p, log, search=True)
     return Path(best, last, failure)
 
 

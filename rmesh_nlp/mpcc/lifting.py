@@ -40,7 +40,7 @@ class Lifted:
     value, jacobian : Evaluator
         ``(z, p) -> (f, gradient)`` and ``(z, p) -> (rows, nonzeros of their Jacobian)``.
     source_values : Evaluator
-        ``(x, p) -> (f, g, G, H)`` of the source problem.
+        ``(x, p) -> (f, vertcat(g, G, H))`` of the source problem.
     member : bool array
         Whether an unknown is a member of a pair.
     """
@@ -86,7 +86,8 @@ def lift(mpcc: MPCC) -> Lifted:
     rows = np.concatenate([np.arange(n_g), n_g + slack_rows]).astype(np.int64)
     lower = np.concatenate([np.asarray(mpcc.lbx), np.zeros(n_s)])
     lower[place] = np.maximum(lower[place], 0.0)
-    nlp = _lifted_nlp(x, p, f, column, derivatives, rows, n_g, n_s)
+    objective, constraints = ca.Function("f", [x, p], [f]), ca.Function("c", [x, p], [column])
+    nlp = _lifted_nlp(objective, constraints, derivatives, rows, n_g, n_s)
     nlp = NLP(
         x=nlp.x, p=nlp.p, f=nlp.f, g=nlp.g, derivatives=nlp.derivatives,
         lbx=lower,
@@ -105,7 +106,7 @@ def lift(mpcc: MPCC) -> Lifted:
         rows=rows,
         value=Evaluator(nlp.derivatives.grad_f),
         jacobian=Evaluator(nlp.derivatives.jac_g),
-        source_values=Evaluator(ca.Function("source", [mpcc.x, mpcc.p], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])),
+        source_values=Evaluator(ca.Function("source", [x, p], [f, column])),
         member=member,
     )
 
@@ -164,31 +165,31 @@ def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int, empty: bool) -
 
 
 def _lifted_nlp(
-    x: Any, p: Any, f: Any, column: Any, base: Derivatives, rows: IntArray, n_g: int, n_s: int
+    objective: ca.Function, constraints: ca.Function, base: Derivatives, rows: IntArray, n_g: int, n_s: int
 ) -> NLP:
-    """Select the kept rows of the oracle and subtract the slacks; only constant matrices are added."""
-    kind, n_rows = type(x), column.shape[0]
-    s = kind.sym("s", n_s)
-    z = ca.vertcat(x, s) if kind is ca.SX else kind.sym("z", x.shape[0] + n_s)
-    keep = [int(row) for row in rows]
-    shift = ca.DM(ca.Sparsity.triplet(len(keep), n_s, list(range(n_g, n_g + n_s)), list(range(n_s))), 1.0)
-    head, tail = z[: x.shape[0]], z[x.shape[0] :]
-    f_value, gradient = base.grad_f(head, p)
-    g_value, jacobian = base.jac_g(head, p)
-    slack_part = kind(shift)
-    g_new = g_value[keep] - ca.mtimes(slack_part, tail) if n_s else g_value[keep]
-    lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", len(keep))
-    scatter = ca.DM(ca.Sparsity.triplet(n_rows, len(keep), keep, list(range(len(keep)))), 1.0)
+    """Select the kept rows of the oracle and subtract the slacks; only constant matrices are added.
+
+    In MX whatever the source is: the oracle stays one call, its graph is not copied.
+    """
+    n_x, n_rows, kept = objective.numel_in(0), constraints.numel_out(0), rows.tolist()
+    z, p = ca.MX.sym("z", n_x + n_s), ca.MX.sym("p", objective.numel_in(1))
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(kept))
+    x, s = ca.vertsplit(z, [0, n_x, n_x + n_s])
+    slack_rows, every = list(range(n_g, n_g + n_s)), list(range(len(kept)))
+    shift = ca.MX(ca.DM(ca.Sparsity.triplet(len(kept), n_s, slack_rows, list(range(n_s))), 1.0))
+    scatter = ca.MX(ca.DM(ca.Sparsity.triplet(n_rows, len(kept), kept, every), 1.0))
+    f_value, gradient = base.grad_f(x, p)
+    g_value, jacobian = base.jac_g(x, p)
+    slack = ca.mtimes(shift, s)
     hess_lag = None
     if base.hess_lag is not None:
-        hessian = base.hess_lag(head, p, lam_f, ca.densify(ca.mtimes(kind(scatter), lam_g)))
-        hess_lag = ca.Function("nlp_hess_l", [z, p, lam_f, lam_g], [ca.diagcat(hessian, kind(n_s, n_s))])
+        hessian = base.hess_lag(x, p, lam_f, ca.densify(ca.mtimes(scatter, lam_g)))
+        hess_lag = ca.Function("nlp_hess_l", [z, p, lam_f, lam_g], [ca.diagcat(hessian, ca.MX(n_s, n_s))])
     derivatives = Derivatives(
-        grad_f=ca.Function("nlp_grad_f", [z, p], [f_value, ca.vertcat(gradient, kind.zeros(n_s, 1))]),
-        jac_g=ca.Function("nlp_jac_g", [z, p], [g_new, ca.horzcat(jacobian[keep, :], -slack_part)]),
+        grad_f=ca.Function("nlp_grad_f", [z, p], [f_value, ca.vertcat(gradient, ca.MX.zeros(n_s, 1))]),
+        jac_g=ca.Function("nlp_jac_g", [z, p], [g_value[kept] - slack, ca.horzcat(jacobian[kept, :], -shift)]),
         hess_lag=hess_lag,
     )
-    empty = np.zeros(0)
-    return NLP(
-        x=z, p=p, f=f_value, g=g_new, lbx=empty, ubx=empty, lbg=empty, ubg=empty, derivatives=derivatives
-    )
+    none = np.zeros(0)
+    f, g = objective(x, p), constraints(x, p)[kept] - slack
+    return NLP(x=z, p=p, f=f, g=g, lbx=none, ubx=none, lbg=none, ubg=none, derivatives=derivatives)

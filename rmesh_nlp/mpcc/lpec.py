@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import Lifted
+from rmesh_nlp.mpcc.lifting import IntArray, Lifted
 from rmesh_nlp.mpcc.stationarity import Linearisation
 
 _ENUMERATE = 3  # up to 2^3 small linear programs are cheaper than a MILP
@@ -100,24 +100,91 @@ def _split(rows: LinearConstraint) -> dict[str, object]:
 def _mixed_integer(
     lifted: Lifted, lin: Linearisation, lower: Array, upper: Array, rows: LinearConstraint
 ) -> Direction | None:
-    """One binary y per biactive pair: ``d_G <= y``, ``d_H <= 1 - y``; the box makes 1 a valid big M."""
-    n, k = lifted.nlp.n_x, lin.biactive.size
-    one = sp.identity(k, format="csr")
+    """The LPEC as a MILP over the biactive pairs, at the corner of the box."""
+    found = _milp(lin.gradient, rows, lower, upper, lifted, lin.biactive, np.zeros(lifted.nlp.n_x))
+    if found is None:
+        return None
+    step, on_G, decrease = found
+    fix_G = lin.G_zero.copy()
+    fix_G[lin.biactive] = on_G
+    return Direction(decrease, step, fix_G)
+
+
+def _milp(
+    cost: Array,
+    rows: LinearConstraint,
+    lower: Array,
+    upper: Array,
+    lifted: Lifted,
+    pairs: IntArray,
+    members: Array,
+) -> tuple[Array, NDArray[np.bool_], float] | None:
+    """One binary y per pair: ``m_G + d_G <= (m_G + 1) y`` and ``m_H + d_H <= (m_H + 1) (1 - y)``.
+
+    ``members`` are the values m of the unknowns; the box ``d <= 1`` makes ``m + 1`` a valid big M.
+    ``cost`` may be longer than the unknowns (elastic columns after them).
+    """
+    n, k = cost.size, pairs.size
+    first, second = lifted.first[pairs], lifted.second[pairs]
     pick = sp.identity(n, format="csr")
-    wide = LinearConstraint(
-        sp.hstack([rows.A, sp.csr_matrix((rows.A.shape[0], k))], format="csr"), rows.lb, rows.ub
-    )
-    switch_G = LinearConstraint(sp.hstack([pick[lifted.first[lin.biactive]], -one]), -np.inf, 0.0)
-    switch_H = LinearConstraint(sp.hstack([pick[lifted.second[lin.biactive]], one]), -np.inf, 1.0)
+    top_G, top_H = members[first] + 1.0, members[second] + 1.0
+    constraints = [
+        LinearConstraint(sp.hstack([pick[first], -sp.diags(top_G)]), -np.inf, -members[first]),
+        LinearConstraint(sp.hstack([pick[second], sp.diags(top_H)]), -np.inf, top_H - members[second]),
+    ]
+    if rows.A.shape[0]:
+        wide = sp.hstack([rows.A, sp.csr_matrix((rows.A.shape[0], k))], format="csr")
+        constraints.append(LinearConstraint(wide, rows.lb, rows.ub))
     answer = milp(
-        np.concatenate([lin.gradient, np.zeros(k)]),
+        np.concatenate([cost, np.zeros(k)]),
         integrality=np.concatenate([np.zeros(n), np.ones(k)]),
         bounds=Bounds(np.concatenate([lower, np.zeros(k)]), np.concatenate([upper, np.ones(k)])),
-        constraints=[wide, switch_G, switch_H] if rows.A.shape[0] else [switch_G, switch_H],
+        constraints=constraints if k else constraints[2:],
         options={"time_limit": _TIME_LIMIT},
     )
-    if answer.status != 0 or answer.x is None:
+    if answer.x is None:
         return None
-    fix_G = lin.G_zero.copy()
-    fix_G[lin.biactive] = answer.x[n:] < 0.5
-    return Direction(float(answer.fun), answer.x[:n], fix_G)
+    proven = answer.status == 0
+    if not proven and answer.fun >= 0:
+        return None
+    return answer.x[: lifted.nlp.n_x], answer.x[n:] < 0.5, float(answer.fun)
+
+
+def nearest_branch(lifted: Lifted, z: Array, p: Array, radius: float) -> tuple[Array, NDArray[np.bool_]] | None:
+    """A branch that the linearisation at an inexact point can satisfy: ``(z + step, fix_G)``.
+
+    The rows are elastic: their violation is minimised first, then the objective, over complementary
+    steps of at most ``radius`` (the feasibility phase of MPECopt).
+    """
+    _, gradient, values, jacobian = lifted.linearise(z, p)
+    nlp, n, m = lifted.nlp, lifted.nlp.n_x, lifted.nlp.n_g
+    members = np.maximum(z, 0.0) / radius
+    lower = np.maximum(-1.0, (nlp.lbx - z) / radius)
+    upper = np.clip((nlp.ubx - z) / radius, lower, 1.0)
+    lower = np.minimum(lower, upper)
+    G, H = members[lifted.first], members[lifted.second]
+    open_pairs = np.flatnonzero(np.maximum(G, H) <= 1.0).astype(np.int64)
+    fix_G = G <= H
+    closed = np.setdiff1d(np.arange(G.size), open_pairs)
+    for places, fixed in ((lifted.first, fix_G), (lifted.second, ~fix_G)):
+        at = places[closed[fixed[closed]]]
+        lower[at] = upper[at] = np.maximum(-members[at], -1.0)
+    eye = sp.identity(m, format="csr")
+    rows = LinearConstraint(
+        sp.hstack([jacobian, eye, -eye], format="csr"), (nlp.lbg - values) / radius, (nlp.ubg - values) / radius
+    )
+    weight = 1e3 * max(1.0, float(np.max(np.abs(gradient), initial=0.0)))
+    found = _milp(
+        np.concatenate([gradient, np.full(2 * m, weight)]),
+        rows,
+        np.concatenate([lower, np.zeros(2 * m)]),
+        np.concatenate([upper, np.full(2 * m, np.inf)]),
+        lifted,
+        open_pairs,
+        members,
+    )
+    if found is None:
+        return None
+    step, on_G, _ = found
+    fix_G[open_pairs] = on_G
+    return z + radius * step, fix_G

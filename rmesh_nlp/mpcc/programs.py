@@ -80,7 +80,8 @@ class Programs:
         """Objective, residuals and (g, G, H) of the source problem at a lifted point."""
         source = self.lifted.source
         x = z[: source.n_x]
-        f, g, G, H = self.lifted.source_values(x, p)
+        f, column = self.lifted.source_values(x, p)
+        g, G, H = np.split(column, [source.n_g, source.n_g + source.n_pairs])
         return float(f[0]), residuals(source, x, g, G, H), (g, G, H)
 
     def excess(self, z: Array, p: Array) -> float:
@@ -96,8 +97,7 @@ class Programs:
         scale = np.ones(source.n_g + 2 * source.n_pairs)
         terms = abs(jacobian.multiply(z[None, :])).max(axis=1).toarray().ravel() if z.size else np.zeros(0)
         scale[lifted.rows] = np.maximum(1.0, terms)
-        f, g, G, H = lifted.source_values(x, p)
-        rows = np.concatenate([g, G, H])
+        f, rows = lifted.source_values(x, p)
         zeros, infinite = np.zeros(2 * source.n_pairs), np.full(2 * source.n_pairs, np.inf)
         lower, upper = np.append(source.lbg, zeros), np.append(source.ubg, infinite)
         pairs = np.abs(rows[source.n_g :]) / scale[source.n_g :]

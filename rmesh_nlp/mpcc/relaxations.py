@@ -90,7 +90,7 @@ def l1_penalty(a: Any, b: Any, t: Any) -> Relaxation:
     elastic mode in nonlinear programming approaches to MPCCs, SIAM J. Optim. 15 (2005) 1203-1236;
     S. Leyffer, G. Lopez-Calva, J. Nocedal, Interior methods for MPCCs, SIAM J. Optim. 17 (2006) 52-77.
     """
-    return Relaxation(type(a)(0, 1), ca.dot(a, b) / ca.sqrt(t))
+    return Relaxation(type(a).zeros(0, 1), ca.dot(a, b) / ca.sqrt(t))
 
 
 RELAXATIONS: Mapping[str, Callable[[Any, Any, Any], Relaxation]] = {
