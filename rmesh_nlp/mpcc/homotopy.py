@@ -23,7 +23,7 @@ class Path:
     failure: Status | None
 
 
-def follow(programs: Programs, z0: Array, p: Array, t0: float, log: Log) -> Path:
+def follow(programs: Programs, relaxation: str, z0: Array, p: Array, t0: float, log: Log) -> Path:
     """Follow the relaxed solutions from ``t0`` to ``t_final`` and finish exactly.
 
     A step that fails is retried cold (from ``z0``); if that fails too, t retreats half of the way (in
@@ -36,7 +36,7 @@ def follow(programs: Programs, z0: Array, p: Array, t0: float, log: Log) -> Path
     best: Finish | None = None
     failure: Status | None = None
     while True:
-        result = _step(programs, log, z0, last, p, t)
+        result = _step(programs, relaxation, log, z0, last, p, t)
         if result.converged:
             last, failure = result, None
             before, sides = sides, _sides(programs, result.x)
@@ -61,13 +61,15 @@ def follow(programs: Programs, z0: Array, p: Array, t0: float, log: Log) -> Path
     return Path(best, last, failure)
 
 
-def _step(programs: Programs, log: Log, z0: Array, last: NLPResult | None, p: Array, t: float) -> NLPResult:
+def _step(
+    programs: Programs, relaxation: str, log: Log, z0: Array, last: NLPResult | None, p: Array, t: float
+) -> NLPResult:
     """Solve the relaxation at ``t`` from the last solution, and from the start if that fails."""
     warm = last if programs.options.warm_duals else None
-    result = programs.relaxed(z0 if last is None else last.x, p, t, warm)
+    result = programs.relaxed(relaxation, z0 if last is None else last.x, p, t, warm)
     log.add("relaxed", t, result)
     if not result.converged and last is not None:
-        cold = programs.relaxed(z0, p, t)
+        cold = programs.relaxed(relaxation, z0, p, t)
         log.add("relaxed", t, cold)
         return cold if cold.converged else result
     return result

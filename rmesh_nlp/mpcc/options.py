@@ -11,7 +11,6 @@ _RELAXED: Mapping[str, Any] = {
     "bound_relax_factor": 0.0,
     "mu_strategy": "adaptive",
     "mu_oracle": "quality-function",
-    "max_iter": 500,
 }
 _EXACT: Mapping[str, Any] = {
     "tol": 1e-10,
@@ -20,7 +19,6 @@ _EXACT: Mapping[str, Any] = {
     "bound_relax_factor": 0.0,
     "mu_strategy": "adaptive",
     "mu_oracle": "quality-function",
-    "max_iter": 500,
 }
 
 
@@ -35,7 +33,8 @@ class Options:
     t0, factor, t_final : float
         Homotopy: t starts at ``t0`` and is multiplied by ``factor`` down to ``t_final``.
     rescue_t0 : float
-        Start of the second homotopy, tried when the first gives no stationary point.
+        Start of the second homotopy, tried when the first gives no stationary point, and of a third with the
+        l1 penalty (elastic mode) when the second does not either.
     crossover : float
         The exact finish is tried from the first ``t <= crossover`` at which the sides of all
         pairs are those of the step before, and anyway at ``t_final``.
@@ -57,10 +56,10 @@ class Options:
     """
 
     relaxation: str = "scholtes"
-    t0: float = 1.0
-    factor: float = 1e-2
+    t0: float = 10.0
+    factor: float = 1e-3
     t_final: float = 1e-8
-    rescue_t0: float = 1e-3
+    rescue_t0: float = 1.0
     crossover: float = 1e-2
     warm_duals: bool = False
     feasibility: float = 1e-8
@@ -80,12 +79,15 @@ class Options:
         if self.t_final > self.t0:
             raise ValueError(f"t_final = {self.t_final} lies above t0 = {self.t0}")
 
-    @property
-    def relaxed(self) -> dict[str, Any]:
-        """Ipopt options of the relaxed NLP."""
-        return {**_RELAXED, **self.ipopt_relaxed}
+    def relaxed(self, n: int) -> dict[str, Any]:
+        """Ipopt options of the relaxed NLP of ``n`` unknowns."""
+        return {"max_iter": _iterations(n), **_RELAXED, **self.ipopt_relaxed}
 
-    @property
-    def exact(self) -> dict[str, Any]:
-        """Ipopt options of the exact NLP."""
-        return {**_EXACT, **self.ipopt_exact}
+    def exact(self, n: int) -> dict[str, Any]:
+        """Ipopt options of the exact NLP of ``n`` unknowns."""
+        return {"max_iter": _iterations(n), **_EXACT, **self.ipopt_exact}
+
+
+def _iterations(n: int) -> int:
+    """Iteration limit: a failing step should be given up early, a large problem needs more of them."""
+    return 250 + min(n, 2500)

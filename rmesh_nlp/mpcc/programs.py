@@ -33,16 +33,18 @@ class Programs:
         began = time.perf_counter()
         self.options = options
         self.lifted: Lifted = lift(mpcc)
-        self._relax = relaxation(options.relaxation)
+        relaxation(options.relaxation)  # an unknown name is an error now, not at the first solve
+        self._relaxations: dict[str, _Tolerant] = {}
         self.build_seconds = time.perf_counter() - began
 
-    @cached_property
-    def _relaxed(self) -> _Tolerant:
+    def _relaxed(self, name: str) -> _Tolerant:
         """The relaxed NLP: the lifted one and the relaxation's rows, t the last parameter."""
+        if name in self._relaxations:
+            return self._relaxations[name]
         lifted = self.lifted
         nlp = lifted.nlp
         t = type(nlp.x).sym("t")
-        relaxed = self._relax(nlp.x[lifted.first.tolist()], nlp.x[lifted.second.tolist()], t)
+        relaxed = relaxation(name)(nlp.x[lifted.first.tolist()], nlp.x[lifted.second.tolist()], t)
         n_rows = relaxed.rows.shape[0]
         if not relaxed.signs:
             n_x = lifted.source.n_x
@@ -51,11 +53,12 @@ class Programs:
         nlp = nlp.extended(
             p=t, f=relaxed.penalty, g=relaxed.rows, lbg=np.full(n_rows, -np.inf), ubg=np.zeros(n_rows)
         )
-        return self._timed(nlp, self.options.relaxed)
+        self._relaxations[name] = self._timed(nlp, self.options.relaxed(nlp.n_x))
+        return self._relaxations[name]
 
     @cached_property
     def _exact(self) -> _Tolerant:
-        return self._timed(self.lifted.nlp, self.options.exact)
+        return self._timed(self.lifted.nlp, self.options.exact(self.lifted.nlp.n_x))
 
     def _timed(self, nlp: NLP, options: dict[str, Any]) -> _Tolerant:
         began = time.perf_counter()
@@ -63,10 +66,12 @@ class Programs:
         self.build_seconds += time.perf_counter() - began
         return solver
 
-    def relaxed(self, z: Array, p: Array, t: float, warm: NLPResult | None = None) -> NLPResult:
-        """Solve the relaxation at ``t`` from ``z``; ``warm`` gives multipliers to start from."""
+    def relaxed(
+        self, name: str, z: Array, p: Array, t: float, warm: NLPResult | None = None
+    ) -> NLPResult:
+        """Solve the relaxation ``name`` at ``t`` from ``z``; ``warm`` gives multipliers to start from."""
         lam = {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        return self._relaxed(z, p=np.append(p, t), **lam)
+        return self._relaxed(name)(z, p=np.append(p, t), **lam)
 
     def branch(self, z: Array, p: Array, fix_G: BoolArray, fix_H: BoolArray) -> NLPResult:
         """Solve the NLP in which the given members are zero, from ``z``."""

@@ -43,15 +43,23 @@ class MPCCSolver:
         z0 = self.programs.lifted.start(self.mpcc.start(x0), parameters)
         show = print if progress is True else (progress or None)
         log = Log(self.programs, parameters, show)
-        path = follow(self.programs, z0, parameters, self.options.t0, log)
-        rescues = 0
-        if path.finish is None or not path.finish.solved:
-            rescues = 1
-            again = follow(self.programs, z0, parameters, self.options.rescue_t0, log)
-            path = _choose(path, again)
+        paths: list[Path] = []
+        for relaxation, t0 in self._attempts():
+            paths.append(follow(self.programs, relaxation, z0, parameters, t0, log))
+            if paths[-1].finish is not None and paths[-1].finish.solved:
+                break
         total = time.perf_counter() - began
         build = self.programs.build_seconds - built
-        return _result(self.programs, path, z0, parameters, log, rescues, build, total)
+        return _result(self.programs, paths, z0, parameters, log, build, total)
+
+    def _attempts(self) -> tuple[tuple[str, float], ...]:
+        """The homotopy asked for, the same from a second t0, and the elastic mode as the last resort."""
+        options = self.options
+        return (
+            (options.relaxation, options.t0),
+            (options.relaxation, options.rescue_t0),
+            ("l1-penalty", options.rescue_t0),
+        )
 
 
 def solve(
@@ -96,31 +104,16 @@ def solve(
     return replace(result, seconds=seconds)
 
 
-def _choose(first: Path, second: Path) -> Path:
-    """The path with the better finish; of two failures the one that got further."""
-    if second.finish is not None and second.finish.solved:
-        return second
-    if first.finish is not None:
-        return first
-    return second if second.finish is not None or first.relaxed is None else first
-
-
 def _result(
-    programs: Programs,
-    path: Path,
-    z0: Array,
-    p: Array,
-    log: Log,
-    rescues: int,
-    build: float,
-    total: float,
+    programs: Programs, paths: list[Path], z0: Array, p: Array, log: Log, build: float, total: float
 ) -> MPCCResult:
     """Measure the best point on the source problem and say how the solve ended."""
+    path = _choose(paths)
     lifted, mpcc = programs.lifted, programs.lifted.source
     end = path.finish
     z = end.z if end is not None else path.relaxed.x if path.relaxed is not None else z0
     f, res, (g, G, H) = programs.measure(z, p)
-    status = _status(path, end, f, z)
+    status = _status(paths, end, f, z)
     solved = status in (Status.CONVERGED, Status.ACCEPTABLE)
     if solved and programs.excess(z, p) > 1.0:
         status, solved = Status.INACCURATE, False
@@ -163,19 +156,28 @@ def _result(
             "ipopt_iterations": sum(step.iterations for step in history),
             "pivots": 0 if end is None else end.pivots,
             "lpecs": 0 if end is None else end.lpecs,
-            "rescues": rescues,
+            "rescues": len(paths) - 1,
         },
         seconds={"build": build, **phases, "total": total},
     )
 
 
-def _status(path: Path, end: Finish | None, f: float, z: Array) -> Status:
+def _choose(paths: list[Path]) -> Path:
+    """The path with a solved finish (it is the last one), else the first that got as far as a finish."""
+    if paths[-1].finish is not None and paths[-1].finish.solved:
+        return paths[-1]
+    return max(paths, key=lambda path: (path.finish is not None, path.relaxed is not None))
+
+
+def _status(paths: list[Path], end: Finish | None, f: float, z: Array) -> Status:
+    """Name the end: solved, or unbounded, or where the finish stopped, or why no relaxation was solved."""
     if end is not None and end.solved:
         return end.status
-    statuses = {path.failure, end.status if end is not None else None}
+    seen = [path.failure for path in paths if path.failure is not None]
+    seen += [path.finish.status for path in paths if path.finish is not None]
     diverged = abs(f) > _HUGE or np.max(np.abs(z), initial=0.0) > _HUGE
-    if Status.UNBOUNDED in statuses or diverged:
+    if Status.UNBOUNDED in seen or diverged:
         return Status.UNBOUNDED
-    if end is not None and path.failure is None:
+    if end is not None:
         return end.status
-    return path.failure or Status.FAILED
+    return Status.INFEASIBLE if Status.INFEASIBLE in seen else seen[0]
