@@ -17,6 +17,7 @@ from rmesh_nlp.bilevel import Bilevel, bilevel
 from rmesh_nlp.equilibrium import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc import MPCC, MPCCResult, MPCCSolver
+from rmesh_nlp.nlp import NLPResult, Solver
 from rmesh_nlp.objectives import parse_objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
@@ -24,12 +25,20 @@ from rmesh_nlp.referee import OnStep, Referee
 from rmesh_nlp.solution import Solution, Step
 
 OPTIONS: Mapping[str, Any] = {
+    "t0": 1e-4,
+    "factor": 1e-3,
     "t_final": 1e-9,
+    "crossover": 1.0,
+    # the homotopy starts close to a solution: a large barrier would lose it
+    "ipopt_relaxed": {"mu_strategy": "monotone", "mu_init": 1e-6},
     # Many node boxes are weakly active, and an interior point meets those only to the square
     # root of its tolerance.
     "ipopt_exact": {"tol": 1e-12, "compl_inf_tol": 1e-12},
 }
 """Options of :class:`rmesh_nlp.mpcc.Options` for mesh problems."""
+
+FIRST_OPTIONS: Mapping[str, Any] = {"tol": 1e-8, "mu_strategy": "adaptive", "max_iter": 1000}
+"""Ipopt options of the first solve, without complementarity."""
 
 
 def build(problem: ContactProblem, objective: str = "energy") -> MPCC:
@@ -47,6 +56,10 @@ def solve(
     on_step: OnStep | None = None,
 ) -> Solution:
     """Solve the MPCC by a homotopy of relaxations and an exact finish.
+
+    The homotopy begins at t = infinity, with the complementarity dropped: that program is the
+    same for every relaxation, so all of them go to the same minimum, and for the energy it is
+    already the answer.
 
     Parameters
     ----------
@@ -83,10 +96,13 @@ def solve(
         force=start.system.force_scale,
         value=abs(value) or 1.0,
     )
+    first = Solver(two_level.without_complementarity(), options=FIRST_OPTIONS)(
+        two_level.point(q, start.equilibrium, start.system)
+    )
     solver = MPCCSolver(two_level.mpcc, **{"relaxation": relaxation, **OPTIONS, **(options or {})})
-    result = solver(two_level.point(q, start.equilibrium, start.system))
+    result = solver(first.x)
     seconds = time.perf_counter() - began
-    history = _history(result, two_level.value if outer.is_energy else float("nan"))
+    history = _history(first, result, two_level.value if outer.is_energy else float("nan"))
     if on_step is not None:
         for step in history:
             on_step(step)
@@ -96,7 +112,7 @@ def solve(
         np.clip(q, -1, 1),
         status=result.status,
         history=history,
-        iterations=result.counts["ipopt_iterations"],
+        iterations=first.iterations + result.counts["ipopt_iterations"],
         contact_solves=1,
         wall_time_s=seconds,
         objective=objective,
@@ -113,7 +129,7 @@ def solve(
             "equilibrium_multiplier": float(np.max(np.abs(result.lam_g[: two_level.n_u]))),
             "constraint_violation": result.constraint_violation,
             "complementarity": result.complementarity,
-            "nlp_solves": result.counts["nlp_solves"],
+            "nlp_solves": 1 + result.counts["nlp_solves"],
         },
     )
 
@@ -128,9 +144,11 @@ def _equilibrium(
     return Equilibrium(u, system.energy(u), normal, tangential, active, result.status, 0)
 
 
-def _history(result: MPCCResult, unit: float) -> list[Step]:
-    """One step per NLP of the homotopy and of the exact finish."""
-    steps, iterations, seconds = [], 0, 0.0
+def _history(first: NLPResult, result: MPCCResult, unit: float) -> list[Step]:
+    """One step per NLP: without complementarity (t infinite), the homotopy, the exact finish (t zero)."""
+    iterations, seconds = first.iterations, first.seconds
+    violation = first.history["inf_pr"][-1]
+    steps = [Step(iterations, first.f * unit, float("inf"), violation, float("nan"), 0, seconds)]
     for nlp in result.history:
         iterations += nlp.iterations
         seconds += nlp.seconds

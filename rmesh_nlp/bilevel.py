@@ -24,6 +24,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.kkt import bound_force_group, contact_force_group, gradient_group, identity_group
 from rmesh_nlp.motion import freedoms, validity_group
 from rmesh_nlp.mpcc import MPCC
+from rmesh_nlp.nlp import NLP
 from rmesh_nlp.objectives import ENERGY, Objective, scaled_group
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.relocation import slip_field, slip_group
@@ -53,6 +54,26 @@ class Bilevel:
     length: float
     force: float
     value: float
+
+    def without_complementarity(self) -> NLP:
+        """The program that keeps ``G, H >= 0`` and drops their products.
+
+        Its minimum bounds that of the MPCC from below; with the energy as objective it is the
+        same, because then the contact law is a condition of optimality.
+        """
+        mpcc = self.mpcc
+        n = int(mpcc.G.shape[0])
+        return NLP(
+            x=mpcc.x,
+            p=ca.MX(0, 1),
+            f=mpcc.f,
+            g=ca.vertcat(mpcc.g, mpcc.G, mpcc.H),
+            lbx=np.asarray(mpcc.lbx),
+            ubx=np.asarray(mpcc.ubx),
+            lbg=np.append(mpcc.lbg, np.zeros(2 * n)),
+            ubg=np.append(mpcc.ubg, np.full(2 * n, np.inf)),
+            derivatives=mpcc.derivatives,
+        )
 
     def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Moves, displacement unknowns, normal and tangential contact forces (in N/m) of ``x``."""
