@@ -107,9 +107,10 @@ def solve(
         for step in history:
             on_step(step)
     q, u, normal, tangential = two_level.split(result.x)
+    inside = np.clip(q, -referee.relocation.freedoms.bound, referee.relocation.freedoms.bound)
     return referee.judge(
         "mpcc",
-        np.clip(q, -1, 1),
+        inside,
         status=result.status,
         history=history,
         iterations=first.iterations + result.counts["ipopt_iterations"],
@@ -122,7 +123,7 @@ def solve(
         extra={
             "relaxation": relaxation,
             "objective_initial": value,
-            "objective_value": function(np.clip(q, -1, 1)).value,
+            "objective_value": function(inside).value,
             "b_stationary": result.b_stationary,
             "biactive": int(result.biactive.size),
             "biactive_nodes": _nodes(referee, two_level, result),

@@ -81,7 +81,7 @@ def solve(
     function: Reduced = referee.reduced
     if not outer_objective.is_energy:
         function = ReducedObjective(referee.reduced, outer_objective)
-    recorder = _Recorder(function, on_step, began)
+    recorder = _Recorder(function, referee.relocation.freedoms.bound, on_step, began)
     program = reduced_nlp(referee, function)
     finish = OUTER_SOLVERS[outer](program, referee.start(seed), recorder)
     seconds = time.perf_counter() - began
@@ -134,8 +134,8 @@ def reduced_nlp(referee: Referee, function: Reduced) -> ReducedProgram:
         p=p,
         f=value,
         g=areas.g,
-        lbx=-np.ones(rel.n_q),
-        ubx=np.ones(rel.n_q),
+        lbx=-rel.freedoms.bound,
+        ubx=rel.freedoms.bound,
         lbg=bound,
         ubg=np.full(bound.size, np.inf),
         derivatives=Derivatives(
@@ -192,14 +192,15 @@ def _outer_figures(referee: Referee, function: Reduced, q: Array) -> dict[str, A
 class _Recorder:
     """Turns the iterates of an outer solver into Steps."""
 
-    def __init__(self, function: Reduced, on_step: OnStep | None, began: float) -> None:
-        self._function, self._on_step, self._began = function, on_step, began
+    def __init__(self, function: Reduced, bound: Array, on_step: OnStep | None, began: float) -> None:
+        self._function, self._bound, self._on_step, self._began = function, bound, on_step, began
         self.steps: list[Step] = []
 
     def __call__(self, iteration: int, q: Array, _: float) -> None:
         point = self._function(q)
         scale = max(abs(point.value), 1e-300)
-        residual = float(np.max(np.abs(q - np.clip(q - point.gradient / scale, -1, 1)), initial=0.0))
+        move = np.clip(q - point.gradient / scale, -self._bound, self._bound) - q
+        residual = float(np.max(np.abs(move), initial=0.0))
         solves, seconds = self._function.contact_solves, time.perf_counter() - self._began
         step = Step(iteration, point.equilibrium.energy, NAN, 0.0, residual, solves, seconds)
         self.steps.append(step)
@@ -238,14 +239,14 @@ def _scipy(method: str) -> Callable[[ReducedProgram, Array, _Recorder], OuterRes
         def callback(q: Array, *_: Any) -> None:
             nonlocal count
             count += 1
-            recorder(count, np.clip(q, -1, 1), NAN)
+            recorder(count, np.clip(q, nlp.lbx, nlp.ubx), NAN)
 
         result = minimize(
             lambda q: function(q).value / scale,
             start,
             jac=lambda q: function(q).gradient / scale,
             method=method,
-            bounds=Bounds(-1, 1),
+            bounds=Bounds(nlp.lbx, nlp.ubx),
             constraints=constraints,
             callback=callback,
             tol=SCIPY_TOLERANCE,
@@ -254,7 +255,7 @@ def _scipy(method: str) -> Callable[[ReducedProgram, Array, _Recorder], OuterRes
         status = Status.CONVERGED if result.success else Status.STALLED
         if count >= SCIPY_MAX_ITERATIONS:
             status = Status.ITERATION_LIMIT
-        return OuterResult(np.clip(result.x, -1, 1), status, count)
+        return OuterResult(np.clip(result.x, nlp.lbx, nlp.ubx), status, count)
 
     return run
 

@@ -113,7 +113,7 @@ def bilevel(
     """
     free = freedoms(problem)
     nodes, n_c = problem.contact_nodes, problem.contact_nodes.size
-    frictional = problem.obstacle.friction > 0
+    frictional = problem.frictional
     displacement, n_u = displacement_field(problem, first=free.n)
     displacement = _in_units(displacement, length)
     first = free.n + n_u
@@ -162,8 +162,8 @@ def bilevel(
         g=assembled.g[:n_g],
         G=assembled.g[n_g:first_h],
         H=assembled.g[first_h:],
-        lbx=np.concatenate([-np.ones(free.n), free_below]),
-        ubx=np.concatenate([np.ones(free.n), -free_below]),
+        lbx=np.concatenate([-free.bound, free_below]),
+        ubx=np.concatenate([free.bound, -free_below]),
         lbg=np.concatenate([np.zeros(n_equations), area_bound]),
         ubg=np.concatenate([np.zeros(n_equations), np.full(area_bound.size, np.inf)]),
         derivatives=assembled.derivatives,

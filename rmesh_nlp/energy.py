@@ -13,9 +13,12 @@ import numpy as np
 from scipy.special import roots_jacobi
 from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
-from rmesh_nlp.assembly import ElementGroup, Field, Index, constant_field
+from rmesh_nlp.assembly import CONSTANT, ElementGroup, Field, Index, constant_field
+from rmesh_nlp.coefficients import Coefficient, at, is_nonzero
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem import Coefficient, ContactProblem, Laplace, Law, Obstacle, Traction, at
+from rmesh_nlp.laws import Law, energy_density
+from rmesh_nlp.obstacle import Obstacle, Place
+from rmesh_nlp.problem import ContactProblem, Traction
 
 HIGHEST_TABULATED_DEGREE = 19
 """Highest degree of scikit-fem's triangle rules."""
@@ -66,20 +69,11 @@ def strain_energy(law: Law) -> ca.Function:
     return ca.Function("strain_energy", [ca.vec(X), ca.vec(u)], [energy, ca.SX(0, 1)])
 
 
-def energy_density(law: Law, gradient: Any) -> Any:
-    """Energy per area as a function of the displacement gradient (components, 2)."""
-    if isinstance(law, Laplace):
-        return 0.5 * ca.sumsqr(gradient)
-    strain = (gradient + gradient.T) / 2
-    return 0.5 * law.lame_lambda * ca.trace(strain) ** 2 + law.lame_mu * ca.sumsqr(strain)
-
-
 def load_energy(law: Law, quadrature: str | int) -> ca.Function:
     """``(X_e, u_e) -> (-integral of load . u, empty)`` of one P1 triangle by quadrature."""
-    load = (law.source,) if isinstance(law, Laplace) else law.body_force
     X, u = ca.SX.sym("X", 2, 3), ca.SX.sym("u", law.components, 3)
     area = ((X[0, 1] - X[0, 0]) * (X[1, 2] - X[1, 0]) - (X[0, 2] - X[0, 0]) * (X[1, 1] - X[1, 0])) / 2
-    work = _work(load, X, u, *triangle_rule(quadrature))
+    work = _work(law.load, X, u, *triangle_rule(quadrature))
     return ca.Function("load_energy", [ca.vec(X), ca.vec(u)], [-area * work, ca.SX(0, 1)])
 
 
@@ -105,14 +99,13 @@ def _work(load: tuple[Coefficient, ...], X: ca.SX, u: ca.SX, barycentric: Array,
 def friction_energy(obstacle: Obstacle) -> ca.Function:
     """``(X_e, s_e) -> (energy, empty)`` on one contact edge.
 
-    g |e| / 2 (s_1 + s_2), where s_i stands for |u_t,i|: the trapezoidal rule of (5.9), whose
-    weights omega_i move with the nodes.
+    |e| / 2 (g_1 s_1 + g_2 s_2), where s_i stands for |u_t,i|: the trapezoidal rule of (5.9),
+    whose weights omega_i move with the nodes.
     """
     X, s = ca.SX.sym("X", 2, 2), ca.SX.sym("s", 2)
     length = ca.norm_2(X[:, 1] - X[:, 0])
-    return ca.Function(
-        "friction_energy", [ca.vec(X), s], [obstacle.friction * length * ca.sum1(s) / 2, ca.SX(0, 1)]
-    )
+    slip = sum(at(obstacle.friction, X[0, i], X[1, i]) * s[i] for i in range(2))
+    return ca.Function("friction_energy", [ca.vec(X), s], [length * slip / 2, ca.SX(0, 1)])
 
 
 def gap_function(obstacle: Obstacle) -> ca.Function:
@@ -123,18 +116,23 @@ def gap_function(obstacle: Obstacle) -> ca.Function:
 
 
 def contact_edges(problem: ContactProblem) -> Index:
-    """(2, edges) node numbers of the contact boundary."""
+    """(2, edges) node numbers of the contact boundary; none for an obstacle in the interior."""
+    if isinstance(problem.obstacle.boundary, Place):
+        return np.zeros((2, 0), dtype=np.int64)
     facets = problem.mesh.boundaries[problem.obstacle.boundary]
     return np.asarray(problem.mesh.facets[:, facets], dtype=np.int64)
 
 
 def bulk_groups(problem: ContactProblem, positions: Field, displacement: Field) -> list[ElementGroup]:
     """Strain energy, source or body force, and tractions: J without friction."""
-    triangles, law = problem.triangles, problem.law
-    local = (positions.at(triangles), displacement.at(triangles))
-    groups = [objective_group(strain_energy(law), local)]
-    if _is_loaded(law):
-        groups.append(objective_group(load_energy(law, problem.quadrature), local))
+    triangles = problem.triangles
+    groups = []
+    for law, elements in problem.regions:
+        vertices = triangles[:, elements]
+        local = (positions.at(vertices), displacement.at(vertices))
+        groups.append(objective_group(strain_energy(law), local))
+        if any(is_nonzero(component) for component in law.load):
+            groups.append(objective_group(load_energy(law, problem.quadrature), local))
     for traction in problem.tractions:
         edges = np.asarray(problem.mesh.facets[:, problem.mesh.boundaries[traction.boundary]], dtype=np.int64)
         local = (positions.at(edges), displacement.at(edges))
@@ -158,23 +156,19 @@ def gap_group(
 
 
 def displacement_field(problem: ContactProblem, first: int = 0) -> tuple[Field, int]:
-    """The displacement as unknowns numbered from ``first``, zero where it is held.
+    """The displacement as unknowns numbered from ``first``, fixed where it is given.
 
     Returns the field (components, nodes) and the number of unknowns.
     """
-    shape = (problem.components, problem.mesh.p.shape[1])
-    field = constant_field(np.zeros(shape))
-    movable = np.ones(shape[1], dtype=bool)
-    movable[problem.boundary_nodes(problem.dirichlet)] = False
-    movable[np.setdiff1d(np.arange(shape[1]), problem.mesh.t)] = False
-    count = int(movable.sum()) * shape[0]
-    field.index[:, movable] = first + np.arange(count).reshape(-1, shape[0]).T
-    return field, count
-
-
-def _is_loaded(law: Law) -> bool:
-    load = (law.source,) if isinstance(law, Laplace) else law.body_force
-    return any(callable(component) or component != 0 for component in load)
+    held, value = problem.held()
+    field = constant_field(value)
+    movable = ~held
+    movable[:, np.setdiff1d(np.arange(held.shape[1]), problem.mesh.t)] = False
+    count = int(movable.sum())
+    # node by node, so that the unknowns of a node stay together
+    index = np.full(held.T.shape, CONSTANT)
+    index[movable.T] = first + np.arange(count)
+    return Field(index.T, field.scale, field.offset), count
 
 
 def objective_group(function: ca.Function, local: tuple[Field, ...]) -> ElementGroup:

@@ -162,7 +162,7 @@ class ContactModel:
         self._evaluate = Evaluator(ca.Function("contact_system", [X], [hessian, -gradient, value, gap]))
         self._upper = pattern(hessian.sparsity())
         self.normals = self._unit_rows(problem.obstacle.normal)
-        self._friction = problem.obstacle.friction > 0
+        self._friction = problem.frictional
         scalar = problem.components == 1
         self.tangents = sp.csr_array((0, self.n_u)) if scalar else self._unit_rows(problem.obstacle.tangent)
         if self._friction:
@@ -185,6 +185,8 @@ class ContactModel:
         return solve(self.system(nodes), start)
 
     def _unit_rows(self, vector: tuple[float, ...]) -> sp.csr_array:
+        if self.contact_nodes.size == 0:
+            return sp.csr_array((0, self.n_u))
         index = self.displacement.index[:, self.contact_nodes]
         keep = np.asarray(vector)[:, None] * np.ones(index.shape)
         row = np.broadcast_to(np.arange(index.shape[1]), index.shape)
@@ -317,6 +319,7 @@ class _Rotated:
         self.system = system
         basis, self.normal, self.tangent = _contact_basis(system)
         self.basis = basis
+        self.slips = self.tangent >= 0  # False where the tangential displacement is given
         self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
         self.F = system.load if basis is None else basis.T @ system.load
 
@@ -325,7 +328,7 @@ class _Rotated:
         free = np.ones(self.F.size, dtype=bool)
         free[self.normal[active.touching]] = False
         if self.system.slip_bound.size:
-            free[self.tangent[active.sliding == 0]] = False
+            free[self.tangent[self.slips & (active.sliding == 0)]] = False
         return free
 
     def solve(self, active: ActiveSet) -> Equilibrium:
@@ -336,7 +339,7 @@ class _Rotated:
         F = self.F
         if system.slip_bound.size:
             F = F.copy()
-            F[self.tangent] -= system.slip_bound * active.sliding
+            F[self.tangent[self.slips]] -= (system.slip_bound * active.sliding)[self.slips]
         inside = np.flatnonzero(self.free(active))
         K = self.K[:, inside]
         right = F[inside] - (self.K[inside] @ w)
@@ -345,7 +348,7 @@ class _Rotated:
         normal_force = np.where(active.touching, residual[self.normal], 0.0)
         tangential = np.zeros(0)
         if system.slip_bound.size:
-            sticking = active.sliding == 0
+            sticking = self.slips & (active.sliding == 0)
             tangential = np.where(sticking, residual[self.tangent], -system.slip_bound * active.sliding)
         u = w if self.basis is None else self.basis @ w
         return Equilibrium(u, system.energy(u), normal_force, tangential, active, Status.CONVERGED, 1)
@@ -354,14 +357,17 @@ class _Rotated:
 def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, NDArray, NDArray]:
     """Change of unknowns ``u = basis @ w`` after which N u and T u are single entries of w.
 
-    Returns the basis (None for the identity) and the entries of w that hold N u and T u.
+    Returns the basis (None for the identity) and the entries of w that hold N u and T u; -1 where
+    T u is given.
     """
     N, T = sp.csr_array(system.normals), sp.csr_array(system.tangents)
     single = np.diff(N.indptr) == 1
     if np.all(single) and np.all(N.data == 1) and np.all(np.diff(T.indptr) <= 1) and np.all(T.data == 1):
-        return None, N.indices.astype(np.int64), T.indices.astype(np.int64)
+        tangent = np.full(T.shape[0], -1, np.int64)
+        tangent[np.diff(T.indptr) == 1] = T.indices
+        return None, N.indices.astype(np.int64), tangent
     basis = sp.lil_array(sp.eye_array(system.load.size))
-    normal, tangent = np.zeros(N.shape[0], np.int64), np.zeros(T.shape[0], np.int64)
+    normal, tangent = np.zeros(N.shape[0], np.int64), np.full(T.shape[0], -1, np.int64)
     for i in range(N.shape[0]):
         n_dofs, n_values = _row(N, i)
         normal[i] = n_dofs[np.argmax(np.abs(n_values))]
@@ -378,7 +384,7 @@ def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, NDArray,
             continue
         if T.shape[0]:
             t_dofs, t_values = _row(T, i)
-            if t_dofs.size:
+            if t_dofs.size and t_dofs[0] != normal[i]:
                 tangent[i] = t_dofs[0]
                 basis[tangent[i], tangent[i]] = 1 / t_values[0]
     return sp.csc_array(basis), normal, tangent

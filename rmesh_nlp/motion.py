@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.assembly import CONSTANT, ElementGroup, Field
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.lines import sliding_directions
+from rmesh_nlp.moves import Relative, Where
 from rmesh_nlp.problem import ContactProblem, signed_areas
 
 
@@ -21,13 +23,15 @@ class Mobility(IntEnum):
     PINNED = 0
     SLIDING = 1
     FREE = 2
+    TIED = 3
 
 
 @dataclass(frozen=True)
 class Freedoms:
-    """The moves of all nodes as a few unknowns q in a box: X = X0 + P q.
+    """The moves of all nodes as a few unknowns q: X = X0 + P q.
 
-    q is measured in units of the node's own box, so every bound is -1 <= q <= 1.
+    q is measured in units of the node's own box, so that its bounds are -1 <= q <= 1; without
+    a box it is measured in units of the shortest edge at the node and unbounded.
 
     Attributes
     ----------
@@ -36,14 +40,17 @@ class Freedoms:
         (2, nodes), the positions as a function of q.
     n : int
         Length of q.
+    bound : (n,) array
+        ``-bound <= q <= bound``; 1, or infinity without a box.
     """
 
     mobility: NDArray[np.int64]
     positions: Field
     n: int
+    bound: Array
 
     def q_of(self, nodes: Array) -> Array:
-        """The unknowns q that give these positions (2, nodes)."""
+        """The unknowns q that give these positions (2, nodes), in the least-squares sense."""
         index, scale = self.positions.index, self.positions.scale
         moving = index != CONSTANT
         shift = (nodes - self.positions.offset)[moving] * scale[moving]
@@ -55,72 +62,112 @@ class Freedoms:
 def freedoms(problem: ContactProblem) -> Freedoms:
     """Classify every node and number its moves.
 
-    A boundary node slides if its two boundary edges are collinear and belong to the same
-    named parts; else it is a corner or the end of a part, and is pinned.
+    Raises
+    ------
+    ValueError
+        If a rule of the motion cannot be obeyed: a node is to slide where its piece is not
+        straight, or is tied to a node that is tied itself or cannot make its moves.
     """
-    mesh, motion = problem.mesh, problem.motion
+    mesh = problem.mesh
     n_nodes = mesh.p.shape[1]
-    mobility = np.full(n_nodes, int(Mobility.FREE))
-    tangent = _sliding_directions(problem)
-    on_boundary = np.unique(mesh.facets[:, mesh.boundary_facets()])
-    mobility[on_boundary] = Mobility.PINNED
-    mobility[np.any(tangent != 0, axis=0)] = Mobility.SLIDING
-    mobility[problem.boundary_nodes(motion.pinned)] = Mobility.PINNED
-    mobility[np.setdiff1d(np.arange(n_nodes), mesh.t)] = Mobility.PINNED
-
-    delta = np.asarray(motion.delta, dtype=float)
+    mobility, tangent = _mobility(problem)
+    unit = _units(problem)
     index = np.full((2, n_nodes), CONSTANT)
     scale = np.ones((2, n_nodes))
     count = np.where(mobility == Mobility.FREE, 2, np.where(mobility == Mobility.SLIDING, 1, 0))
     first = np.concatenate([[0], np.cumsum(count)])
     free, sliding = mobility == Mobility.FREE, mobility == Mobility.SLIDING
     index[:, free] = first[:-1][free] + np.array([[0], [1]])
-    scale[:, free] = delta[:, None]
+    scale[:, free] = unit[:, free]
     with np.errstate(divide="ignore"):
-        reach = np.min(delta[:, None] / np.abs(tangent[:, sliding]), axis=0)
+        reach = np.min(unit[:, sliding] / np.abs(tangent[:, sliding]), axis=0)
     step = reach * tangent[:, sliding]
     index[:, sliding] = np.where(step != 0, first[:-1][sliding], CONSTANT)
     scale[:, sliding] = np.where(step != 0, step, 1.0)
-    return Freedoms(mobility, Field(index, scale, np.array(mesh.p, dtype=float)), int(first[-1]))
+    for node, leader in problem.motion.tied:
+        index[:, node], scale[:, node] = index[:, leader], scale[:, leader]
+    bound = np.full(int(first[-1]), np.inf if problem.motion.delta is None else 1.0)
+    positions = Field(index, scale, np.array(mesh.p, dtype=float))
+    return Freedoms(mobility, positions, int(first[-1]), bound)
 
 
-def _sliding_directions(problem: ContactProblem, tolerance: float = 1e-8) -> Array:
-    """Unit tangent (2, nodes) of the boundary nodes that may slide, zero elsewhere."""
-    mesh = problem.mesh
-    facets = mesh.boundary_facets()
-    ends = mesh.facets[:, facets]
-    label = _part_labels(problem)[facets]
-    direction = mesh.p[:, ends[1]] - mesh.p[:, ends[0]]
-    direction = direction / np.linalg.norm(direction, axis=0)
-    # each facet, seen from both its ends, sorted by node: a regular boundary node owns two
-    node = ends.ravel()
-    facet = np.tile(np.arange(facets.size), 2)
-    order = np.argsort(node, kind="stable")
-    node, facet = node[order], facet[order]
-    owner, start, count = np.unique(node, return_index=True, return_counts=True)
-    regular = count == 2
-    owner, one, two = owner[regular], facet[start[regular]], facet[start[regular] + 1]
-    turn = direction[0, one] * direction[1, two] - direction[1, one] * direction[0, two]
-    slides = (np.abs(turn) < tolerance) & (label[one] == label[two])
-    tangent = np.zeros(mesh.p.shape)
-    chosen = direction[:, one[slides]]
-    # exactly axis-parallel where it is so up to rounding, so that a coordinate really stays put
-    tangent[:, owner[slides]] = np.where(np.abs(chosen) < tolerance, 0.0, chosen)
-    return tangent
+def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
+    """Mobility of every node and unit tangent (2, nodes) of those that may slide."""
+    mesh, motion = problem.mesh, problem.motion
+    on_line, tangent = sliding_directions(problem)
+    any_tangent = sliding_directions(problem, geometry_only=True)[1]
+    mobility = np.full(mesh.p.shape[1], int(Mobility.FREE))
+    mobility[on_line] = Mobility.PINNED
+    mobility[np.any(tangent != 0, axis=0)] = Mobility.SLIDING
+    varying = [d.boundary for d in problem.supports if any(callable(value) for value in d.value)]
+    mobility[problem.boundary_nodes(tuple(varying))] = Mobility.PINNED
+    mobility[np.setdiff1d(np.arange(mobility.size), mesh.t)] = Mobility.PINNED
+    rules = (
+        (motion.free, Mobility.FREE),
+        (motion.slides, Mobility.SLIDING),
+        (motion.pinned, Mobility.PINNED),
+    )
+    for kind in (str, int):
+        for places, move in rules:
+            for place in places:
+                if isinstance(place, kind):
+                    mobility[_nodes_at(problem, place)] = move
+    forced = (mobility == Mobility.SLIDING) & ~np.any(tangent != 0, axis=0)
+    if np.any(forced & ~np.any(any_tangent != 0, axis=0)):
+        node = int(np.flatnonzero(forced & ~np.any(any_tangent != 0, axis=0))[0])
+        x, y = mesh.p[:, node]
+        raise ValueError(
+            f"node {node} at ({x:.6g}, {y:.6g}) is to slide, but it is on no straight piece of boundary "
+            "or interface"
+        )
+    tangent = np.where(forced, any_tangent, tangent)
+    for node, leader in motion.tied:
+        _check_tie(problem, mobility, tangent, node, leader)
+    for node, _ in motion.tied:
+        mobility[node] = Mobility.TIED
+    return mobility, tangent
 
 
-def _part_labels(problem: ContactProblem) -> NDArray[np.int64]:
-    """One number per facet that tells which set of named boundaries it belongs to."""
-    mesh = problem.mesh
-    names = sorted(mesh.boundaries or {})
-    member = np.zeros((mesh.facets.shape[1], len(names) + 1), dtype=bool)
-    for column, name in enumerate(names):
-        member[np.asarray(mesh.boundaries[name]), column] = True
-    return np.unique(member, axis=0, return_inverse=True)[1].ravel()
+def _nodes_at(problem: ContactProblem, place: Where) -> NDArray[np.int64]:
+    if isinstance(place, str):
+        return problem.boundary_nodes((place,))
+    return np.array([place])
+
+
+def _check_tie(problem: ContactProblem, mobility: NDArray, tangent: Array, node: int, leader: int) -> None:
+    """A tied node must be able to make the moves of its leader."""
+    if node == leader or leader in {n for n, _ in problem.motion.tied}:
+        raise ValueError(f"node {node} cannot be tied to node {leader}, which is tied itself")
+    if mobility[leader] == Mobility.PINNED or mobility[node] == Mobility.FREE:
+        return
+    one, two = tangent[:, node], tangent[:, leader]
+    parallel = mobility[node] == mobility[leader] == Mobility.SLIDING
+    if not (parallel and abs(one[0] * two[1] - one[1] * two[0]) < 1e-8):
+        raise ValueError(
+            f"node {node} cannot be tied to node {leader}: it cannot make the moves of that node"
+        )
+
+
+def _units(problem: ContactProblem) -> Array:
+    """Half-widths (2, nodes) of the boxes, or the shortest edge at each node where there is none."""
+    delta, mesh = problem.motion.delta, problem.mesh
+    if delta is not None and not isinstance(delta, Relative):
+        return np.broadcast_to(np.asarray(delta, dtype=float)[:, None], mesh.p.shape)
+    a, b = mesh.facets
+    length = np.linalg.norm(mesh.p[:, a] - mesh.p[:, b], axis=0)
+    shortest = np.full(mesh.p.shape[1], np.inf)
+    np.minimum.at(shortest, a, length)
+    np.minimum.at(shortest, b, length)
+    fraction = delta.fraction if isinstance(delta, Relative) else 1.0
+    return np.vstack([fraction * shortest] * 2)
 
 
 def validity_group(problem: ContactProblem, free: Freedoms, first_row: int = 0) -> tuple[ElementGroup, Array]:
-    """Constraints ``signed area >= bound`` for the elements that the boxes alone do not keep valid.
+    """Constraints on the elements that the boxes alone do not keep valid.
+
+    ``signed area >= bound`` for each, and with a least angle theta also, at each vertex,
+    ``cross(a, b) cos(theta) - dot(a, b) sin(theta) >= 0`` for its edges a and b, which is
+    |a| |b| sin(angle - theta). All rows are in units of the initial area.
 
     The signed area is affine in each coordinate by itself, so its least value over the
     boxes is at one of their corners; elements that cannot fail there need no constraint.
@@ -128,32 +175,79 @@ def validity_group(problem: ContactProblem, free: Freedoms, first_row: int = 0) 
     Returns
     -------
     group : ElementGroup
-        One row per constrained element, numbered from ``first_row``.
+        One row per constrained element (four with a least angle), numbered from ``first_row``
+        element by element.
     bounds : (rows,) array
-        Lower bounds of the scaled areas (area / initial area).
+        Lower bounds of the rows.
     """
-    triangles = problem.triangles
+    triangles, motion = problem.triangles, problem.motion
+    at_risk = constrained_elements(problem, free)
     initial = signed_areas(problem.mesh.p, triangles)
-    at_risk = np.flatnonzero(_least_areas(free, triangles) < problem.motion.min_area_fraction * initial)
-    X, area0 = ca.SX.sym("X", 2, 3), ca.SX.sym("area0")
-    det = (X[0, 1] - X[0, 0]) * (X[1, 2] - X[1, 0]) - (X[0, 2] - X[0, 0]) * (X[1, 1] - X[1, 0])
-    function = ca.Function("area", [ca.vec(X), area0], [0, det / (2 * area0)])
+    function = _validity(np.deg2rad(motion.min_angle))
     scale = Field(np.full((1, at_risk.size), CONSTANT), np.ones((1, at_risk.size)), initial[at_risk][None, :])
-    group = ElementGroup(
-        function,
-        (free.positions.at(triangles[:, at_risk]), scale),
-        first_row + np.arange(at_risk.size)[None, :],
-    )
-    return group, np.full(at_risk.size, problem.motion.min_area_fraction)
+    per_element = function.size1_out(1)
+    rows = first_row + np.arange(per_element * at_risk.size).reshape(-1, per_element).T
+    group = ElementGroup(function, (free.positions.at(triangles[:, at_risk]), scale), rows)
+    bounds = np.zeros((at_risk.size, per_element))
+    bounds[:, 0] = motion.min_area_fraction
+    if motion.min_angle > 0:
+        _check_initial_angles(problem)
+    return group, bounds.ravel()
+
+
+def constrained_elements(problem: ContactProblem, free: Freedoms) -> NDArray[np.int64]:
+    """Numbers of the elements that have rows in :func:`validity_group`, in their order."""
+    triangles = problem.triangles
+    if problem.motion.min_angle > 0:
+        return np.flatnonzero(np.any(free.positions.index[:, triangles] != CONSTANT, axis=(0, 1)))
+    initial = signed_areas(problem.mesh.p, triangles)
+    return np.flatnonzero(_least_areas(free, triangles) < problem.motion.min_area_fraction * initial)
+
+
+def _validity(angle: float) -> ca.Function:
+    X, area0 = ca.SX.sym("X", 2, 3), ca.SX.sym("area0")
+
+    def cross_and_dot(i: int) -> tuple[ca.SX, ca.SX]:
+        a, b = X[:, (i + 1) % 3] - X[:, i], X[:, (i + 2) % 3] - X[:, i]
+        return a[0] * b[1] - a[1] * b[0], ca.dot(a, b)
+
+    rows = [cross_and_dot(0)[0] / (2 * area0)]
+    if angle > 0:
+        for i in range(3):
+            cross, dot = cross_and_dot(i)
+            rows.append((cross * np.cos(angle) - dot * np.sin(angle)) / (2 * area0))
+    return ca.Function("validity", [ca.vec(X), area0], [0, ca.vertcat(*rows)])
+
+
+def least_angles(nodes: Array, triangles: NDArray) -> Array:
+    """Smallest angle of each triangle in degrees."""
+    p = nodes[:, triangles]
+    angles = []
+    for i in range(3):
+        a, b = p[:, (i + 1) % 3] - p[:, i], p[:, (i + 2) % 3] - p[:, i]
+        angles.append(np.arctan2(np.abs(a[0] * b[1] - a[1] * b[0]), np.sum(a * b, axis=0)))
+    return np.rad2deg(np.min(angles, axis=0))
+
+
+def _check_initial_angles(problem: ContactProblem) -> None:
+    angle = least_angles(problem.mesh.p, problem.triangles)
+    if np.min(angle) < problem.motion.min_angle:
+        raise ValueError(
+            f"min_angle is {problem.motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
+            f"initial mesh has an angle of {np.min(angle):.4g}"
+        )
 
 
 def _least_areas(free: Freedoms, triangles: NDArray) -> Array:
-    moving = free.positions.index != CONSTANT
-    reach = np.where(moving, np.abs(free.positions.scale), 0.0)
+    """Least signed area of each element over the boxes; -infinity where a vertex has no box."""
+    index = free.positions.index
+    bound = np.append(free.bound, 0.0)[index]  # CONSTANT is -1, the appended zero
+    boundless = np.any(np.isinf(bound[:, triangles]), axis=(0, 1))
+    reach = np.where(np.isinf(bound), 0.0, bound) * np.abs(free.positions.scale)
     least = np.full(triangles.shape[1], np.inf)
     for signs in itertools.product((-1.0, 1.0), repeat=6):
         corner = np.reshape(signs, (2, 3, 1))
         local = free.positions.offset[:, triangles] + corner * reach[:, triangles]
         a, b, c = local[:, 0], local[:, 1], local[:, 2]
         least = np.minimum(least, 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])))
-    return least
+    return np.where(boundless, -np.inf, least)

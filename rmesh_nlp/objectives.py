@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -24,11 +25,11 @@ from rmesh_nlp.assembly import ElementGroup, Field, Index, constant_field
 from rmesh_nlp.energy import (
     bulk_groups,
     contact_edges,
-    energy_density,
     friction_group,
     objective_group,
     triangle_rule,
 )
+from rmesh_nlp.laws import energy_density
 from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, PositionFunction, at, signed_areas
 
 ERROR_DEGREE = 10
@@ -40,7 +41,7 @@ Groups = Callable[[ContactProblem, Field, Field, Field], list[ElementGroup]]
 def energy(problem: ContactProblem, positions: Field, displacement: Field, slip: Field) -> list[ElementGroup]:
     """The total potential energy (3.3), (3.15)."""
     groups = bulk_groups(problem, positions, displacement)
-    if problem.obstacle.friction > 0:
+    if problem.frictional:
         groups.append(friction_group(problem, positions, slip))
     return groups
 
@@ -50,25 +51,30 @@ def error_energy(
 ) -> list[ElementGroup]:
     """I1 of (4.1)."""
     exact = _exact(problem, "error-energy")
-    return _triangles(problem, positions, displacement, lambda e, de: energy_density(problem.law, de), exact)
+    return [
+        _triangles(problem, positions, displacement, partial(_strain_energy_of_error, law), exact, elements)
+        for law, elements in problem.regions
+    ]
+
+
+def _strain_energy_of_error(law: Law, error: Any, gradient: Any) -> Any:
+    return energy_density(law, gradient)
 
 
 def error_l2(
     problem: ContactProblem, positions: Field, displacement: Field, slip: Field
 ) -> list[ElementGroup]:
     """Squared L2 norm of the error."""
-    return _triangles(
-        problem, positions, displacement, lambda e, de: ca.sumsqr(e), _exact(problem, "error-l2")
-    )
+    exact = _exact(problem, "error-l2")
+    return [_triangles(problem, positions, displacement, lambda e, de: ca.sumsqr(e), exact)]
 
 
 def error_h1(
     problem: ContactProblem, positions: Field, displacement: Field, slip: Field
 ) -> list[ElementGroup]:
     """Squared H1 seminorm of the error."""
-    return _triangles(
-        problem, positions, displacement, lambda e, de: ca.sumsqr(de), _exact(problem, "error-h1")
-    )
+    exact = _exact(problem, "error-h1")
+    return [_triangles(problem, positions, displacement, lambda e, de: ca.sumsqr(de), exact)]
 
 
 def contact(
@@ -79,7 +85,9 @@ def contact(
     T(u) is the exact traction (the outward normal derivative of a scalar problem).
     """
     exact, obstacle = _exact(problem, "contact"), problem.obstacle
-    traction = _traction(problem.law, exact.value)
+    if len(problem.laws) > 1 or not isinstance(obstacle.boundary, str):
+        raise ValueError("the objective 'contact' needs one law and contact on a boundary")
+    traction = _traction(problem.laws[0], exact.value)
     X, u = ca.SX.sym("X", 2, 2), ca.SX.sym("u", problem.components, 2)
     tangent = X[:, 1] - X[:, 0]
     outward = ca.vertcat(tangent[1], -tangent[0])  # times the length; the body is on the left
@@ -207,8 +215,9 @@ def _triangles(
     displacement: Field,
     density: Callable[[ca.SX, ca.SX], ca.SX],
     exact: ExactSolution,
-) -> list[ElementGroup]:
-    """Integral of a density of the error and of its gradient over the triangles."""
+    elements: Index | None = None,
+) -> ElementGroup:
+    """Integral of a density of the error and of its gradient over the triangles, or some of them."""
     X, u = ca.SX.sym("X", 2, 3), ca.SX.sym("u", problem.components, 3)
     edges = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
     det = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
@@ -221,8 +230,8 @@ def _triangles(
         value, slope = solution(*ca.vertsplit(X @ point))
         total += weight * density(u @ point - value, gradient - slope)
     function = ca.Function("error", [ca.vec(X), ca.vec(u)], [total * det / 2, ca.SX(0, 1)])
-    triangles = problem.triangles
-    return [objective_group(function, (positions.at(triangles), displacement.at(triangles)))]
+    triangles = problem.triangles if elements is None else problem.triangles[:, elements]
+    return objective_group(function, (positions.at(triangles), displacement.at(triangles)))
 
 
 def _traction(law: Law, value: PositionFunction) -> Callable[[Any, Any, Any], Any]:

@@ -99,22 +99,22 @@ class ReducedEnergy:
     def stationarity_residual(self, point: ReducedPoint) -> float:
         """How far q is from a first-order point of L over the admissible set, relative to the objective.
 
-        The natural residual ``max |q - clip(q - r / scale, -1, 1)|``, r the gradient less the
+        The natural residual ``max |q - clip(q - r / scale, -bound, bound)|``, r the gradient less the
         pull of active element areas, whose non-negative multipliers are fitted by least
         squares. The moves are in units of their boxes, so r has the unit of the objective.
         """
-        scale = max(abs(point.value), 1e-300)
+        scale, box = max(abs(point.value), 1e-300), self.relocation.freedoms.bound
         r = point.gradient
         if self.relocation.n_valid:
             area, jacobian = self._areas(self.point(point.q, point.equilibrium))
             bound = self.relocation.nlp.lbg[self.relocation.validity_rows]
             active = np.flatnonzero(area.full().ravel() - bound < ACTIVE_AREA)
             if active.size:
-                inside = np.abs(point.q) < 1 - 1e-6
+                inside = np.abs(point.q) < box - 1e-6
                 rows = jacobian.full()[active]
                 multipliers = nnls(rows[:, inside].T, r[inside])[0]
                 r = r - rows.T @ multipliers
-        return float(np.max(np.abs(point.q - np.clip(point.q - r / scale, -1, 1)), initial=0.0))
+        return float(np.max(np.abs(point.q - np.clip(point.q - r / scale, -box, box)), initial=0.0))
 
 
 class ReducedObjective:

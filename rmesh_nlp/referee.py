@@ -11,10 +11,12 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.audit import Audit, Auditor
+from rmesh_nlp.energy import contact_edges
 from rmesh_nlp.equilibrium import ContactModel, Equilibrium
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.motion import least_angles
 from rmesh_nlp.nlp import Status
-from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem import ContactProblem, Place, signed_areas
 from rmesh_nlp.reduced import ReducedEnergy, ReducedPoint
 from rmesh_nlp.relocation import Relocation, relocation
 from rmesh_nlp.solution import Solution, Step, is_success
@@ -56,15 +58,26 @@ class Referee:
     def start(self, seed: int | None) -> Array:
         """Moves to start from: none, or drawn uniformly from the boxes with a seed.
 
-        A draw that breaks element validity is halved until it does not.
+        Without boxes the draw moves nodes by up to their shortest edge. A draw that breaks
+        element validity is halved until it does not.
         """
         q = np.zeros(self.relocation.n_q)
         if seed is None:
             return q
         q = np.random.default_rng(seed).uniform(-1, 1, q.size)
-        while self.least_area_ratio(q) < self.problem.motion.min_area_fraction:
+        while not self.is_valid(q):
             q = q / 2
         return q
+
+    def is_valid(self, q: Array) -> bool:
+        """Whether all elements keep the least area and angle that the motion asks for."""
+        motion = self.problem.motion
+        if self.least_area_ratio(q) < motion.min_area_fraction:
+            return False
+        if motion.min_angle == 0:
+            return True
+        angle = least_angles(self.relocation.nodes(q), self.problem.triangles)
+        return bool(np.min(angle) >= motion.min_angle)
 
     def least_area_ratio(self, q: Array) -> float:
         """Least signed element area over its initial value."""
@@ -187,8 +200,15 @@ def relocated_mesh(mesh: MeshTri, nodes: Array) -> MeshTri:
 
 
 def nodal_weights(problem: ContactProblem, nodes: Array) -> Array:
-    """omega_i of (5.9): half the length of the contact edges at each contact node."""
-    edges = problem.mesh.facets[:, problem.mesh.boundaries[problem.obstacle.boundary]]
+    """omega_i of (5.9): half the length of the contact edges at each contact node.
+
+    For an obstacle in the interior: a third of the area of the elements at the node.
+    """
+    if problem.obstacle.boundary is Place.INTERIOR:
+        areas = np.tile(signed_areas(nodes, problem.triangles) / 3, 3)
+        shares = np.bincount(problem.triangles.ravel(), areas, nodes.shape[1])
+        return np.asarray(shares[problem.contact_nodes])
+    edges = contact_edges(problem)
     length = np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
     weight = np.bincount(edges.ravel(), np.tile(length / 2, 2), nodes.shape[1])
     return np.asarray(weight[problem.contact_nodes])

@@ -82,7 +82,7 @@ def relocation(problem: ContactProblem) -> Relocation:
     free = freedoms(problem)
     displacement, n_u = displacement_field(problem, first=free.n)
     n_contact = problem.contact_nodes.size
-    frictional = problem.obstacle.friction > 0
+    frictional = problem.frictional
     n_s = n_contact if frictional else 0
     groups = [
         *bulk_groups(problem, free.positions, displacement),
@@ -105,8 +105,8 @@ def relocation(problem: ContactProblem) -> Relocation:
         p=p,
         f=assembled.f,
         g=assembled.g,
-        lbx=np.concatenate([-np.ones(free.n), np.full(n_u + n_s, -np.inf)]),
-        ubx=np.concatenate([np.ones(free.n), np.full(n_u + n_s, np.inf)]),
+        lbx=np.concatenate([-free.bound, np.full(n_u + n_s, -np.inf)]),
+        ubx=np.concatenate([free.bound, np.full(n_u + n_s, np.inf)]),
         lbg=np.concatenate([np.zeros(n_rows), area_bound]),
         ubg=np.full(n_rows + n_valid, np.inf),
         derivatives=assembled.derivatives,

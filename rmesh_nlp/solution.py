@@ -116,7 +116,7 @@ class Solution:
             "formulation": self.formulation,
             "objective": self.objective,
             "n": self.problem.size,
-            "delta": list(self.problem.motion.delta),
+            "delta": self.problem.motion.delta_record(),
             "status": self.status.value,
             "success": self.success,
             "energy_initial": self.energy_initial,

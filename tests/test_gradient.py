@@ -19,7 +19,7 @@ def taylor_rates(problem: ContactProblem, seed: int) -> np.ndarray:
     d = rng.uniform(-1, 1, q.size)
     here = referee.reduced(q)
     steps = 1e-2 * 0.5 ** np.arange(5)
-    remainder = [abs(referee.reduced(q + h * d).energy - here.energy - h * here.gradient @ d) for h in steps]
+    remainder = [abs(referee.reduced(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]
     return np.log2(np.array(remainder[:-1]) / np.array(remainder[1:]))
 
 

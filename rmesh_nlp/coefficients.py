@@ -1,0 +1,85 @@
+"""Numbers or functions of position: sources, tractions, obstacles, friction bounds, held values.
+
+Functions are written with CasADi or numpy operations on ``x`` and ``y`` and are called with
+CasADi symbols, because loads move with the nodes and must be differentiated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+
+PositionFunction = Callable[[Any, Any], Any]
+Coefficient = float | PositionFunction
+"""A number, or a function of position (x, y)."""
+
+
+def at(coefficient: Coefficient, x: Any, y: Any) -> Any:
+    """Value of a coefficient at a point."""
+    return coefficient(x, y) if callable(coefficient) else coefficient
+
+
+def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficient") -> Array:
+    """Values (points,) of a coefficient at ``points`` (2, points).
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite; the message names ``what`` and the point.
+    """
+    if not callable(coefficient):
+        values = np.full(points.shape[1], float(coefficient))
+    elif points.shape[1] == 0:
+        return np.zeros(0)
+    else:
+        x, y = ca.SX.sym("x"), ca.SX.sym("y")
+        function = ca.Function("coefficient", [x, y], [coefficient(x, y)])
+        values = function(ca.DM(points[0]).T, ca.DM(points[1]).T).full().ravel()
+    if not np.all(np.isfinite(values)):
+        bad = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise ValueError(f"{what} is {values[bad]} at ({points[0, bad]:.6g}, {points[1, bad]:.6g})")
+    return values
+
+
+def is_nonzero(coefficient: Coefficient) -> bool:
+    """Whether a coefficient is anything but the number zero."""
+    return callable(coefficient) or coefficient != 0
+
+
+@dataclass(frozen=True)
+class PiecewiseLinear:
+    """Continuous piecewise-linear function of x_1, extended linearly beyond its ends.
+
+    Attributes
+    ----------
+    x, y : tuples of float
+        Breakpoints, ``x`` strictly increasing, and values.
+    """
+
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.x) != len(self.y) or len(self.x) < 2:
+            raise ValueError(
+                f"a piecewise-linear function needs 2 or more points, got x={self.x}, y={self.y}"
+            )
+        if not np.all(np.isfinite([*self.x, *self.y])):
+            raise ValueError(f"a piecewise-linear function must be finite, got x={self.x}, y={self.y}")
+        if np.any(np.diff(self.x) <= 0):
+            raise ValueError(f"breakpoints must increase, got x={self.x}")
+
+    def __call__(self, x: Any, y: Any = None) -> Any:
+        """Value at x_1 = ``x``; ``y`` is ignored, so that it serves as a function of position."""
+        slopes = np.diff(self.y) / np.diff(self.x)
+        value = self.y[0] + slopes[0] * (x - self.x[0])
+        for corner, jump in zip(self.x[1:-1], np.diff(slopes), strict=True):
+            value = value + jump * ca.fmax(x - corner, 0)
+        return value
