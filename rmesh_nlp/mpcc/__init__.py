@@ -3,6 +3,7 @@
 >>> from rmesh_nlp.mpcc import MPCC, solve
 """
 
+from rmesh_nlp.mpcc.classify import Classification, classify
 from rmesh_nlp.mpcc.multistart import MultiStart, multistart
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
@@ -13,11 +14,13 @@ from rmesh_nlp.mpcc.solver import MPCCSolver, solve
 __all__ = [
     "MPCC",
     "RELAXATIONS",
+    "Classification",
     "MPCCResult",
     "MPCCSolver",
     "MultiStart",
     "Options",
     "Step",
+    "classify",
     "multistart",
     "solve",
 ]

@@ -9,18 +9,20 @@ B-stationary points of mathematical programs with equilibrium constraints, 2025.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lpec import descent, nearest_branch
+from rmesh_nlp.mpcc.classify import Verdict, judge
+from rmesh_nlp.mpcc.linearisation import Linearisation, linearisation
+from rmesh_nlp.mpcc.lpec import Direction, nearest_branch
 from rmesh_nlp.mpcc.programs import BoolArray, Log, Programs
-from rmesh_nlp.mpcc.stationarity import Label, Linearisation, label, linearisation, witness
 from rmesh_nlp.nlp import NLPResult, Status
 
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|
 _REACHES = (2.0, 20.0)  # radii of the search for a feasible branch, in units of the largest min(G, H)
+_TRUST = (None, 1e-1, 1e-3)  # relative boxes in which a lower point of the descent branch is sought
 _NEAR_BIACTIVE = 3e-5  # pairs closer to the corner than this are tried on both sides at once
 
 
@@ -35,8 +37,7 @@ class Finish:
     f : float
     status : Status
         CONVERGED: S- or B-stationary; ACCEPTABLE: a label, B undecided; otherwise why it stopped.
-    label : Label or None
-    b_stationary : bool or None
+    verdict : Verdict or None
     lin : Linearisation or None
     pivots, lpecs : int
     """
@@ -44,8 +45,7 @@ class Finish:
     z: Array
     f: float
     status: Status
-    label: Label | None = None
-    b_stationary: bool | None = None
+    verdict: Verdict | None = None
     lin: Linearisation | None = None
     pivots: int = 0
     lpecs: int = 0
@@ -68,33 +68,39 @@ def finish(programs: Programs, z: Array, p: Array, log: Log, *, search: bool) ->
         return Finish(result.x, result.f, status)
     lpecs = 0
     for pivots in range(options.max_pivots):
+        if result.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
+            return Finish(result.x, result.f, Status.UNBOUNDED, pivots=pivots, lpecs=lpecs)
         result = _tighten(programs, log, result, p, fix_G)
         lin = linearisation(lifted, result.x, p, options.activity)
-        found = witness(lifted, lin, result.lam_g[: lifted.nlp.n_g], result.lam_x, options.stationarity)
-        found = found or label(lifted, lin, options.stationarity)
-        here = Finish(result.x, result.f, Status.CONVERGED, found, True, lin, pivots, lpecs)
-        if found.name == "S":  # S implies B
+        verdict = judge(lifted, lin, options.stationarity, (result.lam_g, result.lam_x))
+        lpecs += verdict.label.name != "S"
+        here = Finish(result.x, result.f, verdict.status, verdict, lin, pivots, lpecs)
+        if verdict.direction is None:
             return here
-        direction = descent(lifted, lin)
-        lpecs += 1
-        if direction is None:
-            status = Status.STALLED if found.multipliers is None else Status.ACCEPTABLE
-            return _changed(here, status, None, lpecs)
-        if direction.decrease >= -options.stationarity * lin.scale:
-            return _changed(here, Status.CONVERGED, True, lpecs)
-        better = _solve(programs, log, result.x, p, direction.fix_G)
-        if not (exact(programs, better.x, p) and better.f < result.f - _DECREASE * (1 + abs(result.f))):
-            return _changed(here, Status.STALLED, False, lpecs)
-        result, fix_G = better, direction.fix_G
-    return _changed(here, Status.ITERATION_LIMIT, False, lpecs)
+        better = _descend(programs, log, result, p, verdict.direction)
+        if better is None:
+            return here
+        result, fix_G = better, verdict.direction.G_fixed
+    return replace(here, status=Status.ITERATION_LIMIT)
 
 
-def _changed(finish: Finish, status: Status, b_stationary: bool | None, lpecs: int) -> Finish:
-    return Finish(finish.z, finish.f, status, finish.label, b_stationary, finish.lin, finish.pivots, lpecs)
+def _descend(
+    programs: Programs, log: Log, result: NLPResult, p: Array, direction: Direction
+) -> NLPResult | None:
+    """Solve the branch of the direction; near the point if its solution far away is not lower."""
+    aim = result.f - _DECREASE * (1 + abs(result.f))
+    for reach in _TRUST:
+        box = None if reach is None else reach * (1 + np.abs(result.x))
+        better = _solve(programs, log, result.x, p, direction.G_fixed, box)
+        if exact(programs, better.x, p) and better.f < aim:
+            return better
+    return None
 
 
-def _solve(programs: Programs, log: Log, z: Array, p: Array, fix_G: BoolArray) -> NLPResult:
-    result = programs.branch(z, p, fix_G, ~fix_G)
+def _solve(
+    programs: Programs, log: Log, z: Array, p: Array, fix_G: BoolArray, box: Array | None = None
+) -> NLPResult:
+    result = programs.branch(z, p, fix_G, ~fix_G, box)
     log.add("branch", 0.0, result)
     return result
 
@@ -119,8 +125,8 @@ def _other_branch(
 def _tighten(programs: Programs, log: Log, result: NLPResult, p: Array, fix_G: BoolArray) -> NLPResult:
     """Put pairs that end next to the corner into it, if that costs nothing.
 
-    A weakly active member stops at a distance of the square root of the solver's tolerance from zero: too far to
-    be called zero, near enough to hide a biactive pair and with it a descent direction.
+    A weakly active member stops at a distance of the square root of the solver's tolerance from zero:
+    too far to be called zero, near enough to hide a biactive pair and with it a descent direction.
     """
     lifted, options = programs.lifted, programs.options
     free = np.maximum(result.x[lifted.first], result.x[lifted.second])

@@ -16,10 +16,10 @@ _MAX_RETREATS = 3
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """End of one homotopy: the best finish, the last relaxed result, and the last status of a failed step."""
+    """End of one homotopy: the best finish, the last relaxed result, why the last step failed if it did."""
 
     finish: Finish | None
-    relaxed: NLPResult | None
+    relaxed: NLPResult
     failure: Status | None
 
 
@@ -58,7 +58,7 @@ def follow(programs: Programs, relaxation: str, z0: Array, p: Array, t0: float, 
             t = t / factor
     if last is not None and best is None:
         best = finish(programs, last.x, p, log, search=True)
-    return Path(best, last, failure)
+    return Path(best, last or result, failure)
 
 
 def _step(

@@ -112,7 +112,7 @@ def lift(mpcc: MPCC) -> Lifted:
 
 
 def _pure(mpcc: MPCC) -> tuple[Any, Any, Any, Any]:
-    """x, p, vertcat(g, G, H), f; an MX built of several symbols is replaced by one, so that CasADi can derive."""
+    """x, p, vertcat(g, G, H), f; an MX of several symbols becomes one, so that CasADi can derive."""
     column = ca.vertcat(mpcc.g, mpcc.G, mpcc.H)
     if isinstance(mpcc.x, ca.SX) or (mpcc.x.is_symbolic() and (mpcc.p.is_symbolic() or mpcc.p.is_empty())):
         return mpcc.x, mpcc.p, column, mpcc.f
@@ -178,7 +178,7 @@ def _lifted_nlp(
     slack_rows, every = list(range(n_g, n_g + n_s)), list(range(len(kept)))
     shift = ca.MX(ca.DM(ca.Sparsity.triplet(len(kept), n_s, slack_rows, list(range(n_s))), 1.0))
     scatter = ca.MX(ca.DM(ca.Sparsity.triplet(n_rows, len(kept), kept, every), 1.0))
-    f_value, gradient = base.grad_f(x, p)
+    f_value, gradient = (ca.densify(part) for part in base.grad_f(x, p))
     g_value, jacobian = base.jac_g(x, p)
     slack = ca.mtimes(shift, s)
     hess_lag = None
@@ -187,9 +187,11 @@ def _lifted_nlp(
         hess_lag = ca.Function("nlp_hess_l", [z, p, lam_f, lam_g], [ca.diagcat(hessian, ca.MX(n_s, n_s))])
     derivatives = Derivatives(
         grad_f=ca.Function("nlp_grad_f", [z, p], [f_value, ca.vertcat(gradient, ca.MX.zeros(n_s, 1))]),
-        jac_g=ca.Function("nlp_jac_g", [z, p], [g_value[kept] - slack, ca.horzcat(jacobian[kept, :], -shift)]),
+        jac_g=ca.Function(
+            "nlp_jac_g", [z, p], [g_value[kept] - slack, ca.horzcat(jacobian[kept, :], -shift)]
+        ),
         hess_lag=hess_lag,
     )
     none = np.zeros(0)
-    f, g = objective(x, p), constraints(x, p)[kept] - slack
+    f, g = ca.densify(objective(x, p)), constraints(x, p)[kept] - slack
     return NLP(x=z, p=p, f=f, g=g, lbx=none, ubx=none, lbg=none, ubg=none, derivatives=derivatives)

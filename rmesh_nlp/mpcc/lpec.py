@@ -1,4 +1,4 @@
-"""Linear programs with equilibrium constraints: is there a descent direction in some branch?
+"""Linear programs with equilibrium constraints: descent directions over all branches.
 
 A feasible point is B-stationary (in the linearised sense) if ``d = 0`` solves::
 
@@ -6,8 +6,8 @@ A feasible point is B-stationary (in the linearised sense) if ``d = 0`` solves::
         d_G = 0 (d_H = 0) where only G (only H) is zero,
         0 <= d_G  _|_  d_H >= 0   on the biactive pairs.
 
-Z.-Q. Luo, J.-S. Pang, D. Ralph, Mathematical Programs with Equilibrium Constraints, 1996; as a certificate and
-as a descent step: C. Kirches, J. Larson, S. Leyffer, P. Manns, Sequential linearization method for
+Z.-Q. Luo, J.-S. Pang, D. Ralph, Mathematical Programs with Equilibrium Constraints, 1996; as a
+certificate and as a descent step: C. Kirches, J. Larson, S. Leyffer, P. Manns, Sequential linearization method for
 bound-constrained MPCCs, SIAM J. Optim. 32 (2022) 75-99; A. Nurkanovic and S. Leyffer's MPECopt.
 """
 
@@ -23,7 +23,7 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import IntArray, Lifted
-from rmesh_nlp.mpcc.stationarity import Linearisation
+from rmesh_nlp.mpcc.linearisation import Linearisation
 
 _ENUMERATE = 3  # up to 2^3 small linear programs are cheaper than a MILP
 _TIME_LIMIT = 30.0
@@ -33,12 +33,12 @@ _TIME_LIMIT = 30.0
 class Direction:
     """Answer of an LPEC: the best decrease (0 or negative), the step, and the side each pair takes.
 
-    ``fix_G[i]``: pair i keeps ``G = 0`` (False: ``H = 0``) along the step.
+    ``G_fixed[i]``: pair i keeps ``G = 0`` (False: ``H = 0``) along the step.
     """
 
     decrease: float
     step: Array
-    fix_G: NDArray[np.bool_]
+    G_fixed: NDArray[np.bool_]
 
 
 def descent(lifted: Lifted, lin: Linearisation) -> Direction | None:
@@ -150,14 +150,16 @@ def _milp(
     return answer.x[: lifted.nlp.n_x], answer.x[n:] < 0.5, float(answer.fun)
 
 
-def nearest_branch(lifted: Lifted, z: Array, p: Array, radius: float) -> tuple[Array, NDArray[np.bool_]] | None:
-    """A branch that the linearisation at an inexact point can satisfy: ``(z + step, fix_G)``.
+def nearest_branch(
+    lifted: Lifted, z: Array, p: Array, radius: float
+) -> tuple[Array, NDArray[np.bool_]] | None:
+    """A branch that the linearisation at an inexact point can satisfy: ``(z + step, G_fixed)``.
 
     The rows are elastic: their violation is minimised first, then the objective, over complementary
     steps of at most ``radius`` (the feasibility phase of MPECopt).
     """
     _, gradient, values, jacobian = lifted.linearise(z, p)
-    nlp, n, m = lifted.nlp, lifted.nlp.n_x, lifted.nlp.n_g
+    nlp, m = lifted.nlp, lifted.nlp.n_g
     members = np.maximum(z, 0.0) / radius
     lower = np.maximum(-1.0, (nlp.lbx - z) / radius)
     upper = np.clip((nlp.ubx - z) / radius, lower, 1.0)
@@ -171,7 +173,9 @@ def nearest_branch(lifted: Lifted, z: Array, p: Array, radius: float) -> tuple[A
         lower[at] = upper[at] = np.maximum(-members[at], -1.0)
     eye = sp.identity(m, format="csr")
     rows = LinearConstraint(
-        sp.hstack([jacobian, eye, -eye], format="csr"), (nlp.lbg - values) / radius, (nlp.ubg - values) / radius
+        sp.hstack([jacobian, eye, -eye], format="csr"),
+        (nlp.lbg - values) / radius,
+        (nlp.ubg - values) / radius,
     )
     weight = 1e3 * max(1.0, float(np.max(np.abs(gradient), initial=0.0)))
     found = _milp(

@@ -86,7 +86,8 @@ def multistart(
 ) -> MultiStart:
     """Solve from ``x0`` and from ``n - 1`` seeded random starts around it.
 
-    Parameters are those of :func:`rmesh_nlp.mpcc.solve`, and ``n``, ``seed``. The same seed gives the same starts.
+    Parameters are those of :func:`rmesh_nlp.mpcc.solve`, and ``n`` and ``seed``: the same seed gives
+    the same starts.
     """
     if n < 1:
         raise ValueError(f"n = {n} starts: at least 1 is needed")

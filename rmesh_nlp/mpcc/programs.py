@@ -66,20 +66,23 @@ class Programs:
         self.build_seconds += time.perf_counter() - began
         return solver
 
-    def relaxed(
-        self, name: str, z: Array, p: Array, t: float, warm: NLPResult | None = None
-    ) -> NLPResult:
+    def relaxed(self, name: str, z: Array, p: Array, t: float, warm: NLPResult | None = None) -> NLPResult:
         """Solve the relaxation ``name`` at ``t`` from ``z``; ``warm`` gives multipliers to start from."""
         lam = {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
         return self._relaxed(name)(z, p=np.append(p, t), **lam)
 
-    def branch(self, z: Array, p: Array, fix_G: BoolArray, fix_H: BoolArray) -> NLPResult:
-        """Solve the NLP in which the given members are zero, from ``z``."""
+    def branch(
+        self, z: Array, p: Array, fix_G: BoolArray, fix_H: BoolArray, box: Array | None = None
+    ) -> NLPResult:
+        """Solve the NLP in which the given members are zero, from ``z`` (and within ``box`` around it)."""
         lifted = self.lifted
-        upper = lifted.nlp.ubx.copy()
+        lower, upper = lifted.nlp.lbx.copy(), lifted.nlp.ubx.copy()
+        if box is not None:
+            lower, upper = np.maximum(lower, z - box), np.minimum(upper, z + box)
         upper[lifted.first[fix_G]] = 0.0
         upper[lifted.second[fix_H]] = 0.0
-        return self._exact(np.clip(z, lifted.nlp.lbx, upper), p=p, ubx=upper)
+        lower = np.minimum(lower, upper)  # a member just above zero
+        return self._exact(np.clip(z, lower, upper), p=p, lbx=lower, ubx=upper)
 
     def measure(self, z: Array, p: Array) -> tuple[float, Residuals, tuple[Array, Array, Array]]:
         """Objective, residuals and (g, G, H) of the source problem at a lifted point."""
@@ -140,8 +143,8 @@ class Log:
 class _Tolerant:
     """A Solver that also takes programs with more equations than free unknowns.
 
-    Ipopt refuses those. Idle unknowns with a quadratic term, one per equation, keep it from counting;
-    they cost nothing but are added only once it has refused.
+    Ipopt refuses those. Idle unknowns with a quadratic term, one per row, keep it from counting; they are
+    added only when a call needs them.
     """
 
     def __init__(self, nlp: NLP, options: dict[str, Any]) -> None:
@@ -150,8 +153,11 @@ class _Tolerant:
         self._padded: Solver | None = None
 
     def __call__(self, z: Array, **arguments: Any) -> NLPResult:
-        result = self._solver(z, **arguments)
-        if result.status is Status.TOO_FEW_FREEDOMS:
+        lower, upper = arguments.get("lbx", self.nlp.lbx), arguments.get("ubx", self.nlp.ubx)
+        n_free = self.nlp.n_x - np.count_nonzero(lower == upper)
+        if np.count_nonzero(self.nlp.lbg == self.nlp.ubg) <= n_free:
+            result = self._solver(z, **arguments)
+        else:
             result = self._with_idle_unknowns(z, **arguments)
         if result.status is Status.INTERRUPTED:
             raise KeyboardInterrupt

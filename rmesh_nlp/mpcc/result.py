@@ -42,7 +42,10 @@ class Step:
     status: Status
     seconds: float
 
-    HEADER = f"{'phase':>9} {'t':>8} {'objective':>15} {'violation':>9} {'max min':>8} {'max GH':>8} {'iter':>5} status"
+    HEADER = (
+        f"{'phase':>9} {'t':>8} {'objective':>15} {'violation':>9} {'max min':>8} {'max GH':>8} "
+        f"{'iter':>5} status"
+    )
 
     def line(self) -> str:
         """One line of the log; the columns are those of ``Step.HEADER``."""
@@ -137,8 +140,8 @@ class MPCCResult:
     b_stationary: bool | None
     lam_x: Array
     lam_g: Array
-    lam_G: Array
-    lam_H: Array
+    lam_G: Array  # noqa: N815 the field's symbol
+    lam_H: Array  # noqa: N815
     g: Array
     G: Array
     H: Array
@@ -157,8 +160,9 @@ class MPCCResult:
 
     def __str__(self) -> str:
         b_word = {True: "B-stationary", False: "not B-stationary", None: "B not computed"}[self.b_stationary]
+        label = f"{self.stationarity or 'no label'} ({b_word})"
         return (
             f"{self.status.value}: f = {self.f:.10g}, violation {self.constraint_violation:.1e}, "
-            f"complementarity {self.complementarity:.1e}, {self.stationarity or 'no label'}-stationary ({b_word}), "
+            f"complementarity {self.complementarity:.1e}, stationarity {label}, "
             f"{len(self.biactive)} biactive"
         )

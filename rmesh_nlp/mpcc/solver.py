@@ -46,11 +46,12 @@ class MPCCSolver:
         paths: list[Path] = []
         for relaxation, t0 in self._attempts():
             paths.append(follow(self.programs, relaxation, z0, parameters, t0, log))
-            if paths[-1].finish is not None and paths[-1].finish.solved:
+            end = paths[-1].finish
+            if end is not None and (end.solved or end.status is Status.UNBOUNDED):
                 break
         total = time.perf_counter() - began
         build = self.programs.build_seconds - built
-        return _result(self.programs, paths, z0, parameters, log, build, total)
+        return _result(self.programs, paths, parameters, log, build, total)
 
     def _attempts(self) -> tuple[tuple[str, float], ...]:
         """The homotopy asked for, the same from a second t0, and the elastic mode as the last resort."""
@@ -105,20 +106,21 @@ def solve(
 
 
 def _result(
-    programs: Programs, paths: list[Path], z0: Array, p: Array, log: Log, build: float, total: float
+    programs: Programs, paths: list[Path], p: Array, log: Log, build: float, total: float
 ) -> MPCCResult:
     """Measure the best point on the source problem and say how the solve ended."""
     path = _choose(paths)
     lifted, mpcc = programs.lifted, programs.lifted.source
     end = path.finish
-    z = end.z if end is not None else path.relaxed.x if path.relaxed is not None else z0
+    z = path.relaxed.x if end is None else end.z
     f, res, (g, G, H) = programs.measure(z, p)
     status = _status(paths, end, f, z)
     solved = status in (Status.CONVERGED, Status.ACCEPTABLE)
     if solved and programs.excess(z, p) > 1.0:
         status, solved = Status.INACCURATE, False
     lin = end.lin if end is not None else None
-    multipliers = end.label.multipliers if end is not None and end.label is not None else None
+    verdict = None if end is None else end.verdict
+    multipliers = None if verdict is None else verdict.label.multipliers
     column = np.full(mpcc.n_g + 2 * mpcc.n_pairs, np.nan)
     lam_x = np.full(mpcc.n_x, np.nan)
     if multipliers is not None:
@@ -140,8 +142,8 @@ def _result(
         constraint_violation=res.constraint_violation,
         complementarity=res.complementarity,
         product=res.product,
-        stationarity="" if end is None or end.label is None else end.label.name,
-        b_stationary=None if end is None else end.b_stationary,
+        stationarity="" if verdict is None else verdict.label.name,
+        b_stationary=None if verdict is None else verdict.b_stationary,
         lam_x=lam_x,
         lam_g=column[: mpcc.n_g],
         lam_G=column[mpcc.n_g : mpcc.n_g + mpcc.n_pairs],
@@ -163,21 +165,20 @@ def _result(
 
 
 def _choose(paths: list[Path]) -> Path:
-    """The path with a solved finish (it is the last one), else the first that got as far as a finish."""
-    if paths[-1].finish is not None and paths[-1].finish.solved:
+    """The path with a solved or unbounded finish (it is the last one), else the first with any finish."""
+    end = paths[-1].finish
+    if end is not None and (end.solved or end.status is Status.UNBOUNDED):
         return paths[-1]
-    return max(paths, key=lambda path: (path.finish is not None, path.relaxed is not None))
+    return max(paths, key=lambda path: path.finish is not None)
 
 
 def _status(paths: list[Path], end: Finish | None, f: float, z: Array) -> Status:
-    """Name the end: solved, or unbounded, or where the finish stopped, or why no relaxation was solved."""
+    """Name the end: where the finish stopped, or why no relaxation could be solved."""
+    failures = [path.failure for path in paths if path.failure is not None]
     if end is not None and end.solved:
         return end.status
-    seen = [path.failure for path in paths if path.failure is not None]
-    seen += [path.finish.status for path in paths if path.finish is not None]
-    diverged = abs(f) > _HUGE or np.max(np.abs(z), initial=0.0) > _HUGE
-    if Status.UNBOUNDED in seen or diverged:
+    if abs(f) > _HUGE or np.max(np.abs(z), initial=0.0) > _HUGE:
         return Status.UNBOUNDED
     if end is not None:
         return end.status
-    return Status.INFEASIBLE if Status.INFEASIBLE in seen else seen[0]
+    return Status.INFEASIBLE if Status.INFEASIBLE in failures else failures[0]

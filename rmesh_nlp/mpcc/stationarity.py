@@ -25,55 +25,10 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import IntArray, Lifted
+from rmesh_nlp.mpcc.lifting import Lifted
+from rmesh_nlp.mpcc.linearisation import Linearisation, Multipliers, lagrangian_gradient
 
 _NODE_LIMIT = 500
-
-
-@dataclass(frozen=True, eq=False)
-class Linearisation:
-    """First-order data of the lifted problem at a point, with its active sets.
-
-    Attributes
-    ----------
-    gradient : array
-    jacobian : csr_matrix
-    row_lower, row_upper, z_lower, z_upper : bool arrays
-        Which bounds of rows and unknowns are active; the zero bound of a member is left to its pair.
-    G_zero, H_zero : bool arrays
-        Which members are at zero. Biactive: both.
-    scale : float
-        ``max(1, |gradient|_inf)``: the unit of a stationarity residual.
-    """
-
-    gradient: Array
-    jacobian: sp.csr_matrix
-    row_lower: NDArray[np.bool_]
-    row_upper: NDArray[np.bool_]
-    z_lower: NDArray[np.bool_]
-    z_upper: NDArray[np.bool_]
-    G_zero: NDArray[np.bool_]
-    H_zero: NDArray[np.bool_]
-
-    @property
-    def biactive(self) -> IntArray:
-        """Pairs with both members at zero."""
-        return np.flatnonzero(self.G_zero & self.H_zero).astype(np.int64)
-
-    @property
-    def scale(self) -> float:
-        """Unit of a stationarity residual."""
-        return max(1.0, float(np.max(np.abs(self.gradient), initial=0.0)))
-
-
-@dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Multipliers of the lifted problem: of rows, of bounds of z, of the members of the pairs."""
-
-    rows: Array
-    z: Array
-    G: Array
-    H: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,30 +37,6 @@ class Label:
 
     name: str
     multipliers: Multipliers | None
-
-
-def linearisation(lifted: Lifted, z: Array, p: Array, tolerance: float) -> Linearisation:
-    """Derivatives and active sets at ``z``; activity is relative to ``1 + |bound|``."""
-    _, gradient, rows, jacobian = lifted.linearise(z, p)
-    nlp = lifted.nlp
-    zero = lifted.member & (nlp.lbx == 0)
-    return Linearisation(
-        gradient=gradient,
-        jacobian=jacobian,
-        row_lower=_active(rows, nlp.lbg, tolerance),
-        row_upper=_active(rows, nlp.ubg, tolerance),
-        z_lower=_active(z, nlp.lbx, tolerance) & ~zero,
-        z_upper=_active(z, nlp.ubx, tolerance),
-        G_zero=np.abs(z[lifted.first]) <= tolerance,
-        H_zero=np.abs(z[lifted.second]) <= tolerance,
-    )
-
-
-def _active(value: Array, bound: Array, tolerance: float) -> NDArray[np.bool_]:
-    finite = np.isfinite(bound)
-    return finite & (
-        np.abs(value - np.where(finite, bound, 0.0)) <= tolerance * (1 + np.abs(np.where(finite, bound, 0.0)))
-    )
 
 
 def witness(
@@ -149,14 +80,6 @@ def _share(lifted: Lifted, lin: Linearisation, nu: Array) -> tuple[Array, Array]
             values[use] += left[places[use]]
             left[places[use]] = 0.0
     return G, H
-
-
-def lagrangian_gradient(lifted: Lifted, lin: Linearisation, m: Multipliers) -> Array:
-    """Gradient of the MPCC Lagrangian in z."""
-    value = lin.gradient + lin.jacobian.T @ m.rows + m.z
-    np.add.at(value, lifted.first, m.G)
-    np.add.at(value, lifted.second, m.H)
-    return value
 
 
 class _MultiplierProgram:
