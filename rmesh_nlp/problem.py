@@ -123,6 +123,8 @@ class ContactProblem:
         held, value = self.held()
         _check_held(self, held)
         _check_friction(self, held, value)
+        if self.obstacle.boundary is not Place.NOWHERE and self.contact_nodes.size == 0:
+            raise ValueError("no node of the contact set is free to move: it is held as a whole")
         contact, where = self.contact_nodes, self.mesh.p[:, self.contact_nodes]
         on_points(self.obstacle.offset, where, "the obstacle")
         bound = on_points(self.obstacle.friction, where, "the friction bound")
