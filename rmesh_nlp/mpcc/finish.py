@@ -55,6 +55,11 @@ class Finish:
         """Whether the point is exact and stationary."""
         return self.status in (Status.CONVERGED, Status.ACCEPTABLE)
 
+    @property
+    def rank(self) -> tuple[bool, bool, float]:
+        """Sort key: solved before exact but not stationary before inexact, then the lower objective."""
+        return self.solved, self.verdict is not None, -self.f if np.isfinite(self.f) else -np.inf
+
 
 def finish(programs: Programs, z: Array, p: Array, log: Log, *, search: bool) -> Finish:
     """Make the pairs of a relaxed point exact and descend to a stationary branch."""

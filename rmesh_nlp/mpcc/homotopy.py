@@ -80,7 +80,4 @@ def _sides(programs: Programs, z: Array) -> BoolArray:
 
 
 def _better(a: Finish | None, b: Finish) -> Finish:
-    """Of two finishes the solved one, of two solved ones the lower."""
-    if a is None or (b.solved, -b.f) > (a.solved, -a.f):
-        return b
-    return a
+    return b if a is None or b.rank > a.rank else a

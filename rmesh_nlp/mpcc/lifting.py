@@ -9,6 +9,7 @@ sparsity of the NLP never changes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -55,6 +56,12 @@ class Lifted:
     source_values: Evaluator
     member: NDArray[np.bool_]
 
+    @cached_property
+    def pattern(self) -> tuple[IntArray, IntArray]:
+        """Row and column of each nonzero of the Jacobian, in the order of the Evaluator."""
+        rows, columns = self.jacobian.function.sparsity_out(1).get_triplet()
+        return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
+
     def start(self, x0: Array, p: Array) -> Array:
         """Extend a start by slacks that satisfy their rows, as far as the signs allow."""
         z = np.concatenate([x0, np.zeros(self.nlp.n_x - x0.size)])
@@ -66,9 +73,8 @@ class Lifted:
         """Objective, its gradient, the rows and their sparse Jacobian at ``z``."""
         f, gradient = self.value(z, p)
         rows, nonzeros = self.jacobian(z, p)
-        sparsity = self.jacobian.function.sparsity_out(1)
-        matrix = sp.csc_matrix((nonzeros, sparsity.row(), sparsity.colind()), shape=sparsity.shape)
-        return float(f[0]), gradient, rows, matrix.tocsr()
+        shape = (self.nlp.n_g, self.nlp.n_x)
+        return float(f[0]), gradient, rows, sp.csr_matrix((nonzeros, self.pattern), shape=shape)
 
 
 def lift(mpcc: MPCC) -> Lifted:

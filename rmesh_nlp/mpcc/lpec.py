@@ -7,8 +7,8 @@ A feasible point is B-stationary (in the linearised sense) if ``d = 0`` solves::
         0 <= d_G  _|_  d_H >= 0   on the biactive pairs.
 
 Z.-Q. Luo, J.-S. Pang, D. Ralph, Mathematical Programs with Equilibrium Constraints, 1996; as a
-certificate and as a descent step: C. Kirches, J. Larson, S. Leyffer, P. Manns, Sequential linearization method for
-bound-constrained MPCCs, SIAM J. Optim. 32 (2022) 75-99; A. Nurkanovic and S. Leyffer's MPECopt.
+certificate and as a descent step: C. Kirches, J. Larson, S. Leyffer, P. Manns, Sequential linearization
+method for bound-constrained MPCCs, SIAM J. Optim. 32 (2022) 75-99; A. Nurkanovic and S. Leyffer's MPECopt.
 """
 
 from __future__ import annotations

@@ -17,8 +17,21 @@ _EXACT: Mapping[str, Any] = {
     "constr_viol_tol": 1e-9,
     "compl_inf_tol": 1e-9,
     "bound_relax_factor": 0.0,
+    # the start is the relaxed solution: do not push it back into the interior
+    "bound_push": 1e-6,
+    "bound_frac": 1e-6,
     "mu_strategy": "adaptive",
     "mu_oracle": "quality-function",
+}
+
+
+_WARM: Mapping[str, Any] = {
+    "warm_start_init_point": "yes",
+    "warm_start_bound_push": 1e-6,
+    "warm_start_bound_frac": 1e-6,
+    "warm_start_slack_bound_push": 1e-6,
+    "warm_start_slack_bound_frac": 1e-6,
+    "warm_start_mult_bound_push": 1e-6,
 }
 
 
@@ -79,9 +92,9 @@ class Options:
         if self.t_final > self.t0:
             raise ValueError(f"t_final = {self.t_final} lies above t0 = {self.t0}")
 
-    def relaxed(self, n: int) -> dict[str, Any]:
-        """Ipopt options of the relaxed NLP of ``n`` unknowns."""
-        return {"max_iter": _iterations(n), **_RELAXED, **self.ipopt_relaxed}
+    def relaxed(self, n: int, warm: bool) -> dict[str, Any]:
+        """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``."""
+        return {"max_iter": _iterations(n), **_RELAXED, **(_WARM if warm else {}), **self.ipopt_relaxed}
 
     def exact(self, n: int) -> dict[str, Any]:
         """Ipopt options of the exact NLP of ``n`` unknowns."""

@@ -124,9 +124,8 @@ class MPCC:
 
 def checked(name: str, value: ArrayLike, n: int, what: str) -> Array:
     """Return ``value`` as a finite array of length ``n`` or say what is wrong with it."""
-    array = np.array(_numbers(name, value), dtype=float).ravel()
-    if array.size == 1 and n != 1:
-        array = np.full(n, array[0])
+    array = np.array(_numbers(name, value), dtype=float)
+    array = np.full(n, float(array)) if array.ndim == 0 else array.ravel()
     if array.size != n:
         raise ValueError(f"{name} has length {array.size}, the problem has {n} {what}")
     if not np.all(np.isfinite(array)):

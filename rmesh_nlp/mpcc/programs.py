@@ -34,13 +34,16 @@ class Programs:
         self.options = options
         self.lifted: Lifted = lift(mpcc)
         relaxation(options.relaxation)  # an unknown name is an error now, not at the first solve
-        self._relaxations: dict[str, _Tolerant] = {}
+        self._relaxations: dict[tuple[str, bool], _Tolerant] = {}
         self.build_seconds = time.perf_counter() - began
 
-    def _relaxed(self, name: str) -> _Tolerant:
-        """The relaxed NLP: the lifted one and the relaxation's rows, t the last parameter."""
-        if name in self._relaxations:
-            return self._relaxations[name]
+    def _relaxed(self, name: str, warm: bool) -> _Tolerant:
+        """The relaxed NLP: the lifted one and the relaxation's rows, t the last parameter.
+
+        Ipopt's options are fixed when it is built, so a start with multipliers has its own solver.
+        """
+        if (name, warm) in self._relaxations:
+            return self._relaxations[name, warm]
         lifted = self.lifted
         nlp = lifted.nlp
         t = type(nlp.x).sym("t")
@@ -53,8 +56,8 @@ class Programs:
         nlp = nlp.extended(
             p=t, f=relaxed.penalty, g=relaxed.rows, lbg=np.full(n_rows, -np.inf), ubg=np.zeros(n_rows)
         )
-        self._relaxations[name] = self._timed(nlp, self.options.relaxed(nlp.n_x))
-        return self._relaxations[name]
+        self._relaxations[name, warm] = self._timed(nlp, self.options.relaxed(nlp.n_x, warm))
+        return self._relaxations[name, warm]
 
     @cached_property
     def _exact(self) -> _Tolerant:
@@ -69,7 +72,7 @@ class Programs:
     def relaxed(self, name: str, z: Array, p: Array, t: float, warm: NLPResult | None = None) -> NLPResult:
         """Solve the relaxation ``name`` at ``t`` from ``z``; ``warm`` gives multipliers to start from."""
         lam = {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        return self._relaxed(name)(z, p=np.append(p, t), **lam)
+        return self._relaxed(name, warm is not None)(z, p=np.append(p, t), **lam)
 
     def branch(
         self, z: Array, p: Array, fix_G: BoolArray, fix_H: BoolArray, box: Array | None = None
@@ -101,10 +104,10 @@ class Programs:
         lifted, options = self.lifted, self.options
         source = lifted.source
         x = z[: source.n_x]
-        _, _, _, jacobian = lifted.linearise(z, p)
+        _, nonzeros = lifted.jacobian(z, p)
+        row_of, column_of = lifted.pattern
         scale = np.ones(source.n_g + 2 * source.n_pairs)
-        terms = abs(jacobian.multiply(z[None, :])).max(axis=1).toarray().ravel() if z.size else np.zeros(0)
-        scale[lifted.rows] = np.maximum(1.0, terms)
+        np.maximum.at(scale, lifted.rows[row_of], np.abs(nonzeros * z[column_of]))
         f, rows = lifted.source_values(x, p)
         zeros, infinite = np.zeros(2 * source.n_pairs), np.full(2 * source.n_pairs, np.inf)
         lower, upper = np.append(source.lbg, zeros), np.append(source.ubg, infinite)

@@ -165,11 +165,12 @@ def _result(
 
 
 def _choose(paths: list[Path]) -> Path:
-    """The path with a solved or unbounded finish (it is the last one), else the first with any finish."""
+    """The path with a solved or unbounded finish (it is the last one), else that with the best finish."""
     end = paths[-1].finish
     if end is not None and (end.solved or end.status is Status.UNBOUNDED):
         return paths[-1]
-    return max(paths, key=lambda path: path.finish is not None)
+    worst = (False, False, -np.inf)
+    return max(paths, key=lambda path: worst if path.finish is None else path.finish.rank)
 
 
 def _status(paths: list[Path], end: Finish | None, f: float, z: Array) -> Status:

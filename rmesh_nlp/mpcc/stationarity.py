@@ -29,6 +29,7 @@ from rmesh_nlp.mpcc.lifting import Lifted
 from rmesh_nlp.mpcc.linearisation import Linearisation, Multipliers, lagrangian_gradient
 
 _NODE_LIMIT = 500
+_OPTIMAL, _INFEASIBLE = 0, 2  # words of linprog
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +92,7 @@ class _MultiplierProgram:
 
     def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float) -> None:
         self.lifted, self.lin = lifted, lin
+        self.decided = True
         n = lifted.nlp.n_x
         eye = sp.identity(n, format="csc")
         self.rows = np.flatnonzero(lin.row_lower | lin.row_upper)
@@ -155,7 +157,8 @@ class _MultiplierProgram:
             bounds=np.column_stack([lower, upper]),
             method="highs",
         )
-        return (self._multipliers(answer.x), float(answer.fun)) if answer.status == 0 else None
+        self.decided &= answer.status in (_OPTIMAL, _INFEASIBLE)
+        return (self._multipliers(answer.x), float(answer.fun)) if answer.status == _OPTIMAL else None
 
     def _multipliers(self, values: Array) -> Multipliers:
         s, lifted = self.sizes, self.lifted
@@ -178,12 +181,14 @@ _C_PIECES = ((-1, -1), (1, 1))
 def label(lifted: Lifted, lin: Linearisation, tolerance: float) -> Label:
     """Return the strongest of S, M, C, W for which multipliers exist; ``"none"`` if there are none at all.
 
+    A linear program that fails numerically decides nothing: the label is then weaker, or empty.
+
     ``tolerance`` is that of the Lagrangian gradient in units of ``max(1, |gradient f|)``.
     """
     program = _MultiplierProgram(lifted, lin, tolerance)
     weak = program.solve({})
     if weak is None:
-        return Label("none", None)
+        return Label("none" if program.decided else "", None)
     if weak[1] <= tolerance * lin.scale:
         return Label("S", weak[0])
     for name, pieces in (("M", _M_PIECES), ("C", _C_PIECES)):
