@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 from skfem import MeshTri
 
+from rmesh_nlp.checks import ProblemError, check
 from rmesh_nlp.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, on_points
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.geometry import signed_areas
 from rmesh_nlp.laws import Elastic, Laplace, Law, PlaneStrain, PlaneStress
 from rmesh_nlp.moves import Motion, Relative
 from rmesh_nlp.obstacle import NO_CONTACT, Obstacle, Place
@@ -33,6 +33,7 @@ __all__ = [
     "PlaneStrain",
     "PlaneStress",
     "PositionFunction",
+    "ProblemError",
     "Relative",
     "Traction",
     "at",
@@ -97,7 +98,7 @@ class ContactProblem:
 
     Raises
     ------
-    ValueError
+    ProblemError
         If a name is unknown, numbers of components disagree, held values contradict each
         other or are too few to hold the body, or a value is not finite.
     """
@@ -114,23 +115,7 @@ class ContactProblem:
     size: str = field(default="")
 
     def __post_init__(self) -> None:
-        _check_names(self)
-        _check_laws(self)
-        _check_components(self)
-        for node in self.motion.numbers:
-            if not 0 <= node < self.mesh.p.shape[1]:
-                raise ValueError(f"the motion names node {node}; nodes run to {self.mesh.p.shape[1] - 1}")
-        held, value = self.held()
-        _check_held(self, held)
-        _check_friction(self, held, value)
-        if self.obstacle.boundary is not Place.NOWHERE and self.contact_nodes.size == 0:
-            raise ValueError("no node of the contact set is free to move: it is held as a whole")
-        contact, where = self.contact_nodes, self.mesh.p[:, self.contact_nodes]
-        on_points(self.obstacle.offset, where, "the obstacle")
-        bound = on_points(self.obstacle.friction, where, "the friction bound")
-        if contact.size and not np.min(bound) >= 0:
-            node = contact[np.argmin(bound)]
-            raise ValueError(f"the friction bound must not be negative, got {np.min(bound)} at node {node}")
+        check(self)
 
     @property
     def laws(self) -> tuple[Law, ...]:
@@ -190,9 +175,10 @@ class ContactProblem:
                 clash = held[i, nodes] & (np.abs(value[i, nodes] - given) > 1e-12 * scale)
                 if np.any(clash):
                     k = int(np.flatnonzero(clash)[0])
-                    raise ValueError(
+                    raise ProblemError(
+                        "dirichlet",
                         f"{what} is {given[k]:.6g} at node {nodes[k]}, where another boundary gives "
-                        f"{value[i, nodes[k]]:.6g}"
+                        f"{value[i, nodes[k]]:.6g}",
                     )
                 held[i, nodes], value[i, nodes] = True, given
         return held, value
@@ -207,100 +193,3 @@ class ContactProblem:
         normal = np.array(self.obstacle.normal) != 0
         held, _ = self.held()
         return nodes[np.any(~held[:, nodes] & normal[:, None], axis=0)].astype(np.int64)
-
-
-def signed_areas(nodes: NDArray, triangles: NDArray) -> NDArray:
-    """Signed area of each triangle, positive if counter-clockwise.
-
-    ``nodes`` is (2, nodes), ``triangles`` (3, elements).
-    """
-    a, b, c = (nodes[:, vertex] for vertex in triangles)
-    return 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]))
-
-
-def _check_names(problem: ContactProblem) -> None:
-    mesh = problem.mesh
-    if type(mesh).__name__ != "MeshTri1":
-        raise ValueError(f"the mesh must be a skfem.MeshTri of first order, got {type(mesh).__name__}")
-    if not np.all(np.abs(signed_areas(mesh.p, mesh.t)) > 0):
-        bad = int(np.flatnonzero(~(np.abs(signed_areas(mesh.p, mesh.t)) > 0))[0])
-        raise ValueError(f"element {bad} of the mesh has no area")
-    if not problem.dirichlet:
-        raise ValueError("at least one boundary must be held (dirichlet), or the energy has no minimum")
-    known = sorted(mesh.boundaries or {})
-    used = [d if isinstance(d, str) else d.boundary for d in problem.dirichlet]
-    used += [*problem.motion.names, *(t.boundary for t in problem.tractions)]
-    if isinstance(problem.obstacle.boundary, str):
-        used.append(problem.obstacle.boundary)
-    for name in used:
-        if name not in known:
-            raise ValueError(f"the mesh has no boundary named {name!r}; it has {', '.join(known) or 'none'}")
-        if np.size(mesh.boundaries[name]) == 0:
-            raise ValueError(f"the boundary {name!r} of the mesh is empty")
-
-
-def _check_laws(problem: ContactProblem) -> None:
-    if not isinstance(problem.law, Mapping):
-        return
-    known = sorted(problem.mesh.subdomains or {})
-    count = np.zeros(problem.mesh.t.shape[1], dtype=int)
-    for name in problem.law:
-        if name not in known:
-            raise ValueError(f"the mesh has no subdomain named {name!r}; it has {', '.join(known) or 'none'}")
-        count[np.asarray(problem.mesh.subdomains[name])] += 1
-    if np.any(count != 1):
-        bad = int(np.flatnonzero(count != 1)[0])
-        raise ValueError(f"element {bad} of the mesh has {count[bad]} laws: every element needs exactly one")
-    if len({law.components for law in problem.laws}) != 1:
-        raise ValueError("the laws of the subdomains mix scalar and elastic problems")
-
-
-def _check_components(problem: ContactProblem) -> None:
-    n, obstacle = problem.components, problem.obstacle
-    if obstacle.boundary is not Place.NOWHERE and len(obstacle.normal) != n:
-        raise ValueError(
-            f"the contact normal {obstacle.normal} has {len(obstacle.normal)} components, "
-            f"the displacement has {n}"
-        )
-    for traction in problem.tractions:
-        if len(traction.value) != n:
-            raise ValueError(f"traction {traction.value} on {traction.boundary!r} needs {n} values")
-    for support in problem.supports:
-        if len(support.value) != n:
-            raise ValueError(
-                f"the displacement {support.value} given on {support.boundary!r} needs {n} values"
-            )
-
-
-def _check_friction(problem: ContactProblem, held: NDArray[np.bool_], value: Array) -> None:
-    """With friction a contact node may be held along the tangent at zero, and not otherwise."""
-    if not problem.frictional:
-        return
-    nodes = problem.contact_nodes
-    oblique = np.all(np.array(problem.obstacle.normal) != 0)
-    bad = nodes[np.any(held[:, nodes] & (oblique | (value[:, nodes] != 0)), axis=0)]
-    if bad.size:
-        raise ValueError(
-            f"contact node {bad[0]} has friction and one given displacement component: with friction it must "
-            "be zero and along the tangent"
-        )
-
-
-def _check_held(problem: ContactProblem, held: NDArray[np.bool_]) -> None:
-    """Every connected part of the mesh must be held against all rigid motions."""
-    mesh = problem.mesh
-    n_nodes = mesh.p.shape[1]
-    edges = sp.coo_array((np.ones(mesh.facets.shape[1]), tuple(mesh.facets)), shape=(n_nodes, n_nodes))
-    _, part = connected_components(edges, directed=False)
-    for number in np.unique(part[mesh.t[0]]):
-        nodes = np.flatnonzero(part == number)
-        x, y = mesh.p[:, nodes] - mesh.p[:, nodes].mean(axis=1, keepdims=True)
-        one, zero = np.ones(nodes.size), np.zeros(nodes.size)
-        size = max(float(np.max(np.abs([x, y]))), 1e-300)
-        modes = [[one]] if problem.components == 1 else [[one, zero], [zero, one], [-y / size, x / size]]
-        rows = np.array([np.concatenate(mode)[held[:, nodes].ravel()] for mode in modes])
-        if np.linalg.matrix_rank(rows, tol=1e-9) < len(modes):
-            raise ValueError(
-                f"the part of the mesh with node {nodes[0]} can still move as a rigid body: the given "
-                "displacements must prevent it, contact alone does not"
-            )

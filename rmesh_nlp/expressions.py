@@ -1,0 +1,161 @@
+"""Functions of position written as text, such as ``sin(2*pi*x)*y``.
+
+The text is parsed by Python's own parser and then walked: only numbers, ``x``, ``y``, ``pi``,
+arithmetic, comparisons and the functions listed here are let through. Nothing is ever evaluated
+as Python, so a problem file from a stranger can do no harm.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import itertools
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+LONGEST = 1000
+"""Characters that an expression may have."""
+
+EQUAL = 1e-9
+"""Numbers that differ by no more than this are equal to ``==``."""
+
+NAMES = ("x", "y", "pi")
+
+FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
+    "sin": (ca.sin, 1),
+    "cos": (ca.cos, 1),
+    "tan": (ca.tan, 1),
+    "asin": (ca.asin, 1),
+    "acos": (ca.acos, 1),
+    "atan": (ca.atan, 1),
+    "atan2": (ca.atan2, 2),
+    "sinh": (ca.sinh, 1),
+    "cosh": (ca.cosh, 1),
+    "tanh": (ca.tanh, 1),
+    "exp": (ca.exp, 1),
+    "log": (ca.log, 1),
+    "sqrt": (ca.sqrt, 1),
+    "abs": (ca.fabs, 1),
+    "min": (ca.fmin, 2),
+    "max": (ca.fmax, 2),
+    "hypot": (lambda a, b: ca.sqrt(a * a + b * b), 2),
+    "where": (lambda condition, a, b: ca.if_else(condition, a, b), 3),
+}
+"""Name, and number of arguments, of every function that may be used."""
+
+_OPERATORS: dict[type, Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+    ast.Not: ca.logic_not,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: lambda a, b: ca.fabs(a - b) <= EQUAL,
+    ast.NotEq: lambda a, b: ca.fabs(a - b) > EQUAL,
+}
+
+
+class Expression:
+    """A function of position (x, y), read from text.
+
+    Parameters
+    ----------
+    text : str
+
+    Raises
+    ------
+    ValueError
+        If the text is not one of the expressions allowed; the message says what is not.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        if len(text) > LONGEST:
+            raise ValueError(f"an expression of {len(text)} characters is too long ({LONGEST} are allowed)")
+        try:
+            tree = ast.parse(text.strip(), mode="eval")
+            x, y = ca.SX.sym("x"), ca.SX.sym("y")
+            value = _walk(tree.body, {"x": x, "y": y, "pi": ca.SX(np.pi)})
+        except (SyntaxError, RecursionError, MemoryError) as error:
+            raise ValueError(f"{text[:60]!r} is not an expression of x and y") from error
+        self._function = ca.Function("expression", [x, y], [value])
+        self.is_constant = not bool(ca.depends_on(value, ca.vertcat(x, y)))
+
+    def __call__(self, x: Any, y: Any) -> Any:
+        """Value at a point: CasADi symbols or numbers."""
+        return self._function(x, y)
+
+    def on(self, points: NDArray) -> NDArray[np.float64]:
+        """Values at ``points`` (2, points)."""
+        if points.shape[1] == 0:
+            return np.zeros(0)
+        value = self._function(ca.DM(points[0]).T, ca.DM(points[1]).T)
+        return np.asarray(value.full(), dtype=float).ravel()
+
+    def __repr__(self) -> str:
+        return f"Expression({self.text!r})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Expression) and other.text == self.text
+
+    def __hash__(self) -> int:
+        return hash(self.text)
+
+
+def _walk(node: ast.AST, names: dict[str, Any]) -> Any:
+    """Value of a syntax tree as a CasADi expression."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
+        # a bool is an int to Python; whole numbers as floats, so that 9**9**9 cannot fill the memory
+        if not isinstance(node.value, bool) and abs(node.value) <= 1e300:
+            return ca.SX(float(node.value))
+    elif isinstance(node, ast.Name):
+        if node.id in names:
+            return names[node.id]
+        raise ValueError(f"unknown name {node.id!r}{_nearest(node.id, (*NAMES, *FUNCTIONS))}")
+    elif isinstance(node, (ast.BinOp, ast.UnaryOp)) and type(node.op) in _OPERATORS:
+        operands = (node.left, node.right) if isinstance(node, ast.BinOp) else (node.operand,)
+        return _OPERATORS[type(node.op)](*(_walk(operand, names) for operand in operands))
+    elif isinstance(node, ast.BoolOp):
+        combine = ca.logic_and if isinstance(node.op, ast.And) else ca.logic_or
+        return _chain(combine, [_walk(value, names) for value in node.values])
+    elif isinstance(node, ast.Compare) and all(type(op) in _OPERATORS for op in node.ops):
+        sides = [_walk(side, names) for side in (node.left, *node.comparators)]
+        tests = [
+            _OPERATORS[type(op)](*pair) for op, pair in zip(node.ops, itertools.pairwise(sides), strict=True)
+        ]
+        return _chain(ca.logic_and, tests)
+    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+        return _call(node, node.func.id, names)
+    raise ValueError(f"{ast.unparse(node)[:60]!r} is not allowed in an expression")
+
+
+def _call(node: ast.Call, name: str, names: dict[str, Any]) -> Any:
+    if name not in FUNCTIONS:
+        raise ValueError(f"unknown function {name!r}{_nearest(name, tuple(FUNCTIONS))}")
+    function, arity = FUNCTIONS[name]
+    if len(node.args) != arity:
+        raise ValueError(f"{name} takes {arity} argument{'s' * (arity > 1)}, got {len(node.args)}")
+    return function(*(_walk(argument, names) for argument in node.args))
+
+
+def _chain(combine: Callable[[Any, Any], Any], values: list[Any]) -> Any:
+    result = values[0]
+    for value in values[1:]:
+        result = combine(result, value)
+    return result
+
+
+def _nearest(name: str, known: tuple[str, ...]) -> str:
+    close = difflib.get_close_matches(name, known, n=1)
+    return f", did you mean {close[0]!r}?" if close else f": choose from {', '.join(known)}"
