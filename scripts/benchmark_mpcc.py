@@ -135,12 +135,9 @@ def print_summary(rows: list[Row], plain: bool) -> None:
     ours, theirs = sum(row.seconds for row in rows), sum(row.plain_seconds for row in rows)
     successes = [row.result for row in rows if row.result.success]
     print(f"\n{len(reached)} of {len(rows)} within {REACHED:g} of the target, {len(successes)} successes")
-    print(
-        f"largest min(|G|,|H|) of a success: {max((r.complementarity for r in successes), default=0.0):.1e}"
-    )
-    print(
-        f"largest violation of a success:    {max((r.constraint_violation for r in successes), default=0.0):.1e}"
-    )
+    for name in ("complementarity", "constraint_violation"):
+        worst = max((getattr(result, name) for result in successes), default=0.0)
+        print(f"largest {name} of a success: {worst:.1e}")
     for row in rows:
         if row.error > REACHED:
             print(f"not at the target: {row.name} (target {row.target:.7g}): {row.result}")

@@ -45,9 +45,9 @@ class Options:
         A name in ``RELAXATIONS``.
     t0, factor, t_final : float
         Homotopy: t starts at ``t0`` and is multiplied by ``factor`` down to ``t_final``.
-    rescue_t0 : float
-        Start of the second homotopy, tried when the first gives no stationary point, and of a third with the
-        l1 penalty (elastic mode) when the second does not either.
+    rescue_t0 : tuple of float
+        Starts of further homotopies, tried in turn while no stationary point is found: first milder, then
+        close to the start. The last resort is the l1 penalty (elastic mode) from the first of them.
     crossover : float
         The exact finish is tried from the first ``t <= crossover`` at which the sides of all
         pairs are those of the step before, and anyway at ``t_final``.
@@ -72,7 +72,7 @@ class Options:
     t0: float = 10.0
     factor: float = 1e-3
     t_final: float = 1e-8
-    rescue_t0: float = 1.0
+    rescue_t0: tuple[float, ...] = (1.0, 1e-3)
     crossover: float = 1e-2
     warm_duals: bool = False
     feasibility: float = 1e-8
@@ -84,9 +84,11 @@ class Options:
     ipopt_exact: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("t0", "t_final", "rescue_t0", "crossover"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise ValueError(f"{name} = {getattr(self, name)} must be positive and finite")
+        positive = {name: getattr(self, name) for name in ("t0", "t_final", "crossover")}
+        positive.update({f"rescue_t0[{i}]": t for i, t in enumerate(self.rescue_t0)})
+        for name, value in positive.items():
+            if not 0 < value < float("inf"):
+                raise ValueError(f"{name} = {value} must be positive and finite")
         if not 0 < self.factor < 1:
             raise ValueError(f"factor = {self.factor} must lie between 0 and 1")
         if self.t_final > self.t0:

@@ -53,14 +53,12 @@ class MPCCSolver:
         build = self.programs.build_seconds - built
         return _result(self.programs, paths, parameters, log, build, total)
 
-    def _attempts(self) -> tuple[tuple[str, float], ...]:
-        """The homotopy asked for, the same from a second t0, and the elastic mode as the last resort."""
+    def _attempts(self) -> list[tuple[str, float]]:
+        """The homotopy asked for, the same from other t0, and the elastic mode as the last resort."""
         options = self.options
-        return (
-            (options.relaxation, options.t0),
-            (options.relaxation, options.rescue_t0),
-            ("l1-penalty", options.rescue_t0),
-        )
+        starts = [(options.relaxation, t0) for t0 in (options.t0, *options.rescue_t0)]
+        elastic = [("l1-penalty", t0) for t0 in options.rescue_t0[:1] if options.relaxation != "l1-penalty"]
+        return starts + elastic
 
 
 def solve(
