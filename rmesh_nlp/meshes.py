@@ -76,6 +76,15 @@ def from_arrays(
     return _named(mesh, boundaries or {}, subdomains or {}, number)
 
 
+def named(
+    mesh: MeshTri,
+    boundaries: Mapping[str, Any] | None = None,
+    subdomains: Mapping[str, Any] | None = None,
+) -> MeshTri:
+    """The mesh with further names, given as in :func:`from_arrays`."""
+    return _named(mesh, boundaries or {}, subdomains or {}, np.arange(mesh.p.shape[1]))
+
+
 def read_mesh(path: str | Path) -> MeshTri:
     """A mesh from any file that meshio reads.
 

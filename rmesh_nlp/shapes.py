@@ -18,6 +18,9 @@ from rmesh_nlp.meshes import from_arrays, read_mesh
 
 DIAGONALS = ("rising", "falling")
 
+LARGEST = 1e6
+"""Triangles that a shape may have."""
+
 
 def rectangle(
     nx: int,
@@ -36,6 +39,7 @@ def rectangle(
             raise ValueError(f"{name} must be a whole number of at least 1, got {n!r}")
     _increasing("x", x)
     _increasing("y", y)
+    _affordable(2 * nx * ny)
     if diagonal not in DIAGONALS:
         raise ValueError(f"diagonal must be one of {', '.join(DIAGONALS)}, got {diagonal!r}")
     px, py = np.meshgrid(np.linspace(*x, nx + 1), np.linspace(*y, ny + 1), indexing="ij")
@@ -59,6 +63,7 @@ def l_shape(h: float, *, size: float = 1.0) -> MeshTri:
     re-entrant corner at the origin) and ``outer``. ``h`` is the target edge length.
     """  # noqa: D205
     _positive(h=h, size=size)
+    _affordable(2.3 * 3 * (size / h) ** 2)
     s = size
     points = [(0, 0), (s, 0), (s, s), (-s, s), (-s, -s), (0, -s)]
     return _polygon(points, h, {"corner": [0, 5], "outer": [1, 2, 3, 4]})
@@ -69,6 +74,7 @@ def plate_with_hole(h: float, *, size: float = 10.0, radius: float = 2.5) -> Mes
     _positive(h=h, size=size, radius=radius)
     if not radius < size / 2:
         raise ValueError(f"the hole of radius {radius} does not fit into a square of side {size}")
+    _affordable(2.3 * (size / h) ** 2)
 
     def draw(gmsh: Any) -> None:
         geo = gmsh.model.geo
@@ -97,6 +103,7 @@ def half_disc(h: float, *, radius: float = 1.0, contact: float = 0.1, h_contact:
     _positive(h=h, radius=radius, contact=contact, h_contact=h_contact)
     if not contact < radius:
         raise ValueError(f"the contact half-length {contact} must be smaller than the radius {radius}")
+    _affordable(2.3 * ((radius / h) ** 2 + (contact / h_contact) ** 2))
 
     def draw(gmsh: Any) -> None:
         geo = gmsh.model.geo
@@ -126,6 +133,7 @@ def wedge_block(h: float, *, width: float = 4.0, height: float = 1.0, rise: floa
     _positive(h=h, width=width, height=height)
     if not 0 <= rise < height:
         raise ValueError(f"the rise {rise} must be at least 0 and smaller than the height {height}")
+    _affordable(2.3 * width * height / h**2)
     points = [(0, rise), (width / 2, 0), (width, rise), (width, height), (0, height)]
     return _polygon(points, h, {"wedge": [0, 1], "right": [2], "top": [3], "left": [4]})
 
@@ -141,6 +149,7 @@ def polygon(
     _positive(h=h)
     if len(points) < 3 or not np.all(np.isfinite(points)):
         raise ValueError(f"a polygon needs 3 or more finite points, got {points}")
+    _affordable(2.3 * float(np.prod(np.ptp(points, axis=0))) / h**2)
     names = boundaries or {f"edge-{i}": [i] for i in range(len(points))}
     for name, edges in names.items():
         for edge in edges:
@@ -186,8 +195,17 @@ def _with_gmsh(draw: Callable[[Any], None]) -> MeshTri:
             path = Path(folder) / "shape.msh"
             gmsh.write(str(path))
             return read_mesh(path)
+    except ValueError:
+        raise
+    except Exception as error:  # gmsh raises bare Exceptions
+        raise ValueError(f"gmsh cannot mesh this shape: {error}") from error
     finally:
         gmsh.finalize()
+
+
+def _affordable(triangles: float) -> None:
+    if triangles > LARGEST:
+        raise ValueError(f"this would be a mesh of about {triangles:.0e} triangles, more than {LARGEST:.0e}")
 
 
 def _positive(**values: float) -> None:
