@@ -1,0 +1,224 @@
+"""The command ``rmesh``: options and their help; the work is done in :mod:`rmesh_nlp.commands`."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Any
+
+import typer
+from typer.main import get_command
+
+from rmesh_nlp import __version__
+from rmesh_nlp.errors import BadInput
+from rmesh_nlp.inputs import parse_delta, parse_names, parse_quadrature, parse_size
+from rmesh_nlp.interrupts import EXIT_CODE as INTERRUPTED
+
+BAD_INPUT = 2
+
+# typer brings its own click, or uses the installed one: its exceptions are found either way
+UsageError = typer.BadParameter.__mro__[1]
+ClickException: Any = UsageError.__mro__[1]
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+Size = Annotated[
+    str | None,
+    typer.Option(
+        "--n", metavar="SIZE", help="Squares per side, 8, or columns by rows, 12x6. Default: the paper's."
+    ),
+]
+Delta = Annotated[
+    str | None,
+    typer.Option(
+        "--delta",
+        metavar="D[,D]",
+        help="Half-width of the boxes in which nodes move, or two, along x and y. "
+        "Default: the paper's, scaled with the mesh width.",
+    ),
+]
+Seed = Annotated[
+    int | None,
+    typer.Option("--seed", min=0, help="Start from random node positions instead of the given mesh."),
+]
+Quadrature = Annotated[
+    str,
+    typer.Option("--quadrature", metavar="RULE", help="Rule for the load: midpoint, or a degree such as 6."),
+]
+Objective = Annotated[
+    str | None,
+    typer.Option(
+        "--objective",
+        metavar="TERMS",
+        help="Outer objective: energy (default), error-energy, error-l2, error-h1, contact, quality, "
+        "or a sum such as error-l2+0.01*quality.",
+    ),
+]
+Relaxation = Annotated[
+    str | None,
+    typer.Option(
+        "--relaxation", metavar="NAME", help="Relaxation of complementarity in mpcc; scholtes by default."
+    ),
+]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve or compare wrote.")]
+
+
+def _commands() -> ModuleType:
+    """The module that does the work, loaded only when a command runs: it brings CasADi and all."""
+    return importlib.import_module("rmesh_nlp.commands")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"rmesh {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _rmesh(
+    context: typer.Context,
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and leave."),
+    ] = False,
+) -> None:
+    """Relocate the nodes of finite-element meshes for contact problems.
+
+    \b
+    rmesh compare                                     all examples, all strategies
+    rmesh solve 6.1 --formulation joint --n 16        one solve
+    rmesh table results                               tables again, without solving
+    rmesh figures results                             figures again, without solving
+
+    Exit code: 0 if every requested solve succeeded, 1 if one did not, 2 for bad input,
+    130 after Ctrl-C.
+    """
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@app.command()
+def solve(
+    example: Annotated[str, typer.Argument(help="6.1, 6.2 or 6.3.")],
+    formulation: Annotated[
+        str,
+        typer.Option("--formulation", "-f", help="fixed, nested, joint, mpcc, or one that you installed."),
+    ] = "joint",
+    n: Size = None,
+    delta: Delta = None,
+    seed: Seed = None,
+    quadrature: Quadrature = "midpoint",
+    objective: Objective = None,
+    relaxation: Relaxation = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
+    ] = None,
+) -> None:
+    """Solve one example by one strategy: DIR/record.json, solution.vtu, history.csv.
+
+    \b
+    rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
+    rmesh solve 6.2 --n 12x6 --delta 0.15667,0.07333
+    rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
+    """
+    settings = _settings(n, delta, quadrature, seed, objective, relaxation)
+    raise typer.Exit(_commands().solve(example, formulation, settings, out))
+
+
+@app.command()
+def compare(
+    examples: Annotated[list[str] | None, typer.Argument(help="Examples; all three by default.")] = None,
+    formulations: Annotated[
+        str, typer.Option("--formulations", metavar="NAMES", help="Strategies, separated by commas.")
+    ] = "fixed,nested,joint,mpcc",
+    n: Size = None,
+    delta: Delta = None,
+    seed: Seed = None,
+    quadrature: Quadrature = "midpoint",
+    objective: Objective = None,
+    relaxation: Relaxation = None,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("results"),
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
+    ] = False,
+) -> None:
+    """Solve examples by several strategies; records, tables and figures in DIR.
+
+    An option goes to those strategies that take it. What an earlier run left in DIR is moved to
+    DIR/previous when the first solve has ended.
+
+    \b
+    rmesh compare
+    rmesh compare 6.1 --formulations fixed,nested,joint --n 16 --out fine
+    rmesh compare --out results --resume
+    """
+    settings = _settings(n, delta, quadrature, seed, objective, relaxation)
+    names = tuple(dict.fromkeys(examples or ()))
+    raise typer.Exit(
+        _commands().compare(names, parse_names("--formulations", formulations), settings, out, resume)
+    )
+
+
+@app.command()
+def table(folder: Folder) -> None:
+    """Make the tables of DIR again from its records: table.md, table.tex, table.csv.
+
+    \b
+    rmesh table results
+    """
+    _commands().table(folder)
+
+
+@app.command()
+def figures(folder: Folder) -> None:
+    """Make the figures of DIR again, PNG and PDF, in DIR/figures.
+
+    \b
+    rmesh figures results
+    """
+    _commands().figures(folder)
+
+
+def _settings(
+    n: str | None,
+    delta: str | None,
+    quadrature: str,
+    seed: int | None,
+    objective: str | None,
+    relaxation: str | None,
+) -> dict[str, Any]:
+    """Keyword arguments of :func:`rmesh_nlp.campaign.make_cases`."""
+    options = {"seed": seed, "objective": objective, "relaxation": relaxation}
+    return {
+        "n": None if n is None else parse_size(n),
+        "delta": None if delta is None else parse_delta(delta),
+        "quadrature": parse_quadrature(quadrature),
+        "options": {name: value for name, value in options.items() if value is not None},
+    }
+
+
+def run(arguments: list[str]) -> int:
+    """Run the command line and return its exit code; what is wrong is said in one line on stderr."""
+    command: Any = get_command(app)
+    try:
+        return int(command.main(args=arguments, prog_name="rmesh", standalone_mode=False) or 0)
+    except ClickException as error:
+        return _complain(" ".join(error.format_message().split()))
+    except (BadInput, OSError) as error:
+        return _complain(str(error))
+    except (KeyboardInterrupt, typer.Abort):
+        print("rmesh: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _complain(message: str) -> int:
+    print(f"rmesh: error: {message}", file=sys.stderr)
+    return BAD_INPUT
+
+
+def main() -> None:
+    """Entry point of ``rmesh``."""
+    sys.exit(run(sys.argv[1:]))

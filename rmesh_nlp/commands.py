@@ -1,0 +1,100 @@
+"""What the commands of ``rmesh`` do, with everything heavy loaded; see :mod:`rmesh_nlp.cli`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rmesh_nlp import campaign
+from rmesh_nlp.errors import BadInput
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.interrupts import leaving_on_interrupt
+from rmesh_nlp.progress import CampaignProgress
+from rmesh_nlp.report.figures import write_figures
+from rmesh_nlp.report.tables import write_tables
+from rmesh_nlp.results import Results, read_results, single_result, to_json, write_whole
+
+SUCCESS, NO_SUCCESS = 0, 1
+
+
+def solve(example: str, formulation: str, settings: Mapping[str, Any], out: Path | None) -> int:
+    """One solve; returns the exit code."""
+    (case,) = campaign.make_cases([example], [formulation], **settings)
+    folder = _writable(Path("results") / case.key if out is None else out)
+    with CampaignProgress(1) as progress:
+        progress.start(case)
+        with leaving_on_interrupt(lambda: _farewell(progress, "nothing was written")):
+            outcome = campaign.solve(case, progress.step)
+        if outcome.record["status"] == "refused":
+            raise BadInput(outcome.record["message"])
+        campaign.save(outcome, single_result(folder, outcome.record))
+        text = to_json(outcome.record, indent=2) + "\n"
+        write_whole(folder / "record.json", lambda path: path.write_text(text))
+        progress.finish(outcome.record)
+    names = [name for name in ("record.json", "solution.vtu", "history.csv") if (folder / name).exists()]
+    print("wrote", ", ".join(str(folder / name) for name in names))
+    return SUCCESS if outcome.record["success"] else NO_SUCCESS
+
+
+def compare(
+    examples: Sequence[str],
+    formulations: Sequence[str],
+    settings: Mapping[str, Any],
+    out: Path,
+    resume: bool,
+) -> int:
+    """Many solves, tables and figures; returns the exit code."""
+    cases = campaign.make_cases(examples or list(EXAMPLES), formulations, **settings)
+    results = Results(_writable(out))
+    records = []
+    with CampaignProgress(len(cases)) as progress:
+
+        def farewell() -> None:
+            kept = f"{len(records)} of {len(cases)} solves are kept in {out}"
+            _farewell(progress, f"{kept}; --resume goes on, rmesh table and rmesh figures show them")
+
+        rows = campaign.run(
+            cases,
+            results,
+            resume=resume,
+            guard=lambda: leaving_on_interrupt(farewell),
+            on_start=progress.start,
+            on_step=progress.step,
+        )
+        for record in rows:
+            records.append(record)
+            progress.finish(record)
+    table(out)
+    figures(out)
+    return SUCCESS if all(record["success"] for record in records) else NO_SUCCESS
+
+
+def table(folder: Path) -> None:
+    """Write the tables of a folder and print the Markdown one."""
+    results = read_results(folder)
+    print(write_tables([result.record for result in results], folder), end="")
+
+
+def figures(folder: Path) -> None:
+    """Write the figures of a folder and say where they are."""
+    paths = write_figures(read_results(folder), folder / "figures")
+    print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
+
+
+def _farewell(progress: CampaignProgress, text: str) -> None:
+    progress.stop()
+    print(f"rmesh: interrupted: {text}", file=sys.stderr)
+
+
+def _writable(folder: Path) -> Path:
+    """The folder, made if need be, before time is spent on solving."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"cannot write to {str(folder)!r}: {error.strerror}") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise BadInput(f"cannot write to {str(folder)!r}: permission denied")
+    return folder

@@ -1,0 +1,92 @@
+"""Records grouped by what was solved, for tables and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rmesh_nlp.examples import PAPER, PaperValues
+from rmesh_nlp.results import Record
+
+DEFAULT_RELAXATION = "scholtes"
+RELOCATING_NOTHING = "fixed"
+"""The strategy whose solution is that of the initial grid."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Records of one example on one grid with one box, rule and outer objective.
+
+    Attributes
+    ----------
+    records : tuple of Record
+        In the order in which they were solved.
+    """
+
+    records: tuple[Record, ...]
+
+    @property
+    def example(self) -> str:
+        """Name of the example."""
+        return str(self.records[0]["example"])
+
+    @property
+    def title(self) -> str:
+        """The settings in words."""
+        record = self.records[0]
+        parts = [f"n = {record['n']}", f"delta = {delta_text(record['delta'])}"]
+        rule = record.get("quadrature", "midpoint")
+        parts.append("midpoint rule" if rule == "midpoint" else f"rule of degree {rule}")
+        return f"Example {self.example}: " + ", ".join(parts)
+
+    @property
+    def succeeded(self) -> tuple[Record, ...]:
+        """Records of successful solves."""
+        return tuple(record for record in self.records if record["success"])
+
+    @property
+    def best(self) -> Record | None:
+        """The successful record with the lowest energy."""
+        return min(self.succeeded, key=lambda record: record["energy"], default=None)
+
+    @property
+    def paper(self) -> PaperValues | None:
+        """The paper's values, if the settings are the paper's."""
+        paper, record = PAPER.get(self.example), self.records[0]
+        if paper is None or record["delta"] != list(paper.delta):
+            return None
+        sizes = (f"{paper.size[0]}x{paper.size[1]}", f"{paper.size[0]}")
+        square = paper.size[0] == paper.size[1]
+        same = record["n"] in (sizes if square else sizes[:1])
+        return paper if same and record.get("quadrature", "midpoint") == "midpoint" else None
+
+
+def blocks(records: Sequence[Record]) -> list[Block]:
+    """The records grouped, in the order of their first appearance."""
+    groups: dict[tuple[Any, ...], list[Record]] = {}
+    for record in records:
+        key = (record["example"], record["n"], str(record["delta"]), record.get("quadrature", "midpoint"))
+        groups.setdefault(key, []).append(record)
+    return [Block(tuple(group)) for group in groups.values()]
+
+
+def label(record: Record) -> str:
+    """The strategy, with what sets a row apart from the default."""
+    parts = [str(record["formulation"])]
+    if record.get("relaxation", DEFAULT_RELAXATION) != DEFAULT_RELAXATION:
+        parts.append(str(record["relaxation"]))
+    if record["objective"] != "energy":
+        parts.append(str(record["objective"]))
+    if record["seed"] is not None:
+        parts.append(f"seed {record['seed']}")
+    return ", ".join(parts)
+
+
+def delta_text(delta: Any) -> str:
+    """Half-widths as text, once if both are the same."""
+    if delta is None:
+        return "none"
+    if isinstance(delta, dict):
+        return f"{delta['relative']} x shortest edge"
+    return f"{delta[0]:.6g}" if delta[0] == delta[1] else f"{delta[0]:.6g} x {delta[1]:.6g}"

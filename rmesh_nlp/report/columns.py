@@ -1,0 +1,120 @@
+"""Columns of the tables: what stands in a cell, and with how many digits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from rmesh_nlp.examples import PaperValues
+from rmesh_nlp.report.blocks import Block, label
+from rmesh_nlp.results import Record
+
+MISSING = "-"
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column.
+
+    Attributes
+    ----------
+    head, tex : str
+        Heading in plain text and in LaTeX.
+    cell : callable
+        The text of a record's cell.
+    """
+
+    head: str
+    tex: str
+    cell: Callable[[Record], str]
+
+
+def _number(name: str, form: str) -> Callable[[Record], str]:
+    def cell(record: Record) -> str:
+        value = record.get(name)
+        return MISSING if value is None else format(value, form)
+
+    return cell
+
+
+def _text(name: str) -> Callable[[Record], str]:
+    return lambda record: str(record.get(name) or MISSING)
+
+
+def contact_units(record: Record) -> float | None:
+    """Wall time over the time of one contact solve measured in the same run."""
+    seconds, unit = record.get("wall_time_s"), record.get("contact_time_s")
+    return seconds / unit if seconds is not None and unit else None
+
+
+def _in_contact_solves(record: Record) -> str:
+    units = contact_units(record)
+    return MISSING if units is None else f"{units:.3g}" if units < 100 else f"{units:.0f}"
+
+
+STRATEGY = Column("strategy", "strategy", label)
+
+ENERGIES = (
+    STRATEGY,
+    Column("J initial", r"$J$ initial", _number("energy_initial", ".6f")),
+    Column("J final", r"$J$ final", _number("energy", ".6f")),
+    Column("J audited", r"$J$ audited", _number("energy_audited", ".6f")),
+    Column("gain", "gain", _number("gain", ".6f")),
+    Column("u min", r"$u_{\min}$", _number("u_min", ".4g")),
+    Column("u max", r"$u_{\max}$", _number("u_max", ".4g")),
+    Column("least area", "least area", _number("min_area_ratio", ".3f")),
+)
+"""Energies, extremes of the displacement, least element area over its initial one."""
+
+COSTS = (
+    STRATEGY,
+    Column("iterations", "iter.", _number("iterations", "d")),
+    Column("contact solves", r"\shortstack[r]{contact\\solves}", _number("contact_solves", "d")),
+    Column("time [s]", "time [s]", _number("wall_time_s", ".3g")),
+    Column("time [solves]", "time [solves]", _in_contact_solves),
+    Column("equilibrium", "equilibrium", _number("equilibrium_residual", ".1e")),
+    Column("complementarity", "complementarity", _number("complementarity_residual", ".1e")),
+    Column("stationarity", "stationarity", _number("stationarity_residual", ".1e")),
+    Column("label", "label", _text("stationarity")),
+    Column("status", "status", _text("status")),
+)
+"""Work, residuals, stationarity and status."""
+
+OBJECTIVES = (
+    STRATEGY,
+    Column("objective", "objective", _text("objective")),
+    Column("initial", "initial", _number("objective_initial", ".6e")),
+    Column("final", "final", _number("objective_value", ".6e")),
+    Column("biactive", "biactive", lambda record: _count(record.get("biactive_nodes"))),
+    Column("label", "label", _text("stationarity")),
+    Column("status", "status", _text("status")),
+)
+"""Outer objectives other than the energy."""
+
+
+def _count(values: Any) -> str:
+    return MISSING if values is None else str(len(values))
+
+
+def body(columns: tuple[Column, ...], block: Block) -> list[list[str]]:
+    """The rows of a block, those of the paper first where its settings were used."""
+    rows = [[column.cell(record) for column in columns] for record in block.records]
+    if columns is ENERGIES and block.paper is not None:
+        rows = [*_paper_rows(block.paper), *rows]
+    return rows
+
+
+def _paper_rows(paper: PaperValues) -> list[list[str]]:
+    gain = paper.energy_initial - paper.energy_final
+    before = [f"{paper.energy_initial:.4f}", "", "", ""]
+    after = [f"{paper.energy_initial:.4f}", f"{paper.energy_final:.4f}", "", f"{gain:.4f}"]
+    rows = [
+        ["paper, given grid", *before, _optional(paper.u_min_initial), _optional(paper.u_max_initial), ""],
+        ["paper, relocated", *after, _optional(paper.u_min_final), _optional(paper.u_max_final), ""],
+    ]
+    return [[cell or MISSING for cell in row] for row in rows]
+
+
+def _optional(value: float | None) -> str:
+    return "" if value is None else f"{value:.4f}"

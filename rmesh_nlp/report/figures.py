@@ -1,0 +1,79 @@
+"""Results to figures like 6.1 to 6.10 of the paper, PNG and PDF; nothing is solved here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from xml.etree.ElementTree import ParseError
+
+import meshio
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from rmesh_nlp.errors import BadInput
+from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, label
+from rmesh_nlp.report.convergence import convergence_figure, curve
+from rmesh_nlp.report.grids import grid_figure, surface_figure
+from rmesh_nlp.report.stresses import stress_figure
+from rmesh_nlp.report.style import SETTINGS, save
+from rmesh_nlp.results import Result
+from rmesh_nlp.vtu import Fields, read_vtu
+
+GIVEN = "given grid"
+
+
+def write_figures(results: Sequence[Result], folder: Path) -> list[Path]:
+    """Draw everything that the results hold and return the files.
+
+    Raises
+    ------
+    BadInput
+        If the fields of a solution cannot be read.
+    """
+    by_record = {id(result.record): result for result in results}
+    paths: list[Path] = []
+    for block in blocks([result.record for result in results]):
+        for name, figure in block_figures(block, [by_record[id(record)] for record in block.records]):
+            paths += save(figure, folder / _unused(name, paths))
+    return paths
+
+
+def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str, Figure]]:
+    """Names and figures of one block: grids, stresses, convergence, and a surface if scalar.
+
+    Strategies are compared with the solution of ``fixed``; without it, what would show the
+    given grid is left out.
+    """
+    drawn = [(result.record, _fields(result)) for result in results if result.record["energy"] is not None]
+    stem = f"{block.example}-{block.records[0]['n']}"
+    given = {GIVEN: field for record, field in drawn if record["formulation"] == RELOCATING_NOTHING}
+    moved = [(record, field) for record, field in drawn if record["formulation"] != RELOCATING_NOTHING]
+    named = {label(record): field for record, field in moved}
+    with rc_context(SETTINGS):
+        for record, field in moved:
+            panels = {**given, f"relocated by {label(record)}": field}
+            yield f"{record.get('key', stem)}-grid", grid_figure(panels)
+        if given and not moved:
+            yield f"{stem}-grid", grid_figure(given)
+        if drawn and drawn[0][1].contact.any():
+            yield f"{stem}-stress", stress_figure({**given, **named})
+        if drawn and drawn[0][1].displacement.shape[0] == 1:
+            best = {f"relocated by {label(r)}": f for r, f in moved if r is block.best}
+            yield f"{stem}-surface", surface_figure({**given, **best} or named)
+        curves = [one for one in map(curve, results) if one is not None]
+        if curves and block.best is not None:
+            yield f"{stem}-convergence", convergence_figure(curves, block.best)
+
+
+def _fields(result: Result) -> Fields:
+    try:
+        return read_vtu(result.vtu)
+    except (OSError, KeyError, ParseError, meshio.ReadError) as error:
+        raise BadInput(f"cannot read the fields of a solution from {result.vtu}: {error}") from error
+
+
+def _unused(name: str, paths: Sequence[Path]) -> str:
+    """The name, numbered if an earlier figure has it."""
+    taken = {path.stem for path in paths}
+    candidates = [name, *(f"{name}-{number}" for number in range(2, len(paths) + 3))]
+    return next(candidate for candidate in candidates if candidate not in taken)

@@ -1,0 +1,90 @@
+"""What stands below a table: which printed values of the paper are met, and what failed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from rmesh_nlp.examples import PaperValues
+from rmesh_nlp.report.blocks import Block, blocks, label
+from rmesh_nlp.results import Record
+
+PRINTED_DIGITS = 4
+"""Decimals of the paper's figures; it truncates, so that -1.124602 is printed as -1.1246."""
+
+LEGEND = (
+    "J is the energy with the example's own quadrature, J audited that of the contact problem solved again on "
+    "the final mesh with a rule of degree 20: strategies are to be compared by the latter.",
+    "Least area: smallest element area over its initial value. Time [solves]: wall time over that of one "
+    "contact solve on the initial mesh, measured in the same run. Residuals are dimensionless; stationarity is "
+    "the first-order residual of the outer problem, its label the one that was computed.",
+)
+
+
+def notes(records: Sequence[Record]) -> list[str]:
+    """All notes to the tables of these records."""
+    found = list(LEGEND)
+    for block in blocks(records):
+        found += paper_notes(block)
+        found += [
+            f"{block.example}, {label(record)}: {record['status']}: {record.get('message', '')}"
+            for record in block.records
+            if not record["success"]
+        ]
+    return found
+
+
+def paper_notes(block: Block) -> list[str]:
+    """What of the paper's printed values these records meet."""
+    paper = block.paper
+    if paper is None:
+        return [f"{block.title}: not the paper's settings, so not compared with its values."]
+    notes = [*_initial(block, paper), *_final(block, paper)]
+    return [f"Example {block.example}: {note}" for note in notes]
+
+
+def _initial(block: Block, paper: PaperValues) -> list[str]:
+    notes = []
+    given = next((r["energy_initial"] for r in block.records if r["energy_initial"] is not None), None)
+    if given is not None:
+        met = _truncated(given) == _truncated(paper.energy_initial)
+        notes.append(_met(f"printed initial energy {paper.energy_initial:.4f}", met, f"{given:.6f}"))
+    fixed = next((r for r in block.succeeded if r["formulation"] == "fixed"), None)
+    if fixed is not None and paper.u_min_initial is not None and paper.u_max_initial is not None:
+        pairs = ((fixed["u_min"], paper.u_min_initial), (fixed["u_max"], paper.u_max_initial))
+        # one unit in the last place: the paper truncates some of its figures and rounds others
+        met = all(abs(ours - printed) < 10.0**-PRINTED_DIGITS for ours, printed in pairs)
+        printed = f"printed extremes {paper.u_min_initial:.4f}, {paper.u_max_initial:.4f} on the given grid"
+        notes.append(_met(printed, met, f"{fixed['u_min']:.5f}, {fixed['u_max']:.5f}"))
+    return notes
+
+
+def _final(block: Block, paper: PaperValues) -> list[str]:
+    moved = [r for r in block.succeeded if r["formulation"] != "fixed" and r["objective"] == "energy"]
+    if not moved:
+        return ["no strategy relocated the grid here, so the printed final energy is not compared."]
+    best = min(moved, key=lambda record: record["energy"])
+    ours = f"the lowest here is {best['energy']:.6f} ({label(best)})"
+    printed = f"printed final energy {paper.energy_final:.4f}"
+    if _truncated(best["energy"]) > _truncated(paper.energy_final):
+        return [f"{printed} is NOT reached: {ours}. {paper.remark}".rstrip()]
+    if _truncated(best["energy"]) == _truncated(paper.energy_final):
+        return [f"{printed} is met: {ours}."]
+    notes = [f"{printed} is passed: {ours}."]
+    if paper.u_min_final is not None and paper.u_max_final is not None:
+        notes.append(
+            f"printed extremes {paper.u_min_final:.4f}, {paper.u_max_final:.4f} on the relocated grid belong to "
+            f"that higher energy and so to another grid; here {best['u_min']:.4f}, {best['u_max']:.4f} "
+            f"({label(best)})."
+        )
+    return notes
+
+
+def _met(printed: str, met: bool, ours: str) -> str:
+    return f"{printed}: {'met' if met else 'NOT met'}, here {ours}."
+
+
+def _truncated(value: float) -> int:
+    """The value in units of the last printed digit, cut off toward zero."""
+    # a printed value such as -1.1246 is not a binary fraction: nudge before cutting
+    return math.trunc(value * 10**PRINTED_DIGITS + math.copysign(1e-6, value))

@@ -1,0 +1,79 @@
+"""Records to tables: Markdown, LaTeX with booktabs, CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from rmesh_nlp.report.blocks import blocks
+from rmesh_nlp.report.columns import COSTS, ENERGIES, OBJECTIVES, Column, body, contact_units
+from rmesh_nlp.report.markup import latex_list, latex_table, markdown_table
+from rmesh_nlp.report.notes import notes
+from rmesh_nlp.results import Record, write_whole
+
+CAPTIONS = {
+    ENERGIES: r"Energies and extremes of the displacement; the paper truncates its digits.",
+    COSTS: r"Work and residuals.",
+    OBJECTIVES: r"Outer objectives.",
+}
+
+
+def markdown(records: Sequence[Record]) -> str:
+    """Tables of each example, and the notes."""
+    parts = ["# Comparison of strategies\n"]
+    for block in blocks(records):
+        parts.append(f"## {block.title}\n")
+        parts += [
+            markdown_table([column.head for column in columns], body(columns, block))
+            for columns in _tables(block.records)
+        ]
+    parts.append("## Notes\n")
+    parts.append("".join(f"- {note}\n" for note in notes(records)))
+    return "\n".join(parts)
+
+
+def latex(records: Sequence[Record]) -> str:
+    r"""One ``table`` per kind, examples below each other; needs ``\usepackage{booktabs}``."""
+    parts = ["% made by rmesh table; needs \\usepackage{booktabs}\n"]
+    for columns in _tables(records):
+        groups = [(block.title, body(columns, block)) for block in blocks(records)]
+        parts.append(latex_table([column.tex for column in columns], groups, CAPTIONS[columns]))
+    parts.append(latex_list(notes(records)))
+    return "\n".join(parts)
+
+
+def frame(records: Sequence[Record]) -> pd.DataFrame:
+    """One row per record with every scalar field, the paper's values beside ours."""
+    rows = []
+    for block in blocks(records):
+        paper = block.paper
+        for record in block.records:
+            row = {name: value for name, value in record.items() if not isinstance(value, (dict, list))}
+            row["delta"] = "x".join(map(str, record["delta"] or ()))
+            row["time_contact_solves"] = contact_units(record)
+            row["paper_energy_initial"] = paper and paper.energy_initial
+            row["paper_energy_final"] = paper and paper.energy_final
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def write_tables(records: Sequence[Record], folder: Path) -> str:
+    """Write ``table.md``, ``table.tex`` and ``table.csv``; returns the Markdown."""
+    text = markdown(records)
+    for name, content in (
+        ("table.md", text),
+        ("table.tex", latex(records)),
+        ("table.csv", frame(records).to_csv(index=False)),
+    ):
+        write_whole(folder / name, lambda path, content=content: path.write_text(content))
+    return text
+
+
+def _tables(records: Sequence[Record]) -> list[tuple[Column, ...]]:
+    """The tables these records need: that of outer objectives only where there is one."""
+    kinds = [ENERGIES, COSTS]
+    if any(record["objective"] != "energy" for record in records):
+        kinds.append(OBJECTIVES)
+    return kinds
