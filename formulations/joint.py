@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.history import Recorder
 from rmesh_nlp.nlp import NLP, Solver, Status
 from rmesh_nlp.problem import ContactProblem
@@ -34,6 +35,7 @@ def solve(
     objective: str = "energy",
     seed: int | None = None,
     options: Mapping[str, Any] | None = None,
+    start: Array | None = None,
     on_step: OnStep | None = None,
 ) -> Solution:
     """Minimise the energy over node positions and displacement together, by Ipopt.
@@ -47,6 +49,8 @@ def solve(
         Random start; by default the initial mesh.
     options : mapping, optional
         Ipopt options.
+    start : (2, nodes) array, optional
+        Node positions to start from, say prolonged from a coarser mesh.
     on_step : callable, optional
         Called after each Ipopt iteration.
 
@@ -63,9 +67,9 @@ def solve(
     referee = Referee(problem)
     began = time.perf_counter()
     nlp = build(problem)
-    recorder = Recorder(on_step)
+    recorder = Recorder(on_step, referee.relocation.n_q)
     solver = Solver(nlp, options={**OPTIONS, **(options or {})}, monitor=recorder)
-    q = referee.start(seed)
+    q = referee.start(seed, start)
     contact = referee.reduced(q)
     result = solver(referee.reduced.point(q, contact.equilibrium))
     seconds = time.perf_counter() - began

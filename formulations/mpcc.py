@@ -53,6 +53,7 @@ def solve(
     relaxation: str = "scholtes",
     seed: int | None = None,
     options: Mapping[str, Any] | None = None,
+    start: Array | None = None,
     on_step: OnStep | None = None,
 ) -> Solution:
     """Solve the MPCC by a homotopy of relaxations and an exact finish.
@@ -72,6 +73,8 @@ def solve(
         Random start of the positions; by default the initial mesh.
     options : mapping, optional
         Fields of :class:`rmesh_nlp.mpcc.Options`.
+    start : (2, nodes) array, optional
+        Node positions to start from, say prolonged from a coarser mesh.
     on_step : callable, optional
         Called after the homotopy with each of its steps.
 
@@ -83,8 +86,8 @@ def solve(
     outer = parse_objective(objective)
     referee = Referee(problem)
     began = time.perf_counter()
-    q = referee.start(seed)
-    start = referee.reduced(q)
+    q = referee.start(seed, start)
+    contact = referee.reduced(q)
     function: ReducedEnergy | ReducedObjective = referee.reduced
     if not outer.is_energy:
         function = ReducedObjective(referee.reduced, outer)
@@ -92,12 +95,12 @@ def solve(
     two_level = bilevel(
         problem,
         outer,
-        length=float(np.max(np.abs(start.equilibrium.u))) or 1.0,
-        force=start.system.force_scale,
+        length=float(np.max(np.abs(contact.equilibrium.u))) or 1.0,
+        force=contact.system.force_scale,
         value=abs(value) or 1.0,
     )
     first = Solver(two_level.without_complementarity(), options=FIRST_OPTIONS)(
-        two_level.point(q, start.equilibrium, start.system)
+        two_level.point(q, contact.equilibrium, contact.system)
     )
     solver = MPCCSolver(two_level.mpcc, **{"relaxation": relaxation, **OPTIONS, **(options or {})})
     result = solver(first.x)

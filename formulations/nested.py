@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -47,6 +47,7 @@ def solve(
     objective: str = "energy",
     outer: str = "ipopt",
     seed: int | None = None,
+    start: Array | None = None,
     on_step: OnStep | None = None,
 ) -> Solution:
     """Minimise an outer objective with exact contact solves inside.
@@ -64,6 +65,8 @@ def solve(
         Outer solver: "ipopt" (limited-memory BFGS), "slsqp", "trust-constr" or "l-bfgs-b".
     seed : int, optional
         Random start; by default the initial mesh.
+    start : (2, nodes) array, optional
+        Node positions to start from, say prolonged from a coarser mesh.
     on_step : callable, optional
         Called after each outer iteration.
 
@@ -83,7 +86,7 @@ def solve(
         function = ReducedObjective(referee.reduced, outer_objective)
     recorder = _Recorder(function, referee.relocation.freedoms.bound, on_step, began)
     program = reduced_nlp(referee, function)
-    finish = OUTER_SOLVERS[outer](program, referee.start(seed), recorder)
+    finish = OUTER_SOLVERS[outer](program, referee.start(seed, start), recorder)
     seconds = time.perf_counter() - began
     return referee.judge(
         "nested",
@@ -96,6 +99,7 @@ def solve(
         objective=objective,
         seed=seed,
         extra={"outer": outer, **_outer_figures(referee, function, finish.q)},
+        outer_gradient=function(finish.q).gradient,
     )
 
 
@@ -205,7 +209,7 @@ class _Recorder:
         step = Step(iteration, point.equilibrium.energy, NAN, 0.0, residual, solves, seconds)
         self.steps.append(step)
         if self._on_step is not None:
-            self._on_step(step)
+            self._on_step(replace(step, q=q.copy()))
 
 
 def _ipopt(program: ReducedProgram, start: Array, recorder: _Recorder) -> OuterResult:

@@ -20,10 +20,12 @@ class Recorder:
     ----------
     on_step : callable, optional
         Called with each step as it comes; residuals are known only afterwards.
+    n_q : int
+        Number of moves at the head of x, which the steps for ``on_step`` carry.
     """
 
-    def __init__(self, on_step: OnStep | None = None) -> None:
-        self._on_step = on_step
+    def __init__(self, on_step: OnStep | None = None, n_q: int = 0) -> None:
+        self._on_step, self._n_q = on_step, n_q
         self._began = time.perf_counter()
         self._steps: list[Step] = []
 
@@ -32,7 +34,7 @@ class Recorder:
         step = Step(iteration, f, NAN, NAN, NAN, 0, time.perf_counter() - self._began)
         self._steps.append(step)
         if self._on_step is not None:
-            self._on_step(step)
+            self._on_step(replace(step, q=x[: self._n_q]))
 
     def steps(self, result: NLPResult) -> list[Step]:
         """The steps with the solver's residuals and barrier parameter filled in."""

@@ -15,6 +15,7 @@ from rmesh_nlp.energy import contact_edges
 from rmesh_nlp.equilibrium import ContactModel, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.motion import least_angles
+from rmesh_nlp.multipliers import multipliers
 from rmesh_nlp.nlp import Status
 from rmesh_nlp.problem import ContactProblem, Place, signed_areas
 from rmesh_nlp.reduced import ReducedEnergy, ReducedPoint
@@ -55,16 +56,20 @@ class Referee:
         self.initial: Equilibrium = self.model.solve(problem.mesh.p)
         self._contact_time = time.perf_counter() - began
 
-    def start(self, seed: int | None) -> Array:
+    def start(self, seed: int | None, positions: Array | None = None) -> Array:
         """Moves to start from: none, or drawn uniformly from the boxes with a seed.
 
-        Without boxes the draw moves nodes by up to their shortest edge. A draw that breaks
-        element validity is halved until it does not.
+        With ``positions`` (2, nodes), say prolonged from a coarser mesh, the moves that lead
+        there, cut to the boxes; a seed then has no effect. Without boxes a draw moves nodes by
+        up to their shortest edge. Moves that break element validity are halved until they do not.
         """
-        q = np.zeros(self.relocation.n_q)
-        if seed is None:
-            return q
-        q = np.random.default_rng(seed).uniform(-1, 1, q.size)
+        free = self.relocation.freedoms
+        if positions is not None:
+            q = np.clip(free.q_of(positions), -free.bound, free.bound)
+        elif seed is not None:
+            q = np.random.default_rng(seed).uniform(-1, 1, free.n)
+        else:
+            return np.zeros(free.n)
         while not self.is_valid(q):
             q = q / 2
         return q
@@ -101,6 +106,7 @@ class Referee:
         stationarity: str | None = None,
         seed: int | None = None,
         extra: dict[str, Any] | None = None,
+        outer_gradient: Array | None = None,
     ) -> Solution:
         """Solve the contact problem at ``q``, audit it, and decide on success.
 
@@ -112,6 +118,9 @@ class Referee:
         equilibrium : Equilibrium, optional
             The strategy's own displacement and forces, which are then what is audited and
             returned, instead of the contact solve.
+        outer_gradient : array, optional
+            Gradient of the outer objective at ``q``, for the multipliers; by default that of the
+            energy, if it is the objective.
         stationarity : str, optional
             Label computed by the strategy; by default "KKT" if the measured residual allows.
         """
@@ -143,6 +152,7 @@ class Referee:
             status = Status.INACCURATE
         residual = float("nan")
         if objective == "energy":
+            outer_gradient = exact.gradient
             residual = self.reduced.stationarity_residual(exact)
             if stationarity is None:
                 stationarity = "KKT" if residual <= KKT_TOLERANCE else ""
@@ -158,6 +168,7 @@ class Referee:
             success=success,
             stationarity=stationarity or "",
             stationarity_residual=residual,
+            multipliers=None if outer_gradient is None else multipliers(self.relocation, q, outer_gradient),
         )
 
     def _stress(self, force: Array, weights: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -12,6 +12,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.audit import TOLERANCE, Audit
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.multipliers import Multipliers
 from rmesh_nlp.nlp import Status
 from rmesh_nlp.problem import ContactProblem
 
@@ -33,6 +34,8 @@ class Step:
         Contact solves so far; 0 for the all-at-once strategies.
     seconds : float
         Wall time since the start.
+    q : array or None
+        The moves, only in the steps that ``on_step`` receives: a history would be too large.
     """
 
     iteration: int
@@ -42,6 +45,7 @@ class Step:
     dual_residual: float
     contact_solves: int
     seconds: float
+    q: Array | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,8 @@ class Solution:
     seed : int or None
     extra : dict
         Further entries of the record.
+    multipliers : Multipliers or None
+        Of boxes, areas and angles; where they are large, position or connectivity is the limit.
     """
 
     problem: ContactProblem
@@ -108,6 +114,7 @@ class Solution:
     contact_time_s: float
     seed: int | None = None
     extra: dict[str, Any] = field(default_factory=dict)
+    multipliers: Multipliers | None = None
 
     def record(self) -> dict[str, Any]:
         """Everything a table needs, as plain JSON values. NaN becomes None."""
@@ -147,7 +154,8 @@ class Solution:
 
     def history_rows(self) -> list[dict[str, Any]]:
         """The history as a list of plain dictionaries (for JSON or pandas)."""
-        return [{key: _plain(value) for key, value in asdict(step).items()} for step in self.history]
+        rows = [asdict(replace(step, q=None)) for step in self.history]
+        return [{key: _plain(value) for key, value in row.items() if key != "q"} for row in rows]
 
 
 def is_success(status: Status, audit: Audit) -> bool:
