@@ -96,6 +96,6 @@ def classify(
     z = programs.lifted.start(mpcc.start(x), parameters)
     if programs.excess(z, parameters) > 1.0:
         return Classification("", None, False, np.zeros(0, dtype=np.int64))
-    lin = linearisation(programs.lifted, z, parameters, settings.activity)
+    lin = linearisation(programs.lifted, z, parameters, settings.activity, settings.corner)
     verdict = judge(programs.lifted, lin, settings.stationarity)
     return Classification(verdict.label.name, verdict.b_stationary, True, lin.biactive)

@@ -76,7 +76,7 @@ def finish(programs: Programs, z: Array, p: Array, log: Log, *, search: bool) ->
         if result.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
             return Finish(result.x, result.f, Status.UNBOUNDED, pivots=pivots, lpecs=lpecs)
         result = _tighten(programs, log, result, p, fix_G)
-        lin = linearisation(lifted, result.x, p, options.activity)
+        lin = linearisation(lifted, result.x, p, options.activity, options.corner)
         verdict = judge(lifted, lin, options.stationarity, (result.lam_g, result.lam_x))
         lpecs += verdict.label.name != "S"
         here = Finish(result.x, result.f, verdict.status, verdict, lin, pivots, lpecs)
@@ -117,7 +117,7 @@ def _other_branch(
     lifted = programs.lifted
     distance = float(np.max(np.minimum(z[lifted.first], z[lifted.second]), initial=0.0))
     for reach in _REACHES:
-        near = nearest_branch(lifted, z, p, reach * max(distance, programs.options.activity))
+        near = nearest_branch(lifted, z, p, reach * max(distance, programs.options.corner))
         if near is None or np.array_equal(near[1], fix_G):
             continue
         fix_G = near[1]

@@ -12,6 +12,9 @@ from rmesh_nlp.mpcc.programs import BoolArray, Log, Programs
 from rmesh_nlp.nlp import NLPResult, Status
 
 _MAX_RETREATS = 3
+_UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
+_BELOW = 0.1
+_GAP = 0.01  # an early finish further than this (relative) above the relaxed objective is not yet final
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,16 +42,17 @@ def follow(programs: Programs, relaxation: str, z0: Array, p: Array, t0: float, 
         result = _step(programs, relaxation, log, z0, last, p, t)
         if result.converged:
             last, failure = result, None
+            product = log.steps[-1].product
             before, sides = sides, _sides(programs, result.x)
-            settled = before is not None and t <= options.crossover and bool(np.all(before == sides))
+            settled = before is not None and t <= options.crossover and _settled(before, sides)
             complementary = exact(programs, result.x, p)
             final = complementary or t <= options.t_final
             if settled or final:
                 best = _better(best, finish(programs, result.x, p, log, search=final))
-                if best.solved or final:
+                if final or (best.solved and _close(result.f, best.f)):
                     break
             # where the products are already smaller than t the relaxation does not act: go below them
-            t = max(factor * min(t, log.steps[-1].product), options.t_final)
+            t = max(min(factor * t, _BELOW * product), options.t_final)
         else:
             failure = result.status
             retreats += 1
@@ -73,6 +77,15 @@ def _step(
         log.add("relaxed", t, cold)
         return cold if cold.converged else result
     return result
+
+
+def _close(relaxed: float, finished: float) -> bool:
+    """The relaxed objective is locally a lower bound: far above it a lower t may show a better branch."""
+    return finished - relaxed <= _GAP * max(abs(finished), abs(relaxed))
+
+
+def _settled(before: BoolArray, sides: BoolArray) -> bool:
+    return bool(np.count_nonzero(before != sides) <= _UNSETTLED * sides.size)
 
 
 def _sides(programs: Programs, z: Array) -> BoolArray:

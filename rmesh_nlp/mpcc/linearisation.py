@@ -58,8 +58,11 @@ class Multipliers:
     H: Array
 
 
-def linearisation(lifted: Lifted, z: Array, p: Array, tolerance: float) -> Linearisation:
-    """Derivatives and active sets at ``z``; activity is relative to ``1 + |bound|``."""
+def linearisation(lifted: Lifted, z: Array, p: Array, tolerance: float, corner: float) -> Linearisation:
+    """Derivatives and active sets at ``z``.
+
+    A row or bound is active within ``tolerance (1 + |bound|)``, a member is zero below ``corner``.
+    """
     _, gradient, rows, jacobian = lifted.linearise(z, p)
     nlp = lifted.nlp
     zero = lifted.member & (nlp.lbx == 0)
@@ -70,8 +73,8 @@ def linearisation(lifted: Lifted, z: Array, p: Array, tolerance: float) -> Linea
         row_upper=_active(rows, nlp.ubg, tolerance),
         z_lower=_active(z, nlp.lbx, tolerance) & ~zero,
         z_upper=_active(z, nlp.ubx, tolerance),
-        G_zero=np.abs(z[lifted.first]) <= tolerance,
-        H_zero=np.abs(z[lifted.second]) <= tolerance,
+        G_zero=np.abs(z[lifted.first]) <= corner,
+        H_zero=np.abs(z[lifted.second]) <= corner,
     )
 
 

@@ -58,8 +58,11 @@ class Options:
     complementarity : float
         Tolerance of ``min(|G|, |H|)``, relative to ``max(1, largest term)`` of the smaller member.
     activity : float
-        What counts as active or biactive, relative to ``1 + |bound|``; an interior-point method meets a
-        weakly active bound only to the square root of its tolerance.
+        What counts as an active row or bound, relative to ``1 + |bound|``. An interior-point method
+        stops with multiplier times distance near 1e-11: either the distance is below 1e-5 or the
+        multiplier is negligible.
+    corner : float
+        Members of pairs below this are zero.
     stationarity : float
         Tolerance of the Lagrangian gradient and of LPEC descent, in units of ``max(1, |gradient f|)``.
     max_pivots : int
@@ -77,7 +80,8 @@ class Options:
     warm_duals: bool = False
     feasibility: float = 1e-8
     complementarity: float = 1e-9
-    activity: float = 1e-6
+    activity: float = 1e-5
+    corner: float = 1e-6
     stationarity: float = 1e-6
     max_pivots: int = 30
     ipopt_relaxed: Mapping[str, Any] = field(default_factory=dict)
