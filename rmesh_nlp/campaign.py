@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rmesh_nlp import strategies
-from rmesh_nlp.errors import BadInput, unknown
+from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.examples import EXAMPLES, Delta, Size
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.objectives import parse_objective
@@ -85,7 +85,7 @@ def make_cases(
 
     Raises
     ------
-    BadInput
+    BadInputError
         If a name is unknown, a setting does not suit an example, or no strategy takes an option.
     """
     options = dict(options or {})
@@ -94,7 +94,7 @@ def make_cases(
     taken = {name: strategies.accepted(strategies.load(name), options) for name in formulations}
     for option in options:
         if not any(option in names for names in taken.values()):
-            raise BadInput(f"--{option} {options[option]}: not an option of {', '.join(formulations)}")
+            raise BadInputError(f"--{option} {options[option]}: not an option of {', '.join(formulations)}")
     return [
         Case(problem, name, {option: options[option] for option in options if option in taken[name]})
         for problem in problems
@@ -109,7 +109,7 @@ def build_problem(
 
     Raises
     ------
-    BadInput
+    BadInputError
         If the name is unknown or the example refuses the size or the delta.
     """
     if name not in EXAMPLES:
@@ -118,7 +118,7 @@ def build_problem(
     try:
         return replace(EXAMPLES[name](**given), quadrature=quadrature)
     except (ValueError, MemoryError) as error:
-        raise BadInput(str(error)) from error
+        raise BadInputError(str(error)) from error
 
 
 def _check_options(options: Mapping[str, Any]) -> None:
@@ -126,7 +126,7 @@ def _check_options(options: Mapping[str, Any]) -> None:
         try:
             parse_objective(options["objective"])
         except ValueError as error:
-            raise BadInput(str(error)) from error
+            raise BadInputError(str(error)) from error
     if options.get("relaxation", "scholtes") not in RELAXATIONS:
         raise unknown("relaxation", options["relaxation"], RELAXATIONS)
 
@@ -136,11 +136,11 @@ def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
 
     Raises
     ------
-    BadInput
+    BadInputError
         If the strategy does not exist.
     """
     function = strategies.load(case.formulation)
-    watch = {name: on_step for name in strategies.accepted(function, ("on_step",))}
+    watch = dict.fromkeys(strategies.accepted(function, ("on_step",)), on_step)
     began = time.perf_counter()
     try:
         solution = function(case.problem, **case.options, **watch)
@@ -195,13 +195,13 @@ def run(
 
     Raises
     ------
-    BadInput
+    BadInputError
         If two cases have one key, or the rows to be resumed were solved with other settings.
     """
     keys = [case.key for case in cases]
     for key in keys:
         if keys.count(key) > 1:
-            raise BadInput(f"two cases are both called {key!r}")
+            raise BadInputError(f"two cases are both called {key!r}")
     rows = results.read() if resume and (results.folder / "records.jsonl").exists() else []
     done = _finished(cases, rows)
     results.folder.mkdir(parents=True, exist_ok=True)
@@ -242,7 +242,7 @@ def _finished(cases: Sequence[Case], rows: Sequence[Record]) -> dict[str, Record
             continue
         for name, value in case.identity.items():
             if row.get(name) != value:
-                raise BadInput(
+                raise BadInputError(
                     f"cannot resume {case.key}: it was solved with {name} {row.get(name)}, not {value}"
                 )
         done[case.key] = row

@@ -12,7 +12,7 @@ import typer
 from typer.main import get_command
 
 from rmesh_nlp import __version__
-from rmesh_nlp.errors import BadInput
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.inputs import parse_delta, parse_names, parse_quadrature, parse_size
 from rmesh_nlp.interrupts import EXIT_CODE as INTERRUPTED
 
@@ -84,7 +84,7 @@ def _rmesh(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and leave."),
     ] = False,
 ) -> None:
-    """Relocate the nodes of finite-element meshes for contact problems.
+    r"""Relocate the nodes of finite-element meshes for contact problems.
 
     \b
     rmesh compare                                     all examples, all strategies
@@ -117,7 +117,7 @@ def solve(
         typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
     ] = None,
 ) -> None:
-    """Solve one example by one strategy: DIR/record.json, solution.vtu, history.csv.
+    r"""Solve one example by one strategy: DIR/record.json, solution.vtu, history.csv.
 
     \b
     rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
@@ -145,7 +145,7 @@ def compare(
         bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
     ] = False,
 ) -> None:
-    """Solve examples by several strategies; records, tables and figures in DIR.
+    r"""Solve examples by several strategies; records, tables and figures in DIR.
 
     An option goes to those strategies that take it. What an earlier run left in DIR is moved to
     DIR/previous when the first solve has ended.
@@ -164,7 +164,7 @@ def compare(
 
 @app.command()
 def table(folder: Folder) -> None:
-    """Make the tables of DIR again from its records: table.md, table.tex, table.csv.
+    r"""Make the tables of DIR again from its records: table.md, table.tex, table.csv.
 
     \b
     rmesh table results
@@ -174,7 +174,7 @@ def table(folder: Folder) -> None:
 
 @app.command()
 def figures(folder: Folder) -> None:
-    """Make the figures of DIR again, PNG and PDF, in DIR/figures.
+    r"""Make the figures of DIR again, PNG and PDF, in DIR/figures.
 
     \b
     rmesh figures results
@@ -207,7 +207,7 @@ def run(arguments: list[str]) -> int:
         return int(command.main(args=arguments, prog_name="rmesh", standalone_mode=False) or 0)
     except ClickException as error:
         return _complain(" ".join(error.format_message().split()))
-    except (BadInput, OSError) as error:
+    except (BadInputError, OSError) as error:
         return _complain(str(error))
     except (KeyboardInterrupt, typer.Abort):
         print("rmesh: interrupted", file=sys.stderr)

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from rmesh_nlp import campaign
-from rmesh_nlp.errors import BadInput
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.interrupts import leaving_on_interrupt
 from rmesh_nlp.progress import CampaignProgress
 from rmesh_nlp.report.figures import write_figures
 from rmesh_nlp.report.tables import write_tables
-from rmesh_nlp.results import Results, read_results, single_result, to_json, write_whole
+from rmesh_nlp.results import Record, Results, read_results, single_result, to_json, write_text
 
 SUCCESS, NO_SUCCESS = 0, 1
 
@@ -29,10 +29,10 @@ def solve(example: str, formulation: str, settings: Mapping[str, Any], out: Path
         with leaving_on_interrupt(lambda: _farewell(progress, "nothing was written")):
             outcome = campaign.solve(case, progress.step)
         if outcome.record["status"] == "refused":
-            raise BadInput(outcome.record["message"])
+            raise BadInputError(outcome.record["message"])
         campaign.save(outcome, single_result(folder, outcome.record))
         text = to_json(outcome.record, indent=2) + "\n"
-        write_whole(folder / "record.json", lambda path: path.write_text(text))
+        write_text(folder / "record.json", text)
         progress.finish(outcome.record)
     names = [name for name in ("record.json", "solution.vtu", "history.csv") if (folder / name).exists()]
     print("wrote", ", ".join(str(folder / name) for name in names))
@@ -49,7 +49,7 @@ def compare(
     """Many solves, tables and figures; returns the exit code."""
     cases = campaign.make_cases(examples or list(EXAMPLES), formulations, **settings)
     results = Results(_writable(out))
-    records = []
+    records: list[Record] = []
     with CampaignProgress(len(cases)) as progress:
 
         def farewell() -> None:
@@ -94,7 +94,7 @@ def _writable(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInput(f"cannot write to {str(folder)!r}: {error.strerror}") from error
+        raise BadInputError(f"cannot write to {str(folder)!r}: {error.strerror}") from error
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise BadInput(f"cannot write to {str(folder)!r}: permission denied")
+        raise BadInputError(f"cannot write to {str(folder)!r}: permission denied")
     return folder

@@ -6,13 +6,13 @@ import difflib
 from collections.abc import Iterable
 
 
-class BadInput(ValueError):
+class BadInputError(ValueError):
     """Something given by the user cannot be used; the message is one line and names it."""
 
 
-def unknown(what: str, name: str, known: Iterable[str]) -> BadInput:
+def unknown(what: str, name: str, known: Iterable[str]) -> BadInputError:
     """The error for a name that is not known, with the nearest one that is."""
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(names) or 'none'}"
-    return BadInput(f"unknown {what} {name!r}: {hint}")
+    return BadInputError(f"unknown {what} {name!r}: {hint}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 
-from rmesh_nlp.errors import BadInput
+from rmesh_nlp.errors import BadInputError
 
 HIGHEST_DEGREE = 50
 """Rules above it have so many points that building the energy takes minutes."""
@@ -18,10 +18,10 @@ HIGHEST_DEGREE = 50
 def parse_size(text: str) -> int | tuple[int, int]:
     """``8`` or ``12x6``, columns by rows."""
     if not re.fullmatch(r"[0-9]+([xX][0-9]+)?", text.strip()):
-        raise BadInput(f"--n must be a whole number or two like 12x6, got {text!r}")
+        raise BadInputError(f"--n must be a whole number or two like 12x6, got {text!r}")
     numbers = [int(part) for part in re.split("[xX]", text)]
     if min(numbers) < 2:
-        raise BadInput(f"--n must be at least 2 in each direction, got {text!r}")
+        raise BadInputError(f"--n must be at least 2 in each direction, got {text!r}")
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
 
 
@@ -29,13 +29,13 @@ def parse_delta(text: str) -> float | tuple[float, float]:
     """``0.0275`` or ``0.15667,0.07333``, half-widths along x and y."""
     parts = text.split(",")
     if len(parts) > 2:
-        raise BadInput(f"--delta takes one number or two, got {len(parts)}: {text!r}")
+        raise BadInputError(f"--delta takes one number or two, got {len(parts)}: {text!r}")
     try:
         numbers = [float(part) for part in parts]
     except ValueError:
-        raise BadInput(f"--delta must be a number or two like 0.15667,0.07333, got {text!r}") from None
+        raise BadInputError(f"--delta must be a number or two like 0.15667,0.07333, got {text!r}") from None
     if not all(math.isfinite(number) and number > 0 for number in numbers):
-        raise BadInput(f"--delta must be positive and finite, got {text!r}")
+        raise BadInputError(f"--delta must be positive and finite, got {text!r}")
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
 
 
@@ -44,7 +44,7 @@ def parse_quadrature(text: str) -> str | int:
     if text == "midpoint":
         return text
     if not re.fullmatch("[0-9]+", text) or not 1 <= int(text) <= HIGHEST_DEGREE:
-        raise BadInput(
+        raise BadInputError(
             f"--quadrature must be 'midpoint' or a degree from 1 to {HIGHEST_DEGREE}, got {text!r}"
         )
     return int(text)
@@ -54,5 +54,5 @@ def parse_names(option: str, text: str) -> tuple[str, ...]:
     """A list separated by commas, without repetitions, in the order given."""
     names = [part.strip() for part in text.split(",")]
     if not all(names):
-        raise BadInput(f"{option} must be names separated by commas, got {text!r}")
+        raise BadInputError(f"{option} must be names separated by commas, got {text!r}")
     return tuple(dict.fromkeys(names))

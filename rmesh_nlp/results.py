@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.errors import BadInput
+from rmesh_nlp.errors import BadInputError
 
 Record = dict[str, Any]
 """One solve as plain JSON values, see :meth:`rmesh_nlp.solution.Solution.record`."""
@@ -104,10 +104,7 @@ class Results:
 
     def replace_all(self, records: Sequence[Record]) -> None:
         """Write the records anew."""
-        write_whole(
-            self.folder / RECORDS,
-            lambda path: path.write_text("".join(to_json(record) + "\n" for record in records)),
-        )
+        write_text(self.folder / RECORDS, "".join(to_json(record) + "\n" for record in records))
 
     def set_aside(self) -> None:
         """Move what an earlier run left here to the sub-folder ``previous``, replacing what is there."""
@@ -127,14 +124,14 @@ class Results:
 
         Raises
         ------
-        BadInput
+        BadInputError
             If there are none, or a line is not a record.
         """
         path = self.folder / RECORDS
         lines = _read_text(path).split("\n")[:-1]
         records = [read_record(line, f"{path}, line {i}") for i, line in enumerate(lines, 1) if line.strip()]
         if not records:
-            raise BadInput(f"{path} holds no records")
+            raise BadInputError(f"{path} holds no records")
         return records
 
 
@@ -143,17 +140,17 @@ def read_results(folder: Path) -> list[Result]:
 
     Raises
     ------
-    BadInput
+    BadInputError
         If the folder holds neither.
     """
     if not folder.is_dir():
-        raise BadInput(f"{str(folder)!r} is not a folder")
+        raise BadInputError(f"{str(folder)!r} is not a folder")
     if (folder / RECORDS).exists():
         results = Results(folder)
         return [results.result(record) for record in results.read()]
     single = folder / "record.json"
     if not single.exists():
-        raise BadInput(f"{str(folder)!r} holds neither {RECORDS} nor record.json")
+        raise BadInputError(f"{str(folder)!r} holds neither {RECORDS} nor record.json")
     return [single_result(folder, read_record(_read_text(single), str(single)))]
 
 
@@ -167,12 +164,12 @@ def read_record(text: str, where: str) -> Record:
     try:
         record = json.loads(text)
     except json.JSONDecodeError as error:
-        raise BadInput(f"{where} is not JSON: {error.msg} at character {error.pos}") from error
+        raise BadInputError(f"{where} is not JSON: {error.msg} at character {error.pos}") from error
     if not isinstance(record, dict):
-        raise BadInput(f"{where} is not a record: it holds {type(record).__name__}")
+        raise BadInputError(f"{where} is not a record: it holds {type(record).__name__}")
     missing = [name for name in REQUIRED if name not in record]
     if missing:
-        raise BadInput(f"{where} is not a record: it has no {missing[0]!r}")
+        raise BadInputError(f"{where} is not a record: it has no {missing[0]!r}")
     return record
 
 
@@ -193,6 +190,11 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole."""
+    write_whole(path, lambda temporary: temporary.write_text(text))
 
 
 def to_json(record: Record, indent: int | None = None) -> str:
@@ -216,4 +218,4 @@ def _read_text(path: Path) -> str:
     try:
         return path.read_text()
     except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(f"cannot read {path}: {error}") from error
+        raise BadInputError(f"cannot read {path}: {error}") from error

@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from rmesh_nlp.errors import BadInput, unknown
+from rmesh_nlp.errors import BadInputError, unknown
 
 GROUP = "rmesh_nlp.formulations"
 
@@ -33,7 +33,7 @@ def load(name: str) -> Solve:
 
     Raises
     ------
-    BadInput
+    BadInputError
         If no strategy has this name, or it cannot be imported.
     """
     found = available()
@@ -42,7 +42,9 @@ def load(name: str) -> Solve:
     try:
         solve: Solve = found[name].load()
     except (ImportError, AttributeError) as error:
-        raise BadInput(f"formulation {name!r} cannot be loaded from {found[name].value}: {error}") from error
+        raise BadInputError(
+            f"formulation {name!r} cannot be loaded from {found[name].value}: {error}"
+        ) from error
     return solve
 
 

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label
-from rmesh_nlp.report.style import TWO_COLUMNS, look, new_figure
+from rmesh_nlp.report.style import TWO_COLUMNS, Look, look, new_figure
 from rmesh_nlp.results import Record, Result
 
 FEASIBLE = 1e-6
 """Primal residual up to which an iterate counts as one whose energy means something."""
 
-FLOOR = 1e-9
-"""Gaps are drawn no lower than this part of the best energy: below is rounding."""
+FLOOR = 1e-8
+"""Gaps are drawn no lower than this part of the best energy: below is the solvers' tolerance."""
+
+MARKERS = 15
+"""About as many markers are put on a curve."""
 
 
 @dataclass(frozen=True)
@@ -62,30 +67,29 @@ def convergence_figure(curves: Sequence[Curve], best: Record) -> Figure:
     figure = new_figure(TWO_COLUMNS, 3.1)
     left, right = figure.subplots(1, 2, sharey=True)
     for position, one in enumerate(curves, 1):
-        style = look(position)
         gap = np.maximum(np.abs(one.energy - reference), FLOOR * abs(reference))
-        for axis, where in ((left, one.iteration), (right, one.cost)):
-            axis.plot(where, gap, color=style.color, linestyle=style.linestyle, label=one.name)
-            for kept, face in ((one.feasible, style.color), (~one.feasible, "white")):
-                axis.plot(
-                    where[kept],
-                    gap[kept],
-                    color=style.color,
-                    linestyle="none",
-                    marker=style.marker,
-                    markersize=3.5,
-                    markeredgewidth=0.7,
-                    markerfacecolor=face,
-                )
+        _draw(left, one.iteration, gap, one, look(position))
+        _draw(right, one.cost, gap, one, look(position))
     left.set_yscale("log")
-    left.set_ylabel("|J - J*|")
-    left.set_xlabel("iteration")
+    left.set_ylabel(f"|J − J*|,  J* = {reference:.6f} ({label(best)})")
+    hollow = "" if all(one.feasible.all() for one in curves) else "\n(hollow: constraints not yet met)"
+    left.set_xlabel(f"iteration{hollow}")
     right.set_xscale("log")
-    right.set_xlabel("cost [contact solves]\n(all at once: wall time / time of one contact solve)")
+    right.set_xlabel("cost [contact solves]\n(all at once: wall time / time of a contact solve)")
     for axis in (left, right):
         axis.grid(color="0.9", linewidth=0.5)
+        axis.minorticks_off()
     handles, names = left.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 5))
-    hollow = "" if all(one.feasible.all() for one in curves) else "; hollow: constraints not yet met"
-    figure.suptitle(f"J* = {reference:.6f} ({label(best)}){hollow}", fontsize=8, y=0.02, va="bottom")
     return figure
+
+
+def _draw(axis: Axes, where: NDArray[np.float64], gap: NDArray[np.float64], one: Curve, style: Look) -> None:
+    """A line with some markers, hollow where the iterate is not feasible."""
+    common: Any = {"color": style.color, "marker": style.marker, "markersize": 4, "markeredgewidth": 0.8}
+    axis.plot(where, gap, color=style.color, linestyle=style.linestyle)
+    marked = np.zeros(where.size, dtype=bool)
+    marked[:: max(1, where.size // MARKERS)] = marked[-1] = True
+    for kept, face in ((one.feasible & marked, style.color), (~one.feasible & marked, "white")):
+        axis.plot(where[kept], gap[kept], linestyle="none", markerfacecolor=face, **common)
+    axis.plot([], [], linestyle=style.linestyle, label=one.name, **common)  # for the legend

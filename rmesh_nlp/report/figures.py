@@ -10,7 +10,7 @@ import meshio
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from rmesh_nlp.errors import BadInput
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, label
 from rmesh_nlp.report.convergence import convergence_figure, curve
 from rmesh_nlp.report.grids import grid_figure, surface_figure
@@ -27,7 +27,7 @@ def write_figures(results: Sequence[Result], folder: Path) -> list[Path]:
 
     Raises
     ------
-    BadInput
+    BadInputError
         If the fields of a solution cannot be read.
     """
     by_record = {id(result.record): result for result in results}
@@ -46,7 +46,8 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
     """
     drawn = [(result.record, _fields(result)) for result in results if result.record["energy"] is not None]
     stem = f"{block.example}-{block.records[0]['n']}"
-    given = {GIVEN: field for record, field in drawn if record["formulation"] == RELOCATING_NOTHING}
+    fixed = [field for record, field in drawn if record["formulation"] == RELOCATING_NOTHING]
+    given = {GIVEN: fixed[0]} if fixed else {}
     moved = [(record, field) for record, field in drawn if record["formulation"] != RELOCATING_NOTHING]
     named = {label(record): field for record, field in moved}
     with rc_context(SETTINGS):
@@ -69,7 +70,7 @@ def _fields(result: Result) -> Fields:
     try:
         return read_vtu(result.vtu)
     except (OSError, KeyError, ParseError, meshio.ReadError) as error:
-        raise BadInput(f"cannot read the fields of a solution from {result.vtu}: {error}") from error
+        raise BadInputError(f"cannot read the fields of a solution from {result.vtu}: {error}") from error
 
 
 def _unused(name: str, paths: Sequence[Path]) -> str:

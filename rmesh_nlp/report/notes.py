@@ -13,11 +13,11 @@ PRINTED_DIGITS = 4
 """Decimals of the paper's figures; it truncates, so that -1.124602 is printed as -1.1246."""
 
 LEGEND = (
-    "J is the energy with the example's own quadrature, J audited that of the contact problem solved again on "
-    "the final mesh with a rule of degree 20: strategies are to be compared by the latter.",
+    "J is the energy with the example's own quadrature, J audited that of the contact problem solved "
+    "again on the final mesh with a rule of degree 20: strategies are to be compared by the latter.",
     "Least area: smallest element area over its initial value. Time [solves]: wall time over that of one "
-    "contact solve on the initial mesh, measured in the same run. Residuals are dimensionless; stationarity is "
-    "the first-order residual of the outer problem, its label the one that was computed.",
+    "contact solve on the initial mesh, measured in the same run. Residuals are dimensionless; stationarity "
+    "is the first-order residual of the outer problem, label the kind of stationarity that was computed.",
 )
 
 
@@ -73,9 +73,9 @@ def _final(block: Block, paper: PaperValues) -> list[str]:
     notes = [f"{printed} is passed: {ours}."]
     if paper.u_min_final is not None and paper.u_max_final is not None:
         notes.append(
-            f"printed extremes {paper.u_min_final:.4f}, {paper.u_max_final:.4f} on the relocated grid belong to "
-            f"that higher energy and so to another grid; here {best['u_min']:.4f}, {best['u_max']:.4f} "
-            f"({label(best)})."
+            f"printed extremes {paper.u_min_final:.4f}, {paper.u_max_final:.4f} on the relocated grid "
+            f"belong to that higher energy and so to another grid; here {best['u_min']:.4f}, "
+            f"{best['u_max']:.4f} ({label(best)})."
         )
     return notes
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -12,14 +14,14 @@ from matplotlib.figure import Figure
 
 from rmesh_nlp.results import write_whole
 
-ONE_COLUMN, TWO_COLUMNS = 3.4, 7.0
-"""Widths in inches."""
+TWO_COLUMNS = 7.0
+"""Width of a printed page's text in inches."""
 
-MAP = "cividis"
+MAP = "viridis"
 GRID_LINE = "0.25"
 FOUNDATION = "0.45"
 
-SETTINGS = {
+SETTINGS: Any = {
     "font.size": 9,
     "axes.titlesize": 9,
     "axes.labelsize": 9,
@@ -75,5 +77,5 @@ def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png", "pdf")) ->
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
     with rc_context(SETTINGS):
         for path, kind in zip(paths, formats, strict=True):
-            write_whole(path, lambda temporary, kind=kind: figure.savefig(temporary, format=kind))
+            write_whole(path, partial(figure.savefig, format=kind))
     return paths

@@ -11,7 +11,7 @@ from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.columns import COSTS, ENERGIES, OBJECTIVES, Column, body, contact_units
 from rmesh_nlp.report.markup import latex_list, latex_table, markdown_table
 from rmesh_nlp.report.notes import notes
-from rmesh_nlp.results import Record, write_whole
+from rmesh_nlp.results import Record, write_text
 
 CAPTIONS = {
     ENERGIES: r"Energies and extremes of the displacement; the paper truncates its digits.",
@@ -67,7 +67,7 @@ def write_tables(records: Sequence[Record], folder: Path) -> str:
         ("table.tex", latex(records)),
         ("table.csv", frame(records).to_csv(index=False)),
     ):
-        write_whole(folder / name, lambda path, content=content: path.write_text(content))
+        write_text(folder / name, content)
     return text
 
 
