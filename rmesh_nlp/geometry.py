@@ -1,7 +1,8 @@
-"""Signed areas of triangles."""
+"""Signed areas and orientation of triangles."""
 
 from __future__ import annotations
 
+import numpy as np
 from numpy.typing import NDArray
 
 
@@ -12,3 +13,11 @@ def signed_areas(nodes: NDArray, triangles: NDArray) -> NDArray:
     """
     a, b, c = (nodes[:, vertex] for vertex in triangles)
     return 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]))
+
+
+def counter_clockwise(nodes: NDArray, triangles: NDArray) -> NDArray[np.int64]:
+    """The triangles (3, elements), clockwise ones turned."""
+    t = np.array(triangles, dtype=np.int64)
+    clockwise = signed_areas(nodes, t) < 0
+    t[1:, clockwise] = t[:0:-1, clockwise]
+    return t

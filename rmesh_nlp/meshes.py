@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
-from rmesh_nlp.problem import signed_areas
+from rmesh_nlp.geometry import counter_clockwise, signed_areas
 
 SAME_NODE = 1e-10
 """Nodes closer than this times the size of the mesh are one."""
@@ -69,8 +69,7 @@ def from_arrays(
         raise ValueError(f"triangle {flat[0]} has no area")
     if np.any(areas < 0):
         _warn(f"turned {np.sum(areas < 0)} clockwise triangles")
-        t[1:, areas < 0] = t[:0:-1, areas < 0]
-    # skfem sorts the nodes of triangles unless told not to
+        t = counter_clockwise(p, t)
     mesh = MeshTri(np.ascontiguousarray(p), np.ascontiguousarray(t))
     _check_edges(t)
     return _named(mesh, boundaries or {}, subdomains or {}, number)
@@ -102,6 +101,10 @@ def read_mesh(path: str | Path) -> MeshTri:
     except (SystemExit, Exception) as error:  # meshio's readers raise anything, some call sys.exit
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ValueError(f"{path}: cannot be read as a mesh: {reason}") from error
+    if any(key.startswith("skfem:") for key in file.cell_data):
+        mesh = MeshTri.load(path)  # scikit-fem's own way to keep names
+        edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
+        return from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, edges, mesh.subdomains)
     kinds = {block.type: sum(len(b.data) for b in file.cells if b.type == block.type) for block in file.cells}
     other = [kind for kind in kinds if kind not in PLAIN_CELLS]
     if other:

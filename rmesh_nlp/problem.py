@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +12,13 @@ from skfem import MeshTri
 
 from rmesh_nlp.checks import ProblemError, check
 from rmesh_nlp.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, on_points
+from rmesh_nlp.display import html_table, rich_table
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.geometry import signed_areas
+from rmesh_nlp.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.laws import Elastic, Laplace, Law, PlaneStrain, PlaneStress
 from rmesh_nlp.moves import Motion, Relative
 from rmesh_nlp.obstacle import NO_CONTACT, Obstacle, Place
+from rmesh_nlp.summary import summary_of_problem
 
 __all__ = [
     "NO_CONTACT",
@@ -148,10 +151,7 @@ class ContactProblem:
     @property
     def triangles(self) -> NDArray[np.int64]:
         """(3, elements) vertex numbers, each triangle counter-clockwise."""
-        p, t = self.mesh.p, np.array(self.mesh.t, dtype=np.int64)
-        clockwise = signed_areas(p, t) < 0
-        t[1:, clockwise] = t[:0:-1, clockwise]
-        return t
+        return counter_clockwise(self.mesh.p, self.mesh.t)
 
     def boundary_nodes(self, names: tuple[str, ...]) -> NDArray[np.int64]:
         """Sorted numbers of the nodes on the named boundaries."""
@@ -182,6 +182,16 @@ class ContactProblem:
                     )
                 held[i, nodes], value[i, nodes] = True, given
         return held, value
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What the problem says, as (label, value) rows for people."""
+        return summary_of_problem(self)
+
+    def __rich__(self) -> Any:
+        return rich_table(f"Contact problem {self.name!r}", self.summary())
+
+    def _repr_html_(self) -> str:
+        return html_table(f"Contact problem {self.name!r}", self.summary())
 
     @property
     def contact_nodes(self) -> NDArray[np.int64]:

@@ -11,10 +11,12 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.audit import TOLERANCE, Audit
+from rmesh_nlp.display import html_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.multipliers import Multipliers
 from rmesh_nlp.nlp import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.summary import summary_of_solution
 
 
 @dataclass(frozen=True)
@@ -151,6 +153,16 @@ class Solution:
             **self.extra,
         }
         return {key: _plain(value) for key, value in row.items()}
+
+    def summary(self) -> list[tuple[str, str]]:
+        """The solution as (label, value) rows for people."""
+        return summary_of_solution(self)
+
+    def __rich__(self) -> Any:
+        return rich_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
+
+    def _repr_html_(self) -> str:
+        return html_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
 
     def history_rows(self) -> list[dict[str, Any]]:
         """The history as a list of plain dictionaries (for JSON or pandas)."""

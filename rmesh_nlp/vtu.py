@@ -69,13 +69,20 @@ def fields_of(solution: Solution) -> Fields:
 
 
 def write_vtu(path: Path, fields: Fields) -> None:
-    """Write triangles with point data.
+    """Write triangles with point data."""
+    cells = [("triangle", fields.triangles.T)]
+    data = point_arrays(fields)
+    meshio.Mesh(_three(fields.nodes), cells, point_data=data).write(path, file_format="vtu")
+
+
+def point_arrays(fields: Fields) -> dict[str, NDArray]:
+    """The fields as VTU files have them, by name.
 
     ``displacement`` has one or two components; ``initial_position`` and ``foundation`` have
     three, as the points of a VTU file do.
     """
     u = fields.displacement
-    point_data = {
+    return {
         "displacement": u[0] if u.shape[0] == 1 else np.ascontiguousarray(u.T),
         "initial_position": _three(fields.initial),
         "pressure": fields.pressure,
@@ -84,8 +91,6 @@ def write_vtu(path: Path, fields: Fields) -> None:
         "contact": fields.contact.astype(np.int32),
         "foundation": _three(fields.foundation),
     }
-    cells = [("triangle", fields.triangles.T)]
-    meshio.Mesh(_three(fields.nodes), cells, point_data=point_data).write(path, file_format="vtu")
 
 
 def read_vtu(path: Path) -> Fields:

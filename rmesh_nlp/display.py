@@ -1,0 +1,36 @@
+"""Problems and solutions as short tables: in a terminal through rich, in Jupyter as HTML."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+from rich.table import Table
+
+Rows = list[tuple[str, str]]
+
+
+def rich_table(title: str, rows: Rows) -> Table:
+    """A two-column table for rich."""
+    table = Table(title=title, show_header=False, title_justify="left")
+    for label, value in rows:
+        table.add_row(label, value)
+    return table
+
+
+def html_table(title: str, rows: Rows) -> str:
+    """The same as HTML, all text escaped."""
+    lines = "".join(f"<tr><th>{escape(label)}</th><td>{escape(value)}</td></tr>" for label, value in rows)
+    return f"<table><caption>{escape(title)}</caption>{lines}</table>"
+
+
+def figure(value: float) -> str:
+    """A number with six digits."""
+    return f"{value:.6g}"
+
+
+def describe(coefficient: Any) -> str:
+    """A coefficient as text: its expression if it has one."""
+    if callable(coefficient):
+        return str(getattr(coefficient, "text", "f(x, y)"))
+    return "free" if coefficient is None else figure(coefficient)
