@@ -13,7 +13,7 @@ from typer.main import get_command
 
 from rmesh_nlp import __version__
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.inputs import parse_delta, parse_names, parse_quadrature, parse_size
+from rmesh_nlp.inputs import parse_delta, parse_names, parse_quadrature, parse_seed, parse_size
 from rmesh_nlp.interrupts import EXIT_CODE as INTERRUPTED
 
 BAD_INPUT = 2
@@ -40,8 +40,10 @@ Delta = Annotated[
     ),
 ]
 Seed = Annotated[
-    int | None,
-    typer.Option("--seed", min=0, help="Start from random node positions instead of the given mesh."),
+    str | None,
+    typer.Option(
+        "--seed", metavar="NUMBER", help="Start from random node positions instead of the given mesh."
+    ),
 ]
 Quadrature = Annotated[
     str,
@@ -84,7 +86,7 @@ def _rmesh(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and leave."),
     ] = False,
 ) -> None:
-    r"""Relocate the nodes of finite-element meshes for contact problems.
+    """Relocate the nodes of finite-element meshes for contact problems.
 
     \b
     rmesh compare                                     all examples, all strategies
@@ -117,7 +119,9 @@ def solve(
         typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
     ] = None,
 ) -> None:
-    r"""Solve one example by one strategy: DIR/record.json, solution.vtu, history.csv.
+    """Solve one example by one strategy.
+
+    Writes DIR/record.json, DIR/solution.vtu and DIR/history.csv.
 
     \b
     rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
@@ -145,8 +149,9 @@ def compare(
         bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
     ] = False,
 ) -> None:
-    r"""Solve examples by several strategies; records, tables and figures in DIR.
+    """Compare strategies: solve, table and draw.
 
+    Writes DIR/records.jsonl, DIR/table.md, .tex, .csv, DIR/figures and DIR/solutions.
     An option goes to those strategies that take it. What an earlier run left in DIR is moved to
     DIR/previous when the first solve has ended.
 
@@ -164,7 +169,9 @@ def compare(
 
 @app.command()
 def table(folder: Folder) -> None:
-    r"""Make the tables of DIR again from its records: table.md, table.tex, table.csv.
+    """Make the tables of DIR again.
+
+    Writes DIR/table.md, DIR/table.tex and DIR/table.csv from the records, without solving.
 
     \b
     rmesh table results
@@ -174,7 +181,9 @@ def table(folder: Folder) -> None:
 
 @app.command()
 def figures(folder: Folder) -> None:
-    r"""Make the figures of DIR again, PNG and PDF, in DIR/figures.
+    """Make the figures of DIR again.
+
+    Writes PNG and PDF files to DIR/figures from the saved solutions, without solving.
 
     \b
     rmesh figures results
@@ -186,12 +195,16 @@ def _settings(
     n: str | None,
     delta: str | None,
     quadrature: str,
-    seed: int | None,
+    seed: str | None,
     objective: str | None,
     relaxation: str | None,
 ) -> dict[str, Any]:
     """Keyword arguments of :func:`rmesh_nlp.campaign.make_cases`."""
-    options = {"seed": seed, "objective": objective, "relaxation": relaxation}
+    options = {
+        "seed": None if seed is None else parse_seed(seed),
+        "objective": objective,
+        "relaxation": relaxation,
+    }
     return {
         "n": None if n is None else parse_size(n),
         "delta": None if delta is None else parse_delta(delta),

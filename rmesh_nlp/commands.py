@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,10 @@ SUCCESS, NO_SUCCESS = 0, 1
 def solve(example: str, formulation: str, settings: Mapping[str, Any], out: Path | None) -> int:
     """One solve; returns the exit code."""
     (case,) = campaign.make_cases([example], [formulation], **settings)
-    folder = _writable(Path("results") / case.key if out is None else out)
-    with CampaignProgress(1) as progress:
+    with (
+        _writable(Path("results") / case.key if out is None else out) as folder,
+        CampaignProgress(1) as progress,
+    ):
         progress.start(case)
         with leaving_on_interrupt(lambda: _farewell(progress, "nothing was written")):
             outcome = campaign.solve(case, progress.step)
@@ -48,9 +51,8 @@ def compare(
 ) -> int:
     """Many solves, tables and figures; returns the exit code."""
     cases = campaign.make_cases(examples or list(EXAMPLES), formulations, **settings)
-    results = Results(_writable(out))
     records: list[Record] = []
-    with CampaignProgress(len(cases)) as progress:
+    with _writable(out), CampaignProgress(len(cases)) as progress:
 
         def farewell() -> None:
             kept = f"{len(records)} of {len(cases)} solves are kept in {out}"
@@ -58,7 +60,7 @@ def compare(
 
         rows = campaign.run(
             cases,
-            results,
+            Results(out),
             resume=resume,
             guard=lambda: leaving_on_interrupt(farewell),
             on_start=progress.start,
@@ -89,12 +91,23 @@ def _farewell(progress: CampaignProgress, text: str) -> None:
     print(f"rmesh: interrupted: {text}", file=sys.stderr)
 
 
-def _writable(folder: Path) -> Path:
-    """The folder, made if need be, before time is spent on solving."""
+@contextmanager
+def _writable(folder: Path) -> Iterator[Path]:
+    """The folder, made if need be before time is spent on solving.
+
+    If what happens in this context fails and leaves it empty, what was made is taken away again.
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInputError(f"cannot write to {str(folder)!r}: {error.strerror}") from error
     if not os.access(folder, os.W_OK | os.X_OK):
         raise BadInputError(f"cannot write to {str(folder)!r}: permission denied")
-    return folder
+    try:
+        yield folder
+    except BaseException:
+        with suppress(OSError):  # not empty: keep it
+            for path in made:
+                path.rmdir()
+        raise

@@ -14,5 +14,5 @@ def unknown(what: str, name: str, known: Iterable[str]) -> BadInputError:
     """The error for a name that is not known, with the nearest one that is."""
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(names) or 'none'}"
-    return BadInputError(f"unknown {what} {name!r}: {hint}")
+    hint = f"did you mean {near[0]}? " if near else ""
+    return BadInputError(f"unknown {what} {name!r}: {hint}choose from {', '.join(names) or 'none'}")

@@ -50,6 +50,13 @@ def parse_quadrature(text: str) -> str | int:
     return int(text)
 
 
+def parse_seed(text: str) -> int:
+    """A whole number that is not negative."""
+    if not re.fullmatch("[0-9]+", text):
+        raise BadInputError(f"--seed must be a whole number and not negative, got {text!r}")
+    return int(text)
+
+
 def parse_names(option: str, text: str) -> tuple[str, ...]:
     """A list separated by commas, without repetitions, in the order given."""
     names = [part.strip() for part in text.split(",")]

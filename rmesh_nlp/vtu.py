@@ -103,7 +103,7 @@ def read_vtu(path: Path) -> Fields:
     meshio.ReadError
         If the file is not a VTU file.
     """
-    mesh = meshio.read(path, file_format="vtu")
+    mesh = meshio.vtu.read(str(path))  # meshio.read ends the process where it cannot read
     data = mesh.point_data
     return Fields(
         nodes=mesh.points[:, :2].T,
