@@ -6,17 +6,21 @@ import time
 
 import numpy as np
 
+from rmesh_nlp.objectives import parse_objective
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.reduced import ReducedObjective
 from rmesh_nlp.referee import OnStep, Referee
 from rmesh_nlp.solution import Solution, Step
 
 
-def solve(problem: ContactProblem, *, on_step: OnStep | None = None) -> Solution:
+def solve(problem: ContactProblem, *, objective: str = "energy", on_step: OnStep | None = None) -> Solution:
     """Solve the contact problem on the initial mesh.
 
     Parameters
     ----------
     problem : ContactProblem
+    objective : str
+        An outer objective whose value is to be recorded as well.
     on_step : callable, optional
         Called once with the only step.
     """
@@ -36,4 +40,14 @@ def solve(problem: ContactProblem, *, on_step: OnStep | None = None) -> Solution
         contact_solves=1,
         wall_time_s=seconds,
         stationarity="",
+        objective=objective,
+        extra=_objective_value(referee, objective),
     )
+
+
+def _objective_value(referee: Referee, text: str) -> dict[str, float]:
+    objective = parse_objective(text)
+    if objective.is_energy:
+        return {}
+    value = ReducedObjective(referee.reduced, objective)(np.zeros(referee.relocation.n_q)).value
+    return {"objective_initial": value, "objective_value": value}

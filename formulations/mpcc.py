@@ -24,16 +24,25 @@ from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
 from rmesh_nlp.referee import OnStep, Referee
 from rmesh_nlp.solution import Solution, Step
 
+
+def _close(mu: float) -> dict[str, Any]:
+    """Ipopt options that stay in the basin of a start close to a solution.
+
+    A large barrier, or the push of the start off its bounds, would lose it.
+    """
+    pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+    return {"mu_strategy": "monotone", "mu_init": mu, **dict.fromkeys(pushes, mu)}
+
+
 OPTIONS: Mapping[str, Any] = {
     "t0": 1e-4,
     "factor": 1e-3,
     "t_final": 1e-9,
     "crossover": 1.0,
-    # the homotopy starts close to a solution: a large barrier would lose it
-    "ipopt_relaxed": {"mu_strategy": "monotone", "mu_init": 1e-6},
+    "ipopt_relaxed": _close(1e-6),
     # Many node boxes are weakly active, and an interior point meets those only to the square
     # root of its tolerance.
-    "ipopt_exact": {"tol": 1e-12, "compl_inf_tol": 1e-12},
+    "ipopt_exact": {"tol": 1e-12, "compl_inf_tol": 1e-12, **_close(1e-9)},
 }
 """Options of :class:`rmesh_nlp.mpcc.Options` for mesh problems."""
 

@@ -18,6 +18,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -288,6 +289,33 @@ def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Arr
     p[inside] = _factor(rotated.K[:, inside][inside]).solve(turned[inside])
     reaction = np.where(active.touching, (turned - rotated.K @ p)[rotated.normal], 0.0)
     return p if rotated.basis is None else rotated.basis @ p, reaction
+
+
+def tangent_response(
+    system: ContactSystem, active: ActiveSet
+) -> Callable[[Array, Array], tuple[Array, Array]]:
+    """First-order change of displacement and normal force with the active set held.
+
+    The returned function takes the change of the out-of-balance force ``K u - F`` at fixed
+    displacement and the change of the gaps, and gives those of ``u`` and ``lambda``. The
+    stiffness is factorised once.
+    """
+    rotated = _Rotated(system)
+    inside = np.flatnonzero(rotated.free(active))
+    rows = sp.csr_array(rotated.K)[inside]
+    factor = _factor(rotated.K[:, inside][inside])
+    touching = rotated.normal[active.touching]
+
+    def respond(force: Array, gap: Array) -> tuple[Array, Array]:
+        turned = force if rotated.basis is None else rotated.basis.T @ force
+        w = np.zeros(turned.size)
+        w[touching] = -gap[active.touching]
+        w[inside] = factor.solve(-turned[inside] - rows @ w)
+        change = np.zeros(gap.size)
+        change[active.touching] = (rotated.K @ w + turned)[touching]
+        return (w if rotated.basis is None else rotated.basis @ w), change
+
+    return respond
 
 
 def weakly_active(system: ContactSystem, state: Equilibrium, tolerance: float = 1e-6) -> NDArray[np.bool_]:

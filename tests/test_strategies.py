@@ -106,8 +106,8 @@ def test_other_outer_solvers_come_close(outer: str) -> None:
 
 
 def test_unknown_outer_solver_is_named() -> None:
-    with pytest.raises(ValueError, match="unknown outer solver 'newton'"):
-        nested.solve(EXAMPLES["6.1"](4), outer="newton")
+    with pytest.raises(ValueError, match="unknown outer solver 'sqp'"):
+        nested.solve(EXAMPLES["6.1"](4), outer="sqp")
 
 
 def test_a_solver_without_constraints_refuses_large_boxes() -> None:

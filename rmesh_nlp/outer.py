@@ -1,0 +1,204 @@
+"""Outer solvers of the nested strategy, by name.
+
+All but "newton" take any outer objective; "newton" uses the second derivative of the reduced
+energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import Bounds, NonlinearConstraint, minimize
+
+from rmesh_nlp.assembly import assemble
+from rmesh_nlp.curvature import Curvature
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.motion import validity_group
+from rmesh_nlp.newton import Evaluation
+from rmesh_nlp.newton import minimise as newton
+from rmesh_nlp.nlp import NLP, Derivatives, Monitor, Solver, Status
+from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
+from rmesh_nlp.referee import Referee
+
+NAN = float("nan")
+
+Reduced = ReducedEnergy | ReducedObjective
+
+IPOPT_OPTIONS: Mapping[str, Any] = {
+    "hessian_approximation": "limited-memory",
+    "limited_memory_max_history": 50,
+    "tol": 1e-6,
+    "max_iter": 500,
+}
+"""A long memory: the flat directions of the mesh make short ones stall."""
+
+SCIPY_TOLERANCE = 1e-8
+SCIPY_MAX_ITERATIONS = 500
+
+
+@dataclass(frozen=True)
+class ReducedProgram:
+    """The outer problem: its NLP in the moves q and the function behind its objective.
+
+    ``oracle`` must live as long as the NLP: CasADi does not own Python callbacks.
+    """
+
+    nlp: NLP
+    function: Reduced
+    areas: ca.Function
+    oracle: ca.Callback
+    is_valid: Callable[[Array], bool]
+
+
+@dataclass(frozen=True)
+class OuterResult:
+    """Where an outer solver stopped."""
+
+    q: Array
+    status: Status
+    iterations: int
+
+
+def reduced_nlp(referee: Referee, function: Reduced) -> ReducedProgram:
+    """The NLP ``min F(q)`` over boxes and element areas; its objective is a contact solve."""
+    rel = referee.relocation
+    q, p = ca.MX.sym("q", rel.n_q), ca.MX(0, 1)
+    validity, bound = validity_group(rel.problem, rel.freedoms)
+    areas = assemble([validity], q, p, bound.size)
+    oracle = _Oracle(function, rel.n_q)
+    value, gradient = oracle(q)
+    nlp = NLP(
+        x=q,
+        p=p,
+        f=value,
+        g=areas.g,
+        lbx=-rel.freedoms.bound,
+        ubx=rel.freedoms.bound,
+        lbg=bound,
+        ubg=np.full(bound.size, np.inf),
+        derivatives=Derivatives(
+            grad_f=ca.Function("nlp_grad_f", [q, p], [value, gradient]),
+            jac_g=areas.jac_g,
+            hess_lag=None,
+        ),
+    )
+    return ReducedProgram(nlp, function, areas.jac_g, oracle, referee.is_valid)
+
+
+class _Oracle(ca.Callback):
+    """F(q) and its gradient as a CasADi Function, in units of ``|F(0)|``: a squared error may be small."""
+
+    def __init__(self, function: Reduced, n: int) -> None:
+        super().__init__()
+        self._function, self._n = function, n
+        self._scale = scale_of(function, n)
+        self.construct("reduced_energy", {})
+
+    def get_n_in(self) -> int:
+        return 1
+
+    def get_n_out(self) -> int:
+        return 2
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._n)
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._n if i else 1)
+
+    def eval(self, arg: list[ca.DM]) -> list[Any]:
+        point = self._function(arg[0].full().ravel())
+        return [point.value / self._scale, point.gradient / self._scale]
+
+
+def scale_of(function: Reduced, n: int) -> float:
+    """Size of the objective on the initial mesh, the unit in which it is minimised."""
+    return abs(function(np.zeros(n)).value) or 1.0
+
+
+def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
+    result = Solver(program.nlp, options=IPOPT_OPTIONS, monitor=monitor)(start)
+    status = Status.CONVERGED if result.converged else result.status
+    return OuterResult(result.x, status, result.iterations)
+
+
+def _newton(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
+    """Projected trust-region Newton-CG; an invalid mesh makes the trust region shrink."""
+    energy = program.function
+    if not isinstance(energy, ReducedEnergy):
+        raise ValueError("the outer solver newton needs the energy as objective: choose ipopt")
+    curvature = Curvature(energy)
+
+    def evaluate(q: Array) -> Evaluation | None:
+        if program.nlp.n_g and not program.is_valid(q):
+            return None
+        point = energy(q)
+        return Evaluation(point.value, point.gradient, lambda: curvature.at(point))
+
+    result = newton(
+        evaluate,
+        start,
+        program.nlp.lbx,
+        program.nlp.ubx,
+        on_step=lambda iteration, q, here: monitor(iteration, q, here.value),
+    )
+    return OuterResult(result.x, result.status, result.iterations)
+
+
+def _scipy(method: str) -> Callable[[ReducedProgram, Array, Monitor], OuterResult]:
+    """An outer solver of scipy.optimize with our gradient."""
+
+    def run(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
+        nlp, function = program.nlp, program.function
+        constraints, scale = [], scale_of(function, nlp.n_x)
+        if nlp.n_g:
+            if method == "L-BFGS-B":
+                raise ValueError(
+                    f"l-bfgs-b knows boxes only, but with these boxes {nlp.n_g} elements could be inverted: "
+                    "choose ipopt, slsqp or trust-constr, or a smaller delta"
+                )
+            constraints.append(
+                NonlinearConstraint(
+                    lambda q: program.areas(q, [])[0].full().ravel(),
+                    nlp.lbg,
+                    np.inf,
+                    jac=lambda q: program.areas(q, [])[1].full(),
+                )
+            )
+        count = 0
+
+        def callback(q: Array, *_: Any) -> None:
+            nonlocal count
+            count += 1
+            monitor(count, np.clip(q, nlp.lbx, nlp.ubx), NAN)
+
+        result = minimize(
+            lambda q: function(q).value / scale,
+            start,
+            jac=lambda q: function(q).gradient / scale,
+            method=method,
+            bounds=Bounds(nlp.lbx, nlp.ubx),
+            constraints=constraints,
+            callback=callback,
+            tol=SCIPY_TOLERANCE,
+            options={"maxiter": SCIPY_MAX_ITERATIONS},
+        )
+        status = Status.CONVERGED if result.success else Status.STALLED
+        if count >= SCIPY_MAX_ITERATIONS:
+            status = Status.ITERATION_LIMIT
+        return OuterResult(np.clip(result.x, nlp.lbx, nlp.ubx), status, count)
+
+    return run
+
+
+OUTER_SOLVERS: dict[str, Callable[[ReducedProgram, Array, Monitor], OuterResult]] = {
+    "ipopt": _ipopt,
+    "newton": _newton,
+    "slsqp": _scipy("SLSQP"),
+    "trust-constr": _scipy("trust-constr"),
+    "l-bfgs-b": _scipy("L-BFGS-B"),
+}
