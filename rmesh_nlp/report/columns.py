@@ -33,7 +33,9 @@ class Column:
 def _number(name: str, form: str) -> Callable[[Record], str]:
     def cell(record: Record) -> str:
         value = record.get(name)
-        return MISSING if value is None else format(value, form)
+        if value is None:
+            return MISSING
+        return "0" if value == 0 and form.endswith("e") else format(value, form)
 
     return cell
 
@@ -53,29 +55,34 @@ def _in_contact_solves(record: Record) -> str:
     return MISSING if units is None else f"{units:.3g}" if units < 100 else f"{units:.0f}"
 
 
+def _two(first: str, second: str) -> str:
+    """A LaTeX heading of two lines."""
+    return rf"\shortstack[r]{{{first}\\ {{{second}}}}}"
+
+
 STRATEGY = Column("strategy", "strategy", label)
 
 ENERGIES = (
     STRATEGY,
-    Column("J initial", r"$J$ initial", _number("energy_initial", ".6f")),
-    Column("J final", r"$J$ final", _number("energy", ".6f")),
-    Column("J audited", r"$J$ audited", _number("energy_audited", ".6f")),
+    Column("J initial", _two("$J$", "initial"), _number("energy_initial", ".6f")),
+    Column("J final", _two("$J$", "final"), _number("energy", ".6f")),
+    Column("J audited", _two("$J$", "audited"), _number("energy_audited", ".6f")),
     Column("gain", "gain", _number("gain", ".6f")),
     Column("u min", r"$u_{\min}$", _number("u_min", ".4g")),
     Column("u max", r"$u_{\max}$", _number("u_max", ".4g")),
-    Column("least area", "least area", _number("min_area_ratio", ".3f")),
+    Column("least area", _two("least", "area"), _number("min_area_ratio", ".3f")),
 )
 """Energies, extremes of the displacement, least element area over its initial one."""
 
 COSTS = (
     STRATEGY,
     Column("iterations", "iter.", _number("iterations", "d")),
-    Column("contact solves", r"\shortstack[r]{contact\\solves}", _number("contact_solves", "d")),
-    Column("time [s]", "time [s]", _number("wall_time_s", ".3g")),
-    Column("time [solves]", "time [solves]", _in_contact_solves),
-    Column("equilibrium", "equilibrium", _number("equilibrium_residual", ".1e")),
-    Column("complementarity", "complementarity", _number("complementarity_residual", ".1e")),
-    Column("stationarity", "stationarity", _number("stationarity_residual", ".1e")),
+    Column("contact solves", _two("contact", "solves"), _number("contact_solves", "d")),
+    Column("time [s]", _two("time", "[s]"), _number("wall_time_s", ".3g")),
+    Column("time [solves]", _two("time", "[solves]"), _in_contact_solves),
+    Column("equilibrium", "equil.", _number("equilibrium_residual", ".1e")),
+    Column("complementarity", "compl.", _number("complementarity_residual", ".1e")),
+    Column("stationarity", "stat.", _number("stationarity_residual", ".1e")),
     Column("label", "label", _text("stationarity")),
     Column("status", "status", _text("status")),
 )

@@ -38,21 +38,22 @@ def latex_table(head: Sequence[str], groups: Sequence[tuple[str, Rows]], caption
     columns = len(head)
     lines = [
         r"\begin{table}[htbp]",
-        r"\centering\footnotesize\setlength{\tabcolsep}{4pt}",
+        r"\centering\footnotesize\setlength{\tabcolsep}{2.5pt}",
         rf"\caption{{{caption}}}",
         rf"\begin{{tabular}}{{@{{}}l{'r' * (columns - 1)}@{{}}}}",
         r"\toprule",
         " & ".join(head) + r" \\",
     ]
     for title, rows in groups:
-        lines += [r"\midrule", rf"\multicolumn{{{columns}}}{{@{{}}l}}{{\emph{{{latex_text(title)}}}}} \\"]
+        lines += [r"\midrule", rf"\multicolumn{{{columns}}}{{@{{}}l}}{{\emph{{{latex_title(title)}}}}} \\"]
         lines += [" & ".join(latex_cell(cell) for cell in row) + r" \\" for row in rows]
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}"]) + "\n"
 
 
 def latex_list(notes: Sequence[str]) -> str:
     """Notes as an itemized list in small type."""
-    items = [rf"  \item {latex_text(note)}" for note in notes]
+    # a hyphen before a number is a minus sign
+    items = [re.sub(r"(?<![\w.])-(?=\d)", "$-$", rf"  \item {latex_text(note)}") for note in notes]
     return "\n".join([r"{\footnotesize", r"\begin{itemize}", *items, r"\end{itemize}", r"}"]) + "\n"
 
 
@@ -64,6 +65,12 @@ def latex_cell(text: str) -> str:
         return latex_text(text)
     mantissa, _, exponent = text.lower().partition("e")
     return f"${mantissa}$" if not exponent else rf"${mantissa}\cdot 10^{{{int(exponent)}}}$"
+
+
+def latex_title(title: str) -> str:
+    """Settings in words, their symbols as formulas."""
+    text = re.sub(r"(?<=\d) ?x ?(?=\d)", r" $\\times$ ", latex_text(title))
+    return text.replace("n = ", "$n$ = ").replace("delta = ", r"$\delta$ = ")
 
 
 def latex_text(text: str) -> str:

@@ -15,7 +15,7 @@ from rmesh_nlp.results import Record, write_text
 
 CAPTIONS = {
     ENERGIES: r"Energies and extremes of the displacement; the paper truncates its digits.",
-    COSTS: r"Work and residuals.",
+    COSTS: r"Work, and the residuals of equilibrium, complementarity and stationarity.",
     OBJECTIVES: r"Outer objectives.",
 }
 
