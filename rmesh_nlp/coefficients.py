@@ -76,6 +76,12 @@ class PiecewiseLinear:
         if np.any(np.diff(self.x) <= 0):
             raise ValueError(f"breakpoints must increase, got x={self.x}")
 
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """The breakpoints at which the slope changes."""
+        change = np.diff(np.diff(self.y) / np.diff(self.x))
+        return tuple(x for x, jump in zip(self.x[1:-1], change, strict=True) if jump != 0)
+
     def __call__(self, x: Any, y: Any = None) -> Any:
         """Value at x_1 = ``x``; ``y`` is ignored, so that it serves as a function of position."""
         slopes = np.diff(self.y) / np.diff(self.x)

@@ -102,6 +102,9 @@ def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
     varying = [d.boundary for d in problem.supports if any(callable(value) for value in d.value)]
     mobility[problem.boundary_nodes(tuple(varying))] = Mobility.PINNED
     mobility[np.setdiff1d(np.arange(mobility.size), mesh.t)] = Mobility.PINNED
+    contact = problem.contact_nodes
+    at_kink = np.isclose(mesh.p[0, contact, None], np.array(problem.obstacle.kinks)).any(axis=1)
+    mobility[contact[at_kink]] = Mobility.PINNED
     rules = (
         (motion.free, Mobility.FREE),
         (motion.slides, Mobility.SLIDING),

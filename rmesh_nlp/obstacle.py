@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from rmesh_nlp.coefficients import Coefficient, PositionFunction, at
+from rmesh_nlp.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at
 
 
 class Place(Enum):
@@ -37,14 +37,21 @@ class Obstacle:
     friction : float or function of position
         Tresca bound g >= 0 in N/m^2, 0 without friction. It acts along the tangent, ``normal``
         turned by -90 degrees.
+    kinks : tuple of float
+        Values of x_1 where the offset has a kink, found for a :class:`PiecewiseLinear` one.
+        Contact nodes there do not move: the gap is imposed at nodes, and beside its node a kink
+        of the foundation would pass into the body.
     """
 
     boundary: str | Place
     normal: tuple[float, ...] = (0.0, 1.0)
     offset: Coefficient = 0.0
     friction: Coefficient = 0.0
+    kinks: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        if isinstance(self.offset, PiecewiseLinear) and not self.kinks:
+            object.__setattr__(self, "kinks", self.offset.kinks)
         length = float(np.linalg.norm(self.normal))
         if not abs(length - 1) <= 1e-12:
             raise ValueError(f"the contact normal {self.normal} has length {length}, not 1")
@@ -78,7 +85,8 @@ class Obstacle:
         The gap ``X_2 + u_2 - height(X_1)`` is that of (3.10) with alpha = X_2 - height. The
         height is any smooth function or a :class:`PiecewiseLinear`, called as height(x, y).
         """
-        return cls(boundary, (0.0, 1.0), lambda x, y: y - at(height, x, y), friction=friction)
+        kinks = height.kinks if isinstance(height, PiecewiseLinear) else ()
+        return cls(boundary, (0.0, 1.0), lambda x, y: y - at(height, x, y), friction, kinks)
 
     @classmethod
     def interior(cls, psi: Coefficient) -> Obstacle:

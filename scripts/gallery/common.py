@@ -1,0 +1,157 @@
+"""What every gallery case does: solve by several strategies, check, compare with uniform grids, draw."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+import matplotlib.pyplot as plt
+import numpy as np
+
+from formulations import fixed, joint, nested
+from rmesh_nlp.assembly import assemble, constant_field
+from rmesh_nlp.objectives import parse_objective
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solution import Solution
+from rmesh_nlp.stress import stresses, von_mises
+
+AGREEMENT = 1e-4
+"""Largest relative difference of energy between joint and nested."""
+
+Error = Callable[[Solution], float]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One gallery case, solved.
+
+    Attributes
+    ----------
+    before, after, nested : Solution
+        On the grid as given, relocated by joint, relocated by nested.
+    error_before, error_after : float
+        Of the energy, or of the solution in the energy norm squared over two.
+    unknowns : int
+        Displacement unknowns.
+    uniform : list of (int, float)
+        Unknowns and errors of uniform grids without relocation.
+    worth : float
+        Unknowns of a uniform grid with the error of the relocated one, over ``unknowns``.
+    """
+
+    before: Solution
+    after: Solution
+    nested: Solution
+    error_before: float
+    error_after: float
+    unknowns: int
+    uniform: list[tuple[int, float]]
+    worth: float
+
+    def report(self) -> str:
+        """A few lines for people."""
+        lines = [
+            f"{self.before.problem.name}: {self.unknowns} unknowns",
+            f"  energy       {self.before.energy:.8g} -> {self.after.energy:.8g} (joint), "
+            f"{self.nested.energy:.8g} (nested)",
+            f"  audited      {self.before.audit.energy_audited:.8g} -> {self.after.audit.energy_audited:.8g}",
+            f"  error        {self.error_before:.4g} -> {self.error_after:.4g}, "
+            f"that of a uniform grid with {self.worth:.2f} times the unknowns",
+            f"  least area   {self.after.audit.min_area_ratio:.3g} of the initial one",
+        ]
+        return "\n".join(lines)
+
+
+def run(
+    problem: ContactProblem,
+    error: Error,
+    finer: Sequence[ContactProblem] = (),
+    **nested_options: object,
+) -> Case:
+    """Solve on the grid as given and relocated, check, and compare with uniform grids.
+
+    Raises
+    ------
+    AssertionError
+        If a solve does not succeed, an element is inverted, the energy rises, or the
+        strategies disagree.
+    """
+    before, after = fixed.solve(problem), joint.solve(problem)
+    other = nested.solve(problem, **nested_options)
+    for solution in (before, after, other):
+        assert solution.success, f"{solution.formulation}: {solution.status.message}"
+        assert solution.audit.min_area_ratio > 0
+    assert after.energy <= before.energy
+    difference = abs(after.energy - other.energy) / max(abs(after.energy), 1e-300)
+    assert difference <= AGREEMENT, f"joint and nested differ by {difference:.1e}"
+    uniform = [(unknowns(problem), error(before))]
+    uniform += [(unknowns(p), error(fixed.solve(p))) for p in finer]
+    worth = _equal_unknowns(uniform, error(after)) / unknowns(problem)
+    return Case(before, after, other, error(before), error(after), unknowns(problem), uniform, worth)
+
+
+def unknowns(problem: ContactProblem) -> int:
+    """Displacement components that are not given."""
+    return int(np.sum(~problem.held()[0]))
+
+
+def energy_above(reference: float) -> Error:
+    """Audited energy above a reference."""
+    return lambda solution: solution.audit.energy_audited - reference
+
+
+def energy_norm(solution: Solution) -> float:
+    """I1 of (4.1), half the squared energy norm of the error against the exact solution."""
+    nodes, nothing = np.asarray(solution.mesh.p), ca.MX.sym("x", 1)
+    groups = parse_objective("error-energy").groups(
+        solution.problem,
+        constant_field(nodes),
+        constant_field(solution.displacement),
+        constant_field(np.zeros((1, nodes.shape[1]))),
+    )
+    value = assemble(groups, nothing, ca.MX(0, 1), 0).f
+    return float(ca.Function("error", [nothing], [value])(0))
+
+
+def draw(case: Case, path: Path) -> None:
+    """The meshes before and after, coloured by the displacement or the von Mises stress."""
+    figure, axes = plt.subplots(1, 2, figsize=(9, 4.2), layout="constrained")
+    for axis, solution, title in zip(axes, (case.before, case.after), ("as given", "relocated"), strict=True):
+        x, y = solution.mesh.p
+        t = solution.problem.triangles.T
+        if solution.problem.components == 1:
+            image = axis.tripcolor(x, y, t, solution.displacement[0], shading="gouraud")
+            label = "u"
+        else:
+            stress = stresses(solution.problem, np.asarray(solution.mesh.p), solution.displacement)
+            image = axis.tripcolor(x, y, t, facecolors=von_mises(stress))
+            label = "von Mises stress, N/m$^2$"
+        axis.triplot(x, y, t, linewidth=0.3, color="black")
+        axis.set(title=f"{title}: J = {solution.energy:.6g}", aspect="equal")
+        figure.colorbar(image, ax=axis, label=label, shrink=0.7)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def command_line(main: Callable[[int], Case], n: int) -> None:
+    """Run a case from the command line."""
+    parser = argparse.ArgumentParser(description=(main.__doc__ or "").splitlines()[0])
+    parser.add_argument("--n", type=int, default=n, help=f"size of the grid (default {n})")
+    parser.add_argument("--picture", type=Path, help="file to draw to")
+    options = parser.parse_args()
+    case = main(options.n)
+    print(case.report())
+    if options.picture is not None:
+        draw(case, options.picture)
+
+
+def _equal_unknowns(uniform: list[tuple[int, float]], error: float) -> float:
+    """Unknowns of a uniform grid with this error, by log-log interpolation or extrapolation."""
+    if len(uniform) < 2 or error <= 0:
+        return float("nan")
+    n, e = np.log(np.array(uniform)).T
+    slope, offset = np.polyfit(e, n, 1)
+    return float(np.exp(slope * np.log(error) + offset))
