@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from rmesh_nlp.errors import BadInput
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem_schema import (
     ContactTable,
     LineTable,
@@ -22,7 +22,7 @@ from rmesh_nlp.problem_schema import (
 )
 
 
-class ProblemFileError(BadInput):
+class ProblemFileError(BadInputError):
     """A problem file that cannot be used; ``lines`` has one line per error."""
 
     def __init__(self, lines: list[str]) -> None:
