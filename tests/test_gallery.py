@@ -52,7 +52,7 @@ def test_plate_with_hole(load: Callable[[str], ModuleType]) -> None:
 def test_hertz(load: Callable[[str], ModuleType]) -> None:
     needs_gmsh()
     module = load("hertz")
-    case = module.main(6)
+    case = module.main(8)
     contact = module.measure(case.after)
     assert contact.half_width == pytest.approx(1, abs=0.05)
     assert contact.peak == pytest.approx(1, abs=0.05)

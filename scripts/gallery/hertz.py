@@ -50,7 +50,7 @@ def problem(n: int) -> ContactProblem:
         law=PlaneStrain.from_young(YOUNG, POISSON),
         dirichlet=(Dirichlet("axis", (0.0, None)), Dirichlet("top", (0.0, -PUSH))),
         obstacle=Obstacle("contact", offset=lambda x, y: RADIUS - ca.sqrt(RADIUS**2 - x**2)),
-        motion=Motion(Relative(0.4), pinned=("arc", "top")),
+        motion=Motion(Relative(0.3), pinned=("arc", "top")),
         name="Hertz",
     )
 

@@ -1,0 +1,75 @@
+"""The commented template that ``rmesh new`` writes: a valid problem file that solves in a second."""
+
+TEMPLATE = """# A contact problem for rmesh. Check it:  rmesh check {file}
+#                               Solve it:  rmesh solve {file}
+# Lengths, forces and stresses are in one system of units of your choice.
+# Where "number or expression" is said, an expression of x and y may stand as text, such as
+# "sin(2*pi*x)*y". It may use + - * / **, comparisons, and, or, not, pi, sin cos tan asin acos atan
+# atan2 sinh cosh tanh exp log sqrt abs min max hypot, and where(condition, a, b).
+
+name = "{name}"
+quadrature = "midpoint"          # rule for source or body force: "midpoint", or a degree such as 6
+
+[mesh]
+shape = "rectangle"              # boundaries left, right, bottom, top
+nx = 16
+ny = 4
+x = [0.0, 4.0]
+y = [0.0, 1.0]
+# diagonal = "falling"           # or "rising"
+# Other shapes (they need gmsh: pip install rmesh-nlp[gmsh]):
+#   shape = "l-shape"            h, size                           boundaries corner, outer
+#   shape = "plate-with-hole"    h, size, radius                   left, right, bottom, top, hole
+#   shape = "half-disc"          h, radius, contact, h_contact     axis, top, arc, contact
+#   shape = "wedge-block"        h, width, height, rise            left, right, top, wedge
+#   shape = "polygon"            points = [[0, 0], ...], h         edge-0, edge-1, ...
+# or a file that meshio reads, relative to this one; its groups are the names:
+#   file = "body.msh"
+
+[boundaries]                     # further names, by a condition on the midpoints of boundary edges
+load = "y == 1 and x > 2"
+
+# [subdomains]                   # further names, by a condition on the midpoints of triangles
+# hard = "x > 2"
+
+[material]                       # or one table [materials.<subdomain>] per subdomain
+law = "plane-strain"             # "plane-strain", "plane-stress" or "laplace"
+young = 21600.0                  # young and poisson, or lame_lambda and lame_mu
+poisson = 0.3
+body_force = [0.0, 0.0]          # numbers or expressions
+# For "laplace":  source = "..."  (number or expression),  conductivity = 1.0
+
+[dirichlet]                      # given displacements: numbers, expressions, or "free"
+left = [0.0, 0.0]
+
+[tractions]                      # loads per length of boundary: numbers or expressions
+load = [0.0, -57.5]
+
+[contact]                        # leave it out for no contact
+boundary = "bottom"
+height = -0.05                   # foundation below the graph y = height: number or expression
+# points = [[0, 0], [4, 0.1]]    # or a piecewise-linear graph
+# line = {{ point = [0, 0], normal = [0, 1] }}   # or a rigid straight line; normal towards the body
+# offset = 0.05                  # or the initial gap itself, along normal = [0, 1]
+# friction = 10.0                # Tresca bound: number or expression
+# For a scalar problem with u >= psi in the whole domain, instead of boundary:  interior = "..."
+
+[motion]
+delta = {{ relative = 0.3 }}       # of the shortest edge at the node; or a number, or [dx, dy], or "none"
+pinned = ["top"]                 # boundaries, or node numbers, that do not move
+# slides = []                    # that slide on their straight piece although a part ends there
+# free = []                      # that move freely; on the outer boundary this changes the domain
+# tied = [[12, 40]]              # node 12 makes the moves of node 40
+min_area_fraction = 0.01         # least area of an element over its initial one
+# min_angle = 5.0                # least angle of an element in degrees
+
+[solve]                          # defaults of rmesh solve
+formulation = "joint"            # fixed, nested, joint, mpcc
+# objective = "energy"
+# seed = 1
+"""
+
+
+def template(name: str, file: str) -> str:
+    """The template for a problem called ``name`` in ``file``."""
+    return TEMPLATE.format(name=name, file=file)
