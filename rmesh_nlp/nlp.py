@@ -11,10 +11,13 @@ non-negative one (CasADi's convention).
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from types import FrameType
 from typing import Any
 
 import casadi as ca
@@ -346,20 +349,23 @@ class Solver:
         if not np.all(np.isfinite(start)):
             raise ValueError(f"x0[{int(np.flatnonzero(~np.isfinite(start))[0])}] is not finite")
         began = time.perf_counter()
-        solution = self._function(
-            x0=start,
-            p=p,
-            lbx=nlp.lbx if lbx is None else lbx,
-            ubx=nlp.ubx if ubx is None else ubx,
-            lbg=nlp.lbg if lbg is None else lbg,
-            ubg=nlp.ubg if ubg is None else ubg,
-            lam_x0=lam_x0,
-            lam_g0=lam_g0,
-        )
+        with _SignalWatch() as watch:
+            solution = self._function(
+                x0=start,
+                p=p,
+                lbx=nlp.lbx if lbx is None else lbx,
+                ubx=nlp.ubx if ubx is None else ubx,
+                lbg=nlp.lbg if lbg is None else lbg,
+                ubg=nlp.ubg if ubg is None else ubg,
+                lam_x0=lam_x0,
+                lam_g0=lam_g0,
+            )
         seconds = time.perf_counter() - began
         stats = self._function.stats()
         word = str(stats["return_status"])
         status = _IPOPT_STATUS.get(word, Status.CONVERGED if stats["success"] else Status.FAILED)
+        if watch.interrupted:
+            status = Status.INTERRUPTED
         return NLPResult(
             x=_flat(solution["x"]),
             f=float(solution["f"]),
@@ -376,6 +382,33 @@ class Solver:
 
 def _flat(matrix: ca.DM) -> Array:
     return np.asarray(matrix.full(), dtype=float).ravel(order="F")
+
+
+class _SignalWatch:
+    """Notices Ctrl-C during a solve.
+
+    CasADi stops the solver on the KeyboardInterrupt that Python raises in it, but swallows it and
+    reports an ordinary failure. The handler that was there still runs.
+    """
+
+    def __init__(self) -> None:
+        self.interrupted = False
+        self._before: Any = None
+
+    def __enter__(self) -> _SignalWatch:
+        if threading.current_thread() is threading.main_thread():  # only there may handlers be set
+            self._before = signal.getsignal(signal.SIGINT)
+            if callable(self._before):
+                signal.signal(signal.SIGINT, self._handle)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if callable(self._before):
+            signal.signal(signal.SIGINT, self._before)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.interrupted = True
+        self._before(number, frame)
 
 
 class _IterationCallback(ca.Callback):

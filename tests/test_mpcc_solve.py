@@ -1,12 +1,16 @@
 """The solver on small problems with solutions in closed form."""
 
+import signal
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCSolver, multistart, solve
+from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCSolver, Options, multistart, solve
+from rmesh_nlp.mpcc.finish import finish
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.programs import Log, Programs
 from rmesh_nlp.nlp import Solver, Status
 
 KINDS = [ca.SX, ca.MX]
@@ -55,12 +59,9 @@ def test_every_relaxation_solves_the_bilevel_problem(kind, derive, relaxation):
 def test_equal_t_puts_the_corner_of_every_relaxation_at_the_same_place(relaxation, t):
     """``max x`` on the diagonal x = y: the relaxed set ends at x = y = sqrt(t)."""
     x, y = symbols(ca.SX, "xy")
-    programs = Programs(MPCC(ca.vertcat(x, y), -x, x - y, x, y, lbg=0, ubg=0), MPCCSolverOptions)
+    programs = Programs(MPCC(ca.vertcat(x, y), -x, x - y, x, y, lbg=0, ubg=0), Options())
     result = programs.relaxed(relaxation, np.array([0.1, 0.1]) * np.sqrt(t), np.zeros(0), t)
     assert result.x == pytest.approx([np.sqrt(t)] * 2, rel=1e-4)
-
-
-MPCCSolverOptions = MPCCSolver(MPCC(*symbols(ca.SX, "x"), 0, None, None, None)).options
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -164,11 +165,8 @@ def test_parameters_are_values_of_one_compiled_problem(kind):
 
 def test_a_wrong_branch_is_left_by_the_descent():
     """The finish started on the arm x = 0 of a problem whose corner is not B-stationary must cross it."""
-    from rmesh_nlp.mpcc.finish import finish
-    from rmesh_nlp.mpcc.programs import Log
-
     x, y = symbols(ca.SX, "xy")
-    programs = Programs(MPCC(ca.vertcat(x, y), (x - 1) ** 2 + (y + 1) ** 2, None, x, y), MPCCSolverOptions)
+    programs = Programs(MPCC(ca.vertcat(x, y), (x - 1) ** 2 + (y + 1) ** 2, None, x, y), Options())
     p = np.zeros(0)
     end = finish(programs, np.array([0.0, 0.5]), p, Log(programs, p, None), search=False)
     assert end.solved
@@ -178,12 +176,9 @@ def test_a_wrong_branch_is_left_by_the_descent():
 
 def test_a_feasible_branch_is_found_when_the_sides_are_unclear():
     """x = y - 1e-3: at x = y the sides are a coin toss and one of them is infeasible."""
-    from rmesh_nlp.mpcc.finish import finish
-    from rmesh_nlp.mpcc.programs import Log
-
     x, y = symbols(ca.SX, "xy")
     mpcc = MPCC(ca.vertcat(x, y), (x - y) ** 2 + x, y - x - 1e-3, x, y, lbg=0, ubg=0)
-    programs, p = Programs(mpcc, MPCCSolverOptions), np.zeros(0)
+    programs, p = Programs(mpcc, Options()), np.zeros(0)
     z = np.array([2e-3, 1e-3])  # fixes y, which is infeasible
     assert not finish(programs, z, p, Log(programs, p, None), search=False).solved
     end = finish(programs, z, p, Log(programs, p, None), search=True)
@@ -224,7 +219,7 @@ def test_a_failing_step_retreats(monkeypatch):
     def shy(self, name, z, p, t, warm=None):
         result = relaxed(self, name, z, p, t, warm)
         if t < 0.09 * reached[-1]:
-            return type(result)(**{**vars(result), "status": Status.STALLED})
+            return replace(result, status=Status.STALLED)
         reached.append(t)
         return result
 
@@ -234,16 +229,52 @@ def test_a_failing_step_retreats(monkeypatch):
     assert any(step.status is Status.CONVERGED and step.t < 1 for step in result.history)
 
 
-def test_an_interrupt_is_not_a_failed_result(monkeypatch):
+@pytest.fixture
+def _ctrl_c_raises():
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_ctrl_c_raises")
+def test_ctrl_c_in_the_middle_of_a_solve_is_not_a_failed_result():
+    def press(iteration, x, f):
+        if iteration == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    nlp = Programs(bilevel(ca.SX), Options()).lifted.nlp
+    result = Solver(nlp, monitor=press)(np.full(nlp.n_x, 0.5))
+    assert result.status is Status.INTERRUPTED
+
+
+def test_an_interrupted_step_ends_the_whole_solve(monkeypatch):
     call = Solver.__call__
 
     def interrupted(self, *args, **kwargs):
-        return (
-            type(result)(**{**vars(result), "status": Status.INTERRUPTED})
-            if (result := call(self, *args, **kwargs))
-            else None
-        )
+        return replace(call(self, *args, **kwargs), status=Status.INTERRUPTED)
 
     monkeypatch.setattr(Solver, "__call__", interrupted)
     with pytest.raises(KeyboardInterrupt):
         solve(bilevel(ca.SX), 0.5)
+
+
+def test_a_weakly_active_bound_does_not_spoil_the_label():
+    """The bound y >= 1 is met exactly with multiplier zero; the solver stops a little before it."""
+    x, y = symbols(ca.SX, "xy")
+    result = solve(MPCC(ca.vertcat(x, y), x + 2 * (y - 1) ** 2, None, x, y, lbx=[0, -1], ubx=3), [2, 2])
+    bounded = solve(MPCC(ca.vertcat(x, y), x + 2 * (y - 1) ** 2, y, x, y, lbg=1), [2, 2])
+    assert (result.stationarity, bounded.stationarity) == ("S", "S")
+    assert bounded.x == pytest.approx([0, 1], abs=1e-5)
+
+
+def test_a_sparse_square_problem_of_a_thousand_pairs():
+    """Obstacle problem u'' + load, u >= -0.05, on 1000 nodes; the contact force is the other member."""
+    n, h = 1000, 1 / 1001
+    v = ca.MX.sym("v", 2 * n)
+    u, force = ca.vertsplit(v, [0, n, 2 * n])
+    padded = ca.vertcat(0, u, 0)
+    balance = (2 * padded[1:-1] - padded[:-2] - padded[2:]) / h**2 + 1 - force
+    result = solve(MPCC(v, 0.5 * h * ca.sumsqr(u), balance, force, u + 0.05, lbg=0, ubg=0), 0.0)
+    assert result.success
+    # u'' = 1 off the contact, u = u' = 0 relative to the obstacle at its ends: width sqrt(2 * 0.05)
+    assert np.sum(result.G > 0.5) * h == pytest.approx(1 - 2 * np.sqrt(0.1), abs=3 * h)

@@ -12,6 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.classify import Verdict, judge
@@ -22,6 +24,8 @@ from rmesh_nlp.nlp import NLPResult, Status
 
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|
 _REACHES = (2.0, 20.0)  # radii of the search for a feasible branch, in units of the largest min(G, H)
+_SIGN_STEPS = 200  # cheap: each starts at the solution of the one before
+_REGULAR, _CONSISTENT = 1e-10, 1e-3
 _TRUST = (None, 1e-1, 1e-3)  # relative boxes in which a lower point of the descent branch is sought
 _NEAR_BIACTIVE = 3e-5  # pairs closer to the corner than this are tried on both sides at once
 
@@ -105,7 +109,7 @@ def _descend(
 def _solve(
     programs: Programs, log: Log, z: Array, p: Array, fix_G: BoolArray, box: Array | None = None
 ) -> NLPResult:
-    result = programs.branch(z, p, fix_G, ~fix_G, box)
+    result = programs.branch(z, p, fix_G, ~fix_G, box=box)
     log.add("branch", 0.0, result)
     return result
 
@@ -113,8 +117,11 @@ def _solve(
 def _other_branch(
     programs: Programs, log: Log, z: Array, p: Array, fix_G: BoolArray, result: NLPResult
 ) -> tuple[NLPResult, BoolArray]:
-    """Branches that the linearisation at the relaxed point can satisfy, with a growing radius."""
+    """A feasible branch near the relaxed point: first by signs, which is cheap, then by elastic LPECs."""
     lifted = programs.lifted
+    by_signs = _follow_signs(programs, log, z, p, fix_G)
+    if by_signs is not None:
+        return by_signs
     distance = float(np.max(np.minimum(z[lifted.first], z[lifted.second]), initial=0.0))
     for reach in _REACHES:
         near = nearest_branch(lifted, z, p, reach * max(distance, programs.options.corner))
@@ -127,6 +134,34 @@ def _other_branch(
     return result, fix_G
 
 
+def _follow_signs(
+    programs: Programs, log: Log, z: Array, p: Array, fix_G: BoolArray
+) -> tuple[NLPResult, BoolArray] | None:
+    """Primal-dual active set: leave the signs free, and switch every pair whose sign comes out wrong.
+
+    Where the pairs determine the rest (a lower level with one solution) it moves a contact boundary
+    node by node. M. Hintermueller, K. Ito, K. Kunisch, The primal-dual active set strategy as a
+    semismooth Newton method, SIAM J. Optim. 13 (2002) 865-888. None if it does not end in an exact point.
+    """
+    lifted = programs.lifted
+    worst = np.inf
+    for _ in range(_SIGN_STEPS):
+        result = programs.branch(z, p, fix_G, ~fix_G, free_signs=True)
+        log.add("signs", 0.0, result)
+        z = result.x
+        free = np.where(fix_G, z[lifted.second], z[lifted.first])
+        wrong = free < -programs.options.complementarity
+        lowest = -float(np.min(free, initial=0.0))
+        if not result.converged or lowest > worst:
+            return None
+        worst = lowest
+        if not np.any(wrong):
+            result = _solve(programs, log, z, p, fix_G)
+            return (result, fix_G) if exact(programs, result.x, p) else None
+        fix_G = fix_G ^ wrong
+    return None
+
+
 def _tighten(programs: Programs, log: Log, result: NLPResult, p: Array, fix_G: BoolArray) -> NLPResult:
     """Put pairs that end next to the corner into it, if that costs nothing.
 
@@ -136,12 +171,34 @@ def _tighten(programs: Programs, log: Log, result: NLPResult, p: Array, fix_G: B
     lifted, options = programs.lifted, programs.options
     free = np.maximum(result.x[lifted.first], result.x[lifted.second])
     near = (free <= _NEAR_BIACTIVE) & (free > options.complementarity)
-    if not np.any(near):
+    if not np.any(near) or not _can_close(programs, result.x, p, fix_G, near):
         return result
     tight = programs.branch(result.x, p, fix_G | near, ~fix_G | near)
     log.add("tightened", 0.0, tight)
     cost = tight.f - result.f
     return tight if exact(programs, tight.x, p) and cost <= _DECREASE * (1 + abs(result.f)) else result
+
+
+def _can_close(programs: Programs, z: Array, p: Array, fix_G: BoolArray, near: BoolArray) -> bool:
+    """Whether a small step closes the near pairs to first order: spares a hopeless, slow NLP.
+
+    The least-norm step that keeps the active rows and the zero members and closes the near pairs, from one
+    regularised KKT system; inconsistent demands leave a residual.
+    """
+    lifted, options = programs.lifted, programs.options
+    lin = linearisation(lifted, z, p, options.activity, options.corner)
+    eye = sp.identity(z.size, format="csr")
+    places = np.unique(np.concatenate([lifted.first[fix_G | near], lifted.second[~fix_G | near]]))
+    A = sp.vstack([lin.jacobian[np.flatnonzero(lin.row_lower | lin.row_upper)], eye[places]], format="csr")
+    size = np.maximum(1.0, np.sqrt(np.asarray(A.multiply(A).sum(axis=1)).ravel()))
+    A = sp.diags(1.0 / size) @ A
+    aim = np.zeros(A.shape[0])
+    aim[-places.size :] = -z[places]
+    regular = sp.identity(A.shape[0]) * _REGULAR
+    system = sp.bmat([[sp.identity(z.size), A.T], [A, -regular]], format="csc")
+    step = spsolve(system, np.concatenate([np.zeros(z.size), aim]))[: z.size]
+    gap = float(np.max(np.abs(aim)))
+    return bool(np.max(np.abs(A @ step - aim)) <= _CONSISTENT * gap and np.max(np.abs(step)) <= 1e3 * gap)
 
 
 def exact(programs: Programs, z: Array, p: Array) -> bool:

@@ -26,7 +26,7 @@ from rmesh_nlp.mpcc.lifting import IntArray, Lifted
 from rmesh_nlp.mpcc.linearisation import Linearisation
 
 _ENUMERATE = 3  # up to 2^3 small linear programs are cheaper than a MILP
-_TIME_LIMIT = 30.0
+_TIME_LIMIT = 10.0  # seconds; a MILP that needs longer is given up
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,9 @@ def _mixed_integer(
     found = _milp(lin.gradient, rows, lower, upper, lifted, lin.biactive, np.zeros(lifted.nlp.n_x))
     if found is None:
         return None
-    step, on_G, decrease = found
+    step, on_G, decrease, proven = found
+    if not proven and decrease >= 0:  # no descent found is only an answer if all was searched
+        return None
     fix_G = lin.G_zero.copy()
     fix_G[lin.biactive] = on_G
     return Direction(decrease, step, fix_G)
@@ -118,11 +120,12 @@ def _milp(
     lifted: Lifted,
     pairs: IntArray,
     members: Array,
-) -> tuple[Array, NDArray[np.bool_], float] | None:
+) -> tuple[Array, NDArray[np.bool_], float, bool] | None:
     """One binary y per pair: ``m_G + d_G <= (m_G + 1) y`` and ``m_H + d_H <= (m_H + 1) (1 - y)``.
 
     ``members`` are the values m of the unknowns; the box ``d <= 1`` makes ``m + 1`` a valid big M.
-    ``cost`` may be longer than the unknowns (elastic columns after them).
+    ``cost`` may be longer than the unknowns (elastic columns after them). Returns step, sides, value and
+    whether the value is proven best.
     """
     n, k = cost.size, pairs.size
     first, second = lifted.first[pairs], lifted.second[pairs]
@@ -144,10 +147,7 @@ def _milp(
     )
     if answer.x is None:
         return None
-    proven = answer.status == 0
-    if not proven and answer.fun >= 0:
-        return None
-    return answer.x[: lifted.nlp.n_x], answer.x[n:] < 0.5, float(answer.fun)
+    return answer.x[: lifted.nlp.n_x], answer.x[n:] < 0.5, float(answer.fun), answer.status == 0
 
 
 def nearest_branch(
@@ -189,6 +189,6 @@ def nearest_branch(
     )
     if found is None:
         return None
-    step, on_G, _ = found
+    step, on_G, _, _ = found
     fix_G[open_pairs] = on_G
     return z + radius * step, fix_G

@@ -75,16 +75,28 @@ class Programs:
         return self._relaxed(name, warm is not None)(z, p=np.append(p, t), **lam)
 
     def branch(
-        self, z: Array, p: Array, fix_G: BoolArray, fix_H: BoolArray, box: Array | None = None
+        self,
+        z: Array,
+        p: Array,
+        fix_G: BoolArray,
+        fix_H: BoolArray,
+        *,
+        box: Array | None = None,
+        free_signs: bool = False,
     ) -> NLPResult:
-        """Solve the NLP in which the given members are zero, from ``z`` (and within ``box`` around it)."""
+        """Solve the NLP in which the given members are zero, from ``z``.
+
+        ``box`` keeps the unknowns near ``z``; ``free_signs`` lets the other members be negative.
+        """
         lifted = self.lifted
         lower, upper = lifted.nlp.lbx.copy(), lifted.nlp.ubx.copy()
         if box is not None:
             lower, upper = np.maximum(lower, z - box), np.minimum(upper, z + box)
-        upper[lifted.first[fix_G]] = 0.0
-        upper[lifted.second[fix_H]] = 0.0
-        lower = np.minimum(lower, upper)  # a member just above zero
+        if free_signs:
+            lower[lifted.member] = -np.inf
+        for places in (lifted.first[fix_G], lifted.second[fix_H]):
+            upper[places] = 0.0
+            lower[places] = 0.0
         return self._exact(np.clip(z, lower, upper), p=p, lbx=lower, ubx=upper)
 
     def measure(self, z: Array, p: Array) -> tuple[float, Residuals, tuple[Array, Array, Array]]:

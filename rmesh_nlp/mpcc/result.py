@@ -20,8 +20,8 @@ class Step:
     Attributes
     ----------
     phase : str
-        ``relaxed`` (a relaxation solved at ``t``), ``branch`` (each pair fixed on one side) or
-        ``tightened`` (biactive pairs fixed on both).
+        ``relaxed`` (a relaxation solved at ``t``), ``branch`` (each pair fixed on one side),
+        ``tightened`` (pairs next to the corner fixed on both) or ``signs`` (a branch with free signs).
     t : float
         Relaxation parameter; 0 in the finish.
     objective, constraint_violation : float
