@@ -158,10 +158,12 @@ def _mesh(table: ProblemTable, path: Path) -> MeshTri:
 
 
 def _refuse_other_keys(spec: MeshTable, known: tuple[str, ...], path: Path) -> None:
-    for key in spec.model_fields_set:
-        if key not in known:
+    for key in type(spec).model_fields:
+        if key in spec.model_fields_set and key not in known:
             what = f"the shape {spec.shape!r}" if spec.shape else "a mesh from a file"
-            raise error_at(path, f"mesh.{key}", repr(getattr(spec, key)), f"{what} takes {', '.join(known)}")
+            raise error_at(
+                path, f"mesh.{key}", as_text(getattr(spec, key)), f"{what} takes {', '.join(known)}"
+            )
 
 
 def _law(whole: ProblemTable, key: str, path: Path) -> Law:
@@ -169,8 +171,8 @@ def _law(whole: ProblemTable, key: str, path: Path) -> Law:
     scalar = ("source", "conductivity")
     elastic = ("young", "poisson", "lame_lambda", "lame_mu", "body_force")
     known = scalar if table.law == "laplace" else elastic
-    for name in table.model_fields_set - {"law"}:
-        if name not in known:
+    for name in type(table).model_fields:
+        if name in table.model_fields_set and name not in ("law", *known):
             value = as_text(getattr(table, name))
             raise error_at(path, f"{key}.{name}", value, f"the law {table.law!r} takes {', '.join(known)}")
     with at_key(path, key, whole):

@@ -74,7 +74,7 @@ def pydantic_line(path: Path, item: Any, data: dict[str, Any]) -> str:
     if item["type"] in ("model_type", "dict_type", "model_attributes_type"):
         return f"{path}: {key} = {as_text(item['input'])}: expected a table [{key}]"
     message = one_line(item["msg"]).removeprefix("Value error, ")
-    if not location or isinstance(item["input"], dict):
+    if not location:
         return f"{path}: {key}: {message}"
     return f"{path}: {key} = {as_text(item['input'])}: {message}"
 

@@ -1,0 +1,124 @@
+"""Random edits of valid problem files: each must be read, or refused in one-line errors; never a traceback.
+
+An edit deletes, doubles or swaps lines, replaces a value or a key by something odd, or changes
+single characters. A file that is still valid is built, mesh and all, but not solved.
+
+    python scripts/fuzz_problem_files.py --edits 10000 --seed 1
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import re
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from pathlib import Path
+
+from rmesh_nlp.problem_file import ProblemFileError, load_problem
+from rmesh_nlp.problem_template import template
+
+ODD = [
+    "0", "-1", "1e308", "1e-308", "nan", "inf", "true", '""', '"x"', '"1/0"', '"x**x"', "[]", "[[]]", "{}",
+    "[1, 2]", "[1, 2, 3]", '["a", 1]', "1979-05-27", '"none"', '"free"', "{ relative = -1 }", "9" * 30,
+    '"' + "(" * 300 + '"', '"__import__(\'os\')"', '"sqrt(x-2)"', '"log(y)"', '"left"', "'''\nx\n'''",
+    '"\\u0000"', "3.5", "0x10", '"l-shape"\nh = 0.5', '"polygon"', '"plane-stress"', '"laplace"',
+]  # fmt: skip
+CHARACTERS = "abcxyz019.,=[]{}\"'#-+*/ \n\t\\é\u2028\0"
+
+SCALAR = """\
+[mesh]
+shape = "rectangle"
+nx = 4
+ny = 4
+[subdomains]
+a = "x < 0.5"
+b = "x > 0.5"
+[materials.a]
+law = "laplace"
+source = "sin(2*pi*x)*y"
+[materials.b]
+law = "laplace"
+conductivity = 3.0
+[dirichlet]
+left = 0
+top = "x*(1-x)"
+[contact]
+interior = -0.1
+[motion]
+delta = "none"
+min_angle = 5
+tied = [[6, 7]]
+"""
+
+
+def mutate(text: str, rng: random.Random) -> str:
+    """One to three random edits."""
+    for _ in range(rng.randint(1, 3)):
+        lines = text.split("\n")
+        i, kind = rng.randrange(len(lines)), rng.randrange(8)
+        if kind == 0:
+            del lines[i]
+        elif kind == 1:
+            lines.insert(rng.randrange(len(lines)), lines[i])
+        elif kind == 2:
+            j = rng.randrange(len(lines))
+            lines[i], lines[j] = lines[j], lines[i]
+        elif kind in (3, 4) and "=" in lines[i]:
+            lines[i] = lines[i].split("=")[0] + "= " + rng.choice(ODD)
+        elif kind == 5 and "=" in lines[i]:
+            lines[i] = rng.choice(["", "zz", "left", "x.y", '"a b"']) + lines[i][1:]
+        elif kind == 6:
+            lines[i] = re.sub(r"-?[0-9.]+", lambda _: rng.choice(ODD[:7]), lines[i], count=1)
+        else:
+            place = rng.randrange(len(lines[i]) + 1)
+            lines[i] = lines[i][:place] + rng.choice(CHARACTERS) + lines[i][place + rng.randint(0, 1) :]
+        text = "\n".join(lines) or "x"
+    return text
+
+
+def run(edits: int, seed: int) -> Counter[str]:
+    """Try ``edits`` random edits; returns counts of valid, refused and failed ones, failures printed."""
+    rng, counts = random.Random(seed), Counter[str]()
+    bases = [re.sub(r" +#.*", "", template("fuzz", "fuzz.toml")), SCALAR]
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        path = Path(folder) / "fuzz.toml"
+        for _ in range(edits):
+            text = mutate(rng.choice(bases), rng)
+            path.write_bytes(text.encode("utf-8", "surrogatepass"))
+            try:
+                load_problem(path)
+                counts["valid"] += 1
+            except ProblemFileError as error:
+                bad = [
+                    line
+                    for line in error.lines
+                    if not line.startswith(f"{path}: ") or len(line.splitlines()) != 1
+                ]
+                counts["badly refused" if bad or not error.lines else "refused"] += 1
+                if bad:
+                    print(f"not a one-line error: {bad}\n{text}\n")
+            except Exception:
+                counts["traceback"] += 1
+                print(f"{traceback.format_exc()}\n{text}\n")
+    return counts
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="Random edits of valid problem files.")
+    parser.add_argument("--edits", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    began = time.perf_counter()
+    counts = run(options.edits, options.seed)
+    print(f"{options.edits} edits in {time.perf_counter() - began:.0f} s: {dict(counts)}")
+    return int(counts["traceback"] + counts["badly refused"] > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
