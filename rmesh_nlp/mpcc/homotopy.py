@@ -14,7 +14,7 @@ from rmesh_nlp.nlp import NLPResult, Status
 _MAX_RETREATS = 3
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _BELOW = 0.1
-_GAP = 0.01  # an early finish further than this (relative) above the relaxed objective is not yet final
+_GAP = 0.05  # an early finish further than this (relative) above the relaxed objective is not yet final
 
 
 @dataclass(frozen=True, eq=False)
