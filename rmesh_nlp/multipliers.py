@@ -16,7 +16,7 @@ from scipy.optimize import lsq_linear, nnls
 
 from rmesh_nlp.assembly import CONSTANT
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.motion import constrained_elements
+from rmesh_nlp.motion import Mobility, constrained_elements
 from rmesh_nlp.relocation import Relocation
 
 ACTIVE = 1e-4
@@ -33,7 +33,7 @@ class Multipliers:
     Attributes
     ----------
     box : (nodes,) array
-        Per unit of length of the node's box; zero off the box's faces.
+        Per unit of length by which the node's box grows in all directions; zero off its faces.
     area : (elements,) array
         Per unit of the element's least relative area.
     angle : (elements,) array
@@ -93,9 +93,11 @@ def _nonnegative_fit(matrix: Any, right: Array) -> Array:
 def _by_node(relocation: Relocation, q: Array, rest: Array, stopped: NDArray[np.bool_]) -> Array:
     """What the boxes hold back, as energy per length, at the nodes that own the moves."""
     pull = np.where(stopped, np.maximum(-rest * np.sign(q), 0.0), 0.0)
-    positions = relocation.freedoms.positions
-    moving = positions.index != CONSTANT
-    length = np.zeros(positions.index.shape)
-    length[moving] = pull[positions.index[moving]] / np.abs(positions.scale[moving])
-    # a node that slides has one move behind both coordinates: the longer step is its box
-    return np.asarray(np.where(np.all(moving, axis=0), length.max(axis=0), length.sum(axis=0)))
+    free = relocation.freedoms
+    index, scale = free.positions.index, free.positions.scale
+    moving = (index != CONSTANT) & (free.mobility != Mobility.TIED)
+    rate = np.zeros(index.shape)
+    rate[moving] = pull[index[moving]] / np.abs(scale[moving])
+    # one move behind both coordinates: the box along the longer step is the one that stops it
+    slanted = np.all(moving, axis=0) & (index[0] == index[1])
+    return np.asarray(np.where(slanted, rate.min(axis=0), rate.sum(axis=0)))
