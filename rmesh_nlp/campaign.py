@@ -223,9 +223,11 @@ def run(
 
 
 def save(outcome: Outcome, places: Result) -> None:
-    """Write fields and history of an outcome; a solve that raised has none."""
+    """Write fields and history of an outcome; a solve that raised has none, nor keeps older ones."""
     solution = outcome.solution
     if solution is None:
+        places.vtu.unlink(missing_ok=True)
+        places.history.unlink(missing_ok=True)
         return
     write_whole(places.vtu, lambda path: write_vtu(path, fields_of(solution)))
     rows = [{name: row[name] for name in HISTORY_FIELDS} for row in solution.history_rows()]

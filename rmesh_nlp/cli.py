@@ -103,7 +103,7 @@ def _rmesh(
 
 @app.command()
 def solve(
-    example: Annotated[str, typer.Argument(help="6.1, 6.2 or 6.3.")],
+    example: Annotated[str, typer.Argument(metavar="EXAMPLE", help="6.1, 6.2 or 6.3.")],
     formulation: Annotated[
         str,
         typer.Option("--formulation", "-f", help="fixed, nested, joint, mpcc, or one that you installed."),

@@ -14,7 +14,7 @@ import meshio
 import numpy as np
 import pytest
 
-from rmesh_nlp import __version__, cli
+from rmesh_nlp import __version__, cli, strategies
 from rmesh_nlp.results import REQUIRED
 
 HEAVY = {"casadi", "matplotlib", "pandas", "skfem", "scipy", "meshio", "numpy"}
@@ -114,6 +114,34 @@ def test_a_refusal_in_a_comparison_is_a_row_and_exit_code_1(capsys: pytest.Captu
     assert joint["message"] in capsys.readouterr().out
 
 
+def test_a_solve_that_raises_is_recorded_and_exit_code_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("solve", "6.1", "-f", "fixed", "--n", "3", "--out", "one") == 0
+
+    def explode(problem: object) -> None:
+        raise RuntimeError("singular")
+
+    monkeypatch.setattr(strategies, "load", lambda name: explode)
+    capsys.readouterr()
+    assert run("solve", "6.1", "-f", "fixed", "--n", "3", "--out", "one") == 1
+    record = json.loads(Path("one/record.json").read_text())
+    assert (record["status"], record["message"]) == ("failed", "RuntimeError: singular")
+    assert "RuntimeError: singular" in capsys.readouterr().err
+    assert [path.name for path in Path("one").iterdir()] == ["record.json"]  # no stale solution
+
+
+def test_a_solve_that_does_not_converge_is_exit_code_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    load = strategies.load("joint")
+    monkeypatch.setattr(
+        strategies, "load", lambda name: lambda problem: load(problem, options={"max_iter": 2})
+    )
+    assert run("solve", "6.1", "--n", "3", "--out", "one") == 1
+    record = json.loads(Path("one/record.json").read_text())
+    assert (record["status"], record["success"]) == ("iteration_limit", False)
+    assert Path("one/solution.vtu").exists()
+
+
 BAD = {
     "unknown example": (["solve", "6.4"], "6.4"),
     "unknown strategy": (["solve", "6.1", "-f", "jiont"], "did you mean joint"),
@@ -144,7 +172,7 @@ BAD = {
     ),
     "unknown option": (["solve", "6.1", "--fast"], "--fast"),
     "unknown command": (["slove", "6.1"], "slove"),
-    "missing argument": (["solve"], "example"),
+    "missing argument": (["solve"], "EXAMPLE"),
     "missing folder": (["table", "nowhere"], "nowhere"),
     "empty folder": (["figures", "."], "records.jsonl"),
     "folder is a file": (["solve", "6.1", "--n", "3", "--out", "file"], "file"),
