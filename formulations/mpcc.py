@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ import numpy as np
 from rmesh_nlp.bilevel import Bilevel, bilevel
 from rmesh_nlp.equilibrium import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.history import Recorder
 from rmesh_nlp.mpcc import MPCC, MPCCResult, MPCCSolver
-from rmesh_nlp.nlp import NLPResult, Solver
+from rmesh_nlp.nlp import Solver
 from rmesh_nlp.objectives import parse_objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
@@ -85,7 +87,7 @@ def solve(
     start : (2, nodes) array, optional
         Node positions to start from, say prolonged from a coarser mesh.
     on_step : callable, optional
-        Called after the homotopy with each of its steps.
+        Called after each iteration of the first solve, and with the steps of the homotopy.
 
     Raises
     ------
@@ -108,15 +110,18 @@ def solve(
         force=contact.system.force_scale,
         value=abs(value) or 1.0,
     )
-    first = Solver(two_level.without_complementarity(), options=FIRST_OPTIONS)(
+    unit = two_level.value if outer.is_energy else float("nan")
+    recorder = Recorder(on_step, two_level.n_q, unit)
+    first = Solver(two_level.without_complementarity(), options=FIRST_OPTIONS, monitor=recorder)(
         two_level.point(q, contact.equilibrium, contact.system)
     )
     solver = MPCCSolver(two_level.mpcc, **{"relaxation": relaxation, **OPTIONS, **(options or {})})
     result = solver(first.x)
     seconds = time.perf_counter() - began
-    history = _history(first, result, two_level.value if outer.is_energy else float("nan"))
+    unrelaxed = [replace(step, t=float("inf")) for step in recorder.steps(first)]
+    history = unrelaxed + _homotopy_steps(unrelaxed[-1], result, unit)
     if on_step is not None:
-        for step in history:
+        for step in history[len(unrelaxed) :]:
             on_step(step)
     q, u, normal, tangential = two_level.split(result.x)
     inside = np.clip(q, -referee.relocation.freedoms.bound, referee.relocation.freedoms.bound)
@@ -157,25 +162,15 @@ def _equilibrium(
     return Equilibrium(u, system.energy(u), normal, tangential, active, result.status, 0)
 
 
-def _history(first: NLPResult, result: MPCCResult, unit: float) -> list[Step]:
-    """One step per NLP: without complementarity (t infinite), the homotopy, the exact finish (t zero)."""
-    iterations, seconds = first.iterations, first.seconds
-    violation = first.history["inf_pr"][-1]
-    steps = [Step(iterations, first.f * unit, float("inf"), violation, float("nan"), 0, seconds)]
+def _homotopy_steps(before: Step, result: MPCCResult, unit: float) -> list[Step]:
+    """One step per NLP of the homotopy and of the exact finish (t = 0)."""
+    iterations, seconds = before.iteration, before.seconds
+    steps = []
     for nlp in result.history:
         iterations += nlp.iterations
         seconds += nlp.seconds
-        steps.append(
-            Step(
-                iterations,
-                nlp.objective * unit,
-                nlp.t,
-                nlp.constraint_violation,
-                nlp.complementarity,
-                0,
-                seconds,
-            )
-        )
+        violation, pairs = nlp.constraint_violation, nlp.complementarity
+        steps.append(Step(iterations, nlp.objective * unit, nlp.t, violation, pairs, 0, seconds))
     return steps
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -85,7 +86,8 @@ class ElementGroup:
     Attributes
     ----------
     function : casadi.Function
-        SX Function ``(*local columns) -> (f, g)``; f a scalar, g a column (possibly empty).
+        ``(*local columns) -> (f, g)``; f a scalar, g a column (possibly empty). An SX Function,
+        or an MX one where SX has no expression (splines).
     arguments : tuple of Field
         For each argument its local values, (length, elements).
     rows : (len(g), elements) int array
@@ -162,10 +164,11 @@ class _Mapped:
         self.group, self._n = group, group.size
         variable = [i for i, field in enumerate(group.arguments) if not field.parameter and _moves(field)]
         self._fields = [group.arguments[i] for i in variable]
-        symbols = [ca.SX.sym(f"a{i}", group.function.size1_in(i)) for i in range(group.function.n_in())]
-        local = ca.vertcat(ca.SX(0, 1), *[symbols[i] for i in variable])
+        symbols = local_symbols(group.function)
+        kind = type(symbols[0])
+        local = ca.vertcat(kind(0, 1), *[symbols[i] for i in variable])
         f, g = group.function(*symbols)
-        lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", g.shape[0])
+        lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", g.shape[0])
         jacobian = ca.jacobian(g, local)
         hessian = ca.triu(ca.hessian(lam_f * f + ca.dot(lam_g, g), local)[0])
         self._jacobian_pattern, self._hessian_pattern = jacobian.sparsity(), hessian.sparsity()
@@ -214,7 +217,13 @@ def _moves(field: Field) -> bool:
     return bool(np.any(field.index != CONSTANT))
 
 
-def _map(name: str, inputs: list[ca.SX], outputs: list[ca.SX], n: int) -> ca.Function:
+def local_symbols(function: ca.Function) -> list[Any]:
+    """Symbols for the arguments of a local function, of the kind that it is made of."""
+    kind = ca.SX if function.is_a("SXFunction") else ca.MX
+    return [kind.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
+
+
+def _map(name: str, inputs: list[Any], outputs: list[Any], n: int) -> ca.Function:
     return ca.Function(name, inputs, ca.cse(outputs)).map(n)
 
 

@@ -15,6 +15,7 @@ from rmesh_nlp.examples import EXAMPLES, Delta, Size
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.objectives import parse_objective
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.reference import with_reference
 from rmesh_nlp.results import HISTORY_FIELDS, REQUIRED, Record, Result, Results, write_history, write_whole
 from rmesh_nlp.solution import Solution, Step, versions
 from rmesh_nlp.vtu import fields_of, write_vtu
@@ -91,6 +92,8 @@ def make_cases(
     options = dict(options or {})
     _check_options(options)
     problems = [build_problem(name, n=n, delta=delta, quadrature=quadrature) for name in examples]
+    if "objective" in options and parse_objective(options["objective"]).needs_exact:
+        problems = [with_reference(problem) for problem in problems]
     taken = {name: strategies.accepted(strategies.load(name), options) for name in formulations}
     for option in options:
         if not any(option in names for names in taken.values()):

@@ -22,16 +22,18 @@ class Recorder:
         Called with each step as it comes; residuals are known only afterwards.
     n_q : int
         Number of moves at the head of x, which the steps for ``on_step`` carry.
+    unit : float
+        Energy of an objective of one; NaN if the objective is not the energy.
     """
 
-    def __init__(self, on_step: OnStep | None = None, n_q: int = 0) -> None:
-        self._on_step, self._n_q = on_step, n_q
+    def __init__(self, on_step: OnStep | None = None, n_q: int = 0, unit: float = 1.0) -> None:
+        self._on_step, self._n_q, self._unit = on_step, n_q, unit
         self._began = time.perf_counter()
         self._steps: list[Step] = []
 
     def __call__(self, iteration: int, x: Array, f: float) -> None:
         """Note an iterate."""
-        step = Step(iteration, f, NAN, NAN, NAN, 0, time.perf_counter() - self._began)
+        step = Step(iteration, f * self._unit, NAN, NAN, NAN, 0, time.perf_counter() - self._began)
         self._steps.append(step)
         if self._on_step is not None:
             self._on_step(replace(step, q=x[: self._n_q]))

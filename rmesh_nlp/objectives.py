@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
-from rmesh_nlp.assembly import ElementGroup, Field, Index, constant_field
+from rmesh_nlp.assembly import ElementGroup, Field, Index, constant_field, local_symbols
 from rmesh_nlp.energy import (
     bulk_groups,
     contact_edges,
@@ -30,10 +30,13 @@ from rmesh_nlp.energy import (
     triangle_rule,
 )
 from rmesh_nlp.laws import energy_density
-from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, PositionFunction, at, signed_areas
+from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, at, signed_areas
 
 ERROR_DEGREE = 10
 """Degree of the rules for error integrals: high, since an optimiser exploits a low one."""
+
+SPLINE_DEGREE = 5
+"""The same for a reference given by splines, which are dear and smooth on the scale of an element."""
 
 Groups = Callable[[ContactProblem, Field, Field, Field], list[ElementGroup]]
 
@@ -87,17 +90,19 @@ def contact(
     exact, obstacle = _exact(problem, "contact"), problem.obstacle
     if len(problem.laws) > 1 or not isinstance(obstacle.boundary, str):
         raise ValueError("the objective 'contact' needs one law and contact on a boundary")
-    traction = _traction(problem.laws[0], exact.value)
-    X, u = ca.SX.sym("X", 2, 2), ca.SX.sym("u", problem.components, 2)
+    traction = _traction(problem.laws[0], exact)
+    kind, components = exact.symbol, problem.components
+    X_column, u_column = kind.sym("X", 4), kind.sym("u", 2 * components)
+    X, u = ca.reshape(X_column, 2, 2), ca.reshape(u_column, components, 2)
     tangent = X[:, 1] - X[:, 0]
     outward = ca.vertcat(tangent[1], -tangent[0])  # times the length; the body is on the left
-    total = ca.SX(0)
+    total = kind(0)
     points, weights = get_quadrature_line(ERROR_DEGREE)
     for point, weight in zip(np.vstack([1 - points, points]).T, weights, strict=True):
         x, y = ca.vertsplit(X @ point)
         gap = ca.dot(ca.DM(obstacle.normal), u @ point) + at(obstacle.offset, x, y)
         total += weight * ca.dot(ca.DM(obstacle.normal), traction(x, y, outward)) * gap
-    function = ca.Function("contact_error", [ca.vec(X), ca.vec(u)], [total, ca.SX(0, 1)])
+    function = ca.Function("contact_error", [X_column, u_column], [total, kind(0, 1)])
     edges = _with_body_on_the_left(problem, contact_edges(problem))
     return [objective_group(function, (positions.at(edges), displacement.at(edges)))]
 
@@ -137,6 +142,9 @@ TERMS: dict[str, Groups] = {
 }
 
 
+NEED_EXACT = ("error-energy", "error-l2", "error-h1", "contact")
+
+
 @dataclass(frozen=True)
 class Objective:
     """A weighted sum of terms, written like ``error-l2 + 0.01*quality``.
@@ -154,6 +162,11 @@ class Objective:
     def is_energy(self) -> bool:
         """Whether it is a positive multiple of the energy alone."""
         return [name for _, name in self.terms] == ["energy"]
+
+    @property
+    def needs_exact(self) -> bool:
+        """Whether a term compares with an exact or reference solution."""
+        return any(name in NEED_EXACT for _, name in self.terms)
 
     def groups(
         self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
@@ -202,41 +215,43 @@ def _exact(problem: ContactProblem, name: str) -> ExactSolution:
     return problem.exact
 
 
-def _gradient(value: PositionFunction, components: int) -> ca.Function:
+def _gradient(exact: ExactSolution) -> ca.Function:
     """``(x, y) -> (value, gradient)``, the gradient (components, 2)."""
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    u = ca.vertcat(value(x, y))
-    return ca.Function("exact", [x, y], [u, ca.jacobian(u, ca.vertcat(x, y))])
+    x, y = exact.symbol.sym("x"), exact.symbol.sym("y")
+    u = ca.vertcat(exact.value(x, y))
+    return ca.Function("exact", [x, y], [u, ca.horzcat(ca.jacobian(u, x), ca.jacobian(u, y))])
 
 
 def _triangles(
     problem: ContactProblem,
     positions: Field,
     displacement: Field,
-    density: Callable[[ca.SX, ca.SX], ca.SX],
+    density: Callable[[Any, Any], Any],
     exact: ExactSolution,
     elements: Index | None = None,
 ) -> ElementGroup:
     """Integral of a density of the error and of its gradient over the triangles, or some of them."""
-    X, u = ca.SX.sym("X", 2, 3), ca.SX.sym("u", problem.components, 3)
+    kind, components = exact.symbol, problem.components
+    X_column, u_column = kind.sym("X", 6), kind.sym("u", 3 * components)
+    X, u = ca.reshape(X_column, 2, 3), ca.reshape(u_column, components, 3)
     edges = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
     det = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
     adjugate = ca.vertcat(ca.horzcat(edges[1, 1], -edges[0, 1]), ca.horzcat(-edges[1, 0], edges[0, 0]))
     gradient = ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]) @ adjugate / det
-    solution = _gradient(exact.value, problem.components)
-    barycentric, weights = triangle_rule(ERROR_DEGREE)
-    total = ca.SX(0)
+    solution = _gradient(exact)
+    barycentric, weights = triangle_rule(ERROR_DEGREE if kind is ca.SX else SPLINE_DEGREE)
+    total = kind(0)
     for point, weight in zip(barycentric.T, weights, strict=True):
         value, slope = solution(*ca.vertsplit(X @ point))
         total += weight * density(u @ point - value, gradient - slope)
-    function = ca.Function("error", [ca.vec(X), ca.vec(u)], [total * det / 2, ca.SX(0, 1)])
+    function = ca.Function("error", [X_column, u_column], [total * det / 2, kind(0, 1)])
     triangles = problem.triangles if elements is None else problem.triangles[:, elements]
     return objective_group(function, (positions.at(triangles), displacement.at(triangles)))
 
 
-def _traction(law: Law, value: PositionFunction) -> Callable[[Any, Any, Any], Any]:
+def _traction(law: Law, exact: ExactSolution) -> Callable[[Any, Any, Any], Any]:
     """The exact traction on a surface with outward normal n (of any length, which scales it)."""
-    solution = _gradient(value, law.components)
+    solution = _gradient(exact)
 
     def traction(x: Any, y: Any, n: Any) -> Any:
         slope = solution(x, y)[1]
@@ -260,7 +275,7 @@ def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
     """The group with its objective multiplied by ``weight``."""
     if weight == 1.0:
         return group
-    symbols = [ca.SX.sym(f"a{i}", group.function.size1_in(i)) for i in range(group.function.n_in())]
+    symbols = local_symbols(group.function)
     f, g = group.function(*symbols)
     return ElementGroup(
         ca.Function(group.function.name(), symbols, [weight * f, g]), group.arguments, group.rows

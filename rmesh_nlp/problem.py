@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTri
@@ -71,10 +72,21 @@ class Dirichlet:
 
 @dataclass(frozen=True)
 class ExactSolution:
-    """A known solution: ``value(x, y)`` of the displacement and its energy J(u)."""
+    """A known solution, or a reference in its place.
+
+    Attributes
+    ----------
+    value : function of position
+        The displacement.
+    energy : float
+        Its energy J(u).
+    symbol : casadi.SX or casadi.MX
+        Kind of CasADi symbol that ``value`` takes: SX, or MX for what SX cannot express.
+    """
 
     value: PositionFunction
     energy: float
+    symbol: Any = ca.SX
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,9 @@ def run(n: int, *, assembled: bool) -> Run:
 
 def main() -> None:
     """Print one line per grid."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--n", type=int, nargs="+", default=[16, 32, 64], help="squares per side")
     sizes = parser.parse_args().n
     print(f"{'n':>4} {'build':>8} {'solve':>8} {'build/solve':>11} {'iter':>5} {'energy':>12}", end="")
