@@ -144,7 +144,7 @@ def _mesh(nodes: NDArray[np.float64], field: Fields) -> Triangulation:
 
 def _line_width(field: Fields) -> float:
     """Thinner lines on finer grids."""
-    return float(min(0.6, 20 / np.sqrt(field.triangles.shape[1])))
+    return float(min(0.6, 8 / np.sqrt(field.triangles.shape[1])))
 
 
 def _magnitude(displacement: NDArray[np.float64]) -> NDArray[np.float64]:
