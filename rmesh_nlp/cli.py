@@ -91,6 +91,9 @@ def _rmesh(
     \b
     rmesh compare                                     all examples, all strategies
     rmesh solve 6.1 --formulation joint --n 16        one solve
+    rmesh new my.toml                                 a problem of your own: a commented template
+    rmesh check my.toml                               is it in order? with a picture
+    rmesh solve my.toml                               solve it
     rmesh table results                               tables again, without solving
     rmesh figures results                             figures again, without solving
 
@@ -103,11 +106,17 @@ def _rmesh(
 
 @app.command()
 def solve(
-    example: Annotated[str, typer.Argument(metavar="EXAMPLE", help="6.1, 6.2 or 6.3.")],
+    example: Annotated[
+        str, typer.Argument(metavar="EXAMPLE", help="6.1, 6.2 or 6.3, or a problem file such as my.toml.")
+    ],
     formulation: Annotated[
-        str,
-        typer.Option("--formulation", "-f", help="fixed, nested, joint, mpcc, or one that you installed."),
-    ] = "joint",
+        str | None,
+        typer.Option(
+            "--formulation",
+            "-f",
+            help="fixed, nested, joint, mpcc, or one that you installed. Default: that of the file, or joint.",
+        ),
+    ] = None,
     n: Size = None,
     delta: Delta = None,
     seed: Seed = None,
@@ -119,17 +128,52 @@ def solve(
         typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
     ] = None,
 ) -> None:
-    """Solve one example by one strategy.
+    """Solve one example, or the problem of a file, by one strategy.
 
-    Writes DIR/record.json, DIR/solution.vtu and DIR/history.csv.
+    Writes DIR/record.json, DIR/solution.vtu and DIR/history.csv; for a problem file also the
+    relocated mesh DIR/mesh.msh and the series DIR/iterations for ParaView.
 
     \b
     rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
     rmesh solve 6.2 --n 12x6 --delta 0.15667,0.07333
     rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
+    rmesh solve my.toml --formulation nested
     """
     settings = _settings(n, delta, quadrature, seed, objective, relaxation)
-    raise typer.Exit(_commands().solve(example, formulation, settings, out))
+    if example.endswith(".toml"):
+        for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
+            if value not in (None, "midpoint"):
+                raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
+        commands = importlib.import_module("rmesh_nlp.problem_commands")
+        raise typer.Exit(commands.solve(Path(example), formulation, settings["options"], out))
+    raise typer.Exit(_commands().solve(example, formulation or "joint", settings, out))
+
+
+@app.command()
+def check(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")],
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE", help="Where to draw; default: beside the problem file."),
+    ] = None,
+) -> None:
+    """Validate a problem file, print what it says, draw its mesh with boundary roles and motion.
+
+    \b
+    rmesh check my.toml
+    rmesh check my.toml --picture roles.pdf
+    """
+    raise typer.Exit(importlib.import_module("rmesh_nlp.problem_commands").check(file, picture))
+
+
+@app.command()
+def new(file: Annotated[Path, typer.Argument(metavar="FILE", help="The problem file to write.")]) -> None:
+    """Write a commented template of a problem file; it solves as it is.
+
+    \b
+    rmesh new my.toml
+    """
+    raise typer.Exit(importlib.import_module("rmesh_nlp.problem_commands").new(file))
 
 
 @app.command()
@@ -199,7 +243,7 @@ def _settings(
     objective: str | None,
     relaxation: str | None,
 ) -> dict[str, Any]:
-    """Keyword arguments of :func:`rmesh_nlp.campaign.make_cases`."""
+    """Keyword arguments of :func:`rmesh_nlp.cases.make_cases`."""
     options = {
         "seed": None if seed is None else parse_seed(seed),
         "objective": objective,
@@ -228,7 +272,8 @@ def run(arguments: list[str]) -> int:
 
 
 def _complain(message: str) -> int:
-    print(f"rmesh: error: {message}", file=sys.stderr)
+    for line in message.splitlines() or [""]:
+        print(f"rmesh: error: {line}", file=sys.stderr)
     return BAD_INPUT
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rmesh_nlp import campaign
+from rmesh_nlp.cases import make_cases
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.interrupts import leaving_on_interrupt
@@ -23,7 +24,7 @@ SUCCESS, NO_SUCCESS = 0, 1
 
 def solve(example: str, formulation: str, settings: Mapping[str, Any], out: Path | None) -> int:
     """One solve; returns the exit code."""
-    (case,) = campaign.make_cases([example], [formulation], **settings)
+    (case,) = make_cases([example], [formulation], **settings)
     with (
         _writable(Path("results") / case.key if out is None else out) as folder,
         CampaignProgress(1) as progress,
@@ -50,7 +51,7 @@ def compare(
     resume: bool,
 ) -> int:
     """Many solves, tables and figures; returns the exit code."""
-    cases = campaign.make_cases(examples or list(EXAMPLES), formulations, **settings)
+    cases = make_cases(examples or list(EXAMPLES), formulations, **settings)
     records: list[Record] = []
     with _writable(out), CampaignProgress(len(cases)) as progress:
 

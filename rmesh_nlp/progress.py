@@ -9,7 +9,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from rmesh_nlp.campaign import Case
+from rmesh_nlp.cases import Case
 from rmesh_nlp.results import Record
 from rmesh_nlp.solution import Step
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rmesh_nlp import campaign
+from rmesh_nlp.cases import make_cases
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.inputs import parse_size
 from rmesh_nlp.interrupts import leaving_on_interrupt
@@ -25,9 +26,7 @@ from rmesh_nlp.results import Record, Results
 
 def compare(example: str, sizes: Sequence[str], formulations: Sequence[str], out: Path) -> list[Record]:
     """Solve one example on every grid by every strategy; returns the records."""
-    cases = [
-        case for size in sizes for case in campaign.make_cases([example], formulations, n=parse_size(size))
-    ]
+    cases = [case for size in sizes for case in make_cases([example], formulations, n=parse_size(size))]
     with CampaignProgress(len(cases)) as progress:
         rows = campaign.run(
             cases,

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from rmesh_nlp import campaign, strategies
-from rmesh_nlp.campaign import Case, make_cases, run, solve
+from rmesh_nlp.campaign import run, solve
+from rmesh_nlp.cases import Case, make_cases
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.results import REQUIRED, Results, read_results, to_json
 from rmesh_nlp.strategies import accepted

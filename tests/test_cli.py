@@ -164,7 +164,6 @@ BAD = {
     "quadrature": (["solve", "6.1", "--quadrature", "0"], "'0'"),
     "objective": (["solve", "6.1", "--objective", "energie"], "energie"),
     "objective refused": (["solve", "6.1", "--objective", "error-l2"], "error-l2"),
-    "no exact solution": (["solve", "6.2", "-f", "nested", "--objective", "error-l2"], "6.2"),
     "relaxation": (["solve", "6.1", "-f", "mpcc", "--relaxation", "scholtse"], "did you mean scholtes"),
     "option not taken": (
         ["solve", "6.1", "-f", "joint", "--relaxation", "scholtes"],

@@ -11,7 +11,8 @@ import pytest
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from rmesh_nlp.campaign import make_cases, run
+from rmesh_nlp.campaign import run
+from rmesh_nlp.cases import make_cases
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.convergence import curve
 from rmesh_nlp.report.figures import block_figures, write_figures
