@@ -114,7 +114,7 @@ def solve(
         typer.Option(
             "--formulation",
             "-f",
-            help="fixed, nested, joint, mpcc, or one that you installed. Default: that of the file, or joint.",
+            help="fixed, nested, joint, mpcc, or one you installed. Default: that of the file, or joint.",
         ),
     ] = None,
     n: Size = None,

@@ -146,6 +146,11 @@ class Series:
         if step.q is not None:
             self._steps.append(step)
 
+    @property
+    def frames(self) -> int:
+        """Number of iterates so far."""
+        return len(self._steps)
+
     def write(self, folder: str | Path, name: str = "iterations") -> Path:
         """Write ``name.pvd`` and one VTU file per frame; returns the path of the former."""
         folder = Path(folder)

@@ -18,8 +18,11 @@ from rmesh_nlp.motion import Mobility, freedoms, validity_group
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem_file import build, read_table
 from rmesh_nlp.problem_picture import draw_problem
+from rmesh_nlp.problem_schema import SolveTable
 from rmesh_nlp.problem_template import template
 from rmesh_nlp.results import to_json, write_history, write_whole
+from rmesh_nlp.solution import Solution
+from rmesh_nlp.starts import multilevel, multistart
 
 SUCCESS, NO_SUCCESS = 0, 1
 
@@ -83,25 +86,45 @@ def solve(path: Path, formulation: str | None, options: Mapping[str, Any], out: 
         raise BadInputError(f"{path}: the formulation {name!r} takes no {sorted(refused)[0]}")
     series = Series(problem)
     keywords: dict[str, Any] = {key: wanted[key] for key in asked}
-    keywords.update({"on_step": series} if strategies.accepted(function, ["on_step"]) else {})
     folder = Path("results") / problem.name if out is None else out
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInputError(f"cannot write to {str(folder)!r}: {error.strerror}") from error
     try:
-        solution = function(problem, **keywords)
+        solution, record = _run(function, problem, table.solve, series, keywords)
     except ValueError as error:
         raise BadInputError(f"{path}: {' '.join(str(error).split())}") from error
-    record = solution.record()
     write_whole(folder / "record.json", lambda p: p.write_text(to_json(record, indent=2) + "\n"))
     write_solution(solution, folder / "solution.vtu")
     write_mesh(solution.mesh, folder / "mesh.msh")
     write_history(folder / "history.csv", solution.history_rows())
-    series.write(folder / "iterations")
+    if series.frames:
+        series.write(folder / "iterations")
     Console().print(solution)
     print(f"wrote {folder}: {', '.join(sorted(p.name for p in folder.iterdir()))}")
     return SUCCESS if solution.success else NO_SUCCESS
+
+
+def _run(
+    function: strategies.Solve,
+    problem: ContactProblem,
+    plan: SolveTable,
+    series: Series,
+    keywords: dict[str, Any],
+) -> tuple[Solution, dict[str, Any]]:
+    """One solve, several starts or several levels; the solution to keep and its record."""
+    if plan.starts:
+        several = multistart(function, problem, plan.starts, **keywords)
+        return several.best, several.record()
+    if plan.levels:
+        solutions = multilevel(function, problem, plan.levels, **keywords)
+        energies = [s.audit.energy_audited for s in solutions]
+        return solutions[-1], {**solutions[-1].record(), "level_energies": energies}
+    if strategies.accepted(function, ["on_step"]):
+        keywords = {**keywords, "on_step": series}
+    solution = function(problem, **keywords)
+    return solution, solution.record()
 
 
 def _load(path: Path) -> ContactProblem:

@@ -160,6 +160,12 @@ def _seed(value: Any) -> int:
     return value
 
 
+def _levels(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 4:
+        raise ValueError("expected a whole number from 0 to 4")
+    return value
+
+
 Finite = Annotated[Any, BeforeValidator(_number)]
 Positive = Annotated[Any, BeforeValidator(_positive)]
 Poisson = Annotated[Any, BeforeValidator(_poisson)]
@@ -270,6 +276,14 @@ class SolveTable(Table):
     formulation: Text = "joint"
     objective: Text = "energy"
     seed: Annotated[Any, BeforeValidator(_seed)] | None = None
+    starts: Annotated[Any, BeforeValidator(_seed)] = 0
+    levels: Annotated[Any, BeforeValidator(_levels)] = 0
+
+    @model_validator(mode="after")
+    def _one_way(self) -> SolveTable:
+        if self.starts and (self.levels or self.seed is not None):
+            raise ValueError("expected starts alone, without levels or seed")
+        return self
 
 
 class ProblemTable(Table):

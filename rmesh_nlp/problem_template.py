@@ -66,7 +66,9 @@ min_area_fraction = 0.01         # least area of an element over its initial one
 [solve]                          # defaults of rmesh solve
 formulation = "joint"            # fixed, nested, joint, mpcc
 # objective = "energy"
-# seed = 1
+# seed = 1                       # a random start instead of the mesh as given
+# starts = 4                     # as many random starts besides; the best counts, the spread is reported
+# levels = 1                     # optimise on this mesh, refine it, go on; as many times
 """
 
 

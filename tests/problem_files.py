@@ -198,4 +198,5 @@ BROKEN: list[tuple[Edit, str]] = [
         "motion.slides = [0.5]: expected a list of boundary names",
     ),
     (('formulation = "joint"', "seed = -1"), "solve.seed = -1: expected a whole number of at least 0"),
+    (('formulation = "joint"', "starts = 2\nlevels = 1"), "expected starts alone, without levels or seed"),
 ]

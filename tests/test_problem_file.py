@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 from problem_files import BROKEN, SCALAR, VALID, Edit
 
 from formulations import fixed, joint
-from rmesh_nlp import problem_commands
+from rmesh_nlp import cli, problem_commands
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.meshes import read_mesh
@@ -147,3 +148,31 @@ def test_expressions_mean_what_they_say() -> None:
     ]:  # fmt: skip
         np.testing.assert_allclose(Expression(text).on(points), expected, atol=1e-15)
     assert np.isinf(Expression("9**9**9**9").on(points)).all()  # at once: whole numbers are floats
+
+
+def test_the_command_line_reads_problem_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / "mine.toml", tmp_path / "out"
+    assert cli.run(["new", str(path)]) == 0
+    assert cli.run(["check", str(path), "--picture", str(tmp_path / "roles.pdf")]) == 0
+    assert (tmp_path / "roles.pdf").exists()
+    assert cli.run(["solve", str(path), "--seed", "3", "--out", str(out)]) == 0
+    assert json.loads((out / "record.json").read_text())["seed"] == 3
+    assert (out / "iterations" / "iterations.pvd").exists()
+    path.write_text(path.read_text().replace("nx = 16", "nx = 0").replace("left =", "lft ="))
+    capsys.readouterr()
+    assert cli.run(["check", str(path)]) == 2
+    assert cli.run(["solve", str(path), "--n", "8"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
+        f"rmesh: error: {path}: mesh.nx = 0: expected a whole number from 1 to 10000",
+        f"rmesh: error: --n 8 is for the examples: write it into {path}",
+    ]
+
+
+@pytest.mark.parametrize(("plan", "key"), [("starts = 2", "start_spread"), ("levels = 1", "level_energies")])
+def test_starts_and_levels_of_a_file(tmp_path: Path, plan: str, key: str) -> None:
+    text = VALID.replace('formulation = "joint"', f'formulation = "joint"\n{plan}')
+    assert problem_commands.solve(write(tmp_path, text), None, {}, tmp_path / "out") == 0
+    record = json.loads((tmp_path / "out" / "record.json").read_text())
+    assert record[key] is not None
+    assert record["triangles"] == (48 if "starts" in plan else 4 * 48)
