@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.record_check import fault
 
 Record = dict[str, Any]
 """One solve as plain JSON values, see :meth:`rmesh_nlp.solution.Solution.record`."""
@@ -170,6 +171,9 @@ def read_record(text: str, where: str) -> Record:
     missing = [name for name in REQUIRED if name not in record]
     if missing:
         raise BadInputError(f"{where} is not a record: it has no {missing[0]!r}")
+    wrong = fault(record)
+    if wrong is not None:
+        raise BadInputError(f"{where} is not a record: {wrong}")
     return record
 
 
