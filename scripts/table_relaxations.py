@@ -65,9 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--objectives", nargs="+", default=list(OBJECTIVES))
     parser.add_argument("--relaxations", nargs="+", default=list(RELAXATIONS), choices=list(RELAXATIONS))
     parser.add_argument("--n", type=int, help="columns of the grid (6.2, 6.3: half as many rows)")
-    parser.add_argument(
-        "--reference", action="store_true", help="errors of 6.2 and 6.3, slow"
-    )
+    parser.add_argument("--reference", action="store_true", help="errors of 6.2 and 6.3, slow")
     parser.add_argument("--out", type=Path, default=Path("relaxations"))
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
