@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 from rmesh_nlp import strategies
@@ -15,7 +14,6 @@ from rmesh_nlp.solution import Solution, Step, versions
 from rmesh_nlp.vtu import fields_of, write_vtu
 
 OnStep = Callable[[Step], None]
-Guard = Callable[[], AbstractContextManager[object]]
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,6 @@ def run(
     results: Results,
     *,
     resume: bool = False,
-    guard: Guard = nullcontext,
     on_start: Callable[[Case], None] | None = None,
     on_step: OnStep | None = None,
 ) -> Iterator[Record]:
@@ -83,8 +80,6 @@ def run(
     cases : sequence of Case
     results : Results
     resume : bool
-    guard : callable, optional
-        Makes a context in which each solve runs, and only it: nothing is written there.
     on_start, on_step : callable, optional
         Called before each solve, and after each of its iterations.
 
@@ -107,8 +102,7 @@ def run(
             continue
         if on_start is not None:
             on_start(case)
-        with guard():
-            outcome = solve(case, on_step)
+        outcome = solve(case, on_step)
         if not clean:
             _make_room(results, rows, keys, done, resume)
             clean = True

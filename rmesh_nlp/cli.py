@@ -12,11 +12,10 @@ import typer
 from typer.main import get_command
 
 from rmesh_nlp import __version__
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.inputs import parse_delta, parse_names, parse_quadrature, parse_seed, parse_size
-from rmesh_nlp.interrupts import EXIT_CODE as INTERRUPTED
 
-BAD_INPUT = 2
+BAD_INPUT, INTERRUPTED = 2, 130
 
 # typer brings its own click, or uses the installed one: its exceptions are found either way
 UsageError = typer.BadParameter.__mro__[1]
@@ -266,6 +265,9 @@ def run(arguments: list[str]) -> int:
         return _complain(" ".join(error.format_message().split()))
     except (BadInputError, OSError) as error:
         return _complain(str(error))
+    except InterruptedSolveError as error:
+        print(f"rmesh: interrupted: {error}", file=sys.stderr)
+        return INTERRUPTED
     except (KeyboardInterrupt, typer.Abort):
         print("rmesh: interrupted", file=sys.stderr)
         return INTERRUPTED

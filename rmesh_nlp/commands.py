@@ -11,9 +11,8 @@ from typing import Any
 
 from rmesh_nlp import campaign
 from rmesh_nlp.cases import make_cases
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.interrupts import leaving_on_interrupt
 from rmesh_nlp.progress import CampaignProgress
 from rmesh_nlp.report.figures import write_figures
 from rmesh_nlp.report.tables import write_tables
@@ -30,8 +29,10 @@ def solve(example: str, formulation: str, settings: Mapping[str, Any], out: Path
         CampaignProgress(1) as progress,
     ):
         progress.start(case)
-        with leaving_on_interrupt(lambda: _farewell(progress, "nothing was written")):
+        try:
             outcome = campaign.solve(case, progress.step)
+        except KeyboardInterrupt:
+            raise InterruptedSolveError("nothing was written") from None
         if outcome.record["status"] == "refused":
             raise BadInputError(outcome.record["message"])
         campaign.save(outcome, single_result(folder, outcome.record))
@@ -54,22 +55,21 @@ def compare(
     cases = make_cases(examples or list(EXAMPLES), formulations, **settings)
     records: list[Record] = []
     with _writable(out), CampaignProgress(len(cases)) as progress:
-
-        def farewell() -> None:
-            kept = f"{len(records)} of {len(cases)} solves are kept in {out}"
-            _farewell(progress, f"{kept}; --resume goes on, rmesh table and rmesh figures show them")
-
         rows = campaign.run(
             cases,
             Results(out),
             resume=resume,
-            guard=lambda: leaving_on_interrupt(farewell),
             on_start=progress.start,
             on_step=progress.step,
         )
-        for record in rows:
-            records.append(record)
-            progress.finish(record)
+        try:
+            for record in rows:
+                records.append(record)
+                progress.finish(record)
+        except KeyboardInterrupt:
+            kept = f"{len(records)} of {len(cases)} solves are kept in {out}"
+            hint = "--resume goes on, rmesh table and rmesh figures show them"
+            raise InterruptedSolveError(f"{kept}; {hint}") from None
     table(out)
     figures(out)
     return SUCCESS if all(record["success"] for record in records) else NO_SUCCESS
@@ -85,11 +85,6 @@ def figures(folder: Path) -> None:
     """Write the figures of a folder and say where they are."""
     paths = write_figures(read_results(folder), folder / "figures")
     print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
-
-
-def _farewell(progress: CampaignProgress, text: str) -> None:
-    progress.stop()
-    print(f"rmesh: interrupted: {text}", file=sys.stderr)
 
 
 @contextmanager

@@ -10,6 +10,10 @@ class BadInputError(ValueError):
     """Something given by the user cannot be used; the message is one line and names it."""
 
 
+class InterruptedSolveError(Exception):
+    """The user interrupted a solve; the message says what is kept."""
+
+
 def unknown(what: str, name: str, known: Iterable[str]) -> BadInputError:
     """The error for a name that is not known, with the nearest one that is."""
     names = list(known)

@@ -45,7 +45,6 @@ class Status(str, Enum):
     INVALID_MESH = "invalid_mesh"
     TOO_FEW_FREEDOMS = "too_few_freedoms"
     EVALUATION_ERROR = "evaluation_error"
-    INTERRUPTED = "interrupted"
     FAILED = "failed"
 
     @property
@@ -67,7 +66,6 @@ _MESSAGES = {
     Status.INVALID_MESH: "An element is inverted or smaller than allowed.",
     Status.TOO_FEW_FREEDOMS: "There are more equations than free unknowns.",
     Status.EVALUATION_ERROR: "A function returned NaN or infinity.",
-    Status.INTERRUPTED: "Stopped by the user.",
     Status.FAILED: "The solver failed.",
 }
 
@@ -85,7 +83,6 @@ _IPOPT_STATUS = {
     "Error_In_Step_Computation": Status.STALLED,
     "Not_Enough_Degrees_Of_Freedom": Status.TOO_FEW_FREEDOMS,
     "Invalid_Number_Detected": Status.EVALUATION_ERROR,
-    "User_Requested_Stop": Status.INTERRUPTED,
 }
 
 IPOPT_OPTIONS: Mapping[str, Any] = {
@@ -298,6 +295,8 @@ class Solver:
     ------
     ValueError
         At a call, if an array has the wrong length or a start is not finite.
+    KeyboardInterrupt
+        At a call, if the user interrupts.
     """
 
     def __init__(
@@ -323,8 +322,9 @@ class Solver:
             settings["jac_g"] = nlp.derivatives.jac_g
             if settings[plugin].get("hessian_approximation", "exact") == "exact":
                 settings["hess_lag"] = nlp.derivatives.hess_lag
-        if monitor is not None:
-            self._callback = _IterationCallback(nlp, monitor)  # a reference must be kept alive
+        # CasADi does not own its callbacks: the reference must be kept alive
+        self._callback = None if monitor is None else _IterationCallback(nlp, monitor)
+        if self._callback is not None:
             settings["iteration_callback"] = self._callback
         problem = {"x": nlp.x, "p": nlp.p, "f": nlp.f, "g": nlp.g}
         self._function = ca.nlpsol("solver", plugin, problem, settings)
@@ -349,7 +349,7 @@ class Solver:
         if not np.all(np.isfinite(start)):
             raise ValueError(f"x0[{int(np.flatnonzero(~np.isfinite(start))[0])}] is not finite")
         began = time.perf_counter()
-        with _SignalWatch() as watch:
+        with _SignalWatch(self._callback):
             solution = self._function(
                 x0=start,
                 p=p,
@@ -364,8 +364,6 @@ class Solver:
         stats = self._function.stats()
         word = str(stats["return_status"])
         status = _IPOPT_STATUS.get(word, Status.CONVERGED if stats["success"] else Status.FAILED)
-        if watch.interrupted:
-            status = Status.INTERRUPTED
         return NLPResult(
             x=_flat(solution["x"]),
             f=float(solution["f"]),
@@ -385,30 +383,37 @@ def _flat(matrix: ca.DM) -> Array:
 
 
 class _SignalWatch:
-    """Notices Ctrl-C during a solve.
+    """Raises KeyboardInterrupt when the solver that was interrupted by Ctrl-C has returned.
 
-    CasADi stops the solver on the KeyboardInterrupt that Python raises in it, but swallows it and
-    reports an ordinary failure. The handler that was there still runs.
+    CasADi swallows the KeyboardInterrupt that Python raises inside it: the solver stops, and
+    reports an ordinary failure. Where there is a callback the signal asks it to stop the
+    solver at the next iteration instead, because an exception inside a Python function that
+    is being evaluated would only be a failed evaluation.
     """
 
-    def __init__(self) -> None:
-        self.interrupted = False
+    def __init__(self, callback: _IterationCallback | None) -> None:
+        self._callback = callback
+        self._interrupted = False
         self._before: Any = None
 
-    def __enter__(self) -> _SignalWatch:
+    def __enter__(self) -> None:
         if threading.current_thread() is threading.main_thread():  # only there may handlers be set
             self._before = signal.getsignal(signal.SIGINT)
             if callable(self._before):
                 signal.signal(signal.SIGINT, self._handle)
-        return self
 
     def __exit__(self, *exception: object) -> None:
         if callable(self._before):
             signal.signal(signal.SIGINT, self._before)
+        if self._interrupted:
+            raise KeyboardInterrupt from None
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        self.interrupted = True
-        self._before(number, frame)
+        self._interrupted = True
+        if self._callback is None:
+            self._before(number, frame)
+        else:
+            self._callback.stop = True
 
 
 class _IterationCallback(ca.Callback):
@@ -420,6 +425,7 @@ class _IterationCallback(ca.Callback):
         self._sizes["lam_p"] = int(nlp.p.shape[0])
         self._monitor = monitor
         self._iteration = 0
+        self.stop = False
         self.construct("monitor", {})
 
     def get_n_in(self) -> int:
@@ -440,4 +446,4 @@ class _IterationCallback(ca.Callback):
     def eval(self, arg: list[ca.DM]) -> list[int]:
         self._monitor(self._iteration, _flat(arg[0]), float(arg[1]))
         self._iteration += 1
-        return [0]
+        return [int(self.stop)]

@@ -18,7 +18,6 @@ from rmesh_nlp import campaign
 from rmesh_nlp.cases import make_cases
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.inputs import parse_size
-from rmesh_nlp.interrupts import leaving_on_interrupt
 from rmesh_nlp.progress import CampaignProgress
 from rmesh_nlp.report.tables import write_tables
 from rmesh_nlp.results import Record, Results
@@ -32,7 +31,6 @@ def compare(example: str, sizes: Sequence[str], formulations: Sequence[str], out
             cases,
             Results(out),
             resume=True,
-            guard=lambda: leaving_on_interrupt(progress.stop),
             on_start=progress.start,
             on_step=progress.step,
         )

@@ -17,7 +17,7 @@ from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Residuals, Step, excess, residuals
-from rmesh_nlp.nlp import NLP, NLPResult, Solver, Status
+from rmesh_nlp.nlp import NLP, NLPResult, Solver
 
 Progress = Callable[[str], None]
 BoolArray = NDArray[np.bool_]
@@ -171,12 +171,8 @@ class _Tolerant:
         lower, upper = arguments.get("lbx", self.nlp.lbx), arguments.get("ubx", self.nlp.ubx)
         n_free = self.nlp.n_x - np.count_nonzero(lower == upper)
         if np.count_nonzero(self.nlp.lbg == self.nlp.ubg) <= n_free:
-            result = self._solver(z, **arguments)
-        else:
-            result = self._with_idle_unknowns(z, **arguments)
-        if result.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
-        return result
+            return self._solver(z, **arguments)
+        return self._with_idle_unknowns(z, **arguments)
 
     def _with_idle_unknowns(self, z: Array, **arguments: Any) -> NLPResult:
         n, extra = self.nlp.n_x, self.nlp.n_g + 1

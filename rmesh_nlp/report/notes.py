@@ -40,6 +40,8 @@ def paper_notes(block: Block) -> list[str]:
     if paper is None:
         return [f"{block.title}: not the paper's settings, so not compared with its values."]
     notes = [*_initial(block, paper), *_final(block, paper)]
+    if paper.misprint:
+        notes.insert(0, paper.misprint)
     return [f"Example {block.example}: {note}" for note in notes]
 
 
