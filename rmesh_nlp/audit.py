@@ -11,12 +11,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rmesh_nlp.coefficients import on_points
+from rmesh_nlp.energy import contact_edges
 from rmesh_nlp.equilibrium import ContactModel, ContactSystem
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem import ContactProblem, Place, signed_areas
 
 AUDIT_DEGREE = 20
 """Degree of the quadrature rule of the audit."""
+
+_FRACTIONS = np.arange(1, 8) / 8
+BETWEEN_EDGE = np.vstack([1 - _FRACTIONS, _FRACTIONS])
+"""Barycentric coordinates (2, points) of the points on an edge where penetration is looked for."""
+
+BETWEEN_TRIANGLE = np.array([[3, 3, 0, 2], [3, 0, 3, 2], [0, 3, 3, 2]]) / 6
+"""The same in a triangle: the midpoints of its edges, and its centre."""
 
 TOLERANCE = 1e-6
 """Largest scaled residual of a solution that may be called a success."""
@@ -36,12 +45,17 @@ class Audit:
         Largest natural residual of contact and friction laws, see :func:`law_residual`.
     min_area_ratio : float
         Least signed element area over its initial one; not positive if inverted.
+    penetration : float
+        Deepest penetration between contact nodes, in units of length. The gap is imposed at
+        nodes only; where the foundation is curved the optimiser may move nodes to where that
+        hurts least, and this is by how much it cheated.
     """
 
     energy_audited: float
     equilibrium_residual: float
     complementarity_residual: float
     min_area_ratio: float
+    penetration: float = float("nan")
 
 
 class Auditor:
@@ -66,7 +80,23 @@ class Auditor:
             equilibrium_residual=equilibrium_residual(system, u, normal_force, tangential_force),
             complementarity_residual=law_residual(system, u, normal_force, tangential_force),
             min_area_ratio=float(np.min(ratio)),
+            penetration=penetration(self.problem, nodes, self.model.displacement.values(u)),
         )
+
+
+def penetration(problem: ContactProblem, nodes: Array, displacement: Array) -> float:
+    """Largest negative gap at points between the contact nodes, as a positive length; 0 without."""
+    obstacle = problem.obstacle
+    if obstacle.boundary is Place.INTERIOR:
+        cells, points = problem.triangles, BETWEEN_TRIANGLE
+    else:
+        cells, points = contact_edges(problem), BETWEEN_EDGE
+    where = np.einsum("cve,vk->cek", nodes[:, cells], points).reshape(2, -1)
+    u = np.einsum("cve,vk->cek", displacement[:, cells], points).reshape(displacement.shape[0], -1)
+    if where.shape[1] == 0:
+        return 0.0
+    gap = np.array(obstacle.normal) @ u + on_points(obstacle.offset, where)
+    return float(max(0.0, -np.min(gap)))
 
 
 def equilibrium_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:

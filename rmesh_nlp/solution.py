@@ -143,6 +143,7 @@ class Solution:
             "contact_time_s": self.contact_time_s,
             "equilibrium_residual": self.audit.equilibrium_residual,
             "complementarity_residual": self.audit.complementarity_residual,
+            "penetration": self.audit.penetration,
             "stationarity": self.stationarity,
             "stationarity_residual": self.stationarity_residual,
             "nodes": int(self.mesh.p.shape[1]),

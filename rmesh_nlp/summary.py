@@ -51,6 +51,7 @@ def summary_of_solution(solution: Solution) -> Rows:
         ("largest motion", figure(float(motion.max()))),
         ("equilibrium residual", f"{audit.equilibrium_residual:.1e}"),
         ("complementarity residual", f"{audit.complementarity_residual:.1e}"),
+        ("penetration between nodes", figure(audit.penetration)),
         ("iterations, contact solves", f"{solution.iterations}, {solution.contact_solves}"),
         ("seconds", f"{solution.wall_time_s:.3g}"),
     ]

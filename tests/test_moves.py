@@ -10,6 +10,7 @@ from rmesh_nlp.meshes import named
 from rmesh_nlp.motion import Mobility, freedoms, least_angles, validity_group
 from rmesh_nlp.problem import (
     ContactProblem,
+    Dirichlet,
     Laplace,
     Motion,
     Obstacle,
@@ -65,6 +66,14 @@ def test_nodes_at_kinks_of_the_foundation_are_pinned() -> None:
     mobility = freedoms(p).mobility
     assert mobility[node(p, 1.0, 0)] == Mobility.PINNED
     assert mobility[node(p, 2.0, 0)] == Mobility.SLIDING
+
+
+def test_nodes_held_at_a_function_of_position_are_pinned() -> None:
+    held = (Dirichlet("left", (0.0,)), Dirichlet("right", (lambda x, y: y * (1 - y),)))
+    p = problem(Motion(0.1), dirichlet=held)
+    mobility = freedoms(p).mobility
+    assert np.all(mobility[p.boundary_nodes(("right",))] == Mobility.PINNED)
+    assert mobility[node(p, 0, 0.5)] == Mobility.SLIDING
 
 
 def test_rules_for_names_and_numbers() -> None:
