@@ -115,7 +115,10 @@ def test_files_that_cannot_be_used(tmp_path: Path) -> None:
 
 
 def test_shapes_have_their_names_and_the_right_areas() -> None:
-    pytest.importorskip("gmsh")
+    try:
+        import gmsh  # noqa: F401
+    except (ImportError, OSError):  # its library needs libGLU
+        pytest.skip("gmsh is not installed")
     cases = [
         (l_shape(0.3), 3.0, {"corner", "outer"}),
         (plate_with_hole(1.0), 100 - np.pi * 2.5**2, {"left", "right", "bottom", "top", "hole"}),

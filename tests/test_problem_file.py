@@ -1,3 +1,4 @@
+import importlib.util
 import json
 from pathlib import Path
 
@@ -176,3 +177,15 @@ def test_starts_and_levels_of_a_file(tmp_path: Path, plan: str, key: str) -> Non
     record = json.loads((tmp_path / "out" / "record.json").read_text())
     assert record[key] is not None
     assert record["triangles"] == (48 if "starts" in plan else 4 * 48)
+
+
+def test_random_edits_never_end_in_a_traceback() -> None:
+    path = Path(__file__).parents[1] / "scripts" / "fuzz_problem_files.py"
+    spec = importlib.util.spec_from_file_location("fuzz_problem_files", path)
+    assert spec is not None
+    assert spec.loader is not None
+    fuzz = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(fuzz)
+    counts = fuzz.run(edits=300, seed=7)
+    assert set(counts) == {"valid", "refused"}
+    assert min(counts.values()) > 30
