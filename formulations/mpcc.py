@@ -137,6 +137,7 @@ def solve(
         equilibrium=_equilibrium(referee, q, u, normal, tangential, result),
         stationarity=result.stationarity,
         seed=seed,
+        outer_gradient=function(inside).gradient,
         extra={
             "relaxation": relaxation,
             "objective_initial": value,

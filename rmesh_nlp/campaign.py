@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from rmesh_nlp import strategies
 from rmesh_nlp.cases import Case
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.export import write_solution
 from rmesh_nlp.results import HISTORY_FIELDS, REQUIRED, Record, Result, Results, write_history, write_whole
 from rmesh_nlp.solution import Solution, Step, versions
-from rmesh_nlp.vtu import fields_of, write_vtu
 
 OnStep = Callable[[Step], None]
 
@@ -118,7 +118,7 @@ def save(outcome: Outcome, places: Result) -> None:
         places.vtu.unlink(missing_ok=True)
         places.history.unlink(missing_ok=True)
         return
-    write_whole(places.vtu, lambda path: write_vtu(path, fields_of(solution)))
+    write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu"))
     rows = [{name: row[name] for name in HISTORY_FIELDS} for row in solution.history_rows()]
     write_whole(places.history, lambda path: write_history(path, rows))
 

@@ -78,11 +78,11 @@ def cell_data(solution: Solution) -> dict[str, Array]:
     return data
 
 
-def write_solution(solution: Solution, path: str | Path) -> None:
+def write_solution(solution: Solution, path: str | Path, file_format: str | None = None) -> None:
     """Write a solution with all its fields, in the format of the suffix; ``.vtu`` for ParaView."""
     points, cells = _three(np.asarray(solution.mesh.p)), [("triangle", solution.problem.triangles.T)]
     data = {name: [values] for name, values in cell_data(solution).items()}
-    meshio.Mesh(points, cells, point_data=point_data(solution), cell_data=data).write(path)
+    meshio.Mesh(points, cells, point_data=point_data(solution), cell_data=data).write(path, file_format)
 
 
 def write_mesh(mesh: MeshTri, path: str | Path) -> None:

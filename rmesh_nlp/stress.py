@@ -15,8 +15,10 @@ def gradients(problem: ContactProblem, nodes: Array, displacement: Array) -> Arr
     X, u = nodes[:, triangles], displacement[:, triangles]
     edges = np.stack([X[:, 1] - X[:, 0], X[:, 2] - X[:, 0]], axis=1)  # (2, edge, elements)
     difference = np.stack([u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]], axis=1)
-    inverse = np.linalg.inv(np.moveaxis(edges, -1, 0))
-    return np.einsum("cke,ekj->cje", difference, inverse)
+    (a, b), (c, d) = edges  # x and y of the first and of the second edge
+    with np.errstate(divide="ignore", invalid="ignore"):  # an invalid mesh is written too
+        inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
+    return np.einsum("cke,kje->cje", difference, inverse)
 
 
 def stresses(problem: ContactProblem, nodes: Array, displacement: Array) -> Array:

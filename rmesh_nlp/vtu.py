@@ -1,4 +1,4 @@
-"""Solutions as VTU files: for ParaView, and for figures without solving again."""
+"""The fields of a solution that figures are made from, and reading them back from VTU files."""
 
 from __future__ import annotations
 
@@ -68,13 +68,6 @@ def fields_of(solution: Solution) -> Fields:
     )
 
 
-def write_vtu(path: Path, fields: Fields) -> None:
-    """Write triangles with point data."""
-    cells = [("triangle", fields.triangles.T)]
-    data = point_arrays(fields)
-    meshio.Mesh(_three(fields.nodes), cells, point_data=data).write(path, file_format="vtu")
-
-
 def point_arrays(fields: Fields) -> dict[str, NDArray]:
     """The fields as VTU files have them, by name.
 
@@ -94,7 +87,7 @@ def point_arrays(fields: Fields) -> dict[str, NDArray]:
 
 
 def read_vtu(path: Path) -> Fields:
-    """Read what :func:`write_vtu` wrote.
+    """Read what :func:`rmesh_nlp.export.write_solution` wrote.
 
     Raises
     ------
