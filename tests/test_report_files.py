@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rmesh_nlp.campaign import make_cases, run
+from rmesh_nlp.campaign import run
+from rmesh_nlp.cases import make_cases
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.report.figures import write_figures
 from rmesh_nlp.results import Result, Results, read_results
