@@ -115,6 +115,7 @@ def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
             for place in places:
                 if isinstance(place, kind):
                     mobility[_nodes_at(problem, place)] = move
+    _check_still(problem, mobility, problem.boundary_nodes(tuple(varying)))
     forced = (mobility == Mobility.SLIDING) & ~np.any(tangent != 0, axis=0)
     if np.any(forced & ~np.any(any_tangent != 0, axis=0)):
         node = int(np.flatnonzero(forced & ~np.any(any_tangent != 0, axis=0))[0])
@@ -129,6 +130,14 @@ def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
     for node, _ in motion.tied:
         mobility[node] = Mobility.TIED
     return mobility, tangent
+
+
+def _check_still(problem: ContactProblem, mobility: NDArray, nodes: NDArray) -> None:
+    """No rule may move a node that is held at a function of position: its value would not follow."""
+    tied = {node for node, _ in problem.motion.tied}
+    moved = [int(node) for node in nodes if mobility[node] != Mobility.PINNED or int(node) in tied]
+    if moved:
+        raise ValueError(f"node {moved[0]} is held at a function of position and cannot move")
 
 
 def _nodes_at(problem: ContactProblem, place: Where) -> NDArray[np.int64]:

@@ -62,7 +62,11 @@ def _points(value: Any) -> list[tuple[float, float]]:
 
 def _coefficient(value: Any) -> Any:
     if isinstance(value, str):
-        return Expression(value)
+        expression = Expression(value)
+        if not expression.is_constant:
+            return expression
+        # a number after all: nodes held at it may slide, those held at a function may not
+        value = float(expression(0.0, 0.0))
     return _number_or(value, "expected a finite number or an expression of x and y such as 'sin(pi*x)*y'")
 
 

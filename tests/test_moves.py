@@ -74,6 +74,8 @@ def test_nodes_held_at_a_function_of_position_are_pinned() -> None:
     mobility = freedoms(p).mobility
     assert np.all(mobility[p.boundary_nodes(("right",))] == Mobility.PINNED)
     assert mobility[node(p, 0, 0.5)] == Mobility.SLIDING
+    with pytest.raises(ValueError, match="is held at a function of position and cannot move"):
+        freedoms(replace(p, motion=Motion(0.1, slides=("right",))))
 
 
 def test_rules_for_names_and_numbers() -> None:

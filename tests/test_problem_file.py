@@ -62,6 +62,13 @@ def test_a_scalar_problem_with_an_obstacle_in_the_interior(tmp_path: Path) -> No
     assert problem.motion.delta is None
 
 
+def test_a_constant_expression_is_a_number(tmp_path: Path) -> None:
+    problem = load_problem(write(tmp_path, SCALAR.replace("left = 0", 'left = "2*sin(pi/6) - 1 + 0*y"')))
+    assert problem.supports[0].value == (pytest.approx(0.0, abs=1e-15),)
+    with pytest.raises(ProblemFileError, match=r"dirichlet.left = '1/0': expected a finite number"):
+        load_problem(write(tmp_path, SCALAR.replace("left = 0", 'left = "1/0"')))
+
+
 def test_there_are_sixty_broken_files() -> None:
     assert len(BROKEN) >= 60
 
