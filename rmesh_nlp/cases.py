@@ -38,7 +38,8 @@ class Case:
     def key(self) -> str:
         """A name for files, such as ``6.2-12x6-joint`` or ``6.1-8-mpcc-seed3``."""
         options = [
-            f"{name}{value}" if name == "seed" else str(value) for name, value in sorted(self.options.items())
+            f"{name}{value}" if name in ("seed", "starts", "levels") else str(value)
+            for name, value in sorted(self.options.items())
         ]
         parts = [self.problem.name, self.problem.size, self.formulation, *options]
         return re.sub(r"[^\w.+-]+", "_", "-".join(part for part in parts if part))

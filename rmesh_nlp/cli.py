@@ -57,6 +57,18 @@ Objective = Annotated[
         "or a sum such as error-l2+0.01*quality.",
     ),
 ]
+Starts = Annotated[
+    int | None,
+    typer.Option(
+        "--starts", min=1, metavar="N", help="As many random starts besides the given mesh; the best counts."
+    ),
+]
+Levels = Annotated[
+    int | None,
+    typer.Option(
+        "--levels", min=1, max=4, metavar="N", help="Optimise, refine the mesh uniformly, go on, so often."
+    ),
+]
 Relaxation = Annotated[
     str | None,
     typer.Option(
@@ -122,6 +134,8 @@ def solve(
     quadrature: Quadrature = "midpoint",
     objective: Objective = None,
     relaxation: Relaxation = None,
+    starts: Starts = None,
+    levels: Levels = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
@@ -138,7 +152,7 @@ def solve(
     rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
     rmesh solve my.toml --formulation nested
     """
-    settings = _settings(n, delta, quadrature, seed, objective, relaxation)
+    settings = _settings(n, delta, quadrature, seed, objective, relaxation, starts, levels)
     if example.endswith(".toml"):
         for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
             if value not in (None, "midpoint"):
@@ -187,6 +201,8 @@ def compare(
     quadrature: Quadrature = "midpoint",
     objective: Objective = None,
     relaxation: Relaxation = None,
+    starts: Starts = None,
+    levels: Levels = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("results"),
     resume: Annotated[
         bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
@@ -203,7 +219,7 @@ def compare(
     rmesh compare 6.1 --formulations fixed,nested,joint --n 16 --out fine
     rmesh compare --out results --resume
     """
-    settings = _settings(n, delta, quadrature, seed, objective, relaxation)
+    settings = _settings(n, delta, quadrature, seed, objective, relaxation, starts, levels)
     names = tuple(dict.fromkeys(examples or ()))
     raise typer.Exit(
         _commands().compare(names, parse_names("--formulations", formulations), settings, out, resume)
@@ -241,12 +257,16 @@ def _settings(
     seed: str | None,
     objective: str | None,
     relaxation: str | None,
+    starts: int | None,
+    levels: int | None,
 ) -> dict[str, Any]:
     """Keyword arguments of :func:`rmesh_nlp.cases.make_cases`."""
     options = {
         "seed": None if seed is None else parse_seed(seed),
         "objective": objective,
         "relaxation": relaxation,
+        "starts": starts,
+        "levels": levels,
     }
     return {
         "n": None if n is None else parse_size(n),

@@ -18,11 +18,8 @@ from rmesh_nlp.motion import Mobility, freedoms, validity_group
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem_file import build, read_table
 from rmesh_nlp.problem_picture import draw_problem
-from rmesh_nlp.problem_schema import SolveTable
 from rmesh_nlp.problem_template import template
 from rmesh_nlp.results import to_json, write_history, write_whole
-from rmesh_nlp.solution import Solution
-from rmesh_nlp.starts import multilevel, multistart
 
 SUCCESS, NO_SUCCESS = 0, 1
 
@@ -75,27 +72,29 @@ def solve(path: Path, formulation: str | None, options: Mapping[str, Any], out: 
     problem = _load(path)
     name = formulation or table.solve.formulation
     function = strategies.load(name)
-    wanted = {"objective": table.solve.objective, "seed": table.solve.seed}
+    plan = table.solve
+    wanted = {"objective": plan.objective, "seed": plan.seed, "starts": plan.starts, "levels": plan.levels}
     wanted.update({key: value for key, value in options.items() if value is not None})
     # the defaults need not be known to every strategy, what was asked for must be
-    asked = {
-        key for key, value in wanted.items() if value is not None and (key, value) != ("objective", "energy")
-    }
+    default = {"objective": "energy", "starts": 0, "levels": 0, "seed": None}
+    asked = {key for key, value in wanted.items() if value != default.get(key)}
     refused = asked - strategies.accepted(function, asked)
     if refused:
         raise BadInputError(f"{path}: the formulation {name!r} takes no {sorted(refused)[0]}")
     series = Series(problem)
     keywords: dict[str, Any] = {key: wanted[key] for key in asked}
+    if not asked & {"starts", "levels"} and strategies.accepted(function, ["on_step"]):
+        keywords["on_step"] = series
     folder = Path("results") / problem.name if out is None else out
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInputError(f"cannot write to {str(folder)!r}: {error.strerror}") from error
     try:
-        solution, record = _run(function, problem, table.solve, series, keywords)
+        solution = function(problem, **keywords)
     except ValueError as error:
         raise BadInputError(f"{path}: {' '.join(str(error).split())}") from error
-    write_whole(folder / "record.json", lambda p: p.write_text(to_json(record, indent=2) + "\n"))
+    write_whole(folder / "record.json", lambda p: p.write_text(to_json(solution.record(), indent=2) + "\n"))
     write_solution(solution, folder / "solution.vtu")
     write_mesh(solution.mesh, folder / "mesh.msh")
     write_history(folder / "history.csv", solution.history_rows())
@@ -104,27 +103,6 @@ def solve(path: Path, formulation: str | None, options: Mapping[str, Any], out: 
     Console().print(solution)
     print(f"wrote {folder}: {', '.join(sorted(p.name for p in folder.iterdir()))}")
     return SUCCESS if solution.success else NO_SUCCESS
-
-
-def _run(
-    function: strategies.Solve,
-    problem: ContactProblem,
-    plan: SolveTable,
-    series: Series,
-    keywords: dict[str, Any],
-) -> tuple[Solution, dict[str, Any]]:
-    """One solve, several starts or several levels; the solution to keep and its record."""
-    if plan.starts:
-        several = multistart(function, problem, plan.starts, **keywords)
-        return several.best, several.record()
-    if plan.levels:
-        solutions = multilevel(function, problem, plan.levels, **keywords)
-        energies = [s.audit.energy_audited for s in solutions]
-        return solutions[-1], {**solutions[-1].record(), "level_energies": energies}
-    if strategies.accepted(function, ["on_step"]):
-        keywords = {**keywords, "on_step": series}
-    solution = function(problem, **keywords)
-    return solution, solution.record()
 
 
 def _load(path: Path) -> ContactProblem:

@@ -6,6 +6,8 @@ A strategy is a function ``solve(problem, *, seed, start, ...) -> Solution``; th
 
 from __future__ import annotations
 
+import functools
+import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -48,17 +50,14 @@ class MultiStart:
         energies = self.energies[np.isfinite(self.energies)]
         return float(np.ptp(energies)) if energies.size else float("nan")
 
-    def record(self) -> dict[str, Any]:
-        """The record of the best solution, with the energies of all and their spread."""
-        energies = [None if np.isnan(e) else float(e) for e in self.energies]
-        seeds = [s.seed for s in self.solutions]
-        spread = None if np.isnan(self.spread) else self.spread
-        return {
-            **self.best.record(),
-            "start_seeds": seeds,
-            "start_energies": energies,
-            "start_spread": spread,
+    def reported(self) -> Solution:
+        """The best solution, its record telling the energies of all starts and their spread."""
+        figures = {
+            "start_seeds": [s.seed for s in self.solutions],
+            "start_energies": [None if np.isnan(e) else float(e) for e in self.energies],
+            "start_spread": self.spread,
         }
+        return replace(self.best, extra={**self.best.extra, **figures})
 
 
 def multistart(
@@ -124,3 +123,35 @@ def multilevel(
         solutions.append(solve(fine, start=start, **options))
         problem = fine
     return tuple(solutions)
+
+
+def with_starts(solve: Solve) -> Solve:
+    """The strategy with two more options, ``starts`` and ``levels``, if it takes a seed and a start.
+
+    ``starts=n`` solves from n random starts besides the mesh as given and returns the best
+    solution; ``levels=n`` refines n times and returns the finest. The record tells of the others.
+    """
+    signature = inspect.signature(solve)
+    if not {"seed", "start"} <= set(signature.parameters):
+        return solve
+
+    @functools.wraps(solve)
+    def run(problem: ContactProblem, *, starts: int = 0, levels: int = 0, **options: Any) -> Solution:
+        if starts and (levels or options.get("seed") is not None):
+            raise ValueError("starts cannot be combined with levels or a seed")
+        if starts:
+            options.pop("seed", None)
+            return multistart(solve, problem, starts, **options).reported()
+        if levels:
+            solutions = multilevel(solve, problem, levels, **options)
+            energies = [s.audit.energy_audited for s in solutions]
+            return replace(solutions[-1], extra={**solutions[-1].extra, "level_energies": energies})
+        return solve(problem, **options)
+
+    more = [inspect.Parameter(n, inspect.Parameter.KEYWORD_ONLY, default=0) for n in ("starts", "levels")]
+    own = list(signature.parameters.values())
+    place = len(own) - (own[-1].kind is inspect.Parameter.VAR_KEYWORD)
+    run.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=[*own[:place], *more, *own[place:]]
+    )
+    return run

@@ -16,6 +16,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.starts import with_starts
 
 GROUP = "rmesh_nlp.formulations"
 
@@ -29,7 +30,7 @@ def available() -> dict[str, EntryPoint]:
 
 
 def load(name: str) -> Solve:
-    """The ``solve`` of a strategy.
+    """The ``solve`` of a strategy, with the options ``starts`` and ``levels`` if it allows them.
 
     Raises
     ------
@@ -45,7 +46,7 @@ def load(name: str) -> Solve:
         raise BadInputError(
             f"formulation {name!r} cannot be loaded from {found[name].value}: {error}"
         ) from error
-    return solve
+    return with_starts(solve)
 
 
 def accepted(solve: Solve, names: Collection[str]) -> set[str]:

@@ -125,7 +125,7 @@ def test_starts_are_seeded_and_their_spread_is_reported(problem: ContactProblem)
     energies = several.energies
     assert several.best.audit.energy_audited == energies.min()
     assert several.spread == pytest.approx(np.ptp(energies))
-    assert several.record()["start_energies"] == energies.tolist()
+    assert several.reported().record()["start_energies"] == energies.tolist()
     again = multistart(nested.solve, problem, [2])
     assert again.energies[1] == energies[2]
 

@@ -196,3 +196,17 @@ def test_random_edits_never_end_in_a_traceback() -> None:
     counts = fuzz.run(edits=300, seed=7)
     assert set(counts) == {"valid", "refused"}
     assert min(counts.values()) > 30
+
+
+def test_starts_and_levels_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    size = ["--n", "4", "--delta", "0.05", "--out", str(tmp_path)]
+    assert cli.run(["solve", "6.1", "--starts", "2", *size]) == 0
+    record = json.loads((tmp_path / "record.json").read_text())
+    assert record["start_seeds"] == [None, 1, 2]
+    assert record["energy_audited"] == min(record["start_energies"])
+    assert cli.run(["solve", "6.1", "--levels", "1", *size]) == 0
+    assert json.loads((tmp_path / "record.json").read_text())["triangles"] == 4 * 32
+    capsys.readouterr()
+    assert cli.run(["solve", "6.1", "--levels", "1", "--starts", "1", *size]) == 2
+    assert "starts cannot be combined with levels" in capsys.readouterr().err
+    assert cli.run(["solve", "6.1", "--formulation", "fixed", "--starts", "1", *size]) == 2
