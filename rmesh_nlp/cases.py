@@ -12,6 +12,7 @@ from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.examples import EXAMPLES, Delta, Size
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.objectives import parse_objective
+from rmesh_nlp.outer import OUTER_SOLVERS
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.reference import with_reference
 from rmesh_nlp.results import Record
@@ -118,3 +119,5 @@ def _check_options(options: Mapping[str, Any]) -> None:
             raise BadInputError(str(error)) from error
     if options.get("relaxation", "scholtes") not in RELAXATIONS:
         raise unknown("relaxation", options["relaxation"], RELAXATIONS)
+    if options.get("outer", "ipopt") not in OUTER_SOLVERS:
+        raise unknown("outer solver", options["outer"], OUTER_SOLVERS)

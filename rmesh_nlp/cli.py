@@ -75,6 +75,14 @@ Relaxation = Annotated[
         "--relaxation", metavar="NAME", help="Relaxation of complementarity in mpcc; scholtes by default."
     ),
 ]
+Outer = Annotated[
+    str | None,
+    typer.Option(
+        "--outer",
+        metavar="NAME",
+        help="Outer solver of nested: ipopt (default), newton, slsqp, trust-constr or l-bfgs-b.",
+    ),
+]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve or compare wrote.")]
 
 
@@ -134,6 +142,7 @@ def solve(
     quadrature: Quadrature = "midpoint",
     objective: Objective = None,
     relaxation: Relaxation = None,
+    outer: Outer = None,
     starts: Starts = None,
     levels: Levels = None,
     out: Annotated[
@@ -149,10 +158,21 @@ def solve(
     \b
     rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
     rmesh solve 6.2 --n 12x6 --delta 0.15667,0.07333
+    rmesh solve 6.1 --formulation nested --outer newton --n 32
     rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
     rmesh solve my.toml --formulation nested
     """
-    settings = _settings(n, delta, quadrature, seed, objective, relaxation, starts, levels)
+    settings = _settings(
+        n,
+        delta,
+        quadrature,
+        seed,
+        objective=objective,
+        relaxation=relaxation,
+        outer=outer,
+        starts=starts,
+        levels=levels,
+    )
     if example.endswith(".toml"):
         for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
             if value not in (None, "midpoint"):
@@ -201,6 +221,7 @@ def compare(
     quadrature: Quadrature = "midpoint",
     objective: Objective = None,
     relaxation: Relaxation = None,
+    outer: Outer = None,
     starts: Starts = None,
     levels: Levels = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("results"),
@@ -219,7 +240,17 @@ def compare(
     rmesh compare 6.1 --formulations fixed,nested,joint --n 16 --out fine
     rmesh compare --out results --resume
     """
-    settings = _settings(n, delta, quadrature, seed, objective, relaxation, starts, levels)
+    settings = _settings(
+        n,
+        delta,
+        quadrature,
+        seed,
+        objective=objective,
+        relaxation=relaxation,
+        outer=outer,
+        starts=starts,
+        levels=levels,
+    )
     names = tuple(dict.fromkeys(examples or ()))
     raise typer.Exit(
         _commands().compare(names, parse_names("--formulations", formulations), settings, out, resume)
@@ -251,23 +282,10 @@ def figures(folder: Folder) -> None:
 
 
 def _settings(
-    n: str | None,
-    delta: str | None,
-    quadrature: str,
-    seed: str | None,
-    objective: str | None,
-    relaxation: str | None,
-    starts: int | None,
-    levels: int | None,
+    n: str | None, delta: str | None, quadrature: str, seed: str | None, **given: str | int | None
 ) -> dict[str, Any]:
-    """Keyword arguments of :func:`rmesh_nlp.cases.make_cases`."""
-    options = {
-        "seed": None if seed is None else parse_seed(seed),
-        "objective": objective,
-        "relaxation": relaxation,
-        "starts": starts,
-        "levels": levels,
-    }
+    """Keyword arguments of :func:`rmesh_nlp.cases.make_cases`; options that were not given are left out."""
+    options = {"seed": None if seed is None else parse_seed(seed), **given}
     return {
         "n": None if n is None else parse_size(n),
         "delta": None if delta is None else parse_delta(delta),

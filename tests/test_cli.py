@@ -165,6 +165,8 @@ BAD = {
     "objective": (["solve", "6.1", "--objective", "energie"], "energie"),
     "objective refused": (["solve", "6.1", "--objective", "error-l2"], "error-l2"),
     "relaxation": (["solve", "6.1", "-f", "mpcc", "--relaxation", "scholtse"], "did you mean scholtes"),
+    "outer solver": (["solve", "6.1", "-f", "nested", "--outer", "newtn"], "did you mean newton"),
+    "outer solver not taken": (["solve", "6.1", "-f", "joint", "--outer", "newton"], "--outer newton"),
     "option not taken": (
         ["solve", "6.1", "-f", "joint", "--relaxation", "scholtes"],
         "--relaxation scholtes",
