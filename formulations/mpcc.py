@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.bilevel import Bilevel, bilevel
-from rmesh_nlp.equilibrium import ActiveSet, Equilibrium
+from rmesh_nlp.contact_system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.history import Recorder
 from rmesh_nlp.mpcc import MPCC, MPCCResult, MPCCSolver

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rmesh_nlp.coefficients import on_points
+from rmesh_nlp.contact_system import ContactSystem
 from rmesh_nlp.energy import contact_edges
-from rmesh_nlp.equilibrium import ContactModel, ContactSystem
+from rmesh_nlp.equilibrium import ContactModel
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem, Place, signed_areas
 

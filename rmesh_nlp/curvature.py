@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.equilibrium import pattern, tangent_response
-from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.evaluation import Array, Evaluator, pattern
 from rmesh_nlp.reduced import ReducedEnergy, ReducedPoint
+from rmesh_nlp.sensitivity import tangent_response
 
 
 class Curvature:

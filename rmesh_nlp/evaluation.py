@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
@@ -46,3 +47,15 @@ class Evaluator:
             store[:] = np.asarray(value, dtype=float).ravel(order="F")
         self._run()
         return [output.copy() for output in self._outputs]
+
+
+def pattern(sparsity: ca.Sparsity) -> sp.csc_array:
+    """A scipy matrix of ones with the pattern of a CasADi one."""
+    shape = sparsity.shape
+    data = np.ones(sparsity.nnz())
+    return sp.csc_array((data, sparsity.row(), sparsity.colind()), shape=shape)
+
+
+def flat(matrix: ca.DM) -> Array:
+    """All entries of a CasADi matrix in one array, column by column."""
+    return np.asarray(matrix.full(), dtype=float).ravel(order="F")

@@ -11,23 +11,18 @@ non-negative one (CasADi's convention).
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from types import FrameType
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.evaluation import Array
-
-Monitor = Callable[[int, Array, float], None]
-"""Called as ``monitor(iteration, x, f)`` after each accepted iteration."""
+from rmesh_nlp.callbacks import IterationCallback, Monitor, SignalWatch
+from rmesh_nlp.evaluation import Array, flat
 
 
 class Status(str, Enum):
@@ -322,8 +317,9 @@ class Solver:
             settings["jac_g"] = nlp.derivatives.jac_g
             if settings[plugin].get("hessian_approximation", "exact") == "exact":
                 settings["hess_lag"] = nlp.derivatives.hess_lag
+        n_p = int(nlp.p.shape[0])
         # CasADi does not own its callbacks: the reference must be kept alive
-        self._callback = None if monitor is None else _IterationCallback(nlp, monitor)
+        self._callback = None if monitor is None else IterationCallback(nlp.n_x, nlp.n_g, n_p, monitor)
         if self._callback is not None:
             settings["iteration_callback"] = self._callback
         problem = {"x": nlp.x, "p": nlp.p, "f": nlp.f, "g": nlp.g}
@@ -349,7 +345,7 @@ class Solver:
         if not np.all(np.isfinite(start)):
             raise ValueError(f"x0[{int(np.flatnonzero(~np.isfinite(start))[0])}] is not finite")
         began = time.perf_counter()
-        with _SignalWatch(self._callback):
+        with SignalWatch(self._callback):
             solution = self._function(
                 x0=start,
                 p=p,
@@ -365,85 +361,14 @@ class Solver:
         word = str(stats["return_status"])
         status = _IPOPT_STATUS.get(word, Status.CONVERGED if stats["success"] else Status.FAILED)
         return NLPResult(
-            x=_flat(solution["x"]),
+            x=flat(solution["x"]),
             f=float(solution["f"]),
-            g=_flat(solution["g"]),
-            lam_x=_flat(solution["lam_x"]),
-            lam_g=_flat(solution["lam_g"]),
+            g=flat(solution["g"]),
+            lam_x=flat(solution["lam_x"]),
+            lam_g=flat(solution["lam_g"]),
             status=status,
             solver_message=word,
             iterations=int(stats.get("iter_count", 0)),
             history={key: list(values) for key, values in stats.get("iterations", {}).items()},
             seconds=seconds,
         )
-
-
-def _flat(matrix: ca.DM) -> Array:
-    return np.asarray(matrix.full(), dtype=float).ravel(order="F")
-
-
-class _SignalWatch:
-    """Raises KeyboardInterrupt when the solver that was interrupted by Ctrl-C has returned.
-
-    CasADi swallows the KeyboardInterrupt that Python raises inside it: the solver stops, and
-    reports an ordinary failure. Where there is a callback the signal asks it to stop the
-    solver at the next iteration instead, because an exception inside a Python function that
-    is being evaluated would only be a failed evaluation.
-    """
-
-    def __init__(self, callback: _IterationCallback | None) -> None:
-        self._callback = callback
-        self._interrupted = False
-        self._before: Any = None
-
-    def __enter__(self) -> None:
-        if threading.current_thread() is threading.main_thread():  # only there may handlers be set
-            self._before = signal.getsignal(signal.SIGINT)
-            if callable(self._before):
-                signal.signal(signal.SIGINT, self._handle)
-
-    def __exit__(self, *exception: object) -> None:
-        if callable(self._before):
-            signal.signal(signal.SIGINT, self._before)
-        if self._interrupted:
-            raise KeyboardInterrupt from None
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        self._interrupted = True
-        if self._callback is None:
-            self._before(number, frame)
-        else:
-            self._callback.stop = True
-
-
-class _IterationCallback(ca.Callback):
-    """Adapter from CasADi's iteration callback to a Monitor."""
-
-    def __init__(self, nlp: NLP, monitor: Monitor) -> None:
-        super().__init__()
-        self._sizes = {"x": nlp.n_x, "f": 1, "g": nlp.n_g, "lam_x": nlp.n_x, "lam_g": nlp.n_g}
-        self._sizes["lam_p"] = int(nlp.p.shape[0])
-        self._monitor = monitor
-        self._iteration = 0
-        self.stop = False
-        self.construct("monitor", {})
-
-    def get_n_in(self) -> int:
-        return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        return str(ca.nlpsol_out(i))
-
-    def get_name_out(self, i: int) -> str:
-        return "stop"
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)])
-
-    def eval(self, arg: list[ca.DM]) -> list[int]:
-        self._monitor(self._iteration, _flat(arg[0]), float(arg[1]))
-        self._iteration += 1
-        return [int(self.stop)]

@@ -15,12 +15,13 @@ import numpy as np
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
 from rmesh_nlp.assembly import assemble
+from rmesh_nlp.callbacks import Monitor
 from rmesh_nlp.curvature import Curvature
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.motion import validity_group
 from rmesh_nlp.newton import Evaluation
 from rmesh_nlp.newton import minimise as newton
-from rmesh_nlp.nlp import NLP, Derivatives, Monitor, Solver, Status
+from rmesh_nlp.nlp import NLP, Derivatives, Solver, Status
 from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
 from rmesh_nlp.referee import Referee
 

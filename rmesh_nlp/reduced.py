@@ -11,19 +11,12 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from rmesh_nlp.assembly import assemble
-from rmesh_nlp.equilibrium import (
-    ActiveSet,
-    ContactModel,
-    ContactSystem,
-    Equilibrium,
-    adjoint,
-    pattern,
-    solve,
-    weakly_active,
-)
-from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.contact_system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.equilibrium import ContactModel, solve
+from rmesh_nlp.evaluation import Array, Evaluator, pattern
 from rmesh_nlp.objectives import Objective
 from rmesh_nlp.relocation import Relocation
+from rmesh_nlp.sensitivity import adjoint, weakly_active
 
 ACTIVE_AREA = 1e-6
 """Scaled distance to its bound below which an element-area constraint counts as active."""

@@ -12,8 +12,9 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.audit import Audit, Auditor
+from rmesh_nlp.contact_system import Equilibrium
 from rmesh_nlp.energy import contact_edges
-from rmesh_nlp.equilibrium import ContactModel, Equilibrium
+from rmesh_nlp.equilibrium import ContactModel
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.motion import least_angles
 from rmesh_nlp.multipliers import multipliers

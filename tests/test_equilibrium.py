@@ -10,7 +10,8 @@ from skfem.models.elasticity import linear_elasticity
 
 from rmesh_nlp import equilibrium
 from rmesh_nlp.audit import equilibrium_residual, law_residual
-from rmesh_nlp.equilibrium import ActiveSet, ContactModel, ContactSystem
+from rmesh_nlp.contact_system import ActiveSet, ContactSystem
+from rmesh_nlp.equilibrium import ContactModel
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.nlp import NLP, Solver, Status
 from rmesh_nlp.problem import ContactProblem, PlaneStrain

@@ -1,0 +1,88 @@
+"""What runs while a solver runs: the monitor of its iterations, and Ctrl-C."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+import casadi as ca
+
+from rmesh_nlp.evaluation import Array, flat
+
+Monitor = Callable[[int, Array, float], None]
+"""Called as ``monitor(iteration, x, f)`` after each accepted iteration."""
+
+
+class SignalWatch:
+    """Raises KeyboardInterrupt when the solver that was interrupted by Ctrl-C has returned.
+
+    CasADi swallows the KeyboardInterrupt that Python raises inside it: the solver stops, and
+    reports an ordinary failure. Where there is a callback the signal asks it to stop the
+    solver at the next iteration instead, because an exception inside a Python function that
+    is being evaluated would only be a failed evaluation.
+    """
+
+    def __init__(self, callback: IterationCallback | None) -> None:
+        self._callback = callback
+        self._interrupted = False
+        self._before: Any = None
+
+    def __enter__(self) -> None:
+        if threading.current_thread() is threading.main_thread():  # only there may handlers be set
+            self._before = signal.getsignal(signal.SIGINT)
+            if callable(self._before):
+                signal.signal(signal.SIGINT, self._handle)
+
+    def __exit__(self, *exception: object) -> None:
+        if callable(self._before):
+            signal.signal(signal.SIGINT, self._before)
+        if self._interrupted:
+            raise KeyboardInterrupt from None
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self._interrupted = True
+        if self._callback is None:
+            self._before(number, frame)
+        else:
+            self._callback.stop = True
+
+
+class IterationCallback(ca.Callback):
+    """Adapter from CasADi's iteration callback to a Monitor."""
+
+    def __init__(self, n_x: int, n_g: int, n_p: int, monitor: Monitor) -> None:
+        super().__init__()
+        self._sizes = {"x": n_x, "f": 1, "g": n_g, "lam_x": n_x, "lam_g": n_g, "lam_p": n_p}
+        self._monitor = monitor
+        self._iteration = 0
+        self.stop = False
+        self.construct("monitor", {})
+
+    def get_n_in(self) -> int:
+        """The outputs of nlpsol."""
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        """One: whether to stop."""
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        """Names of the outputs of nlpsol."""
+        return str(ca.nlpsol_out(i))
+
+    def get_name_out(self, i: int) -> str:
+        """Name of the only output."""
+        return "stop"
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """Dense columns."""
+        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)])
+
+    def eval(self, arg: list[ca.DM]) -> list[int]:
+        """Pass the iterate on."""
+        self._monitor(self._iteration, flat(arg[0]), float(arg[1]))
+        self._iteration += 1
+        return [int(self.stop)]
