@@ -32,6 +32,8 @@ Reduced = ReducedEnergy | ReducedObjective
 IPOPT_OPTIONS: Mapping[str, Any] = {
     "hessian_approximation": "limited-memory",
     "limited_memory_max_history": 50,
+    # after two skipped updates in a row Ipopt forgets the memory, and then crawls
+    "limited_memory_max_skipping": 1_000_000,
     "tol": 1e-6,
     "max_iter": 500,
 }

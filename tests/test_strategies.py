@@ -7,6 +7,7 @@ import itertools
 import casadi as ca
 import numpy as np
 import pytest
+from test_properties import random_problem
 
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.examples import EXAMPLES
@@ -103,6 +104,14 @@ def test_other_outer_solvers_come_close(outer: str) -> None:
     # this coarse grid has several minima, which differ by less than a tenth of the gain
     assert solution.record()["gain"] >= 0.9 * reference
     assert solution.record()["outer"] == outer
+
+
+def test_the_quasi_newton_memory_is_not_forgotten() -> None:
+    # with Ipopt's default the memory is dropped after two skipped updates: 500 iterations, no success
+    problem = random_problem(6755)
+    solution = nested.solve(problem)
+    assert solution.success
+    assert solution.energy == pytest.approx(nested.solve(problem, outer="newton").energy, rel=1e-6)
 
 
 def test_unknown_outer_solver_is_named() -> None:
