@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
@@ -36,7 +37,7 @@ E = TypeVar("E", bound="Elastic")
 
 
 @dataclass(frozen=True)
-class Elastic:
+class Elastic(ABC):
     """Isotropic elasticity (3.7) with Lamé coefficients in N/m^2: the base of the two plane laws.
 
     ``body_force`` in N/m^3, per component a number or a function of position.
@@ -75,13 +76,13 @@ class Elastic:
         return self.body_force
 
     @property
+    @abstractmethod
     def in_plane_lambda(self) -> float:
         """Factor of ``trace(strain) I`` in the in-plane stress."""
-        raise NotImplementedError
 
+    @abstractmethod
     def out_of_plane_stress(self, trace: Any) -> Any:
         """sigma_zz for the trace of the in-plane strain."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
