@@ -13,7 +13,11 @@ from rmesh_nlp.lines import element_zones
 from rmesh_nlp.motion import Freedoms, Mobility, freedoms
 from rmesh_nlp.problem import ContactProblem
 
-COLOURS = [f"C{i}" for i in range(10)]
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Okabe and Ito's palette."""
+
+WIDTH = 8.0
+"""Inches; the height follows the extent of the mesh."""
 
 MARKERS = {
     Mobility.PINNED: ("s", "pinned"),
@@ -29,22 +33,25 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     Boundaries that are given, loaded or in contact have their own colours and a legend; each node
     has a marker for its mobility, and sliding ones a short line along which they slide.
     """
-    figure = Figure(figsize=(9, 6), layout="constrained")
-    axis = figure.add_subplot()
     p, free = problem.mesh.p, freedoms(problem)
+    extent = np.ptp(p, axis=1)
+    figure = Figure(figsize=(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0)), layout="constrained")
+    axis = figure.add_subplot()
     zone = element_zones(problem)
     # one zone has one colour, the lightest
     axis.tripcolor(
         p[0], p[1], problem.triangles.T, facecolors=zone.astype(float), cmap="Pastel2", vmin=0, vmax=8
     )
     axis.triplot(p[0], p[1], problem.triangles.T, color="0.6", linewidth=0.4)
-    for (label, facets), colour in zip(_roles(problem), COLOURS * 3, strict=False):
+    for (label, facets), colour in zip(_roles(problem), COLOURS * 5, strict=False):
         ends = p[:, problem.mesh.facets[:, facets]]
         axis.add_collection(
             LineCollection(list(ends.transpose(2, 1, 0)), color=colour, linewidth=3, label=label)
         )
     _draw_moves(axis, problem, free)
-    axis.set(aspect="equal", title=f"{problem.name}: {p.shape[1]} nodes, {free.n} moves")
+    unit = " [m]" if problem.components == 2 else ""
+    axis.set(aspect="equal", xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
+    axis.set_title(f"{problem.name}: {p.shape[1]} nodes, {free.n} moves")
     figure.legend(loc="outside lower center", ncols=3, fontsize="small")
     figure.savefig(path, dpi=150, bbox_inches="tight")
 
