@@ -91,6 +91,11 @@ def _commands() -> ModuleType:
     return importlib.import_module("rmesh_nlp.commands")
 
 
+def _problem_commands() -> ModuleType:
+    """The same for problem files."""
+    return importlib.import_module("rmesh_nlp.problem_commands")
+
+
 def _show_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"rmesh {__version__}")
@@ -177,7 +182,7 @@ def solve(
         for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
             if value not in (None, "midpoint"):
                 raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
-        commands = importlib.import_module("rmesh_nlp.problem_commands")
+        commands = _problem_commands()
         raise typer.Exit(commands.solve(Path(example), formulation, settings["options"], out))
     raise typer.Exit(_commands().solve(example, formulation or "joint", settings, out))
 
@@ -196,7 +201,7 @@ def check(
     rmesh check my.toml
     rmesh check my.toml --picture roles.pdf
     """
-    raise typer.Exit(importlib.import_module("rmesh_nlp.problem_commands").check(file, picture))
+    raise typer.Exit(_problem_commands().check(file, picture))
 
 
 @app.command()
@@ -206,7 +211,7 @@ def new(file: Annotated[Path, typer.Argument(metavar="FILE", help="The problem f
     \b
     rmesh new my.toml
     """
-    raise typer.Exit(importlib.import_module("rmesh_nlp.problem_commands").new(file))
+    raise typer.Exit(_problem_commands().new(file))
 
 
 @app.command()

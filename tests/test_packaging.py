@@ -86,6 +86,7 @@ def test_the_commands_of_the_readme_are_understood(monkeypatch: pytest.MonkeyPat
             return lambda *arguments: called.append(name) or 0
 
     monkeypatch.setattr(cli, "_commands", Nothing)
+    monkeypatch.setattr(cli, "_problem_commands", Nothing)
     lines = [line.split("#")[0].split() for line in README.splitlines() if line.startswith("rmesh ")]
     assert len(lines) >= 5
     for words in lines:
