@@ -91,7 +91,7 @@ def test_the_commands_of_the_readme_are_understood(monkeypatch: pytest.MonkeyPat
     assert len(lines) >= 5
     for words in lines:
         assert cli.run(words[1:]) == 0, words
-    assert set(called) == {"solve", "compare", "table", "figures"}
+    assert set(called) == {"solve", "compare", "table", "figures", "new", "check"}
 
 
 def python_blocks(name: str) -> list[str]:
