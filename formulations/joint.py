@@ -17,7 +17,15 @@ from rmesh_nlp.referee import OnStep, Referee
 from rmesh_nlp.relocation import relocation
 from rmesh_nlp.solution import Solution
 
-OPTIONS: Mapping[str, Any] = {"max_iter": 3000}
+OPTIONS: Mapping[str, Any] = {
+    "max_iter": 3000,
+    # Many boxes are weakly active, and an interior point meets those only to the square root of
+    # its tolerance; where rounding stops it before, 1e-9 will do.
+    "tol": 1e-12,
+    "compl_inf_tol": 1e-12,
+    "acceptable_tol": 1e-9,
+}
+"""Ipopt options that add to ``rmesh_nlp.nlp.IPOPT_OPTIONS``."""
 
 
 def build(problem: ContactProblem) -> NLP:

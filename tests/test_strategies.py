@@ -42,6 +42,7 @@ def test_joint_and_mpcc_reach_the_same_low_energy(name: str) -> None:
         check_record(solution)
         assert solution.energy <= ALL_AT_ONCE[name]
     assert two.energy == pytest.approx(one.energy, rel=1e-5)
+    assert one.stationarity == "KKT"
     assert two.stationarity == "S"
     assert two.record()["equilibrium_multiplier"] <= 1e-6
 
