@@ -39,6 +39,11 @@ IPOPT_OPTIONS: Mapping[str, Any] = {
 }
 """A long memory: the flat directions of the mesh make short ones stall."""
 
+BOXED_CURVATURE = 1e-2
+"""Curvature before any update where every node has a box. Moves are then in units of boxes and the
+objective in units of its first value, and Ipopt's 1 would make the first steps tiny, or all of them
+where the function is concave and no update is taken."""
+
 SCIPY_TOLERANCE = 1e-8
 SCIPY_MAX_ITERATIONS = 500
 
@@ -124,7 +129,10 @@ def scale_of(function: Reduced, n: int) -> float:
 
 
 def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
-    result = Solver(program.nlp, options=IPOPT_OPTIONS, monitor=monitor)(start)
+    options = dict(IPOPT_OPTIONS)
+    if np.all(np.isfinite(program.nlp.ubx)):
+        options["limited_memory_init_val"] = BOXED_CURVATURE
+    result = Solver(program.nlp, options=options, monitor=monitor)(start)
     status = Status.CONVERGED if result.converged else result.status
     return OuterResult(result.x, status, result.iterations)
 
