@@ -93,21 +93,19 @@ def main(arguments: list[str] | None = None) -> int:
 def markdown(rows: list[dict[str, Any]]) -> str:
     """The rows as a Markdown table."""
 
-    def cell(value: Any) -> str:
+    def cell(title: str, value: Any) -> str:
         if value is None:
             return "-"
-        return f"{value:.7g}" if isinstance(value, float) and 1e-3 < abs(value) < 1e4 else _short(value)
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        if isinstance(value, float):
+            return f"{value:.6g}" if title in ("initial", "final") else f"{value:.2g}"
+        return str(value)
 
     titles = list(COLUMNS.values())
     lines = ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
-    lines += ["| " + " | ".join(cell(r[title]) for title in titles) + " |" for r in rows]
+    lines += ["| " + " | ".join(cell(title, r[title]) for title in titles) + " |" for r in rows]
     return "\n".join(lines)
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.1e}" if isinstance(value, float) else str(value)
 
 
 if __name__ == "__main__":
