@@ -132,7 +132,7 @@ class _Step:
     """The trust-region problem at one point: minimise g.s + s.Hs/2 in the box."""
 
     def __init__(self, model: Model, x: Array, g: Array, lower: Array, upper: Array) -> None:
-        self._model, self._x, self._g = model, x, g
+        self._model, self._g = model, g
         self._lower, self._upper = lower - x, upper - x
         self.scale = model.diagonal()
         self.products = 0
