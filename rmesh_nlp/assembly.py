@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from rmesh_nlp.element import Differentiated, PointValues
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.nlp import Derivatives
 
@@ -87,16 +88,19 @@ class ElementGroup:
     ----------
     function : casadi.Function
         ``(*local columns) -> (f, g)``; f a scalar, g a column (possibly empty). An SX Function,
-        or an MX one where SX has no expression (splines).
+        or an MX one where SX has no expression (splines). With ``at_points`` it has one more
+        argument, the column of values at all points.
     arguments : tuple of Field
         For each argument its local values, (length, elements).
     rows : (len(g), elements) int array
         Constraint row that each local ``g`` is added to; ``CONSTANT`` drops it.
+    at_points : PointValues, optional
     """
 
     function: ca.Function
     arguments: tuple[Field, ...]
     rows: Index
+    at_points: PointValues | None = None
 
     @property
     def size(self) -> int:
@@ -164,17 +168,12 @@ class _Mapped:
         self.group, self._n = group, group.size
         variable = [i for i, field in enumerate(group.arguments) if not field.parameter and _moves(field)]
         self._fields = [group.arguments[i] for i in variable]
-        symbols = local_symbols(group.function)
-        kind = type(symbols[0])
-        local = ca.vertcat(kind(0, 1), *[symbols[i] for i in variable])
-        f, g = group.function(*symbols)
-        lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", g.shape[0])
-        jacobian = ca.jacobian(g, local)
-        hessian = ca.triu(ca.hessian(lam_f * f + ca.dot(lam_g, g), local)[0])
-        self._jacobian_pattern, self._hessian_pattern = jacobian.sparsity(), hessian.sparsity()
-        self._values = _map("values", symbols, [f, g], self._n)
-        self._first = _map("first", symbols, [ca.densify(ca.gradient(f, local)), jacobian.nz[:]], self._n)
-        self._second = _map("second", [*symbols, lam_f, lam_g], [hessian.nz[:]], self._n)
+        local = Differentiated(group.function, group.at_points, variable)
+        columns, weights = local.columns, [local.lam_f, local.lam_g]
+        self._jacobian_pattern, self._hessian_pattern = local.jacobian_pattern, local.hessian_pattern
+        self._values = _map("values", columns, local.values, self._n)
+        self._first = _map("first", columns, local.first, self._n)
+        self._second = _map("second", [*columns, *weights], local.second, self._n)
         self._arguments = [_gather(field, p if field.parameter else x) for field in group.arguments]
         self.index = (
             np.concatenate([f.index for f in self._fields]) if self._fields else np.zeros((0, self._n), int)
@@ -215,12 +214,6 @@ class _Mapped:
 
 def _moves(field: Field) -> bool:
     return bool(np.any(field.index != CONSTANT))
-
-
-def local_symbols(function: ca.Function) -> list[Any]:
-    """Symbols for the arguments of a local function, of the kind that it is made of."""
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
-    return [kind.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
 
 
 def _map(name: str, inputs: list[Any], outputs: list[Any], n: int) -> ca.Function:

@@ -12,13 +12,14 @@ in units of their boxes, displacements in units of ``length``, contact forces in
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.assembly import ElementGroup, Field, assemble
 from rmesh_nlp.contact_system import ContactSystem, Equilibrium
+from rmesh_nlp.element import local_symbols
 from rmesh_nlp.energy import bulk_groups, displacement_field, friction_group, gap_group
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.kkt import bound_force_group, contact_force_group, gradient_group, identity_group
@@ -177,8 +178,6 @@ def _in_units(field: Field, unit: float) -> Field:
 
 def _in_units_of_rows(group: ElementGroup, unit: float) -> ElementGroup:
     """The same rows divided by ``unit``."""
-    symbols = [ca.SX.sym(f"a{i}", group.function.size1_in(i)) for i in range(group.function.n_in())]
+    symbols = local_symbols(group.function)
     f, g = group.function(*symbols)
-    return ElementGroup(
-        ca.Function(group.function.name(), symbols, [f, g / unit]), group.arguments, group.rows
-    )
+    return replace(group, function=ca.Function(group.function.name(), symbols, [f, g / unit]))

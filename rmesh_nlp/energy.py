@@ -15,6 +15,7 @@ from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
 from rmesh_nlp.assembly import CONSTANT, ElementGroup, Field, Index, constant_field
 from rmesh_nlp.coefficients import Coefficient, at, is_nonzero
+from rmesh_nlp.element import PointValues
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.laws import Law, energy_density
 from rmesh_nlp.obstacle import Obstacle, Place
@@ -69,12 +70,19 @@ def strain_energy(law: Law) -> ca.Function:
     return ca.Function("strain_energy", [ca.vec(X), ca.vec(u)], [energy, ca.SX(0, 1)])
 
 
-def load_energy(law: Law, quadrature: str | int) -> ca.Function:
-    """``(X_e, u_e) -> (-integral of load . u, empty)`` of one P1 triangle by quadrature."""
-    X, u = ca.SX.sym("X", 2, 3), ca.SX.sym("u", law.components, 3)
+def load_energy(law: Law, quadrature: str | int) -> tuple[ca.Function, PointValues]:
+    """``(X_e, u_e, load at the points) -> (-integral of load . u, empty)`` of one P1 triangle."""
+    barycentric, weights = triangle_rule(quadrature)
+    n = weights.size
+    X, u, load = ca.SX.sym("X", 2, 3), ca.SX.sym("u", law.components, 3), ca.SX.sym("f", law.components, n)
     area = ((X[0, 1] - X[0, 0]) * (X[1, 2] - X[1, 0]) - (X[0, 2] - X[0, 0]) * (X[1, 1] - X[1, 0])) / 2
-    work = _work(law.load, X, u, *triangle_rule(quadrature))
-    return ca.Function("load_energy", [ca.vec(X), ca.vec(u)], [-area * work, ca.SX(0, 1)])
+    work = ca.dot(load, u @ ca.DM(barycentric * weights))
+    columns = [ca.vec(X), ca.vec(u)]
+    energy = ca.Function("load_energy", [*columns, ca.vec(load)], [-area * work, ca.SX(0, 1)])
+    points = ca.Function("points", columns, [X @ ca.DM(barycentric)])
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    value = ca.vertcat(*[at(component, x, y) for component in law.load])
+    return energy, PointValues(points, ca.Function("load", [x, y], [value]))
 
 
 def traction_energy(traction: Traction) -> ca.Function:
@@ -132,7 +140,8 @@ def bulk_groups(problem: ContactProblem, positions: Field, displacement: Field) 
         local = (positions.at(vertices), displacement.at(vertices))
         groups.append(objective_group(strain_energy(law), local))
         if any(is_nonzero(component) for component in law.load):
-            groups.append(objective_group(load_energy(law, problem.quadrature), local))
+            function, at_points = load_energy(law, problem.quadrature)
+            groups.append(objective_group(function, local, at_points))
     for traction in problem.tractions:
         edges = np.asarray(problem.mesh.facets[:, problem.mesh.boundaries[traction.boundary]], dtype=np.int64)
         local = (positions.at(edges), displacement.at(edges))
@@ -171,6 +180,9 @@ def displacement_field(problem: ContactProblem, first: int = 0) -> tuple[Field, 
     return Field(index.T, field.scale, field.offset), count
 
 
-def objective_group(function: ca.Function, local: tuple[Field, ...]) -> ElementGroup:
+def objective_group(
+    function: ca.Function, local: tuple[Field, ...], at_points: PointValues | None = None
+) -> ElementGroup:
     """Elements that add to the objective and to no constraint."""
-    return ElementGroup(function, local, np.zeros((0, local[0].index.shape[1]), dtype=np.int64))
+    no_rows = np.zeros((0, local[0].index.shape[1]), dtype=np.int64)
+    return ElementGroup(function, local, no_rows, at_points)

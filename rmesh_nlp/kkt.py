@@ -10,27 +10,31 @@ J being the energy without friction.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.assembly import CONSTANT, ElementGroup, Field, Index
+from rmesh_nlp.element import local_symbols
 from rmesh_nlp.problem import ContactProblem, Obstacle
 
 
 def gradient_group(group: ElementGroup, argument: int, shift: int, unit: float) -> ElementGroup:
     """Constraint rows with the derivative of an energy group with respect to one argument.
 
-    The unknown ``x[k]`` owns the row ``k + shift``; the rows are in units of ``unit``.
+    No value at points may depend on the argument. The unknown ``x[k]`` owns the row
+    ``k + shift``; the rows are in units of ``unit``.
     """
     function = group.function
-    symbols = [ca.SX.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
+    symbols = local_symbols(function)
     f = function(*symbols)[0]
     residual = ca.densify(ca.gradient(f, symbols[argument])) / unit
     index = group.arguments[argument].index
-    return ElementGroup(
-        ca.Function(f"{function.name()}_gradient", symbols, [0, residual]),
-        group.arguments,
-        np.where(index == CONSTANT, CONSTANT, index + shift),
+    return replace(
+        group,
+        function=ca.Function(f"{function.name()}_gradient", symbols, [0, residual]),
+        rows=np.where(index == CONSTANT, CONSTANT, index + shift),
     )
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -21,7 +21,8 @@ import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
-from rmesh_nlp.assembly import ElementGroup, Field, Index, constant_field, local_symbols
+from rmesh_nlp.assembly import ElementGroup, Field, Index, constant_field
+from rmesh_nlp.element import local_symbols
 from rmesh_nlp.energy import (
     bulk_groups,
     contact_edges,
@@ -277,6 +278,4 @@ def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
         return group
     symbols = local_symbols(group.function)
     f, g = group.function(*symbols)
-    return ElementGroup(
-        ca.Function(group.function.name(), symbols, [weight * f, g]), group.arguments, group.rows
-    )
+    return replace(group, function=ca.Function(group.function.name(), symbols, [weight * f, g]))
