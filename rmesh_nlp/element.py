@@ -1,0 +1,122 @@
+"""The function of one element, and its derivatives.
+
+A load or an exact solution enters an element only through its values at a few points. Its
+derivatives are taken with respect to the two coordinates of a point, once, and carried to the
+nodes by the chain rule: a third of the operations of differentiating it node by node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+
+@dataclass(frozen=True)
+class PointValues:
+    """Values of a function of position at points that move with the element.
+
+    Attributes
+    ----------
+    points : casadi.Function
+        ``(*columns) -> (2, points)``, affine in the columns.
+    function : casadi.Function
+        ``(x, y) -> column`` of values at one point.
+    """
+
+    points: ca.Function
+    function: ca.Function
+
+
+def local_symbols(function: ca.Function) -> list[Any]:
+    """Symbols for the arguments of a local function, of the kind that it is made of."""
+    kind = ca.SX if function.is_a("SXFunction") else ca.MX
+    return [kind.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
+
+
+class Differentiated:
+    """Expressions of an element function ``(*columns[, values at points]) -> (f, g)``.
+
+    Attributes
+    ----------
+    columns : list of symbols
+        Those of the element; the values at points are already substituted.
+    lam_f, lam_g : symbols
+    values, first, second : lists of expressions
+        ``f, g``; gradient of f (dense), nonzeros of the Jacobian of g; nonzeros of the upper
+        triangle of the Hessian of ``lam_f f + lam_g . g``.
+    jacobian_pattern, hessian_pattern : casadi.Sparsity
+
+    Parameters
+    ----------
+    function : casadi.Function
+    at_points : PointValues, optional
+        What the last argument of ``function`` is.
+    variable : list of int
+        The columns to differentiate by.
+    """
+
+    def __init__(self, function: ca.Function, at_points: PointValues | None, variable: list[int]) -> None:
+        symbols = local_symbols(function)
+        kind = type(symbols[0])
+        self.columns = symbols if at_points is None else symbols[:-1]
+        local = ca.vertcat(kind(0, 1), *[symbols[i] for i in variable])
+        f, g = function(*symbols)
+        self.lam_f, self.lam_g = kind.sym("lam_f"), kind.sym("lam_g", g.shape[0])
+        lagrangian = self.lam_f * f + ca.dot(self.lam_g, g)
+        gradient, jacobian = ca.gradient(f, local), ca.jacobian(g, local)
+        hessian = ca.hessian(lagrangian, local)[0]
+        if at_points is not None:
+            values = symbols[-1]
+            chain = _Chain(at_points, self.columns, local)
+            gradient += chain.slope.T @ ca.gradient(f, values)
+            jacobian += ca.jacobian(g, values) @ chain.slope
+            by_value = ca.gradient(lagrangian, values)
+            mixed = ca.jacobian(by_value, local).T @ chain.slope
+            hessian += mixed + mixed.T + chain.slope.T @ ca.hessian(lagrangian, values)[0] @ chain.slope
+            hessian += chain.curvature(by_value)
+            f, g, gradient, jacobian, hessian = ca.substitute(
+                [f, g, gradient, jacobian, hessian], [values], [chain.values]
+            )
+        hessian = ca.triu(hessian)
+        self.jacobian_pattern, self.hessian_pattern = jacobian.sparsity(), hessian.sparsity()
+        self.values = [f, g]
+        self.first = [ca.densify(gradient), jacobian.nz[:]]
+        self.second = [hessian.nz[:]]
+
+
+class _Chain:
+    """Values at all points of an element, and how they change with its local unknowns."""
+
+    def __init__(self, at_points: PointValues, columns: list[Any], local: Any) -> None:
+        self._function = at_points.function
+        kind = type(local)
+        points = at_points.points(*columns)
+        x, y = kind.sym("x"), kind.sym("y")
+        self._position = ca.vertcat(x, y)
+        value = self._function(x, y)
+        self._slope = ca.jacobian(value, self._position)
+        self._weights = kind.sym("weights", value.shape[0])
+        self._curvature = ca.hessian(ca.dot(self._weights, value), self._position)[0]
+        self._points = ca.horzsplit(points)
+        self._moves = [ca.jacobian(point, local) for point in self._points]
+        self.values = ca.vertcat(*[self._at(value, point) for point in self._points])
+        self.slope = ca.vertcat(
+            *[self._at(self._slope, p) @ m for p, m in zip(self._points, self._moves, strict=True)]
+        )
+
+    def curvature(self, weights: Any) -> Any:
+        """Second derivative of ``weights . values``, the weights held."""
+        total = 0
+        for point, move, weight in zip(
+            self._points, self._moves, ca.vertsplit(weights, self._weights.shape[0]), strict=True
+        ):
+            here = ca.substitute(
+                self._curvature, ca.vertcat(self._position, self._weights), ca.vertcat(point, weight)
+            )
+            total = total + move.T @ here @ move
+        return total
+
+    def _at(self, expression: Any, point: Any) -> Any:
+        return ca.substitute(expression, self._position, point)
