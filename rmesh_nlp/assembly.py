@@ -138,16 +138,22 @@ def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) ->
     parts = [_Mapped(group, x, p) for group in groups if group.size > 0]
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)
     n_x = int(x.shape[0])
-    f = _total([ca.sum2(part.values()[0]) for part in parts], ca.MX(0))
-    g = _sum_into((n_rows, 1), [(part.g_entries(), part.values()[1]) for part in parts])
-    gradient = _sum_into((n_x, 1), [(part.gradient_entries(), part.first()[0]) for part in parts])
-    jacobian = _sum_into((n_rows, n_x), [(part.jacobian_entries(), part.first()[1]) for part in parts])
+
+    def summed(local: list[list[ca.MX]]) -> tuple[ca.MX, ca.MX]:
+        f = _total([ca.sum2(part[0]) for part in local], ca.MX(0))
+        g = _sum_into((n_rows, 1), [(p.g_entries(), part[1]) for p, part in zip(parts, local, strict=True)])
+        return f, ca.densify(g)
+
+    f, g = summed([part.values() for part in parts])
+    f_again, g_again = summed([part.first() for part in parts])
+    gradient = _sum_into((n_x, 1), [(part.gradient_entries(), part.first()[2]) for part in parts])
+    jacobian = _sum_into((n_rows, n_x), [(part.jacobian_entries(), part.first()[3]) for part in parts])
     hessian = _sum_into((n_x, n_x), [(part.hessian_entries(), part.second(lam_f, lam_g)) for part in parts])
     return Assembled(
         f=f,
-        g=ca.densify(g),
-        grad_f=ca.Function("nlp_grad_f", [x, p], [f, ca.densify(gradient)]),
-        jac_g=ca.Function("nlp_jac_g", [x, p], [ca.densify(g), jacobian]),
+        g=g,
+        grad_f=ca.Function("nlp_grad_f", [x, p], [f_again, ca.densify(gradient)]),
+        jac_g=ca.Function("nlp_jac_g", [x, p], [g_again, jacobian]),
         hess_lag=ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian]),
     )
 

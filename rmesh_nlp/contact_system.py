@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,11 @@ class ContactSystem:
         """J(u), friction included."""
         friction = self.slip_bound @ np.abs(self.tangents @ u) if self.slip_bound.size else 0.0
         return float(0.5 * u @ (self.stiffness @ u) - self.load @ u + self.constant + friction)
+
+    @cached_property
+    def rotated(self) -> RotatedSystem:
+        """The same system with gaps and slips as unknowns."""
+        return RotatedSystem(self)
 
     @property
     def force_scale(self) -> float:
@@ -116,6 +122,7 @@ class RotatedSystem:
         self.slips = self.tangent >= 0  # False where the tangential displacement is given
         self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
         self.F = system.load if basis is None else basis.T @ system.load
+        self._factor: tuple[bytes, NDArray[np.intp], Any] | None = None
 
     def free(self, active: ActiveSet) -> NDArray[np.bool_]:
         """Unknowns that touching and sticking nodes leave free."""
@@ -124,6 +131,17 @@ class RotatedSystem:
         if self.system.slip_bound.size:
             free[self.tangent[self.slips & (active.sliding == 0)]] = False
         return free
+
+    def factor(self, active: ActiveSet) -> tuple[NDArray[np.intp], Any]:
+        """The free unknowns and the factorised stiffness over them; the last one is kept.
+
+        So derivatives at a contact solution need no factorisation of their own.
+        """
+        if self._factor is None or self._factor[0] != active.key():
+            inside = np.flatnonzero(self.free(active))
+            self._factor = None  # its memory first
+            self._factor = active.key(), inside, factorised(self.K[:, inside][inside])
+        return self._factor[1:]
 
     def solve(self, active: ActiveSet) -> Equilibrium:
         """Equilibrium with the given nodes touching, sticking and sliding."""
@@ -134,10 +152,8 @@ class RotatedSystem:
         if system.slip_bound.size:
             F = F.copy()
             F[self.tangent[self.slips]] -= (system.slip_bound * active.sliding)[self.slips]
-        inside = np.flatnonzero(self.free(active))
-        K = self.K[:, inside]
-        right = F[inside] - (self.K[inside] @ w)
-        w[inside] = factorised(K[inside]).solve(right)
+        inside, factor = self.factor(active)
+        w[inside] = factor.solve((F - self.K @ w)[inside])
         residual = self.K @ w - self.F
         normal_force = np.where(active.touching, residual[self.normal], 0.0)
         tangential = np.zeros(0)

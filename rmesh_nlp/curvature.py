@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array, Evaluator, pattern
+from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, pattern
 from rmesh_nlp.reduced import ReducedEnergy, ReducedPoint
 from rmesh_nlp.sensitivity import tangent_response
 
@@ -36,18 +36,19 @@ class Curvature:
         hessian = rel.derivatives.hess_lag(nlp.x, nlp.p, 1.0, rows)
         gap = rel.derivatives.jac_g(nlp.x, nlp.p)[1][rel.gap_rows, : rel.n_q]
         blocks = [hessian[: rel.n_q, : rel.n_q], hessian[: rel.n_q, rel.n_q :], gap]
-        self._patterns = [pattern(block.sparsity()) for block in blocks]
+        self._own = Symmetric(blocks[0].sparsity())
+        self._patterns = [pattern(block.sparsity()) for block in blocks[1:]]
         self._evaluate = Evaluator(ca.Function("curvature", [nlp.x, lam], blocks))
 
     def at(self, point: ReducedPoint) -> Hessian:
         """L'' at a point, ready for products."""
         x = self.energy.point(point.q, point.equilibrium)
-        values = self._evaluate(x, point.equilibrium.normal_force)
-        qq, mixed, gap = (
-            sp.csr_array(sp.csc_array((data, p.indices, p.indptr), shape=p.shape))
-            for p, data in zip(self._patterns, values, strict=True)
+        own, *others = self._evaluate(x, point.equilibrium.normal_force)
+        mixed, gap = (
+            sp.csc_array((data, p.indices, p.indptr), shape=p.shape)
+            for p, data in zip(self._patterns, others, strict=True)
         )
-        return Hessian(self.energy, point, sp.csr_array(qq + sp.triu(qq, 1).T), mixed, gap)
+        return Hessian(self.energy, point, self._own(own), mixed, gap)
 
 
 class Hessian:
@@ -57,14 +58,14 @@ class Hessian:
         self,
         energy: ReducedEnergy,
         point: ReducedPoint,
-        qq: sp.csr_array,
-        mixed: sp.csr_array,
-        gap: sp.csr_array,
+        qq: sp.csc_array,
+        mixed: sp.csc_array,
+        gap: sp.csc_array,
     ) -> None:
         rel = energy.relocation
         self.qq, self._gap = qq, gap
         self._qu, self._qs = mixed[:, : rel.n_u], mixed[:, rel.n_u :]
-        self._uq, self._sq = sp.csr_array(self._qu.T), sp.csr_array(self._qs.T)
+        self._uq, self._sq = self._qu.T, self._qs.T
         self._system, self._active = point.system, point.equilibrium.active
         self._respond = tangent_response(point.system, self._active)
         self.products = 0

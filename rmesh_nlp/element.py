@@ -44,8 +44,9 @@ class Differentiated:
         Those of the element; the values at points are already substituted.
     lam_f, lam_g : symbols
     values, first, second : lists of expressions
-        ``f, g``; gradient of f (dense), nonzeros of the Jacobian of g; nonzeros of the upper
-        triangle of the Hessian of ``lam_f f + lam_g . g``.
+        ``f, g``; those again, which costs next to nothing, with the gradient of f (dense) and
+        the nonzeros of the Jacobian of g; nonzeros of the upper triangle of the Hessian of
+        ``lam_f f + lam_g . g``.
     jacobian_pattern, hessian_pattern : casadi.Sparsity
 
     Parameters
@@ -82,7 +83,7 @@ class Differentiated:
         hessian = ca.triu(hessian)
         self.jacobian_pattern, self.hessian_pattern = jacobian.sparsity(), hessian.sparsity()
         self.values = [f, g]
-        self.first = [ca.densify(gradient), jacobian.nz[:]]
+        self.first = [f, g, ca.densify(gradient), jacobian.nz[:]]
         self.second = [hessian.nz[:]]
 
 

@@ -25,9 +25,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.assembly import assemble, unknown_field
-from rmesh_nlp.contact_system import ActiveSet, ContactSystem, Equilibrium, RotatedSystem
+from rmesh_nlp.contact_system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.energy import bulk_groups, displacement_field, friction_group, gap_group
-from rmesh_nlp.evaluation import Array, Evaluator, pattern
+from rmesh_nlp.evaluation import Array, Evaluator, Symmetric
 from rmesh_nlp.nlp import Status
 from rmesh_nlp.problem import ContactProblem
 
@@ -71,7 +71,7 @@ class ContactModel:
         no_rows = ca.MX.zeros(self.contact_nodes.size)
         hessian = inner.hess_lag(zero, X, 1.0, no_rows)
         self._evaluate = Evaluator(ca.Function("contact_system", [X], [hessian, -gradient, value, gap]))
-        self._upper = pattern(hessian.sparsity())
+        self._stiffness = Symmetric(hessian.sparsity())
         self.normals = self._unit_rows(problem.obstacle.normal)
         self._friction = problem.frictional
         scalar = problem.components == 1
@@ -85,9 +85,7 @@ class ContactModel:
     def system(self, nodes: Array) -> ContactSystem:
         """The quadratic program at node positions (2, nodes)."""
         hessian, load, constant, offset = self._evaluate(nodes)
-        upper = self._upper.copy()
-        upper.data = hessian
-        stiffness = sp.csc_array(upper + sp.triu(upper, 1).T)
+        stiffness = self._stiffness(hessian)
         bound = self._weights(nodes)[0][self.contact_nodes] if self._friction else np.zeros(0)
         return ContactSystem(stiffness, load, float(constant[0]), self.normals, self.tangents, offset, bound)
 
@@ -124,7 +122,7 @@ def solve(
         Gaps of touching nodes and slips of sticking nodes are exactly zero up to rounding of
         the change of coordinates. If the status is not CONVERGED the last iterate is returned.
     """
-    rotated = RotatedSystem(system)
+    rotated = system.rotated
     active = start if start is not None else _initial_set(system)
     fewest, patience = np.inf, PATIENCE
     seen: set[bytes] = set()

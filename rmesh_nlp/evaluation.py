@@ -56,6 +56,30 @@ def pattern(sparsity: ca.Sparsity) -> sp.csc_array:
     return sp.csc_array((data, sparsity.row(), sparsity.colind()), shape=shape)
 
 
+class Symmetric:
+    """Makes full symmetric matrices of one pattern from the nonzeros of their upper triangles.
+
+    Where each value goes is found once; scipy's ``upper + triu(upper, 1).T`` finds it at each call.
+
+    Parameters
+    ----------
+    upper : casadi.Sparsity
+        Pattern of an upper triangle.
+    """
+
+    def __init__(self, upper: ca.Sparsity) -> None:
+        numbered = pattern(upper)
+        numbered.data = np.arange(1, upper.nnz() + 1)
+        full = sp.csc_array(numbered + sp.triu(numbered, 1).T)
+        full.sort_indices()
+        self._source, self._full = full.data - 1, full
+
+    def __call__(self, values: Array) -> sp.csc_array:
+        """The matrix whose upper triangle has these nonzeros."""
+        full = self._full
+        return sp.csc_array((values[self._source], full.indices, full.indptr), shape=full.shape)
+
+
 def flat(matrix: ca.DM) -> Array:
     """All entries of a CasADi matrix in one array, column by column."""
     return np.asarray(matrix.full(), dtype=float).ravel(order="F")

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact_system import ActiveSet, ContactSystem, Equilibrium, RotatedSystem, factorised
+from rmesh_nlp.contact_system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 
 
@@ -24,11 +23,11 @@ def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Arr
     reaction : (contact nodes,) array
         ``right - K p`` in the normal direction of touching nodes, zero at the others.
     """
-    rotated = RotatedSystem(system)
+    rotated = system.rotated
     turned = right if rotated.basis is None else rotated.basis.T @ right
-    inside = np.flatnonzero(rotated.free(active))
+    inside, factor = rotated.factor(active)
     p = np.zeros(turned.size)
-    p[inside] = factorised(rotated.K[:, inside][inside]).solve(turned[inside])
+    p[inside] = factor.solve(turned[inside])
     reaction = np.where(active.touching, (turned - rotated.K @ p)[rotated.normal], 0.0)
     return p if rotated.basis is None else rotated.basis @ p, reaction
 
@@ -39,20 +38,17 @@ def tangent_response(
     """First-order change of displacement and normal force with the active set held.
 
     The returned function takes the change of the out-of-balance force ``K u - F`` at fixed
-    displacement and the change of the gaps, and gives those of ``u`` and ``lambda``. The
-    stiffness is factorised once.
+    displacement and the change of the gaps, and gives those of ``u`` and ``lambda``.
     """
-    rotated = RotatedSystem(system)
-    inside = np.flatnonzero(rotated.free(active))
-    rows = sp.csr_array(rotated.K)[inside]
-    factor = factorised(rotated.K[:, inside][inside])
+    rotated = system.rotated
+    inside, factor = rotated.factor(active)
     touching = rotated.normal[active.touching]
 
     def respond(force: Array, gap: Array) -> tuple[Array, Array]:
         turned = force if rotated.basis is None else rotated.basis.T @ force
         w = np.zeros(turned.size)
         w[touching] = -gap[active.touching]
-        w[inside] = factor.solve(-turned[inside] - rows @ w)
+        w[inside] = factor.solve(-(turned + rotated.K @ w)[inside])
         change = np.zeros(gap.size)
         change[active.touching] = (rotated.K @ w + turned)[touching]
         return (w if rotated.basis is None else rotated.basis @ w), change
