@@ -73,16 +73,55 @@ def strain_energy(law: Law) -> ca.Function:
 def load_energy(law: Law, quadrature: str | int) -> tuple[ca.Function, PointValues]:
     """``(X_e, u_e, load at the points) -> (-integral of load . u, empty)`` of one P1 triangle."""
     barycentric, weights = triangle_rule(quadrature)
-    n = weights.size
-    X, u, load = ca.SX.sym("X", 2, 3), ca.SX.sym("u", law.components, 3), ca.SX.sym("f", law.components, n)
-    area = ((X[0, 1] - X[0, 0]) * (X[1, 2] - X[1, 0]) - (X[0, 2] - X[0, 0]) * (X[1, 1] - X[1, 0])) / 2
-    work = ca.dot(load, u @ ca.DM(barycentric * weights))
+    X, u = ca.SX.sym("X", 2, 3), ca.SX.sym("u", law.components, 3)
+    return _load_energy(
+        law, X, u, _area(X, 0, 1, 2), X @ ca.DM(barycentric), u @ ca.DM(barycentric * weights)
+    )
+
+
+def load_energy_of_edge(law: Law) -> tuple[ca.Function, PointValues]:
+    """What the midpoint of an edge adds to :func:`load_energy` from the triangles on both sides.
+
+    ``X_e`` holds the ends and the vertices to the left and right of the edge, ``u_e`` the ends.
+    Two triangles share the values there, a third of the work for each of its three edges.
+    """
+    X, u = ca.SX.sym("X", 2, 4), ca.SX.sym("u", law.components, 2)
+    thirds = (_area(X, 0, 1, 2) + _area(X, 1, 0, 3)) / 3
+    return _load_energy(law, X, u, thirds, (X[:, 0] + X[:, 1]) / 2, (u[:, 0] + u[:, 1]) / 2)
+
+
+def _load_energy(
+    law: Law, X: ca.SX, u: ca.SX, area: ca.SX, points: ca.SX, weighted: ca.SX
+) -> tuple[ca.Function, PointValues]:
+    load = ca.SX.sym("f", *weighted.shape)
     columns = [ca.vec(X), ca.vec(u)]
-    energy = ca.Function("load_energy", [*columns, ca.vec(load)], [-area * work, ca.SX(0, 1)])
-    points = ca.Function("points", columns, [X @ ca.DM(barycentric)])
+    energy = -area * ca.dot(load, weighted)
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     value = ca.vertcat(*[at(component, x, y) for component in law.load])
-    return energy, PointValues(points, ca.Function("load", [x, y], [value]))
+    return (
+        ca.Function("load_energy", [*columns, ca.vec(load)], [energy, ca.SX(0, 1)]),
+        PointValues(ca.Function("points", columns, [points]), ca.Function("load", [x, y], [value])),
+    )
+
+
+def _area(X: ca.SX, i: int, j: int, k: int) -> ca.SX:
+    return ((X[0, j] - X[0, i]) * (X[1, k] - X[1, i]) - (X[0, k] - X[0, i]) * (X[1, j] - X[1, i])) / 2
+
+
+def edges_with_opposite(triangles: Index) -> Index:
+    """(4, edges): the ends of each edge of some triangles (3, elements), then the vertices beside it.
+
+    Left of the edge first. Where there is no triangle on the right, the first end stands for
+    its vertex: that triangle has no area, wherever the nodes go.
+    """
+    first, second, third = triangles
+    directed = np.hstack([[first, second, third], [second, third, first], [third, first, second]])
+    low, high = np.sort(directed[:2], axis=0)
+    _, left, edge = np.unique(low * (triangles.max() + 1) + high, return_index=True, return_inverse=True)
+    result = np.vstack([directed[:, left], directed[0, left]])
+    right = np.setdiff1d(np.arange(edge.size), left)
+    result[3, edge[right]] = directed[2, right]
+    return result
 
 
 def traction_energy(traction: Traction) -> ca.Function:
@@ -140,13 +179,23 @@ def bulk_groups(problem: ContactProblem, positions: Field, displacement: Field) 
         local = (positions.at(vertices), displacement.at(vertices))
         groups.append(objective_group(strain_energy(law), local))
         if any(is_nonzero(component) for component in law.load):
-            function, at_points = load_energy(law, problem.quadrature)
-            groups.append(objective_group(function, local, at_points))
+            groups.append(_load_group(law, problem.quadrature, vertices, positions, displacement))
     for traction in problem.tractions:
         edges = np.asarray(problem.mesh.facets[:, problem.mesh.boundaries[traction.boundary]], dtype=np.int64)
         local = (positions.at(edges), displacement.at(edges))
         groups.append(objective_group(traction_energy(traction), local))
     return groups
+
+
+def _load_group(
+    law: Law, quadrature: str | int, triangles: Index, positions: Field, displacement: Field
+) -> ElementGroup:
+    if quadrature == "midpoint":
+        edges = edges_with_opposite(triangles)
+        function, at_points = load_energy_of_edge(law)
+        return objective_group(function, (positions.at(edges), displacement.at(edges[:2])), at_points)
+    function, at_points = load_energy(law, quadrature)
+    return objective_group(function, (positions.at(triangles), displacement.at(triangles)), at_points)
 
 
 def friction_group(problem: ContactProblem, positions: Field, slip: Field) -> ElementGroup:
