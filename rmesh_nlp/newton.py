@@ -1,10 +1,15 @@
-"""Projected trust-region Newton-CG for a smooth function in a box, after TRON.
+"""Projected Newton-CG with a trust region for a smooth function in a box.
 
-C.-J. Lin, J. J. Moré, Newton's method for large bound-constrained optimization problems,
-SIAM J. Optim. 9 (1999) 1100-1127. Each step minimises the quadratic model in the box and the
-trust region: a generalised Cauchy point decides which bounds are active, then preconditioned
-conjugate gradients with Steihaug's stop minimise over the free variables, and a projected
-search lets many bounds become active at once.
+In the manner of TRON (C.-J. Lin, J. J. Moré, Newton's method for large bound-constrained
+optimization problems, SIAM J. Optim. 9 (1999) 1100-1127): a Cauchy point, then conjugate
+gradients over the variables that are free, with a projected search that lets many bounds become
+active at once, again and again on the same quadratic model.
+
+The trust region is a box too. TRON's ball stops a step where the conjugate gradients leave it
+or meet negative curvature; the projection then shortens that step, so that the ball never grows
+although the model is right. In a box the step ends in a corner of the trusted part of the box
+instead, and the same model is used until it has nothing left to give: of the functions here, a
+derivative costs as much as dozens of Hessian products.
 """
 
 from __future__ import annotations
@@ -22,8 +27,17 @@ from rmesh_nlp.nlp import Status
 SUFFICIENT = 1e-4
 """Least ratio of actual to predicted decrease of an accepted step."""
 
-MAX_PRODUCTS = 200
+MAX_PRODUCTS = 60
 """Hessian products of one step."""
+
+FIRST_RADIUS = 0.5
+"""First half-width of the trust region, as a part of the longest move of the scaled gradient step."""
+
+WORTHWHILE = 0.02
+"""Least part of a step's decrease that the last round of conjugate gradients must give."""
+
+OVERSHOOT = 2.0
+"""How far beyond the trust region, in its widths, a direction is followed before it is projected."""
 
 
 class Model(Protocol):
@@ -63,12 +77,15 @@ def minimise(
     upper: Array,
     *,
     tolerance: float = 1e-6,
-    gain_tolerance: float = 0.0,
+    gain_tolerance: float = 1e-4,
     max_iterations: int = 200,
     forcing: float = 0.1,
     on_step: Callable[[int, Array, Evaluation], None] | None = None,
 ) -> NewtonResult:
     """Minimise in the box ``lower <= x <= upper``.
+
+    Converged means two things: the point is stationary, and the model sees no decrease worth a
+    step. On a fine mesh every point is nearly stationary, for each node has little to say.
 
     Parameters
     ----------
@@ -77,9 +94,9 @@ def minimise(
         defined (an element would be inverted), which makes the trust region shrink.
     start, lower, upper : (n,) arrays
     tolerance : float
-        Stop when ``max |x - proj(x - g / |f|)|`` is below it.
+        Stationary: ``max |x - proj(x - g / |f|)|`` is at most this.
     gain_tolerance : float
-        Stop when the model predicts a decrease of less than this fraction of the decrease so far.
+        No decrease: the model predicts less than this fraction of the decrease so far.
     max_iterations : int
     forcing : float
         Conjugate gradients stop at this fraction of the residual they began with.
@@ -91,37 +108,37 @@ def minimise(
     if here is None:
         return NewtonResult(x, np.nan, Status.EVALUATION_ERROR, 0, 0)
     first, products = here.value, 0
-    radius = 0.0  # the first one is the length of the projected gradient step
+    radius = 0.0
     model = here.model()
     for iteration in range(max_iterations + 1):
         if on_step is not None:
             on_step(iteration, x, here)
         g = here.gradient
         unit = max(abs(here.value), 1e-300)
-        if np.max(np.abs(x - np.clip(x - g / unit, lower, upper)), initial=0.0) <= tolerance:
-            return NewtonResult(x, here.value, Status.CONVERGED, iteration, products)
+        residual = np.max(np.abs(x - np.clip(x - g / unit, lower, upper)), initial=0.0)
         if iteration == max_iterations:
             break
         accepted = False
         while not accepted:
-            step = _Step(model, x, g, lower, upper)
+            step = _Step(model, g)
             if radius == 0.0:
-                radius = step.norm(np.clip(x - g / step.scale, lower, upper) - x)
-            s, predicted = step.solve(radius, forcing)
+                newton_like = np.clip(x - g / step.scale, lower, upper) - x
+                radius = FIRST_RADIUS * float(np.max(np.abs(newton_like), initial=0.0))
+            s, predicted = step.solve(np.maximum(lower - x, -radius), np.minimum(upper - x, radius), forcing)
             products += step.products
-            if predicted <= gain_tolerance * (first - here.value):
+            if residual <= tolerance and predicted <= gain_tolerance * (first - here.value):
                 return NewtonResult(x, here.value, Status.CONVERGED, iteration, products)
-            length = step.norm(s)
-            if length == 0 or predicted <= 1e-16 * unit:
-                return NewtonResult(x, here.value, Status.STALLED, iteration, products)
+            if not np.any(s) or predicted <= 1e-16 * unit:
+                status = Status.CONVERGED if residual <= tolerance else Status.STALLED
+                return NewtonResult(x, here.value, status, iteration, products)
             trial = np.clip(x + s, lower, upper)
             there = evaluate(trial)
             actual = here.value - there.value if there is not None else -np.inf
             ratio = actual / predicted
             if ratio < 0.25:
-                radius = 0.25 * min(length, radius)
-            elif ratio > 0.75 and length > 0.9 * radius:
-                radius = 2.5 * radius
+                radius = 0.25 * float(np.max(np.abs(s)))
+            elif ratio > 0.75:
+                radius = 4 * radius
             if there is not None and ratio > SUFFICIENT:
                 x, here, accepted = trial, there, True
                 model = here.model()
@@ -129,36 +146,32 @@ def minimise(
 
 
 class _Step:
-    """The trust-region problem at one point: minimise g.s + s.Hs/2 in the box."""
+    """Minimises ``g . s + 1/2 s . H s`` approximately over a box that holds s = 0."""
 
-    def __init__(self, model: Model, x: Array, g: Array, lower: Array, upper: Array) -> None:
+    def __init__(self, model: Model, g: Array) -> None:
         self._model, self._g = model, g
-        self._lower, self._upper = lower - x, upper - x
         self.scale = model.diagonal()
         self.products = 0
 
-    def norm(self, s: Array) -> float:
-        """Length of a step in the metric of the diagonal."""
-        return float(np.sqrt(s @ (self.scale * s)))
-
-    def solve(self, radius: float, forcing: float) -> tuple[Array, float]:
-        """A step within the box and the radius, and the decrease that the model predicts."""
-        s, Hs = self._cauchy(radius)
-        for _ in range(s.size):
-            free = (s > self._lower) & (s < self._upper)
+    def solve(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
+        """A step within the box, and the decrease that the model predicts."""
+        self._lower, self._upper = lower, upper
+        s, Hs = self._cauchy()
+        while self.products < MAX_PRODUCTS:
+            free = (s > lower) & (s < upper)
             residual = np.where(free, self._g + Hs, 0.0)
-            size = self._dual_norm(residual)
-            if (
-                size <= forcing * self._dual_norm(np.where(free, self._g, 0.0))
-                or self.products > MAX_PRODUCTS
-            ):
+            if self._dual_norm(residual) <= forcing * self._dual_norm(np.where(free, self._g, 0.0)):
                 break
-            w, stopped = self._conjugate_gradients(residual, free, s, radius, forcing)
+            w = self._conjugate_gradients(residual, free, forcing)
             moved, H_moved = self._projected_search(s, residual, w)
+            decrease = -float(residual @ moved + 0.5 * moved @ H_moved)
             s, Hs = s + moved, Hs + H_moved
-            if stopped or not np.any(moved):
+            if decrease <= WORTHWHILE * self._decrease(s, Hs):
                 break
-        return s, float(-(self._g @ s + 0.5 * s @ Hs))
+        return s, self._decrease(s, Hs)
+
+    def _decrease(self, s: Array, Hs: Array) -> float:
+        return float(-(self._g @ s + 0.5 * s @ Hs))
 
     def _product(self, d: Array) -> Array:
         self.products += 1
@@ -170,25 +183,23 @@ class _Step:
     def _clip(self, s: Array) -> Array:
         return np.clip(s, self._lower, self._upper)
 
-    def _cauchy(self, radius: float) -> tuple[Array, Array]:
+    def _cauchy(self) -> tuple[Array, Array]:
         """Generalised Cauchy point along the projected scaled gradient."""
         direction = -self._g / self.scale
-        alpha = radius / max(self.norm(direction), 1e-300)
-        s = self._clip(alpha * direction)
-        while True:
+        alpha = 1.0
+        s = self._clip(direction)
+        while np.any(s):
             Hs = self._product(s)
-            if self._g @ s + 0.5 * s @ Hs <= 0.01 * (self._g @ s) and self.norm(s) <= radius * (1 + 1e-12):
+            if self._g @ s + 0.5 * s @ Hs <= 0.01 * (self._g @ s):
                 return s, Hs
             alpha *= 0.25
             s = self._clip(alpha * direction)
-            if not np.any(s):
-                return s, np.zeros_like(s)
+        return s, np.zeros_like(s)
 
-    def _conjugate_gradients(
-        self, residual: Array, free: NDArray[np.bool_], s: Array, radius: float, forcing: float
-    ) -> tuple[Array, bool]:
-        """Steihaug's method on the free variables; True if it ended at the radius or by curvature."""
-        w, r = np.zeros_like(s), -residual
+    def _conjugate_gradients(self, residual: Array, free: NDArray[np.bool_], forcing: float) -> Array:
+        """Steps over the free variables, until they converge or lead far out of the box."""
+        far = OVERSHOOT * float(np.max(np.maximum(self._upper, -self._lower)))
+        w, r = np.zeros_like(residual), -residual
         z = r / self.scale
         p, rz = z.copy(), float(r @ z)
         target = forcing**2 * rz
@@ -196,23 +207,15 @@ class _Step:
             Hp = np.where(free, self._product(p), 0.0)
             curvature = float(p @ Hp)
             if curvature <= 0:
-                return w + self._to_radius(s + w, p, radius) * p, True
+                return w + far / max(float(np.max(np.abs(p))), 1e-300) * p
             alpha = rz / curvature
-            if self.norm(s + w + alpha * p) >= radius:
-                return w + self._to_radius(s + w, p, radius) * p, True
             w, r = w + alpha * p, r - alpha * Hp
             z = r / self.scale
             rz, old = float(r @ z), rz
-            if rz <= target:
+            if rz <= target or np.max(np.abs(w)) > far:
                 break
             p = z + (rz / old) * p
-        return w, False
-
-    def _to_radius(self, s: Array, p: Array, radius: float) -> float:
-        """Positive tau with |s + tau p| = radius."""
-        a, b = p @ (self.scale * p), s @ (self.scale * p)
-        c = np.minimum(s @ (self.scale * s) - radius**2, 0.0)
-        return float((-b + np.sqrt(b * b - a * c)) / a)
+        return w
 
     def _projected_search(self, s: Array, gradient: Array, w: Array) -> tuple[Array, Array]:
         """A step along the projected path of ``w`` that decreases the model."""
