@@ -158,6 +158,11 @@ def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) ->
     )
 
 
+def element_values(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX) -> list[ca.MX]:
+    """What each element adds to the objective: one row (1, elements) per group."""
+    return [_Mapped(group, x, p).values()[0] for group in groups]
+
+
 @dataclass(frozen=True)
 class _Entries:
     """Where each local result goes: ``matrix[row, column] += scale * result``; -1 drops it."""

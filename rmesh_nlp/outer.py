@@ -1,7 +1,7 @@
 """Outer solvers of the nested strategy, by name.
 
-All but "newton" take any outer objective; "newton" uses the second derivative of the reduced
-energy.
+All but "newton" and "newton-pair" take any outer objective; these two use the second derivative
+of the reduced energy.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from rmesh_nlp.motion import validity_group
 from rmesh_nlp.newton import Evaluation
 from rmesh_nlp.newton import minimise as newton
 from rmesh_nlp.nlp import NLP, Derivatives, Solver, Status
+from rmesh_nlp.recombination import Recombination, alternating
 from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
 from rmesh_nlp.referee import Referee
 
@@ -43,6 +44,15 @@ BOXED_CURVATURE = 1e-2
 """Curvature before any update where every node has a box. Moves are then in units of boxes and the
 objective in units of its first value, and Ipopt's 1 would make the first steps tiny, or all of them
 where the function is concave and no update is taken."""
+
+ALTERNATING = 0.1
+"""Length of the alternating moves that one descent of "newton-pair" starts with, in boxes."""
+
+LOOSE = 1e-3
+"""Both descents stop where the model predicts less than this part of the gain so far."""
+
+BLOCKS = (16, 8)
+"""Nodes across the blocks that are recombined, one size after the other."""
 
 SCIPY_TOLERANCE = 1e-8
 SCIPY_MAX_ITERATIONS = 500
@@ -139,25 +149,60 @@ def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResu
 
 def _newton(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
     """Projected trust-region Newton-CG; an invalid mesh makes the trust region shrink."""
-    energy = program.function
-    if not isinstance(energy, ReducedEnergy):
-        raise ValueError("the outer solver newton needs the energy as objective: choose ipopt")
-    curvature = Curvature(energy)
+    return _Descent(program, monitor)(start)
 
-    def evaluate(q: Array) -> Evaluation | None:
-        if program.nlp.n_g and not program.is_valid(q):
+
+def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
+    """Newton-CG from alternating moves and from the start, the better blocks of both, and on from there."""
+    descent = _Descent(program, monitor)
+    relocation, bound = descent.energy.relocation, program.nlp.ubx
+    alternate = alternating(relocation)
+    step = -ALTERNATING * np.sign(descent.energy(start).gradient @ alternate) * alternate
+    while program.nlp.n_g and not program.is_valid(np.clip(start + step, -bound, bound)):
+        step = step / 2
+    ends = [descent(np.clip(start + step, -bound, bound), LOOSE), descent(start, LOOSE)]
+    points = [descent.energy(end.q) for end in ends]
+    if points[1].value < points[0].value:
+        points.reverse()
+    x, other = (descent.energy.point(point.q, point.equilibrium) for point in points)
+    recombine = Recombination(relocation)
+    for number, across in enumerate(BLOCKS):
+        x = recombine(x, other, across, shift=number / len(BLOCKS))
+    q = x[: relocation.n_q]
+    if descent.energy(q).value > points[0].value:
+        q = points[0].q
+    return descent(q)
+
+
+class _Descent:
+    """Newton-CG on the reduced energy from any start; iterations are counted over all of them."""
+
+    def __init__(self, program: ReducedProgram, monitor: Monitor) -> None:
+        if not isinstance(program.function, ReducedEnergy):
+            raise ValueError("this outer solver needs the energy as objective: choose ipopt")
+        self.energy = program.function
+        self._program, self._monitor = program, monitor
+        self._curvature = Curvature(self.energy)
+        self._iterations = 0
+
+    def __call__(self, start: Array, gain_tolerance: float = 1e-4) -> OuterResult:
+        nlp, before = self._program.nlp, self._iterations
+        result = newton(
+            self._evaluate,
+            start,
+            nlp.lbx,
+            nlp.ubx,
+            gain_tolerance=gain_tolerance,
+            on_step=lambda iteration, q, here: self._monitor(before + iteration, q, here.value),
+        )
+        self._iterations += result.iterations
+        return OuterResult(result.x, result.status, self._iterations)
+
+    def _evaluate(self, q: Array) -> Evaluation | None:
+        if self._program.nlp.n_g and not self._program.is_valid(q):
             return None
-        point = energy(q)
-        return Evaluation(point.value, point.gradient, lambda: curvature.at(point))
-
-    result = newton(
-        evaluate,
-        start,
-        program.nlp.lbx,
-        program.nlp.ubx,
-        on_step=lambda iteration, q, here: monitor(iteration, q, here.value),
-    )
-    return OuterResult(result.x, result.status, result.iterations)
+        point = self.energy(q)
+        return Evaluation(point.value, point.gradient, lambda: self._curvature.at(point))
 
 
 def _scipy(method: str) -> Callable[[ReducedProgram, Array, Monitor], OuterResult]:
@@ -209,6 +254,7 @@ def _scipy(method: str) -> Callable[[ReducedProgram, Array, Monitor], OuterResul
 OUTER_SOLVERS: dict[str, Callable[[ReducedProgram, Array, Monitor], OuterResult]] = {
     "ipopt": _ipopt,
     "newton": _newton,
+    "newton-pair": _newton_pair,
     "slsqp": _scipy("SLSQP"),
     "trust-constr": _scipy("trust-constr"),
     "l-bfgs-b": _scipy("L-BFGS-B"),

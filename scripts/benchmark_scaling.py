@@ -38,6 +38,7 @@ FEASIBLE = 1e-6
 """Constraint violation below which an iterate of an all-at-once strategy counts."""
 
 STRATEGIES: dict[str, Callable[[ContactProblem], Solution]] = {
+    "nested, newton-pair": lambda problem: nested.solve(problem, outer="newton-pair"),
     "nested, newton": lambda problem: nested.solve(problem, outer="newton"),
     "nested, ipopt": nested.solve,
     "joint": joint.solve,
@@ -127,13 +128,13 @@ def markdown(rows: list[Row]) -> str:
 
 def figure(rows: list[Row], path: Path) -> None:
     """Cost to the end and to 99 % of the gain against the number of squares per side."""
-    colours = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+    colours = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7")
     fig, axes = plt.subplots(1, 2, figsize=(7, 3), sharey=True, layout="constrained")
     for axis, title, cost in (
         (axes[0], "to 99 % of the best known gain", lambda r: r.to_99),
         (axes[1], "to the end", lambda r: r.total),
     ):
-        for name, colour, marker in zip(STRATEGIES, colours, "os^D", strict=True):
+        for name, colour, marker in zip(STRATEGIES, colours, "vos^D", strict=True):
             points = [(r.n, cost(r)) for r in rows if r.strategy == name and cost(r) is not None]
             if points:
                 axis.loglog(*zip(*points, strict=True), marker=marker, color=colour, label=name)
