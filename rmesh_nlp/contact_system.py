@@ -58,6 +58,26 @@ class ContactSystem:
         """The same system with gaps and slips as unknowns."""
         return RotatedSystem(self)
 
+    def equilibrium(self, active: ActiveSet) -> Equilibrium:
+        """Equilibrium with the given nodes touching, sticking and sliding."""
+        rotated = self.rotated
+        w = np.zeros(self.load.size)
+        w[rotated.normal[active.touching]] = -self.offset[active.touching]
+        F = rotated.F
+        if self.slip_bound.size:
+            F = F.copy()
+            F[rotated.tangent[rotated.slips]] -= (self.slip_bound * active.sliding)[rotated.slips]
+        inside, factor = rotated.factor(active)
+        w[inside] = factor.solve((F - rotated.K @ w)[inside])
+        residual = rotated.K @ w - rotated.F
+        normal_force = np.where(active.touching, residual[rotated.normal], 0.0)
+        tangential = np.zeros(0)
+        if self.slip_bound.size:
+            sticking = rotated.slips & (active.sliding == 0)
+            tangential = np.where(sticking, residual[rotated.tangent], -self.slip_bound * active.sliding)
+        u = w if rotated.basis is None else rotated.basis @ w
+        return Equilibrium(u, self.energy(u), normal_force, tangential, active, Status.CONVERGED, 1)
+
     @property
     def force_scale(self) -> float:
         """Unit of nodal forces, to make residuals dimensionless."""
@@ -113,22 +133,25 @@ def factorised(K: sp.csc_array) -> Any:
 
 
 class RotatedSystem:
-    """The system in coordinates in which every gap and slip is one unknown (plus a constant)."""
+    """The stiffness in coordinates in which every gap and slip is one unknown (plus a constant).
+
+    It must not refer to its system: in a cycle the factorisation would outlive its use by far.
+    """
 
     def __init__(self, system: ContactSystem) -> None:
-        self.system = system
         basis, self.normal, self.tangent = _contact_basis(system)
         self.basis = basis
         self.slips = self.tangent >= 0  # False where the tangential displacement is given
         self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
         self.F = system.load if basis is None else basis.T @ system.load
+        self._frictional = system.slip_bound.size > 0
         self._factor: tuple[bytes, NDArray[np.intp], Any] | None = None
 
     def free(self, active: ActiveSet) -> NDArray[np.bool_]:
         """Unknowns that touching and sticking nodes leave free."""
         free = np.ones(self.F.size, dtype=bool)
         free[self.normal[active.touching]] = False
-        if self.system.slip_bound.size:
+        if self._frictional:
             free[self.tangent[self.slips & (active.sliding == 0)]] = False
         return free
 
@@ -142,26 +165,6 @@ class RotatedSystem:
             self._factor = None  # its memory first
             self._factor = active.key(), inside, factorised(self.K[:, inside][inside])
         return self._factor[1:]
-
-    def solve(self, active: ActiveSet) -> Equilibrium:
-        """Equilibrium with the given nodes touching, sticking and sliding."""
-        system = self.system
-        w = np.zeros(self.F.size)
-        w[self.normal[active.touching]] = -system.offset[active.touching]
-        F = self.F
-        if system.slip_bound.size:
-            F = F.copy()
-            F[self.tangent[self.slips]] -= (system.slip_bound * active.sliding)[self.slips]
-        inside, factor = self.factor(active)
-        w[inside] = factor.solve((F - self.K @ w)[inside])
-        residual = self.K @ w - self.F
-        normal_force = np.where(active.touching, residual[self.normal], 0.0)
-        tangential = np.zeros(0)
-        if system.slip_bound.size:
-            sticking = self.slips & (active.sliding == 0)
-            tangential = np.where(sticking, residual[self.tangent], -system.slip_bound * active.sliding)
-        u = w if self.basis is None else self.basis @ w
-        return Equilibrium(u, system.energy(u), normal_force, tangential, active, Status.CONVERGED, 1)
 
 
 def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, NDArray, NDArray]:

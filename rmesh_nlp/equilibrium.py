@@ -122,12 +122,11 @@ def solve(
         Gaps of touching nodes and slips of sticking nodes are exactly zero up to rounding of
         the change of coordinates. If the status is not CONVERGED the last iterate is returned.
     """
-    rotated = system.rotated
     active = start if start is not None else _initial_set(system)
     fewest, patience = np.inf, PATIENCE
     seen: set[bytes] = set()
     for iteration in range(1, max_iterations + 1):
-        state = rotated.solve(active)
+        state = system.equilibrium(active)
         proposal, violations = _next_set(system, state, active)
         if violations == 0:
             return replace(state, iterations=iteration)

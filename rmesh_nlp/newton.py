@@ -77,7 +77,8 @@ def minimise(
     upper: Array,
     *,
     tolerance: float = 1e-6,
-    gain_tolerance: float = 1e-4,
+    gain_tolerance: float = 0.0,
+    reference: float | None = None,
     max_iterations: int = 200,
     forcing: float = 0.1,
     on_step: Callable[[int, Array, Evaluation], None] | None = None,
@@ -97,6 +98,8 @@ def minimise(
         Stationary: ``max |x - proj(x - g / |f|)|`` is at most this.
     gain_tolerance : float
         No decrease: the model predicts less than this fraction of the decrease so far.
+    reference : float, optional
+        The value that decrease counts from; by default that at the start.
     max_iterations : int
     forcing : float
         Conjugate gradients stop at this fraction of the residual they began with.
@@ -107,7 +110,7 @@ def minimise(
     here = evaluate(x)
     if here is None:
         return NewtonResult(x, np.nan, Status.EVALUATION_ERROR, 0, 0)
-    first, products = here.value, 0
+    reference, products = here.value if reference is None else reference, 0
     radius = 0.0
     model = here.model()
     for iteration in range(max_iterations + 1):
@@ -126,7 +129,7 @@ def minimise(
                 radius = FIRST_RADIUS * float(np.max(np.abs(newton_like), initial=0.0))
             s, predicted = step.solve(np.maximum(lower - x, -radius), np.minimum(upper - x, radius), forcing)
             products += step.products
-            if residual <= tolerance and predicted <= gain_tolerance * (first - here.value):
+            if residual <= tolerance and predicted <= gain_tolerance * (reference - here.value):
                 return NewtonResult(x, here.value, Status.CONVERGED, iteration, products)
             if not np.any(s) or predicted <= 1e-16 * unit:
                 status = Status.CONVERGED if residual <= tolerance else Status.STALLED

@@ -48,8 +48,11 @@ where the function is concave and no update is taken."""
 ALTERNATING = 0.1
 """Length of the alternating moves that one descent of "newton-pair" starts with, in boxes."""
 
+TIGHT = 1e-4
+"""Newton-CG stops where the model predicts less than this part of the gain so far."""
+
 LOOSE = 1e-3
-"""Both descents stop where the model predicts less than this part of the gain so far."""
+"""The same for the two descents of "newton-pair"."""
 
 BLOCKS = (16, 8)
 """Nodes across the blocks that are recombined, one size after the other."""
@@ -149,7 +152,7 @@ def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResu
 
 def _newton(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
     """Projected trust-region Newton-CG; an invalid mesh makes the trust region shrink."""
-    return _Descent(program, monitor)(start)
+    return _Descent(program, monitor)(start, TIGHT)
 
 
 def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
@@ -157,10 +160,12 @@ def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> Out
     descent = _Descent(program, monitor)
     relocation, bound = descent.energy.relocation, program.nlp.ubx
     alternate = alternating(relocation)
-    step = -ALTERNATING * np.sign(descent.energy(start).gradient @ alternate) * alternate
+    here = descent.energy(start)
+    step = -ALTERNATING * np.sign(here.gradient @ alternate) * alternate
     while program.nlp.n_g and not program.is_valid(np.clip(start + step, -bound, bound)):
         step = step / 2
-    ends = [descent(np.clip(start + step, -bound, bound), LOOSE), descent(start, LOOSE)]
+    starts = (np.clip(start + step, -bound, bound), start)
+    ends = [descent(q, LOOSE, here.value) for q in starts]
     points = [descent.energy(end.q) for end in ends]
     if points[1].value < points[0].value:
         points.reverse()
@@ -171,7 +176,7 @@ def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> Out
     q = x[: relocation.n_q]
     if descent.energy(q).value > points[0].value:
         q = points[0].q
-    return descent(q)
+    return descent(q, TIGHT, here.value)
 
 
 class _Descent:
@@ -179,13 +184,13 @@ class _Descent:
 
     def __init__(self, program: ReducedProgram, monitor: Monitor) -> None:
         if not isinstance(program.function, ReducedEnergy):
-            raise ValueError("this outer solver needs the energy as objective: choose ipopt")
+            raise ValueError("the outer solver newton needs the energy as objective: choose ipopt")
         self.energy = program.function
         self._program, self._monitor = program, monitor
         self._curvature = Curvature(self.energy)
         self._iterations = 0
 
-    def __call__(self, start: Array, gain_tolerance: float = 1e-4) -> OuterResult:
+    def __call__(self, start: Array, gain_tolerance: float, reference: float | None = None) -> OuterResult:
         nlp, before = self._program.nlp, self._iterations
         result = newton(
             self._evaluate,
@@ -193,6 +198,7 @@ class _Descent:
             nlp.lbx,
             nlp.ubx,
             gain_tolerance=gain_tolerance,
+            reference=reference,
             on_step=lambda iteration, q, here: self._monitor(before + iteration, q, here.value),
         )
         self._iterations += result.iterations
