@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.element import Differentiated, PointValues
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.nlp import Derivatives
+from rmesh_nlp.vectorised import WORTHWHILE, Vectorised, is_vectorisable
 
 Index = NDArray[np.int64]
 CONSTANT = -1
@@ -110,18 +111,23 @@ class ElementGroup:
 
 @dataclass(frozen=True)
 class Assembled:
-    """Global objective and constraints as MX expressions, and their derivatives."""
+    """Global objective and constraints as MX expressions, and their derivatives.
+
+    ``kernels`` must live as long as any Function made of the derivatives: some are Python
+    callbacks, which CasADi does not own.
+    """
 
     f: ca.MX
     g: ca.MX
     grad_f: ca.Function
     jac_g: ca.Function
     hess_lag: ca.Function
+    kernels: tuple[ca.Function, ...]
 
     @property
     def derivatives(self) -> Derivatives:
         """The derivative Functions in the form that nlpsol takes."""
-        return Derivatives(self.grad_f, self.jac_g, self.hess_lag)
+        return Derivatives(self.grad_f, self.jac_g, self.hess_lag, self.kernels)
 
 
 def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> Assembled:
@@ -155,6 +161,7 @@ def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) ->
         grad_f=ca.Function("nlp_grad_f", [x, p], [f_again, ca.densify(gradient)]),
         jac_g=ca.Function("nlp_jac_g", [x, p], [g_again, jacobian]),
         hess_lag=ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian]),
+        kernels=tuple(kernel for part in parts for kernel in part.kernels),
     )
 
 
@@ -183,8 +190,9 @@ class _Mapped:
         columns, weights = local.columns, [local.lam_f, local.lam_g]
         self._jacobian_pattern, self._hessian_pattern = local.jacobian_pattern, local.hessian_pattern
         self._values = _map("values", columns, local.values, self._n)
-        self._first = _map("first", columns, local.first, self._n)
-        self._second = _map("second", [*columns, *weights], local.second, self._n)
+        self._first = _map_fast("first", columns, local.first, self._n)
+        self._second = _map_fast("second", [*columns, *weights], local.second, self._n)
+        self.kernels = (self._first, self._second)
         self._arguments = [_gather(field, p if field.parameter else x) for field in group.arguments]
         self.index = (
             np.concatenate([f.index for f in self._fields]) if self._fields else np.zeros((0, self._n), int)
@@ -229,6 +237,12 @@ def _moves(field: Field) -> bool:
 
 def _map(name: str, inputs: list[Any], outputs: list[Any], n: int) -> ca.Function:
     return ca.Function(name, inputs, ca.cse(outputs)).map(n)
+
+
+def _map_fast(name: str, inputs: list[Any], outputs: list[Any], n: int) -> ca.Function:
+    """The same where no derivatives will be taken."""
+    function = ca.Function(name, inputs, ca.cse(outputs))
+    return Vectorised(function, n) if n >= WORTHWHILE and is_vectorisable(function) else function.map(n)
 
 
 def _gather(field: Field, w: ca.MX) -> ca.MX:

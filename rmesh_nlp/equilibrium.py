@@ -70,6 +70,7 @@ class ContactModel:
         gap = ca.Function("gap", [u, X], [inner.g])(zero, X)
         no_rows = ca.MX.zeros(self.contact_nodes.size)
         hessian = inner.hess_lag(zero, X, 1.0, no_rows)
+        self._kernels = inner.kernels
         self._evaluate = Evaluator(ca.Function("contact_system", [X], [hessian, -gradient, value, gap]))
         self._stiffness = Symmetric(hessian.sparsity())
         self.normals = self._unit_rows(problem.obstacle.normal)
@@ -80,6 +81,7 @@ class ContactModel:
             slip = ca.MX.sym("s", n_nodes)
             friction = assemble([friction_group(problem, positions, unknown_field((1, n_nodes)))], slip, X, 0)
             weights = friction.grad_f(ca.MX.zeros(n_nodes), X)[1]
+            self._kernels += friction.kernels
             self._weights = Evaluator(ca.Function("weights", [X], [weights]))
 
     def system(self, nodes: Array) -> ContactSystem:

@@ -45,7 +45,13 @@ class Evaluator:
             )
         for store, value in zip(self._inputs, arguments, strict=True):
             store[:] = np.asarray(value, dtype=float).ravel(order="F")
-        self._run()
+        try:
+            self._run()
+        except RuntimeError as error:
+            # a Ctrl-C in a Python callback comes out of CasADi as an error of its own
+            if "KeyboardInterrupt" in str(error):
+                raise KeyboardInterrupt from None
+            raise
         return [output.copy() for output in self._outputs]
 
 

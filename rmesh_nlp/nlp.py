@@ -102,11 +102,14 @@ class Derivatives:
     hess_lag : casadi.Function or None
         ``(x, p, lam_f, lam_g) -> triu_hess_gamma_x_x``, upper triangle of the Hessian of
         ``lam_f f + lam_g^T g``. None where only quasi-Newton methods are meant.
+    kernels : tuple
+        What must live as long as these Functions: Python callbacks, which CasADi does not own.
     """
 
     grad_f: ca.Function
     jac_g: ca.Function
     hess_lag: ca.Function | None
+    kernels: tuple[ca.Function, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -236,6 +239,7 @@ def _extend_derivatives(
             "nlp_jac_g", [x, p], [ca.vertcat(g_old, g), ca.vertcat(jacobian_old, ca.jacobian(g, x))]
         ),
         hess_lag=hess_lag,
+        kernels=base.kernels,
     )
 
 

@@ -105,6 +105,7 @@ def reduced_nlp(referee: Referee, function: Reduced) -> ReducedProgram:
             grad_f=ca.Function("nlp_grad_f", [q, p], [value, gradient]),
             jac_g=areas.jac_g,
             hess_lag=None,
+            kernels=areas.kernels,
         ),
     )
     return ReducedProgram(nlp, function, areas.jac_g, oracle, referee.is_valid)

@@ -125,6 +125,7 @@ class ReducedObjective:
         nlp = rel.nlp
         fields = (rel.freedoms.positions, rel.displacement, rel.slip)
         outer = assemble(objective.groups(rel.problem, *fields), nlp.x, nlp.p, 0)
+        self._kernels = outer.kernels
         value, gradient = outer.grad_f(nlp.x, nlp.p)
         self._outer = Evaluator(ca.Function("outer", [nlp.x], [value, gradient]))
         lam = ca.MX.sym("lam", rel.n_contact)

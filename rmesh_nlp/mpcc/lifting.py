@@ -197,6 +197,7 @@ def _lifted_nlp(
             "nlp_jac_g", [z, p], [g_value[kept] - slack, ca.horzcat(jacobian[kept, :], -shift)]
         ),
         hess_lag=hess_lag,
+        kernels=base.kernels,
     )
     none = np.zeros(0)
     f, g = ca.densify(objective(x, p)), constraints(x, p)[kept] - slack
