@@ -13,7 +13,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.history import Recorder
-from rmesh_nlp.nlp import NLP, Solver, Status
+from rmesh_nlp.nlp import NLP, NLPResult, Solver, Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.referee import OnStep, Referee
 from rmesh_nlp.relocation import relocation
@@ -85,13 +85,8 @@ def solve(
         )
     referee = Referee(problem)
     began = time.perf_counter()
-    nlp = build(problem)
     recorder = Recorder(on_step, referee.relocation.n_q)
-    q = referee.start(seed, start)
-    contact = referee.reduced(q)
-    scaling = {"obj_scaling_factor": 1 / _typical(contact.gradient)}
-    solver = Solver(nlp, options={**OPTIONS, **scaling, **(options or {})}, monitor=recorder)
-    result = solver(referee.reduced.point(q, contact.equilibrium))
+    result = minimise(referee, referee.start(seed, start), recorder, options)
     seconds = time.perf_counter() - began
     q, _, _ = referee.relocation.split(result.x)
     status = Status.CONVERGED if result.converged else result.status
@@ -108,10 +103,22 @@ def solve(
     )
 
 
-def _typical(gradient: Array) -> float:
-    """Root mean square of the energy gradient in the moves: the unit that makes a barrier of 1 fair.
+def minimise(
+    referee: Referee, q: Array, recorder: Recorder, options: Mapping[str, Any] | None = None
+) -> NLPResult:
+    """Solve the energy program from moves ``q`` and the contact solution there."""
+    contact = referee.reduced(q)
+    scaling = {"obj_scaling_factor": 1 / typical(contact.gradient)}
+    solver = Solver(
+        build(referee.problem), options={**OPTIONS, **scaling, **(options or {})}, monitor=recorder
+    )
+    return solver(referee.reduced.point(q, contact.equilibrium))
 
-    It falls like the gain per node, by a factor near 20 with every halving of the mesh size; 1
-    where nothing pulls.
+
+def typical(gradient: Array) -> float:
+    """Root mean square of the gradient in the moves: the unit in which a barrier of 1 is fair.
+
+    For the energy it falls like the gain per node, by a factor near 20 with every halving of the
+    mesh size. It is 1 where nothing pulls.
     """
     return float(np.sqrt(np.mean(gradient**2))) if np.any(gradient) else 1.0

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from formulations import joint
 from rmesh_nlp.bilevel import Bilevel, bilevel
 from rmesh_nlp.contact_system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
@@ -27,13 +28,13 @@ from rmesh_nlp.referee import OnStep, Referee
 from rmesh_nlp.solution import Solution, Step
 
 
-def _close(mu: float) -> dict[str, Any]:
+def _close(mu: float, push: float) -> dict[str, Any]:
     """Ipopt options that stay in the basin of a start close to a solution.
 
     A large barrier, or the push of the start off its bounds, would lose it.
     """
     pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
-    return {"mu_strategy": "monotone", "mu_init": mu, **dict.fromkeys(pushes, mu)}
+    return {"mu_strategy": "monotone", "mu_init": mu, **dict.fromkeys(pushes, push)}
 
 
 OPTIONS: Mapping[str, Any] = {
@@ -41,15 +42,31 @@ OPTIONS: Mapping[str, Any] = {
     "factor": 1e-3,
     "t_final": 1e-9,
     "crossover": 1.0,
-    "ipopt_relaxed": _close(1e-6),
+    "ipopt_relaxed": _close(1e-6, 1e-6),
     # Many node boxes are weakly active, and an interior point meets those only to the square
     # root of its tolerance.
-    "ipopt_exact": {"tol": 1e-12, "compl_inf_tol": 1e-12, **_close(1e-9)},
+    "ipopt_exact": {"tol": 1e-12, "compl_inf_tol": 1e-12, **_close(1e-9, 1e-9)},
 }
 """Options of :class:`rmesh_nlp.mpcc.Options` for mesh problems."""
 
 FIRST_OPTIONS: Mapping[str, Any] = {"tol": 1e-8, "mu_strategy": "adaptive", "max_iter": 1000}
 """Ipopt options of the first solve, without complementarity."""
+
+
+def _after_energy(scaling: float) -> dict[str, Any]:
+    """Options from the minimiser of the energy program on.
+
+    It is complementary, so the homotopy begins at its end. With the objective scaled and the
+    barrier left where that program left them, a slack times its multiplier is still the
+    barrier: Ipopt goes on from there, as if it had been given the multipliers.
+    """
+    ipopt = {
+        "tol": joint.OPTIONS["tol"],
+        "obj_scaling_factor": scaling,
+        "bound_mult_init_method": "mu-based",
+        **_close(0.1 * joint.OPTIONS["tol"], 1e-13),
+    }
+    return {**OPTIONS, "t0": OPTIONS["t_final"], "ipopt_relaxed": ipopt, "ipopt_exact": ipopt}
 
 
 def build(problem: ContactProblem, objective: str = "energy") -> MPCC:
@@ -70,8 +87,14 @@ def solve(
     """Solve the MPCC by a homotopy of relaxations and an exact finish.
 
     The homotopy begins at t = infinity, with the complementarity dropped: that program is the
-    same for every relaxation, so all of them go to the same minimum, and for the energy it is
-    already the answer.
+    same for every relaxation, so all of them go to the same minimum. For the energy it is
+    already the answer, and it is the program of ``joint`` with equilibrium, a consequence of
+    optimality there, written down as constraints. So for the energy ``joint``'s program is
+    solved in its place, at a quarter of the time per iteration (no third derivatives, no
+    equations). The contact problem at its moves gives the forces; the relaxation at the final t
+    and the exact finish, which would leave this point if it were not a solution of the MPCC,
+    verify it and give its multipliers and label. ``extra["first"]`` of the record names the
+    program that was solved first.
 
     Parameters
     ----------
@@ -110,14 +133,22 @@ def solve(
         force=contact.system.force_scale,
         value=abs(value) or 1.0,
     )
-    unit = two_level.value if outer.is_energy else float("nan")
-    recorder = Recorder(on_step, two_level.n_q, unit)
-    first = Solver(two_level.without_complementarity(), options=FIRST_OPTIONS, monitor=recorder)(
-        two_level.point(q, contact.equilibrium, contact.system)
-    )
-    solver = MPCCSolver(two_level.mpcc, **{"relaxation": relaxation, **OPTIONS, **(options or {})})
-    result = solver(first.x)
+    recorder = Recorder(on_step, referee.relocation.n_q, 1.0 if outer.is_energy else float("nan"))
+    settings: Mapping[str, Any] = OPTIONS
+    if outer.is_energy:
+        settings = _after_energy(two_level.value / joint.typical(contact.gradient))
+        first = joint.minimise(referee, q, recorder)
+        contact = referee.reduced(first.x[: q.size] if first.converged else q)
+        x = two_level.point(contact.q, contact.equilibrium, contact.system)
+    else:
+        first = Solver(two_level.without_complementarity(), options=FIRST_OPTIONS, monitor=recorder)(
+            two_level.point(q, contact.equilibrium, contact.system)
+        )
+        x = first.x
+    solver = MPCCSolver(two_level.mpcc, **{"relaxation": relaxation, **settings, **(options or {})})
+    result = solver(x)
     seconds = time.perf_counter() - began
+    unit = two_level.value if outer.is_energy else float("nan")
     unrelaxed = [replace(step, t=float("inf")) for step in recorder.steps(first)]
     history = unrelaxed + _homotopy_steps(unrelaxed[-1], result, unit)
     if on_step is not None:
@@ -131,7 +162,7 @@ def solve(
         status=result.status,
         history=history,
         iterations=first.iterations + result.counts["ipopt_iterations"],
-        contact_solves=1,
+        contact_solves=2 if outer.is_energy else 1,
         wall_time_s=seconds,
         objective=objective,
         equilibrium=_equilibrium(referee, q, u, normal, tangential, result),
@@ -139,6 +170,7 @@ def solve(
         seed=seed,
         outer_gradient=function(inside).gradient,
         extra={
+            "first": "energy program" if outer.is_energy else "without complementarity",
             "relaxation": relaxation,
             "objective_initial": value,
             "objective_value": function(inside).value,
