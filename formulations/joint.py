@@ -21,20 +21,19 @@ from rmesh_nlp.solution import Solution
 
 OPTIONS: Mapping[str, Any] = {
     "max_iter": 3000,
-    # In units in which the moves feel forces of order one; many boxes are weakly active, and an
-    # interior point meets those only to the square root of its tolerance. Where rounding stops it
-    # before, 1e-7 will do.
-    "tol": 1e-9,
+    # In units of `pull`. Many boxes are weakly active, and an interior point meets those only to
+    # the square root of its tolerance; where rounding stops it before, 1e-7 will do.
+    "tol": 1e-10,
     "acceptable_tol": 1e-7,
-    # Start near the middle of the boxes, in the same units, and let the moves choose their corners
-    # as the barrier falls: with a small barrier they choose too early.
-    "mu_init": 1.0,
+    # Start in the middle of the boxes and let the moves choose their corners as the barrier
+    # falls; with a small barrier they choose too early.
+    "mu_init": 2.0,
     "bound_mult_init_method": "mu-based",
-    # The energy is concave in most directions near the end, so nearly every step has its Hessian
-    # shifted. A shift found within a factor 2 costs some factorisations and saves half of the
-    # steps that Ipopt's own search, within a factor 8, needs.
-    "perturb_dec_fact": 0.1,
-    "perturb_inc_fact": 2.0,
+    # The energy is concave in some direction at nearly every iterate, so the Hessian is shifted.
+    # A shift within a factor 1.5 of the least one takes half of the steps that Ipopt's own
+    # search, within a factor 8, needs, and repays the factorisations that it costs.
+    "perturb_dec_fact": 0.2,
+    "perturb_inc_fact": 1.5,
 }
 """Ipopt options that add to ``rmesh_nlp.nlp.IPOPT_OPTIONS``; ``solve`` adds ``obj_scaling_factor``."""
 
@@ -108,17 +107,18 @@ def minimise(
 ) -> NLPResult:
     """Solve the energy program from moves ``q`` and the contact solution there."""
     contact = referee.reduced(q)
-    scaling = {"obj_scaling_factor": 1 / typical(contact.gradient)}
+    scaling = {"obj_scaling_factor": 1 / pull(contact.gradient)}
     solver = Solver(
         build(referee.problem), options={**OPTIONS, **scaling, **(options or {})}, monitor=recorder
     )
     return solver(referee.reduced.point(q, contact.equilibrium))
 
 
-def typical(gradient: Array) -> float:
-    """Root mean square of the gradient in the moves: the unit in which a barrier of 1 is fair.
+def pull(gradient: Array) -> float:
+    """The unit of the objective in which a barrier of order one suits the moves.
 
-    For the energy it falls like the gain per node, by a factor near 20 with every halving of the
-    mesh size. It is 1 where nothing pulls.
+    Three times the mean of the gradient in the moves; 1 where nothing pulls. For the energy it
+    falls like the gain per node, by a factor near 20 with every halving of the mesh size, while
+    Ipopt's barrier and tolerances are absolute.
     """
-    return float(np.sqrt(np.mean(gradient**2))) if np.any(gradient) else 1.0
+    return 3 * float(np.mean(np.abs(gradient))) if np.any(gradient) else 1.0

@@ -136,7 +136,7 @@ def solve(
     recorder = Recorder(on_step, referee.relocation.n_q, 1.0 if outer.is_energy else float("nan"))
     settings: Mapping[str, Any] = OPTIONS
     if outer.is_energy:
-        settings = _after_energy(two_level.value / joint.typical(contact.gradient))
+        settings = _after_energy(two_level.value / joint.pull(contact.gradient))
         first = joint.minimise(referee, q, recorder)
         contact = referee.reduced(first.x[: q.size] if first.converged else q)
         x = two_level.point(contact.q, contact.equilibrium, contact.system)
