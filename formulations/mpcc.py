@@ -57,14 +57,14 @@ def _after_energy(scaling: float) -> dict[str, Any]:
     """Options from the minimiser of the energy program on.
 
     It is complementary, so the homotopy begins at its end. With the objective scaled and the
-    barrier left where that program left them, a slack times its multiplier is still the
-    barrier: Ipopt goes on from there, as if it had been given the multipliers.
+    barrier left about where that program left them, each slack times its multiplier is still
+    the barrier: Ipopt goes on from there, as if it had been given the multipliers.
     """
     ipopt = {
-        "tol": joint.OPTIONS["tol"],
+        "tol": 1e-8,
         "obj_scaling_factor": scaling,
         "bound_mult_init_method": "mu-based",
-        **_close(0.1 * joint.OPTIONS["tol"], 1e-13),
+        **_close(joint.OPTIONS["tol"], 1e-13),
     }
     return {**OPTIONS, "t0": OPTIONS["t_final"], "ipopt_relaxed": ipopt, "ipopt_exact": ipopt}
 
