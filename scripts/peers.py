@@ -48,8 +48,11 @@ from rmesh_nlp.relocation import relocation
 IPOPT = {**IPOPT_OPTIONS, **joint.OPTIONS}
 """What ``joint`` gives Ipopt, and so every peer that uses Ipopt on the same program."""
 
-REACHED = 1e-4
-"""Error of the objective, constraint violation and complementarity of an MPCC that counts as solved."""
+REACHED, FEASIBLE = 1e-4, 1e-3
+"""Largest error of the objective, and violation and min(G, H), of an MPCC that counts as solved.
+
+The second is loose: solvers that stop at G H <= 1e-7 leave some 3e-4 where both are small.
+"""
 
 SILENT = {"ipopt": {"print_level": 0, "sb": "yes"}, "print_time": False}
 
@@ -497,14 +500,15 @@ def judged(problem: ContactProblem, finish: Finish) -> Answer:
 
 
 def is_solved(problem: Mapping[str, Any], x: Array) -> bool:
-    """Whether a point is at the target, and feasible and complementary to the same tolerance."""
+    """Whether a point is at the target, feasible and complementary."""
     expressions = [problem[key] for key in ("f", "g", "G", "H")]
     values = ca.Function("all", [problem["x"]], expressions)(x)
     f, g, G, H = (np.asarray(value.full()).ravel() for value in values)
     bounds = (np.asarray(problem[key], dtype=float) for key in ("lbx", "ubx", "lbg", "ubg"))
     lbx, ubx, lbg, ubg = bounds
     excess = np.concatenate([lbx - x, x - ubx, lbg - g, g - ubg, -G, -H, np.minimum(G, H)])
-    return bool(relative_error(float(f[0]), problem["target"]) <= REACHED and np.max(excess) <= REACHED)
+    error = relative_error(float(f[0]), problem["target"])
+    return bool(error <= REACHED and np.max(excess) <= FEASIBLE)
 
 
 def mpcc_answers(solver: SolveMpcc, collection: Path, skip: int, limit: float) -> Iterator[Answer]:
