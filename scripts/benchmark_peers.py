@@ -125,7 +125,7 @@ def relocation_row(problem: str, solver: str, command: Sequence[str], repeat: in
         if ending.failure or not ending.answers:
             return Row(problem, solver, ending.failure or "no answer", runs=len(runs))
         runs.append(ending.answers[0])
-        if runs[-1]["status"] != "converged":
+        if runs[-1]["status"].startswith("stopped"):
             break
     seconds = statistics.median(run["seconds"] for run in runs)
     last = runs[-1]
@@ -204,7 +204,8 @@ def markdown(rows: Sequence[Row]) -> str:
     ]
     lines += [
         f"| {r.problem} | {r.solver} | {_cell(r.status)} | {r.result} | {number(r.least_area, '.2g')} "
-        f"| {number(r.seconds, '.3g')} | {r.runs or '-'} | {number(r.ratio, '.1f')} |"
+        f"| {number(r.seconds, '.3g')} | {r.runs or '-'} "
+        f"| {'> ' if r.ratio and 'stopped' in r.status else ''}{number(r.ratio, '.1f')} |"
         for r in rows
     ]
     return "\n".join(lines)

@@ -54,6 +54,9 @@ REACHED, FEASIBLE = 1e-4, 1e-3
 The second is loose: solvers that stop at G H <= 1e-7 leave some 3e-4 where both are small.
 """
 
+EPOCHS = 10000
+"""Iterations that NeuROM-Py may take, as in its own example."""
+
 SILENT = {"ipopt": {"print_level": 0, "sb": "yes"}, "print_time": False}
 
 PLATE = {"bottom": 111, "right": 112, "top": 113, "left": 114, "hole": 115, "body": 100}
@@ -335,7 +338,7 @@ def neurom(case: Case) -> Finish:
         for i, value in enumerate(values)
     ]
     config = {
-        "training": {"n_epochs": 10000, "multiscl_max_refinment": 1, "optimizer": "lbfgs"},
+        "training": {"n_epochs": EPOCHS, "multiscl_max_refinment": 1, "optimizer": "lbfgs"},
         "interpolation": {"MaxElemSize2D": 0.5},
         "solver": {"TrainingStrategy": "Integral", "volume_forces": False, "regul_term": False},
         "postprocess": {"ModularEpochsPrint": 10},
@@ -359,7 +362,7 @@ def neurom(case: Case) -> Finish:
         model.to(torch.float64)
         model.UnFreeze_Mesh()
         model.RefinementParameters(MaxGeneration=1, Jacobian_threshold=0.3)
-        model.TrainingParameters(loss_decrease_c=1e-7, Max_epochs=10000, learning_rate=0.001)
+        model.TrainingParameters(loss_decrease_c=1e-7, Max_epochs=EPOCHS, learning_rate=0.001)
         model = Training_2_3D_FEM(model, config, Pre_processing.Material(True, 1.25, 1.0))
         seconds = time.perf_counter() - began
         os.chdir(home)
@@ -367,7 +370,9 @@ def neurom(case: Case) -> Finish:
     moved[model.coord_free.numpy()] = model.coordinates["free"].detach().numpy()
     p = np.asarray(case.problem.mesh.p).T
     order = np.argmin(np.abs(p[:, None] - given[None]).sum(axis=2), axis=1)
-    return Finish(np.ascontiguousarray(moved[order].T), "converged", seconds)
+    ended = len(model.training_recap["Loss_tot"]) < EPOCHS
+    status = "converged" if ended else "iteration_limit"
+    return Finish(np.ascontiguousarray(moved[order].T), status, seconds)
 
 
 # ---------------------------------------------------------------- MPCCs
