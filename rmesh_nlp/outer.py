@@ -48,11 +48,14 @@ where the function is concave and no update is taken."""
 ALTERNATING = 0.1
 """Length of the alternating moves that one descent of "newton-pair" starts with, in boxes."""
 
-TIGHT = 1e-4
-"""Newton-CG stops where the model predicts less than this part of the gain so far."""
+STATIONARY = 1e-6
+"""Newton-CG ends with a first-order residual of at most this, relative to the objective, ..."""
 
-LOOSE = 1e-3
-"""The same for the two descents of "newton-pair"."""
+TIGHT = 1e-4
+"""... and where the model predicts less than this part of the gain so far."""
+
+LOOSE = 3e-3
+"""The two descents of "newton-pair" end where the model predicts less than this part, stationary or not."""
 
 BLOCKS = (16, 8)
 """Nodes across the blocks that are recombined, one size after the other."""
@@ -153,7 +156,7 @@ def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResu
 
 def _newton(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
     """Projected trust-region Newton-CG; an invalid mesh makes the trust region shrink."""
-    return _Descent(program, monitor)(start, TIGHT)
+    return _Descent(program, monitor)(start, stationary=STATIONARY, gain=TIGHT)
 
 
 def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
@@ -166,7 +169,7 @@ def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> Out
     while program.nlp.n_g and not program.is_valid(np.clip(start + step, -bound, bound)):
         step = step / 2
     starts = (np.clip(start + step, -bound, bound), start)
-    ends = [descent(q, LOOSE, here.value) for q in starts]
+    ends = [descent(q, stationary=np.inf, gain=LOOSE, reference=here.value) for q in starts]
     points = [descent.energy(end.q) for end in ends]
     if points[1].value < points[0].value:
         points.reverse()
@@ -177,7 +180,7 @@ def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> Out
     q = x[: relocation.n_q]
     if descent.energy(q).value > points[0].value:
         q = points[0].q
-    return descent(q, TIGHT, here.value)
+    return descent(q, stationary=STATIONARY, gain=TIGHT, reference=here.value)
 
 
 class _Descent:
@@ -191,14 +194,18 @@ class _Descent:
         self._curvature = Curvature(self.energy)
         self._iterations = 0
 
-    def __call__(self, start: Array, gain_tolerance: float, reference: float | None = None) -> OuterResult:
+    def __call__(
+        self, start: Array, *, stationary: float, gain: float, reference: float | None = None
+    ) -> OuterResult:
+        """Descend from ``start`` with the tolerances and the reference of :func:`newton.minimise`."""
         nlp, before = self._program.nlp, self._iterations
         result = newton(
             self._evaluate,
             start,
             nlp.lbx,
             nlp.ubx,
-            gain_tolerance=gain_tolerance,
+            tolerance=stationary,
+            gain_tolerance=gain,
             reference=reference,
             on_step=lambda iteration, q, here: self._monitor(before + iteration, q, here.value),
         )
