@@ -9,7 +9,7 @@ number of elements; the sparsity never changes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +18,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.element import Differentiated, PointValues
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.element import Differentiated, PointValues, plain
+from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.nlp import Derivatives
 from rmesh_nlp.vectorised import WORTHWHILE, Vectorised, is_vectorisable
 
@@ -165,9 +165,16 @@ def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) ->
     )
 
 
-def element_values(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX) -> list[ca.MX]:
-    """What each element adds to the objective: one row (1, elements) per group."""
-    return [_Mapped(group, x, p).values()[0] for group in groups]
+def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Array]]:
+    """A function of the unknowns ``x``: what each element of each group adds to the objective."""
+    kernels = [_fast(plain(group.function, group.at_points), group.size) for group in groups]
+    evaluators = [Evaluator(kernel) for kernel in kernels]
+
+    def values(x: Array) -> list[Array]:
+        local = [[field.values(x) for field in group.arguments] for group in groups]
+        return [evaluate(*columns)[0] for evaluate, columns in zip(evaluators, local, strict=True)]
+
+    return values
 
 
 @dataclass(frozen=True)
@@ -241,7 +248,10 @@ def _map(name: str, inputs: list[Any], outputs: list[Any], n: int) -> ca.Functio
 
 def _map_fast(name: str, inputs: list[Any], outputs: list[Any], n: int) -> ca.Function:
     """The same where no derivatives will be taken."""
-    function = ca.Function(name, inputs, ca.cse(outputs))
+    return _fast(ca.Function(name, inputs, ca.cse(outputs)), n)
+
+
+def _fast(function: ca.Function, n: int) -> ca.Function:
     return Vectorised(function, n) if n >= WORTHWHILE and is_vectorisable(function) else function.map(n)
 
 

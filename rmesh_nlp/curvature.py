@@ -10,11 +10,12 @@ the nodes move along d: one more solve with the factorised stiffness of the cont
 
 from __future__ import annotations
 
-import casadi as ca
+from itertools import pairwise
+
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, pattern
+from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric
 from rmesh_nlp.reduced import ReducedEnergy, ReducedPoint
 from rmesh_nlp.sensitivity import tangent_response
 
@@ -30,25 +31,22 @@ class Curvature:
     def __init__(self, energy: ReducedEnergy) -> None:
         self.energy = energy
         rel = energy.relocation
-        nlp = rel.nlp
-        lam = ca.MX.sym("lam", rel.n_contact)
-        rows = ca.vertcat(-lam, ca.MX.zeros(nlp.n_g - rel.n_contact))
-        hessian = rel.derivatives.hess_lag(nlp.x, nlp.p, 1.0, rows)
-        gap = rel.derivatives.jac_g(nlp.x, nlp.p)[1][rel.gap_rows, : rel.n_q]
-        blocks = [hessian[: rel.n_q, : rel.n_q], hessian[: rel.n_q, rel.n_q :], gap]
-        self._own = Symmetric(blocks[0].sparsity())
-        self._patterns = [pattern(block.sparsity()) for block in blocks[1:]]
-        self._evaluate = Evaluator(ca.Function("curvature", [nlp.x, lam], blocks))
+        hessian, jacobian = rel.derivatives.hess_lag, rel.derivatives.jac_g
+        self._hessian, self._jacobian = Evaluator(hessian), Evaluator(jacobian)
+        q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
+        upper = hessian.sparsity_out(0)
+        self._qq = Symmetric(upper, rel.n_q)
+        self._qu, self._qs = Block(upper, q, u), Block(upper, q, s)
+        self._gap = Block(jacobian.sparsity_out(1), rel.gap_rows, q)
 
     def at(self, point: ReducedPoint) -> Hessian:
         """L'' at a point, ready for products."""
         x = self.energy.point(point.q, point.equilibrium)
-        own, *others = self._evaluate(x, point.equilibrium.normal_force)
-        mixed, gap = (
-            sp.csc_array((data, p.indices, p.indptr), shape=p.shape)
-            for p, data in zip(self._patterns, others, strict=True)
-        )
-        return Hessian(self.energy, point, self._own(own), mixed, gap)
+        rows = np.zeros(self.energy.relocation.nlp.n_g)
+        rows[self.energy.relocation.gap_rows] = -point.equilibrium.normal_force
+        (values,) = self._hessian(x, [], 1.0, rows)
+        _, gap = self._jacobian(x, [])
+        return Hessian(point, self._qq(values), self._qu(values), self._qs(values), self._gap(gap))
 
 
 class Hessian:
@@ -56,16 +54,14 @@ class Hessian:
 
     def __init__(
         self,
-        energy: ReducedEnergy,
         point: ReducedPoint,
         qq: sp.csc_array,
-        mixed: sp.csc_array,
+        qu: sp.csc_array,
+        qs: sp.csc_array,
         gap: sp.csc_array,
     ) -> None:
-        rel = energy.relocation
-        self.qq, self._gap = qq, gap
-        self._qu, self._qs = mixed[:, : rel.n_u], mixed[:, rel.n_u :]
-        self._uq, self._sq = self._qu.T, self._qs.T
+        self.qq, self._qu, self._qs, self._gap = qq, qu, qs, gap
+        self._uq, self._sq, self._gap_q = qu.T, qs.T, gap.T
         self._system, self._active = point.system, point.equilibrium.active
         self._respond = tangent_response(point.system, self._active)
         self.products = 0
@@ -84,7 +80,7 @@ class Hessian:
             sliding = self._active.sliding
             out_of_balance = out_of_balance + self._system.tangents.T @ (sliding * (self._sq @ d))
         u, force = self._respond(out_of_balance, self._gap @ d)
-        result = self.qq @ d + self._qu @ u - self._gap.T @ force
+        result = self.qq @ d + self._qu @ u - self._gap_q @ force
         if frictional:
             result += self._qs @ (sliding * (self._system.tangents @ u))
         return np.asarray(result)

@@ -35,6 +35,17 @@ def local_symbols(function: ca.Function) -> list[Any]:
     return [kind.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
 
 
+def plain(function: ca.Function, at_points: PointValues | None) -> ca.Function:
+    """An element function of its columns alone, the values at points put in."""
+    if at_points is None:
+        return function
+    columns = local_symbols(function)[:-1]
+    kind = type(columns[0])
+    points = ca.horzsplit(at_points.points(*columns))
+    values = ca.vertcat(kind(0, 1), *[at_points.function(*ca.vertsplit(point)) for point in points])
+    return ca.Function(function.name(), columns, ca.cse(function(*columns, values)))
+
+
 class Differentiated:
     """Expressions of an element function ``(*columns[, values at points]) -> (f, g)``.
 

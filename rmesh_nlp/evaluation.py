@@ -62,28 +62,41 @@ def pattern(sparsity: ca.Sparsity) -> sp.csc_array:
     return sp.csc_array((data, sparsity.row(), sparsity.colind()), shape=shape)
 
 
-class Symmetric:
-    """Makes full symmetric matrices of one pattern from the nonzeros of their upper triangles.
-
-    Where each value goes is found once; scipy's ``upper + triu(upper, 1).T`` finds it at each call.
+class Block:
+    """Makes a block of a sparse matrix from the nonzeros of the whole; where they are is found once.
 
     Parameters
     ----------
-    upper : casadi.Sparsity
-        Pattern of an upper triangle.
+    whole : casadi.Sparsity
+    rows, columns : slice
     """
 
-    def __init__(self, upper: ca.Sparsity) -> None:
-        numbered = pattern(upper)
-        numbered.data = np.arange(1, upper.nnz() + 1)
-        full = sp.csc_array(numbered + sp.triu(numbered, 1).T)
-        full.sort_indices()
-        self._source, self._full = full.data - 1, full
+    def __init__(self, whole: ca.Sparsity, rows: slice, columns: slice) -> None:
+        self._form(_numbered(whole)[rows, columns])
+
+    def _form(self, numbered: sp.csc_array) -> None:
+        self._shape = sp.csc_array(numbered)
+        self._shape.sort_indices()
+        self._source = self._shape.data - 1
 
     def __call__(self, values: Array) -> sp.csc_array:
-        """The matrix whose upper triangle has these nonzeros."""
-        full = self._full
-        return sp.csc_array((values[self._source], full.indices, full.indptr), shape=full.shape)
+        """The block of the matrix that has these nonzeros."""
+        shape = self._shape
+        return sp.csc_array((values[self._source], shape.indices, shape.indptr), shape=shape.shape)
+
+
+class Symmetric(Block):
+    """The same for the leading block, of ``size``, of the symmetric matrix with a given upper triangle."""
+
+    def __init__(self, upper: ca.Sparsity, size: int | None = None) -> None:
+        numbered = sp.csc_array(_numbered(upper)[:size, :size])
+        self._form(numbered + sp.triu(numbered, 1).T)
+
+
+def _numbered(sparsity: ca.Sparsity) -> sp.csc_array:
+    """The pattern with 1, 2, ... as values, in the order of CasADi's nonzeros."""
+    matrix = pattern(sparsity)
+    return sp.csc_array((np.arange(1, matrix.nnz + 1), matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def flat(matrix: ca.DM) -> Array:

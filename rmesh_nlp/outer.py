@@ -169,8 +169,9 @@ def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> Out
     while program.nlp.n_g and not program.is_valid(np.clip(start + step, -bound, bound)):
         step = step / 2
     starts = (np.clip(start + step, -bound, bound), start)
-    ends = [descent(q, stationary=np.inf, gain=LOOSE, reference=here.value) for q in starts]
-    points = [descent.energy(end.q) for end in ends]
+    points = [
+        descent.energy(descent(q, stationary=np.inf, gain=LOOSE, reference=here.value).q) for q in starts
+    ]
     if points[1].value < points[0].value:
         points.reverse()
     x, other = (descent.energy.point(point.q, point.equilibrium) for point in points)

@@ -8,7 +8,6 @@ from the other solution is known exactly from the elements at the block: no cont
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csgraph
@@ -16,7 +15,7 @@ from skfem import Basis, ElementTriP1
 from skfem.models.poisson import laplace
 
 from rmesh_nlp.assembly import CONSTANT, Field, element_values
-from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.objectives import energy
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.relocation import Relocation
@@ -38,12 +37,12 @@ class Recombination:
 
     def __init__(self, relocation: Relocation) -> None:
         self.relocation = relocation
-        problem, nlp = relocation.problem, relocation.nlp
+        problem = relocation.problem
         fields = (relocation.freedoms.positions, relocation.displacement, relocation.slip)
         groups = energy(problem, *fields)
-        self._values = Evaluator(ca.Function("energies", [nlp.x], element_values(groups, nlp.x, nlp.p)))
+        self._values = element_values(groups)
         self._unknowns = [np.concatenate([field.index for field in g.arguments]) for g in groups]
-        self._node = np.zeros(nlp.n_x, dtype=np.int64)
+        self._node = np.zeros(relocation.nlp.n_x, dtype=np.int64)
         for field in fields:
             _name_owners(self._node, field)
         self._area = signed_areas(problem.mesh.p, problem.triangles)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rmesh_nlp.contact_system import ActiveSet, ContactSystem, Equilibrium
@@ -43,14 +44,17 @@ def tangent_response(
     rotated = system.rotated
     inside, factor = rotated.factor(active)
     touching = rotated.normal[active.touching]
+    # the columns of touching nodes carry the change of the gaps, their rows the change of the forces
+    columns = sp.csr_array(rotated.K[:, touching])
+    rows = sp.csr_array(rotated.K.T[touching])
 
     def respond(force: Array, gap: Array) -> tuple[Array, Array]:
         turned = force if rotated.basis is None else rotated.basis.T @ force
         w = np.zeros(turned.size)
         w[touching] = -gap[active.touching]
-        w[inside] = factor.solve(-(turned + rotated.K @ w)[inside])
+        w[inside] = factor.solve(-(turned + columns @ w[touching])[inside])
         change = np.zeros(gap.size)
-        change[active.touching] = (rotated.K @ w + turned)[touching]
+        change[active.touching] = rows @ w + turned[touching]
         return (w if rotated.basis is None else rotated.basis @ w), change
 
     return respond
