@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric
+from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
 from rmesh_nlp.reduced import ReducedEnergy, ReducedPoint
 from rmesh_nlp.sensitivity import tangent_response
 
@@ -34,10 +34,10 @@ class Curvature:
         hessian, jacobian = rel.derivatives.hess_lag, rel.derivatives.jac_g
         self._hessian, self._jacobian = Evaluator(hessian), Evaluator(jacobian)
         q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
-        upper = hessian.sparsity_out(0)
+        upper = numbered(hessian.sparsity_out(0))
         self._qq = Symmetric(upper, rel.n_q)
         self._qu, self._qs = Block(upper, q, u), Block(upper, q, s)
-        self._gap = Block(jacobian.sparsity_out(1), rel.gap_rows, q)
+        self._gap = Block(numbered(jacobian.sparsity_out(1)), rel.gap_rows, q)
 
     def at(self, point: ReducedPoint) -> Hessian:
         """L'' at a point, ready for products."""

@@ -27,7 +27,7 @@ import scipy.sparse as sp
 from rmesh_nlp.assembly import assemble, unknown_field
 from rmesh_nlp.contact_system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.energy import bulk_groups, displacement_field, friction_group, gap_group
-from rmesh_nlp.evaluation import Array, Evaluator, Symmetric
+from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
 from rmesh_nlp.nlp import Status
 from rmesh_nlp.prediction import predicted_set
 from rmesh_nlp.problem import ContactProblem
@@ -73,7 +73,7 @@ class ContactModel:
         hessian = inner.hess_lag(zero, X, 1.0, no_rows)
         self._kernels = inner.kernels
         self._evaluate = Evaluator(ca.Function("contact_system", [X], [hessian, -gradient, value, gap]))
-        self._stiffness = Symmetric(hessian.sparsity())
+        self._stiffness = Symmetric(numbered(hessian.sparsity()))
         self.normals = self._unit_rows(problem.obstacle.normal)
         self._friction = problem.frictional
         scalar = problem.components == 1
@@ -115,8 +115,7 @@ def solve(
     ----------
     system : ContactSystem
     start : ActiveSet, optional
-        Warm start; by default what the dual problem suggests or, where the contact is all that
-        holds the body, touching nodes are those with an initial gap of zero or less, and all stick.
+        Warm start; by default what the dual problem suggests.
     max_iterations : int
         Limit on factorisations.
 
@@ -126,7 +125,7 @@ def solve(
         Gaps of touching nodes and slips of sticking nodes are exactly zero up to rounding of
         the change of coordinates. If the status is not CONVERGED the last iterate is returned.
     """
-    active = start or predicted_set(system) or _initial_set(system)
+    active = start or predicted_set(system)
     fewest, patience = np.inf, PATIENCE
     seen: set[bytes] = set()
     for iteration in range(1, max_iterations + 1):
@@ -146,10 +145,6 @@ def solve(
             seen.add(proposal.key())
         active = proposal
     return replace(state, status=Status.ITERATION_LIMIT, iterations=max_iterations)
-
-
-def _initial_set(system: ContactSystem) -> ActiveSet:
-    return ActiveSet(system.offset <= 0, np.zeros(system.slip_bound.size, dtype=np.int8))
 
 
 def _next_set(system: ContactSystem, state: Equilibrium, active: ActiveSet) -> tuple[ActiveSet, int]:

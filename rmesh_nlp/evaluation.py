@@ -67,12 +67,13 @@ class Block:
 
     Parameters
     ----------
-    whole : casadi.Sparsity
+    whole : sparse array
+        Its pattern, see :func:`numbered`.
     rows, columns : slice
     """
 
-    def __init__(self, whole: ca.Sparsity, rows: slice, columns: slice) -> None:
-        self._form(_numbered(whole)[rows, columns])
+    def __init__(self, whole: sp.csc_array, rows: slice, columns: slice) -> None:
+        self._form(whole[rows, columns])
 
     def _form(self, numbered: sp.csc_array) -> None:
         self._shape = sp.csc_array(numbered)
@@ -88,13 +89,13 @@ class Block:
 class Symmetric(Block):
     """The same for the leading block, of ``size``, of the symmetric matrix with a given upper triangle."""
 
-    def __init__(self, upper: ca.Sparsity, size: int | None = None) -> None:
-        numbered = sp.csc_array(_numbered(upper)[:size, :size])
-        self._form(numbered + sp.triu(numbered, 1).T)
+    def __init__(self, upper: sp.csc_array, size: int | None = None) -> None:
+        leading = upper[:size, :size]
+        self._form(leading + sp.triu(leading, 1).T)
 
 
-def _numbered(sparsity: ca.Sparsity) -> sp.csc_array:
-    """The pattern with 1, 2, ... as values, in the order of CasADi's nonzeros."""
+def numbered(sparsity: ca.Sparsity) -> sp.csc_array:
+    """A pattern with 1, 2, ... as values, in the order of CasADi's nonzeros."""
     matrix = pattern(sparsity)
     return sp.csc_array((np.arange(1, matrix.nnz + 1), matrix.indices, matrix.indptr), shape=matrix.shape)
 

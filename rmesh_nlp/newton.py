@@ -27,13 +27,13 @@ from rmesh_nlp.nlp import Status
 SUFFICIENT = 1e-4
 """Least ratio of actual to predicted decrease of an accepted step."""
 
-MAX_PRODUCTS = 60
+MAX_PRODUCTS = 40
 """Hessian products of one step."""
 
 FIRST_RADIUS = 0.5
 """First half-width of the trust region, as a part of the longest move of the scaled gradient step."""
 
-WORTHWHILE = 0.02
+WORTHWHILE = 0.06
 """Least part of a step's decrease that the last round of conjugate gradients must give."""
 
 OVERSHOOT = 2.0

@@ -18,7 +18,6 @@ from rmesh_nlp.assembly import assemble
 from rmesh_nlp.callbacks import Monitor
 from rmesh_nlp.curvature import Curvature
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.motion import validity_group
 from rmesh_nlp.newton import Evaluation
 from rmesh_nlp.newton import minimise as newton
 from rmesh_nlp.nlp import NLP, Derivatives, Solver, Status
@@ -91,8 +90,8 @@ def reduced_nlp(referee: Referee, function: Reduced) -> ReducedProgram:
     """The NLP ``min F(q)`` over boxes and element areas; its objective is a contact solve."""
     rel = referee.relocation
     q, p = ca.MX.sym("q", rel.n_q), ca.MX(0, 1)
-    validity, bound = validity_group(rel.problem, rel.freedoms)
-    areas = assemble([validity], q, p, bound.size)
+    bound = rel.nlp.lbg[rel.validity_rows]
+    areas = assemble([rel.validity], q, p, bound.size)
     oracle = _Oracle(function, rel.n_q)
     value, gradient = oracle(q)
     nlp = NLP(

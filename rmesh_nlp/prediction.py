@@ -28,14 +28,15 @@ Nodes at the edge of the contact say little, and each that is guessed wrong cost
 MAX_ITERATIONS = 20
 
 
-def predicted_set(system: ContactSystem) -> ActiveSet | None:
-    """The active set that the dual solution suggests; None where contact is all that holds the body."""
+def predicted_set(system: ContactSystem) -> ActiveSet:
+    """The active set that the dual solution suggests.
+
+    The stiffness by itself must be regular: a body that only contact holds is not a valid problem.
+    """
     n, bound = system.offset.size, system.slip_bound
     dual = _Dual(system)
     lower = np.concatenate([np.zeros(n), -bound])
     upper = np.concatenate([np.full(n, np.inf), bound])
-    if not np.all(np.isfinite(dual.displacement(np.zeros(upper.size)))):
-        return None
     result = minimise(
         dual.evaluate,
         np.zeros(upper.size),

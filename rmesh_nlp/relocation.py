@@ -12,7 +12,7 @@ derivatives also give the energy gradient (5.7), (5.11) of ``nested`` and the au
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -43,6 +43,8 @@ class Relocation:
         Numbers of moves, displacement unknowns, slip magnitudes.
     n_contact, n_valid : int
         Numbers of gap rows and of validity rows.
+    validity : ElementGroup
+        The validity rows by themselves, numbered from zero, as functions of q.
     """
 
     problem: ContactProblem
@@ -56,6 +58,7 @@ class Relocation:
     n_s: int
     n_contact: int
     n_valid: int
+    validity: ElementGroup
 
     @property
     def gap_rows(self) -> slice:
@@ -95,8 +98,8 @@ def relocation(problem: ContactProblem) -> Relocation:
         groups.append(friction_group(problem, free.positions, slip))
         groups.append(slip_group(problem, displacement, slip, first_row=n_rows))
         n_rows += 2 * n_contact
-    validity, area_bound = validity_group(problem, free, first_row=n_rows)
-    groups.append(validity)
+    validity, area_bound = validity_group(problem, free)
+    groups.append(replace(validity, rows=validity.rows + n_rows))
     n_valid = area_bound.size
     x, p = ca.MX.sym("x", free.n + n_u + n_s), ca.MX(0, 1)
     assembled = assemble(groups, x, p, n_rows + n_valid)
@@ -123,6 +126,7 @@ def relocation(problem: ContactProblem) -> Relocation:
         n_s=n_s,
         n_contact=n_contact,
         n_valid=n_valid,
+        validity=validity,
     )
 
 

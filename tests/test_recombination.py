@@ -58,7 +58,7 @@ def test_alternating_moves_are_red_and_black_on_a_structured_grid() -> None:
 
 
 def test_a_pair_of_descents_ends_lower_than_either() -> None:
-    problem = EXAMPLES["6.1"](24)
+    problem = EXAMPLES["6.1"](48)  # fine enough for domains of patterns
     single = nested.solve(problem, outer="newton")
     pair = nested.solve(problem, outer="newton-pair")
     assert pair.success
