@@ -1,22 +1,34 @@
 """Cost of the strategies against the size of the mesh, counted in contact solves.
 
-    python scripts/benchmark_scaling.py --sizes 8 16 32 64 --out scaling
+    OPENBLAS_NUM_THREADS=1 python scripts/benchmark_scaling.py --out scaling
+    OPENBLAS_NUM_THREADS=1 python scripts/benchmark_scaling.py --out scaling --large
 
-The unit of cost is one cold contact solve on the same mesh in the same run (median of five).
-Example 6.1 is refined with delta = 0.22/n, so that a node may move by the same part of its
-neighbourhood. For each strategy the table gives the time to 90 % and 99 % of the best known gain
-and to its own end. The best known gain is the lower of what this run reaches and of the figures
-below. Writes ``scaling.md`` and ``scaling.png``; every solve is one row, also one that fails.
+The unit of cost is one cold contact solve on the same mesh in the same process (median of five).
+Example 6.1 is refined with delta = 0.22/n and Example 6.3 with delta = h/4, so that a node may
+move by the same part of its neighbourhood. For each strategy the table gives the time to 90 %
+and 99 % of the best known gain and to its own end, in units, and seconds and memory of it all.
+The best known gain is the lower of what this table reaches and of the figures below.
+
+Every solve is a process of its own and one row, also one that fails or is stopped at the limit.
+Rows are kept in ``scaling.json``: what is there is not run again, so a run can be interrupted,
+and ``--large`` adds the large meshes. Writes ``scaling.md`` and ``scaling.png`` after each row.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import multiprocessing
+import os
+import platform
+import resource
 import statistics
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from datetime import date
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import matplotlib as mpl
@@ -31,35 +43,74 @@ from rmesh_nlp.solution import Solution
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-BEST_KNOWN = {8: -1.475162, 16: -1.795842, 32: -1.899262, 64: -1.932563, 128: -1.942139}
-"""Least energies seen on these grids by prototypes of ``joint`` and by random starts."""
+BEST_KNOWN = {
+    ("6.1", 8): -1.475162,
+    ("6.1", 16): -1.795842,
+    ("6.1", 32): -1.899262,
+    ("6.1", 64): -1.932563,
+    ("6.1", 128): -1.942180,
+}
+"""Least energies seen on these grids: by prototypes of ``joint``, random starts, recombined solutions."""
 
 FEASIBLE = 1e-6
 """Constraint violation below which an iterate of an all-at-once strategy counts."""
 
+PAIR = "nested, newton-pair"
+
 STRATEGIES: dict[str, Callable[[ContactProblem], Solution]] = {
-    "nested, newton-pair": lambda problem: nested.solve(problem, outer="newton-pair"),
+    PAIR: lambda problem: nested.solve(problem, outer="newton-pair"),
     "nested, newton": lambda problem: nested.solve(problem, outer="newton"),
     "nested, ipopt": nested.solve,
     "joint": joint.solve,
     "mpcc": mpcc.solve,
 }
 
+SIZES = {
+    "6.1": {PAIR: (8, 16, 32, 64, 128), "nested, newton": (8, 16, 32, 64, 128), "nested, ipopt": (8, 16, 32),
+            "joint": (8, 16, 32, 64), "mpcc": (8, 16, 32, 64)},
+    "6.3": {PAIR: (12, 24, 48, 96), "nested, newton": (12, 24, 48, 96), "joint": (12, 24, 48),
+            "mpcc": (12, 24, 48)},
+}  # fmt: skip
+LARGE = {"6.1": {PAIR: (224, 448), "joint": (128,)}, "6.3": {PAIR: (192,)}}
+"""Squares along x_1; Example 6.3 has half as many along x_2."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One solve."""
+
+    example: str
+    n: int
+    strategy: str
+
+    def problem(self) -> ContactProblem:
+        """The refined example."""
+        return EXAMPLES[self.example](self.n if self.example == "6.1" else (self.n, self.n // 2))
+
 
 @dataclass(frozen=True)
 class Row:
-    """One solve on one grid; times in contact solves, None where a share was not reached."""
+    """What one solve gave; seconds and the energies of its history, None where it did not get that far."""
 
-    n: int
-    strategy: str
+    case: Case
     status: str
-    energy: float
-    iterations: int
-    unit: float
-    total: float
-    to_90: float | None
-    to_99: float | None
-    gain: float
+    nodes: int = 0
+    unit: float | None = None
+    initial: float | None = None
+    energy: float | None = None
+    iterations: int | None = None
+    seconds: float | None = None
+    gigabytes: float | None = None
+    history: tuple[tuple[float, float], ...] = ()
+
+    def units_to(self, share: float, best: float) -> float | None:
+        """Contact solves until this share of the gain to ``best`` is there."""
+        if self.unit is None or self.initial is None:
+            return None
+        target = self.initial - share * (self.initial - best)
+        reached = (seconds for seconds, energy in self.history if energy <= target)
+        found = next(reached, None)
+        return None if found is None else found / self.unit
 
 
 def unit_of_cost(problem: ContactProblem) -> float:
@@ -73,98 +124,196 @@ def unit_of_cost(problem: ContactProblem) -> float:
     return statistics.median(seconds)
 
 
-def rows_of(n: int, names: list[str]) -> list[Row]:
-    """Solve one grid by all strategies."""
-    problem = EXAMPLES["6.1"](n)
+def solved(case: Case) -> Row:
+    """Solve one case in this process."""
+    problem = case.problem()
     unit = unit_of_cost(problem)
-    solutions = {}
-    for name in names:
-        solutions[name] = STRATEGIES[name](problem)
-        print(f"n = {n}, {name}: {solutions[name].status.value}", file=sys.stderr)
-    initial = next(iter(solutions.values())).energy_initial
-    best = min([BEST_KNOWN.get(n, np.inf), *(s.energy for s in solutions.values() if s.success)])
-    return [_row(n, name, solution, unit, initial - best) for name, solution in solutions.items()]
-
-
-def _row(n: int, name: str, solution: Solution, unit: float, best_gain: float) -> Row:
-    def reached(share: float) -> float | None:
-        for step in solution.history:
-            feasible = not step.primal_residual > FEASIBLE
-            if feasible and solution.energy_initial - step.energy >= share * best_gain:
-                return step.seconds / unit
-        return None
-
+    solution = STRATEGIES[case.strategy](problem)
+    feasible = [step for step in solution.history if not step.primal_residual > FEASIBLE]
     return Row(
-        n=n,
-        strategy=name,
-        status=solution.status.value,
+        case,
+        solution.status.value if solution.success else f"{solution.status.value}, no success",
+        nodes=problem.mesh.p.shape[1],
+        unit=unit,
+        initial=solution.energy_initial,
         energy=solution.energy,
         iterations=solution.iterations,
-        unit=unit,
-        total=solution.wall_time_s / unit,
-        to_90=reached(0.9),
-        to_99=reached(0.99),
-        gain=(solution.energy_initial - solution.energy) / best_gain,
+        seconds=solution.wall_time_s,
+        gigabytes=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
+        history=tuple((step.seconds, step.energy) for step in feasible),
     )
 
 
-def markdown(rows: list[Row]) -> str:
-    """The rows as a Markdown table."""
+def _child(case: Case, pipe: Connection) -> None:
+    try:
+        pipe.send(solved(case))
+    except Exception as error:  # a strategy that fails is a row
+        pipe.send(Row(case, f"{type(error).__name__}: {error}"[:80]))
+
+
+def isolated(case: Case, limit: float) -> Row:
+    """Solve one case in a process of its own, for at most ``limit`` seconds."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=_child, args=(case, there))
+    process.start()
+    there.close()
+    try:
+        row = here.recv() if here.poll(limit) else Row(case, f"stopped after {limit:.0f} s")
+    except EOFError:
+        row = Row(case, "the process died")
+    process.kill()
+    process.join()
+    return row
+
+
+def best_energies(rows: Sequence[Row]) -> dict[tuple[str, int], float]:
+    """The least energy of each mesh."""
+    best = dict(BEST_KNOWN)
+    for row in rows:
+        if row.energy is not None:
+            key = (row.case.example, row.case.n)
+            best[key] = min(best.get(key, np.inf), row.energy)
+    return best
+
+
+def exponent(rows: Sequence[Row], example: str, strategy: str, from_n: int) -> float | None:
+    """Least-squares slope of log seconds over log nodes from ``from_n`` squares on."""
+    points = [
+        (np.log(r.nodes), np.log(r.seconds))
+        for r in rows
+        if (r.case.example, r.case.strategy) == (example, strategy) and r.case.n >= from_n and r.seconds
+    ]
+    return float(np.polyfit(*zip(*points, strict=True), 1)[0]) if len(points) > 2 else None
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The rows as Markdown tables, one per example."""
 
     def number(value: float | None) -> str:
         return "-" if value is None else f"{value:.1f}" if value < 100 else f"{value:.0f}"
 
+    best = best_energies(rows)
     lines = [
-        "| n | strategy | status | energy | best gain | iterations | to 90 % | to 99 % | all | unit [s] |",
-        "|--:|:--|:--|--:|--:|--:|--:|--:|--:|--:|",
+        f"Measured on {date.today()}, {os.cpu_count()} cores, {platform.machine()}, {platform.system()}."
     ]
-    lines += [
-        f"| {r.n} | {r.strategy} | {r.status} | {r.energy:.6f} | {100 * r.gain:.2f} % | {r.iterations} "
-        f"| {number(r.to_90)} | {number(r.to_99)} | {number(r.total)} | {r.unit:.4f} |"
-        for r in rows
-    ]
+    for example in dict.fromkeys(r.case.example for r in rows):
+        lines += [
+            "",
+            f"Example {example} refined",
+            "",
+            "| n | strategy | status | energy | gain | iterations | to 90 % | to 99 % | all | unit [s] "
+            "| all [s] | memory [GB] |",
+            "|--:|:--|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
+        ]
+        for r in sorted((r for r in rows if r.case.example == example), key=lambda r: r.case.n):
+            head = f"| {r.case.n} | {r.case.strategy} | {r.status} "
+            if r.unit is None or r.initial is None or r.energy is None or r.seconds is None:
+                lines.append(head + "| - " * 9 + "|")
+                continue
+            least = best[(example, r.case.n)]
+            gain = (r.initial - r.energy) / (r.initial - least)
+            lines.append(
+                f"{head}| {r.energy:.7f} | {100 * gain:.2f} % | {r.iterations} "
+                f"| {number(r.units_to(0.9, least))} | {number(r.units_to(0.99, least))} "
+                f"| {number(r.seconds / r.unit)} | {r.unit:.4f} | {r.seconds:.3g} | {r.gigabytes:.2f} |"
+            )
+        slopes = [
+            f"{strategy} {slope:.2f}"
+            for strategy in STRATEGIES
+            if (slope := exponent(rows, example, strategy, 32)) is not None
+        ]
+        if slopes:
+            lines += [
+                "",
+                f"Seconds grow with the number of nodes, from n = 32 on, to the power: {', '.join(slopes)}.",
+            ]
     return "\n".join(lines)
 
 
-def figure(rows: list[Row], path: Path) -> None:
-    """Cost to the end and to 99 % of the gain against the number of squares per side."""
-    colours = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7")
-    fig, axes = plt.subplots(1, 2, figsize=(7, 3), sharey=True, layout="constrained")
-    for axis, title, cost in (
-        (axes[0], "to 99 % of the best known gain", lambda r: r.to_99),
-        (axes[1], "to the end", lambda r: r.total),
-    ):
-        for name, colour, marker in zip(STRATEGIES, colours, "vos^D", strict=True):
-            points = [(r.n, cost(r)) for r in rows if r.strategy == name and cost(r) is not None]
-            if points:
-                axis.loglog(*zip(*points, strict=True), marker=marker, color=colour, label=name)
-        sizes = sorted({r.n for r in rows})
-        axis.set_xticks(sizes, [str(n) for n in sizes])
-        axis.minorticks_off()
-        axis.set(xlabel="squares per side n", title=title)
+def figure(rows: Sequence[Row], path: Path) -> None:
+    """Cost to 99 % of the gain in contact solves, and seconds of it all, against the size; Example 6.1."""
+    colours, markers = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7"), "vos^D"
+    best = best_energies(rows)
+    fig, (left, right) = plt.subplots(1, 2, figsize=(8, 3.4), layout="constrained")
+    for strategy, colour, marker in zip(STRATEGIES, colours, markers, strict=True):
+        own = sorted(
+            (r for r in rows if r.case.strategy == strategy and r.case.example == "6.1" and r.seconds),
+            key=lambda r: r.case.n,
+        )
+        to_99 = [(r.case.n, r.units_to(0.99, best["6.1", r.case.n])) for r in own]
+        reached = [(n, cost) for n, cost in to_99 if cost is not None]
+        style = {"marker": marker, "color": colour, "label": strategy, "markersize": 5}
+        if reached:
+            left.loglog(*zip(*reached, strict=True), **style)
+        if own:
+            right.loglog([r.nodes for r in own], [r.seconds for r in own], **style)
+    sizes = sorted({r.case.n for r in rows if r.case.example == "6.1"})
+    left.axhline(30, color="0.5", linestyle=":", linewidth=1)
+    left.set_xticks(sizes, [str(n) for n in sizes])
+    left.minorticks_off()
+    left.set(xlabel="squares per side n", ylabel="to 99 % of the gain [contact solves]")
+    left.set_yticks([10, 30, 100, 300], ["10", "30", "100", "300"])
+    nodes = np.array([1e3, 2e5])
+    right.loglog(nodes, 0.2 * (nodes / 1e3) ** 1.25, color="0.5", linestyle=":", linewidth=1)
+    right.annotate("power 1.25", (nodes[1], 0.2 * 200**1.25), fontsize=8, color="0.4", ha="right", va="top")
+    right.set(xlabel="nodes", ylabel="to the end [s]")
+    for axis in (left, right):
         axis.grid(alpha=0.3)
-    axes[0].set_ylabel("cost [contact solves]")
-    axes[1].legend(fontsize=8)
+    right.legend(fontsize=8)
     fig.savefig(path, dpi=200)
     plt.close(fig)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def cases(
+    large: bool, strategies: Sequence[str], examples: Sequence[str], sizes: Sequence[int] | None
+) -> list[Case]:
+    """What to run, the small meshes first."""
+    found = [
+        Case(example, n, strategy)
+        for table in ((SIZES, LARGE) if large else (SIZES,))
+        for example in examples
+        for strategy, usual in table[example].items()
+        for n in sizes or usual
+        if strategy in strategies
+    ]
+    return sorted(found, key=lambda case: (case.example, case.n))
+
+
+def load(path: Path) -> list[Row]:
+    """Rows of an earlier run."""
+    if not path.exists():
+        return []
+    return [
+        Row(**{**row, "case": Case(**row["case"])}) for row in json.loads(path.read_text(encoding="utf-8"))
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every solve succeeded."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--sizes", type=int, nargs="+", default=[8, 16, 32])
+    parser.add_argument("--examples", nargs="+", default=list(SIZES), choices=list(SIZES))
+    parser.add_argument("--sizes", type=int, nargs="+", help="these n instead of the usual ones")
     parser.add_argument("--strategies", nargs="+", default=list(STRATEGIES), choices=list(STRATEGIES))
+    parser.add_argument("--large", action="store_true", help="also meshes of 100,000 and more elements")
+    parser.add_argument("--limit", type=float, default=1200.0, help="seconds for one solve")
     parser.add_argument("--out", type=Path, default=Path("scaling"))
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
-    rows: list[Row] = []
-    for n in options.sizes:
-        rows += rows_of(n, options.strategies)
-        # after every grid, so that an interruption keeps what is done
+    kept = options.out / "scaling.json"
+    rows = load(kept)
+    done = {row.case for row in rows}
+    for case in cases(options.large, options.strategies, options.examples, options.sizes):
+        if case in done:
+            continue
+        row = isolated(case, options.limit)
+        print(f"{case.example}, n = {case.n}, {case.strategy}: {row.status}", file=sys.stderr, flush=True)
+        rows.append(row)
+        kept.write_text(json.dumps([asdict(row) for row in rows], indent=1), encoding="utf-8")
         (options.out / "scaling.md").write_text(markdown(rows) + "\n", encoding="utf-8")
-    figure(rows, options.out / "scaling.png")
+        figure(rows, options.out / "scaling.png")
     print(markdown(rows))
     return 0 if all(row.status == "converged" for row in rows) else 1
 

@@ -83,10 +83,25 @@ def test_the_table_of_relaxations_keeps_every_combination(tmp_path: Path) -> Non
 
 def test_the_scaling_benchmark_reports_every_strategy(tmp_path: Path) -> None:
     benchmark = script("benchmark_scaling")
-    assert benchmark.main(["--sizes", "4", "--out", str(tmp_path)]) == 0
-    rows = (tmp_path / "scaling.md").read_text().splitlines()[2:]
+    asked = ["--sizes", "4", "--examples", "6.1", "--out", str(tmp_path)]
+    assert benchmark.main(asked) == 0
+    table = (tmp_path / "scaling.md").read_text()
+    rows = [row for row in table.splitlines() if row.startswith("| 4 |")]
     assert [row.split("|")[2].strip() for row in rows] == list(benchmark.STRATEGIES)
     assert (tmp_path / "scaling.png").stat().st_size > 0
+    # what is there is not run again
+    before = (tmp_path / "scaling.json").stat().st_mtime_ns
+    assert benchmark.main(asked) == 0
+    assert (tmp_path / "scaling.json").stat().st_mtime_ns == before
+
+
+def test_a_strategy_that_fails_or_hangs_is_a_row_of_the_scaling_benchmark() -> None:
+    benchmark = script("benchmark_scaling")
+    unknown = benchmark.isolated(benchmark.Case("6.1", 4, "no such strategy"), limit=60)
+    assert unknown.status.startswith("KeyError")
+    slow = benchmark.isolated(benchmark.Case("6.1", 64, "joint"), limit=0.1)
+    assert slow.status == "stopped after 0 s"
+    assert "| - |" in benchmark.markdown([unknown, slow])
 
 
 def test_the_assembly_benchmark_compares_the_same_program(
