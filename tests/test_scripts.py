@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+import importlib
 from pathlib import Path
 from types import ModuleType
 
@@ -12,14 +11,14 @@ import pytest
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 
 
+@pytest.fixture(autouse=True)
+def scripts_are_modules(monkeypatch: pytest.MonkeyPatch) -> None:
+    # also in the processes that a benchmark starts
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+
+
 def script(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module(name)
 
 
 def test_a_study_then_its_tables_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
