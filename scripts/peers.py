@@ -45,9 +45,6 @@ from rmesh_nlp.reduced import ReducedEnergy
 from rmesh_nlp.referee import Referee
 from rmesh_nlp.relocation import relocation
 
-IPOPT = {**IPOPT_OPTIONS, **joint.OPTIONS}
-"""What ``joint`` gives Ipopt, and so every peer that uses Ipopt on the same program."""
-
 REACHED, FEASIBLE = 1e-4, 1e-3
 """Largest error of the objective, and violation and min(G, H), of an MPCC that counts as solved.
 
@@ -113,6 +110,12 @@ class Program:
     contact: Array
     bound: Array
     start: Array
+    unit: float
+
+    def ipopt(self, limit: float) -> dict[str, Any]:
+        """What ``joint`` gives Ipopt, and so every peer that uses Ipopt on the same program."""
+        own = {"obj_scaling_factor": 1 / self.unit, "max_wall_time": min(limit, 1e6)}
+        return {**IPOPT_OPTIONS, **joint.OPTIONS, **own}
 
     def nodes(self, x: Sequence[float]) -> Array:
         """Node positions of unknowns cut to their boxes."""
@@ -133,6 +136,7 @@ def program_of(problem: ContactProblem) -> Program:
         contact=problem.contact_nodes,
         bound=rel.nlp.ubx,
         start=referee.reduced.point(np.zeros(rel.n_q), referee.initial),
+        unit=joint.pull(referee.reduced(np.zeros(rel.n_q)).gradient),
     )
 
 
@@ -177,11 +181,11 @@ def ours_joint(case: Case) -> Finish:
 
 def nlpsol_mapped(case: Case) -> Finish:
     """Our expressions, all derivatives left to ``nlpsol``."""
-    start = program_of(case.problem).start
+    program = program_of(case.problem)
     began = time.perf_counter()
     rel = relocation(case.problem)
-    options = {**IPOPT, "max_wall_time": min(case.limit, 1e6)}
-    result = Solver(replace(rel.nlp, derivatives=None), options=options)(start)
+    plain = replace(rel.nlp, derivatives=None)
+    result = Solver(plain, options=program.ipopt(case.limit))(program.start)
     seconds = time.perf_counter() - began
     return Finish(rel.nodes(rel.split(result.x)[0]), result.status.value, seconds)
 
@@ -193,11 +197,7 @@ def nlpsol_written_out(case: Case) -> Finish:
     x = ca.SX.sym("x", program.start.size)
     energy, u = energy_61(program, ca.vertsplit(x), ca.sin, ca.if_else)
     gaps = ca.vertcat(*[u[i] for i in program.contact])
-    settings = {
-        "ipopt": {**IPOPT, "max_wall_time": min(case.limit, 1e6)},
-        "print_time": False,
-        "error_on_fail": False,
-    }
+    settings = {"ipopt": program.ipopt(case.limit), "print_time": False, "error_on_fail": False}
     solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": energy, "g": gaps}, settings)
     answer = solver(x0=program.start, lbx=-program.bound, ubx=program.bound, lbg=0, ubg=np.inf)
     seconds = time.perf_counter() - began
@@ -222,7 +222,7 @@ def pyomo_model(case: Case) -> Finish:
     )
     model.energy = pyo.Objective(expr=energy)
     model.gap = pyo.Constraint(range(len(program.contact)), rule=lambda _, k: u[program.contact[k]] >= 0)
-    solver, options = pyo.SolverFactory("ipopt"), {**IPOPT, "max_wall_time": min(case.limit, 1e6)}
+    solver, options = pyo.SolverFactory("ipopt"), program.ipopt(case.limit)
     if solver.available(exception_flag=False):
         solver.options.update(options)
     else:
@@ -240,13 +240,17 @@ def pyomo_model(case: Case) -> Finish:
 # ---------------------------------------------------------------- nested: a contact solve per evaluation
 
 
-def ours_nested(case: Case) -> Finish:
-    """Our strategy ``nested`` with its second-order outer solver, its build included."""
-    began = time.perf_counter()
-    ReducedEnergy(relocation(case.problem))
-    build = time.perf_counter() - began
-    solution = nested.solve(case.problem, outer="newton")
-    return Finish(np.asarray(solution.mesh.p), solution.status.value, build + solution.wall_time_s)
+def ours_nested(outer: str) -> Callable[[Case], Finish]:
+    """Our strategy ``nested`` with a second-order outer solver, its build included."""
+
+    def run(case: Case) -> Finish:
+        began = time.perf_counter()
+        ReducedEnergy(relocation(case.problem))
+        build = time.perf_counter() - began
+        solution = nested.solve(case.problem, outer=outer)
+        return Finish(np.asarray(solution.mesh.p), solution.status.value, build + solution.wall_time_s)
+
+    return run
 
 
 def scipy_minimize(method: str, derivative: str) -> Callable[[Case], Finish]:
@@ -480,7 +484,9 @@ JOINT: dict[str, Relocate] = {
     "CasADi nlpsol, our expressions": nlpsol_mapped,
     "Pyomo, Ipopt": pyomo_model,
 }
-NESTED: dict[str, Relocate] = {"rmesh_nlp nested, newton": ours_nested} | {
+NESTED: dict[str, Relocate] = {
+    f"rmesh_nlp nested, {outer}": ours_nested(outer) for outer in ("newton", "newton-pair")
+} | {
     f"SciPy {method}, {name}": scipy_minimize(method, derivative)
     for derivative, name in (("gradient", "our gradient"), ("2-point", "finite differences"))
     for method in ("SLSQP", "trust-constr", "L-BFGS-B")
