@@ -45,8 +45,9 @@ def solve(
         Terms of :mod:`rmesh_nlp.objectives`, such as "energy" or "error-l2 + 0.01*quality".
     outer : str
         A name in ``rmesh_nlp.outer.OUTER_SOLVERS``: "ipopt" (limited-memory BFGS), "newton"
-        (projected trust-region Newton-CG, the fastest, for the energy only), "slsqp",
-        "trust-constr" or "l-bfgs-b".
+        (projected trust-region Newton-CG, the fastest) and "newton-pair" (two such descents,
+        recombined: for fine meshes), both for the energy only, "slsqp", "trust-constr" or
+        "l-bfgs-b".
     seed : int, optional
         Random start; by default the initial mesh.
     start : (2, nodes) array, optional

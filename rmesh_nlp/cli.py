@@ -80,7 +80,7 @@ Outer = Annotated[
     typer.Option(
         "--outer",
         metavar="NAME",
-        help="Outer solver of nested: ipopt (default), newton, slsqp, trust-constr or l-bfgs-b.",
+        help="Outer solver of nested: ipopt (default), newton, newton-pair, slsqp, trust-constr or l-bfgs-b.",
     ),
 ]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve or compare wrote.")]

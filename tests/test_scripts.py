@@ -62,9 +62,10 @@ def test_a_study_of_an_unknown_example_is_exit_code_2(
 
 def test_the_readme_takes_the_table_between_its_marks() -> None:
     module = script("update_readme")
-    old = f"before\n{module.BEGIN}stale\n{module.END}after\n"
+    begin, end = "<!-- table: begin -->\n", "<!-- table: end -->\n"
+    old = f"before\n{begin}stale\n{end}after\n"
     new = module.with_table(old, "# Comparison\n\n## Example 6.1\n\n| a |\n")
-    assert new == f"before\n{module.BEGIN}\n#### Example 6.1\n\n| a |\n\n{module.END}after\n"
+    assert new == f"before\n{begin}\n#### Example 6.1\n\n| a |\n\n{end}after\n"
     assert module.with_table(new, "# Comparison\n\n## Example 6.1\n\n| a |\n") == new
 
 
