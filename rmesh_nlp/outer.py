@@ -165,7 +165,7 @@ def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> Out
     alternate = alternating(relocation)
     here = descent.energy(start)
     step = -ALTERNATING * np.sign(here.gradient @ alternate) * alternate
-    while program.nlp.n_g and not program.is_valid(np.clip(start + step, -bound, bound)):
+    while not descent.is_valid(np.clip(start + step, -bound, bound)):
         step = step / 2
     starts = (np.clip(start + step, -bound, bound), start)
     points = [
@@ -178,7 +178,7 @@ def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> Out
     for number, across in enumerate(BLOCKS):
         x = recombine(x, other, across, shift=number / len(BLOCKS))
     q = x[: relocation.n_q]
-    if descent.energy(q).value > points[0].value:
+    if not descent.is_valid(q) or descent.energy(q).value > points[0].value:
         q = points[0].q
     return descent(q, stationary=STATIONARY, gain=TIGHT, reference=here.value)
 
@@ -212,8 +212,12 @@ class _Descent:
         self._iterations += result.iterations
         return OuterResult(result.x, result.status, self._iterations)
 
+    def is_valid(self, q: Array) -> bool:
+        """Whether the elements that the boxes do not keep valid are."""
+        return self._program.nlp.n_g == 0 or self._program.is_valid(q)
+
     def _evaluate(self, q: Array) -> Evaluation | None:
-        if self._program.nlp.n_g and not self._program.is_valid(q):
+        if not self.is_valid(q):
             return None
         point = self.energy(q)
         return Evaluation(point.value, point.gradient, lambda: self._curvature.at(point))

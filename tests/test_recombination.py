@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from formulations import nested
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.motion import least_angles
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.recombination import Recombination, alternating
 from rmesh_nlp.referee import Referee
@@ -66,3 +69,12 @@ def test_a_pair_of_descents_ends_lower_than_either() -> None:
     assert pair.energy < single.energy
     # energies of the two descents and of the last one, in one history
     assert pair.iterations == pair.history[-1].iteration
+
+
+def test_a_pair_of_descents_keeps_elements_valid_in_large_boxes_and_with_a_least_angle() -> None:
+    problem = EXAMPLES["6.1"](6, 0.12)
+    for motion in (problem.motion, replace(problem.motion, min_angle=12.0)):
+        solution = nested.solve(replace(problem, motion=motion), outer="newton-pair")
+        assert solution.energy < solution.energy_initial
+        assert solution.audit.min_area_ratio >= motion.min_area_fraction
+        assert np.min(least_angles(np.asarray(solution.mesh.p), problem.triangles)) >= motion.min_angle
