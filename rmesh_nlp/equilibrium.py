@@ -29,7 +29,7 @@ from rmesh_nlp.contact_system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.energy import bulk_groups, displacement_field, friction_group, gap_group
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
 from rmesh_nlp.nlp import Status
-from rmesh_nlp.prediction import predicted_set
+from rmesh_nlp.prediction import first_set
 from rmesh_nlp.problem import ContactProblem
 
 MAX_ITERATIONS = 100
@@ -115,7 +115,7 @@ def solve(
     ----------
     system : ContactSystem
     start : ActiveSet, optional
-        Warm start; by default what the dual problem suggests.
+        Warm start; by default :func:`rmesh_nlp.prediction.first_set`.
     max_iterations : int
         Limit on factorisations.
 
@@ -125,7 +125,7 @@ def solve(
         Gaps of touching nodes and slips of sticking nodes are exactly zero up to rounding of
         the change of coordinates. If the status is not CONVERGED the last iterate is returned.
     """
-    active = start or predicted_set(system)
+    active = start or first_set(system)
     fewest, patience = np.inf, PATIENCE
     seen: set[bytes] = set()
     for iteration in range(1, max_iterations + 1):
