@@ -37,6 +37,16 @@ OPTIONS: Mapping[str, Any] = {
 }
 """Ipopt options that add to ``rmesh_nlp.nlp.IPOPT_OPTIONS``; ``solve`` adds ``obj_scaling_factor``."""
 
+WITH_AREAS: Mapping[str, Any] = {
+    "max_iter": 3000,
+    "tol": 1e-12,
+    "compl_inf_tol": 1e-12,
+    "acceptable_tol": 1e-9,
+}
+"""The same where element areas are constraints: against so large an objective Ipopt gives too little
+weight to them, and its restoration ends at points that it takes for infeasible (6.2 on 36 x 18 and
+48 x 24 squares)."""
+
 
 def build(problem: ContactProblem) -> NLP:
     """The symbolic NLP in ``x = (q, u, s)``, see :mod:`rmesh_nlp.relocation`.
@@ -107,10 +117,10 @@ def minimise(
 ) -> NLPResult:
     """Solve the energy program from moves ``q`` and the contact solution there."""
     contact = referee.reduced(q)
-    scaling = {"obj_scaling_factor": 1 / pull(contact.gradient)}
-    solver = Solver(
-        build(referee.problem), options={**OPTIONS, **scaling, **(options or {})}, monitor=recorder
-    )
+    usual: Mapping[str, Any] = {**OPTIONS, "obj_scaling_factor": 1 / pull(contact.gradient)}
+    if referee.relocation.n_valid:
+        usual = WITH_AREAS
+    solver = Solver(build(referee.problem), options={**usual, **(options or {})}, monitor=recorder)
     return solver(referee.reduced.point(q, contact.equilibrium))
 
 
