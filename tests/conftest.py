@@ -11,6 +11,21 @@ from skfem import MeshTri
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PiecewiseLinear, PlaneStrain, Traction
 
+MPCC_COLLECTION = """
+import casadi as ca
+
+def names():
+    return ["corner", "arms"]
+
+def get(name):
+    x = ca.SX.sym("x", 2)
+    centre = {"corner": -1.0, "arms": 1.0}[name]
+    inf = float("inf")
+    return dict(x=x, f=ca.sumsqr(x - centre), g=ca.SX(0, 1), G=x[0], H=x[1], lbx=[-inf] * 2, ubx=[inf] * 2,
+                lbg=[], ubg=[], x0=[0.5, 0.2], target={"corner": 2.0, "arms": 0.5}[name])
+"""
+"""Two MPCCs in the form of a collection that the benchmarks take."""
+
 
 @pytest.fixture(params=["6.1", "6.2", "6.3"])
 def example(request: pytest.FixtureRequest) -> ContactProblem:

@@ -8,21 +8,9 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from conftest import MPCC_COLLECTION
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
-COLLECTION = """
-import casadi as ca
-
-def names():
-    return ["corner", "arms"]
-
-def get(name):
-    x = ca.SX.sym("x", 2)
-    centre = {"corner": -1.0, "arms": 1.0}[name]
-    inf = float("inf")
-    return dict(x=x, f=ca.sumsqr(x - centre), g=ca.SX(0, 1), G=x[0], H=x[1], lbx=[-inf] * 2, ubx=[inf] * 2,
-                lbg=[], ubg=[], x0=[0.5, 0.2], target={"corner": 2.0, "arms": 0.5}[name])
-"""
 
 
 @pytest.fixture
@@ -35,7 +23,7 @@ def test_without_peers_ours_has_its_rows(
     benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     collection = tmp_path / "collection.py"
-    collection.write_text(COLLECTION)
+    collection.write_text(MPCC_COLLECTION)
     monkeypatch.setattr(benchmark, "is_installed", lambda solver: solver not in benchmark.NEEDS)
     arguments = ["--groups", "joint", "mpcc", "--n", "3", "--repeat", "1", "--out", str(tmp_path)]
     assert benchmark.main([*arguments, "--collection", str(collection)]) == 0
