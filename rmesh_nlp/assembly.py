@@ -19,9 +19,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rmesh_nlp.element import Differentiated, PointValues, plain
-from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.nlp import Derivatives
-from rmesh_nlp.vectorised import WORTHWHILE, Vectorised, is_vectorisable
+from rmesh_nlp.summed import Gather, Part, Summed
+from rmesh_nlp.vectorised import WORTHWHILE, columnwise
 
 Index = NDArray[np.int64]
 CONSTANT = -1
@@ -141,38 +142,39 @@ def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) ->
     n_rows : int
         Number of constraints; rows that no group touches are zero.
     """
-    parts = [_Mapped(group, x, p) for group in groups if group.size > 0]
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)
+    local = [_Local(group) for group in groups if group.size > 0]
+    large = any(group.size >= WORTHWHILE for group in groups)
+    inputs = [x, p, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)]
     n_x = int(x.shape[0])
+    in_casadi = _InCasadi(inputs)
+    kept: list[ca.Function] = []
 
-    def summed(local: list[list[ca.MX]]) -> tuple[ca.MX, ca.MX]:
-        f = _total([ca.sum2(part[0]) for part in local], ca.MX(0))
-        g = _sum_into((n_rows, 1), [(p.g_entries(), part[1]) for p, part in zip(parts, local, strict=True)])
-        return f, ca.densify(g)
+    def function(name: str, n_in: int, shapes: list[tuple[int, int]], kernels: list[_Kernel]) -> ca.Function:
+        if not large:
+            return ca.Function(name, inputs[:n_in], in_casadi(shapes, kernels))
+        kept.append(_in_numpy(name, inputs[:n_in], shapes, kernels))
+        return ca.Function(name, inputs[:n_in], kept[-1].call(inputs[:n_in]))
 
-    f, g = summed([part.values() for part in parts])
-    f_again, g_again = summed([part.first() for part in parts])
-    gradient = _sum_into((n_x, 1), [(part.gradient_entries(), part.first()[2]) for part in parts])
-    jacobian = _sum_into((n_rows, n_x), [(part.jacobian_entries(), part.first()[3]) for part in parts])
-    hessian = _sum_into((n_x, n_x), [(part.hessian_entries(), part.second(lam_f, lam_g)) for part in parts])
+    f, g = in_casadi([(1, 1), (n_rows, 1)], [part.values() for part in local])
     return Assembled(
         f=f,
         g=g,
-        grad_f=ca.Function("nlp_grad_f", [x, p], [f_again, ca.densify(gradient)]),
-        jac_g=ca.Function("nlp_jac_g", [x, p], [g_again, jacobian]),
-        hess_lag=ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian]),
-        kernels=tuple(kernel for part in parts for kernel in part.kernels),
+        grad_f=function("nlp_grad_f", 2, [(1, 1), (n_x, 1)], [part.gradient() for part in local]),
+        jac_g=function("nlp_jac_g", 2, [(n_rows, 1), (n_rows, n_x)], [part.jacobian() for part in local]),
+        hess_lag=function("nlp_hess_l", 4, [(n_x, n_x)], [part.hessian() for part in local]),
+        kernels=tuple(kept),
     )
 
 
 def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Array]]:
     """A function of the unknowns ``x``: what each element of each group adds to the objective."""
-    kernels = [_fast(plain(group.function, group.at_points), group.size) for group in groups]
-    evaluators = [Evaluator(kernel) for kernel in kernels]
+    evaluate = [columnwise(plain(group.function, group.at_points), group.size) for group in groups]
 
     def values(x: Array) -> list[Array]:
-        local = [[field.values(x) for field in group.arguments] for group in groups]
-        return [evaluate(*columns)[0] for evaluate, columns in zip(evaluators, local, strict=True)]
+        return [
+            columns([field.values(x) for field in group.arguments])[0].ravel()
+            for columns, group in zip(evaluate, groups, strict=True)
+        ]
 
     return values
 
@@ -186,126 +188,178 @@ class _Entries:
     scale: Array
 
 
-class _Mapped:
-    """One element group with its local derivatives mapped over the elements."""
+@dataclass(frozen=True)
+class _Kernel:
+    """A function of one element, the inputs that its arguments come from, and where its results go.
 
-    def __init__(self, group: ElementGroup, x: ca.MX, p: ca.MX) -> None:
-        self.group, self._n = group, group.size
+    Result number k is summed into output number k.
+    """
+
+    function: ca.Function
+    arguments: tuple[tuple[int, Field], ...]
+    results: tuple[_Entries, ...]
+    size: int
+
+
+class _Local:
+    """The kernels of one element group."""
+
+    def __init__(self, group: ElementGroup) -> None:
+        self._group = group
         variable = [i for i, field in enumerate(group.arguments) if not field.parameter and _moves(field)]
-        self._fields = [group.arguments[i] for i in variable]
-        local = Differentiated(group.function, group.at_points, variable)
-        columns, weights = local.columns, [local.lam_f, local.lam_g]
-        self._jacobian_pattern, self._hessian_pattern = local.jacobian_pattern, local.hessian_pattern
-        self._values = _map("values", columns, local.values, self._n)
-        self._first = _map_fast("first", columns, local.first, self._n)
-        self._second = _map_fast("second", [*columns, *weights], local.second, self._n)
-        self.kernels = (self._first, self._second)
-        self._arguments = [_gather(field, p if field.parameter else x) for field in group.arguments]
-        self.index = (
-            np.concatenate([f.index for f in self._fields]) if self._fields else np.zeros((0, self._n), int)
-        )
-        self.scale = (
-            np.concatenate([f.scale for f in self._fields]) if self._fields else np.zeros((0, self._n))
-        )
+        self._local = Differentiated(group.function, group.at_points, variable)
+        none = np.zeros((0, group.size))
+        fields = [group.arguments[i] for i in variable]
+        self._index = np.concatenate([none.astype(int), *[field.index for field in fields]])
+        self._scale = np.concatenate([none, *[field.scale for field in fields]])
+        self._arguments = tuple((int(field.parameter), field) for field in group.arguments)
 
-    def values(self) -> list[ca.MX]:
-        return self._values(*self._arguments)
+    def values(self) -> _Kernel:
+        """Objective and constraints."""
+        return self._kernel("values", self._local.values, self._f(), self._g())
 
-    def first(self) -> list[ca.MX]:
-        return self._first(*self._arguments)
+    def gradient(self) -> _Kernel:
+        """The objective and its gradient."""
+        (row,) = self._places(self._local.gradient_pattern, 1)
+        entries = _Entries(self._index[row], np.zeros_like(self._index[row]), self._scale[row])
+        return self._kernel("gradient", self._local.gradient, self._f(), entries)
 
-    def second(self, lam_f: ca.MX, lam_g: ca.MX) -> ca.MX:
-        rows = self.group.rows
-        local = _gather(Field(rows, np.ones(rows.shape), np.zeros(rows.shape)), lam_g)
-        return self._second(*self._arguments, ca.repmat(lam_f, 1, self._n), local)
+    def jacobian(self) -> _Kernel:
+        """The constraints and their Jacobian."""
+        row, column = self._places(self._local.jacobian_pattern, 2)
+        entries = _Entries(self._group.rows[row], self._index[column], self._scale[column])
+        return self._kernel("jacobian", self._local.jacobian, self._g(), entries)
 
-    def g_entries(self) -> _Entries:
-        rows = self.group.rows
-        return _Entries(rows, np.where(rows < 0, -1, 0), np.ones(rows.shape))
-
-    def gradient_entries(self) -> _Entries:
-        return _Entries(self.index, np.where(self.index < 0, -1, 0), self.scale)
-
-    def jacobian_entries(self) -> _Entries:
-        row, column = (np.asarray(a, dtype=int) for a in self._jacobian_pattern.get_triplet())
-        return _Entries(self.group.rows[row], self.index[column], self.scale[column])
-
-    def hessian_entries(self) -> _Entries:
-        a, b = (np.asarray(i, dtype=int) for i in self._hessian_pattern.get_triplet())
-        i, j = self.index[a], self.index[b]
+    def hessian(self) -> _Kernel:
+        """Upper triangle of the Hessian of the Lagrangian, a function of its multipliers as well."""
+        a, b = self._places(self._local.hessian_pattern, 2)
+        i, j = self._index[a], self._index[b]
         # two local values of one unknown: the lower triangle folds onto the diagonal too
         twice = np.where((i == j) & (a != b)[:, None], 2.0, 1.0)
-        return _Entries(np.minimum(i, j), np.maximum(i, j), twice * self.scale[a] * self.scale[b])
+        entries = _Entries(np.minimum(i, j), np.maximum(i, j), twice * self._scale[a] * self._scale[b])
+        lam_f = _plain_field(np.zeros((1, self._group.size), int))
+        more = (2, lam_f), (3, _plain_field(self._group.rows))
+        symbols = [*self._local.columns, self._local.lam_f, self._local.lam_g]
+        function = ca.Function("hessian", symbols, ca.cse(self._local.hessian))
+        return _Kernel(function, (*self._arguments, *more), (entries,), self._group.size)
+
+    def _kernel(self, name: str, expressions: list[Any], *results: _Entries) -> _Kernel:
+        function = ca.Function(name, self._local.columns, ca.cse(expressions))
+        return _Kernel(function, self._arguments, results, self._group.size)
+
+    def _f(self) -> _Entries:
+        zero = np.zeros((self._local.values[0].nnz(), self._group.size), dtype=int)
+        return _Entries(zero, zero, np.ones(zero.shape))
+
+    def _g(self) -> _Entries:
+        rows = self._group.rows
+        return _Entries(rows, np.zeros_like(rows), np.ones(rows.shape))
+
+    @staticmethod
+    def _places(pattern: ca.Sparsity, dimensions: int) -> list[Index]:
+        return [np.asarray(places, dtype=int) for places in pattern.get_triplet()[:dimensions]]
 
 
 def _moves(field: Field) -> bool:
     return bool(np.any(field.index != CONSTANT))
 
 
-def _map(name: str, inputs: list[Any], outputs: list[Any], n: int) -> ca.Function:
-    return ca.Function(name, inputs, ca.cse(outputs)).map(n)
+def _plain_field(index: Index) -> Field:
+    return Field(index, np.ones(index.shape), np.zeros(index.shape))
 
 
-def _map_fast(name: str, inputs: list[Any], outputs: list[Any], n: int) -> ca.Function:
-    """The same where no derivatives will be taken."""
-    return _fast(ca.Function(name, inputs, ca.cse(outputs)), n)
+class _Sums:
+    """The nonzeros of a sparse matrix, each the sum of some local results; a column is dense."""
+
+    def __init__(self, shape: tuple[int, int], parts: list[_Entries]) -> None:
+        self._parts = parts
+        self._kept = [(part.row >= 0) & (part.column >= 0) for part in parts]
+        keys = [
+            part.column[keep].astype(np.int64) * shape[0] + part.row[keep]
+            for part, keep in zip(parts, self._kept, strict=True)
+        ]
+        if shape[1] == 1:
+            self.pattern, self._targets = ca.Sparsity.dense(*shape), keys
+            return
+        unique, place = np.unique(np.concatenate([np.zeros(0, np.int64), *keys]), return_inverse=True)
+        self._targets = np.split(place, np.cumsum([key.size for key in keys])[:-1]) if keys else []
+        starts = np.searchsorted(unique, np.arange(shape[1] + 1) * shape[0])
+        self.pattern = ca.Sparsity(*shape, starts.tolist(), (unique % max(shape[0], 1)).tolist())
+
+    def matrix(self, part: int, *, by_element: bool) -> sp.coo_array:
+        """Takes the local results of one part to the nonzeros.
+
+        They come element by element as CasADi stores them, or row by row as numpy does.
+        """
+        keep = self._kept[part]
+        length, n = keep.shape
+        order = np.arange(length * n)
+        order = order.reshape(n, length).T if by_element else order.reshape(length, n)
+        where = (self._targets[part], order[keep])
+        return sp.coo_array((self._parts[part].scale[keep], where), (self.pattern.nnz(), length * n))
 
 
-def _fast(function: ca.Function, n: int) -> ca.Function:
-    return Vectorised(function, n) if n >= WORTHWHILE and is_vectorisable(function) else function.map(n)
+class _InCasadi:
+    """Sums as expressions of the inputs, each argument gathered once."""
+
+    def __init__(self, inputs: list[ca.MX]) -> None:
+        self._inputs = inputs
+        self._gathered: dict[int, tuple[Field, ca.MX]] = {}
+
+    def __call__(self, shapes: list[tuple[int, int]], kernels: list[_Kernel]) -> list[ca.MX]:
+        """One expression for each output."""
+        local = [
+            kernel.function.map(kernel.size).call([self._gather(*argument) for argument in kernel.arguments])
+            for kernel in kernels
+        ]
+        outputs = []
+        for number, shape in enumerate(shapes):
+            sums = _Sums(shape, [kernel.results[number] for kernel in kernels])
+            nonzeros = ca.MX.zeros(sums.pattern.nnz(), 1)
+            for part, results in enumerate(local):
+                matrix = sums.matrix(part, by_element=True)
+                if matrix.nnz:
+                    nonzeros += to_casadi(matrix.tocsc()) @ ca.vec(results[number])
+            outputs.append(ca.MX(sums.pattern, nonzeros))
+        return outputs
+
+    def _gather(self, source: int, field: Field) -> ca.MX:
+        """Local values (length, elements) of a field of one input."""
+        if id(field) not in self._gathered:
+            w, (length, n) = self._inputs[source], field.index.shape
+            moving = field.index != CONSTANT
+            place = np.arange(length * n).reshape(n, length).T
+            where = (place[moving], field.index[moving])
+            pick = sp.coo_array((field.scale[moving], where), (length * n, int(w.shape[0])))
+            local = to_casadi(pick.tocsc()) @ w + ca.DM(field.offset.ravel(order="F"))
+            # the field is kept too, for its id to stay its own
+            self._gathered[id(field)] = field, ca.reshape(local, length, n)
+        return self._gathered[id(field)][1]
 
 
-def _gather(field: Field, w: ca.MX) -> ca.MX:
-    """Local values (length, elements) of a field as an expression of its vector."""
-    length, n = field.index.shape
-    place = np.arange(length * n).reshape(n, length).T
-    entries = _Entries(place, field.index, field.scale)
-    local = _matrix((length * n, int(w.shape[0])), entries) @ w + ca.DM(field.offset.ravel(order="F"))
-    return ca.reshape(local, length, n)
+def _in_numpy(
+    name: str, inputs: list[ca.MX], shapes: list[tuple[int, int]], kernels: list[_Kernel]
+) -> Summed:
+    """The same sums as a Function that runs in numpy."""
+    sums = [
+        _Sums(shape, [kernel.results[number] for kernel in kernels]) for number, shape in enumerate(shapes)
+    ]
+    parts = []
+    for part, kernel in enumerate(kernels):
+        matrices = [s.matrix(part, by_element=False).tocsr() for s in sums]
+        if any(matrix.nnz for matrix in matrices):
+            gathers = tuple(_in_numbers(source, field) for source, field in kernel.arguments)
+            parts.append(Part(columnwise(kernel.function, kernel.size), gathers, tuple(matrices)))
+    sparsities = [symbol.sparsity() for symbol in inputs]
+    return Summed(name, sparsities, [s.pattern for s in sums], parts)
 
 
-def _matrix(shape: tuple[int, int], entries: _Entries) -> ca.DM:
-    keep = (entries.row >= 0) & (entries.column >= 0)
-    coo = sp.coo_matrix((entries.scale[keep], (entries.row[keep], entries.column[keep])), shape)
-    return to_casadi(coo.tocsc())
+def _in_numbers(source: int, field: Field) -> Gather:
+    moving = field.index != CONSTANT
+    return Gather(source, np.where(moving, field.index, 0), np.where(moving, field.scale, 0.0), field.offset)
 
 
-def to_casadi(matrix: sp.csc_matrix) -> ca.DM:
+def to_casadi(matrix: sp.csc_array) -> ca.DM:
     """A scipy sparse matrix as a CasADi DM of the same pattern, explicit zeros kept."""
-    return ca.DM(sparsity(matrix), matrix.data)
-
-
-def sparsity(matrix: sp.csc_matrix) -> ca.Sparsity:
-    """The pattern of a scipy sparse matrix."""
     matrix.sort_indices()
-    return ca.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
-
-
-def _sum_into(shape: tuple[int, int], parts: list[tuple[_Entries, ca.MX]]) -> ca.MX:
-    """The sparse matrix whose nonzeros are sums of local results."""
-    kept, keys = [], []
-    for entries, _ in parts:
-        keep = (entries.row >= 0) & (entries.column >= 0)
-        kept.append(keep)
-        keys.append(entries.column[keep].astype(np.int64) * shape[0] + entries.row[keep])
-    unique, place = np.unique(np.concatenate([*keys, np.zeros(0, np.int64)]), return_inverse=True)
-    starts = np.cumsum([0] + [key.size for key in keys])
-    nonzeros = ca.MX.zeros(unique.size, 1)
-    for number, (entries, local) in enumerate(parts):
-        keep = kept[number]
-        length, n = entries.row.shape
-        if not np.any(keep):
-            continue
-        source = np.arange(length * n).reshape(n, length).T[keep]
-        target = place[starts[number] : starts[number + 1]]
-        scatter = _matrix((unique.size, length * n), _Entries(target, source, entries.scale[keep]))
-        nonzeros += scatter @ ca.vec(local)
-    indptr = np.searchsorted(unique, np.arange(shape[1] + 1) * shape[0])
-    pattern = ca.Sparsity(*shape, indptr.tolist(), (unique % max(shape[0], 1)).tolist())
-    return ca.MX(pattern, nonzeros)
-
-
-def _total(terms: list[ca.MX], start: ca.MX) -> ca.MX:
-    for term in terms:
-        start = start + term
-    return start
+    return ca.DM(ca.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist()), matrix.data)

@@ -54,11 +54,10 @@ class Differentiated:
     columns : list of symbols
         Those of the element; the values at points are already substituted.
     lam_f, lam_g : symbols
-    values, first, second : lists of expressions
-        ``f, g``; those again, which costs next to nothing, with the gradient of f (dense) and
-        the nonzeros of the Jacobian of g; nonzeros of the upper triangle of the Hessian of
-        ``lam_f f + lam_g . g``.
-    jacobian_pattern, hessian_pattern : casadi.Sparsity
+    values, gradient, jacobian, hessian : lists of expressions
+        f and g, where f has no nonzero if it is constantly zero; f and the nonzeros of its gradient; g
+        and those of its Jacobian; those of the upper triangle of the Hessian of ``lam_f f + lam_g . g``.
+    gradient_pattern, jacobian_pattern, hessian_pattern : casadi.Sparsity
 
     Parameters
     ----------
@@ -92,10 +91,14 @@ class Differentiated:
                 [f, g, gradient, jacobian, hessian], [values], [chain.values]
             )
         hessian = ca.triu(hessian)
-        self.jacobian_pattern, self.hessian_pattern = jacobian.sparsity(), hessian.sparsity()
+        if f.is_zero():
+            f = kind(1, 1)  # without nonzeros: nothing to evaluate
+        self.gradient_pattern, self.jacobian_pattern = gradient.sparsity(), jacobian.sparsity()
+        self.hessian_pattern = hessian.sparsity()
         self.values = [f, g]
-        self.first = [f, g, ca.densify(gradient), jacobian.nz[:]]
-        self.second = [hessian.nz[:]]
+        self.gradient = [f, gradient.nz[:]]
+        self.jacobian = [g, jacobian.nz[:]]
+        self.hessian = [hessian.nz[:]]
 
 
 class _Chain:

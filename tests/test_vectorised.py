@@ -1,4 +1,4 @@
-"""Element functions run in numpy."""
+"""Element functions, and sums of their results, in numpy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from rmesh_nlp import assembly, vectorised
 from rmesh_nlp.equilibrium import ContactModel
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.relocation import relocation
-from rmesh_nlp.vectorised import CHUNK, Vectorised, is_vectorisable
+from rmesh_nlp.summed import Summed
+from rmesh_nlp.vectorised import CHUNK, Mapped, Vectorised, columnwise, is_vectorisable
 
 
 def every_operation() -> ca.Function:
@@ -34,10 +35,29 @@ def test_the_same_as_a_map(n: int) -> None:
     assert is_vectorisable(function)
     rng = np.random.default_rng(n)
     arguments = [rng.uniform(0.1, 2, (2, n)), rng.uniform(-2, 2, (1, n)), rng.uniform(size=(1, n))]
-    kernel = Vectorised(function, n)
-    for ours, theirs in zip(kernel(*arguments), function.map(n)(*arguments), strict=True):
-        assert ours.sparsity() == theirs.sparsity()
-        np.testing.assert_allclose(ours.full(), theirs.full(), rtol=1e-14, atol=0)
+    given = [a.copy() for a in arguments]
+    results = Vectorised(function, n)(arguments), Mapped(function, n)(arguments)
+    for ours, theirs in zip(*results, strict=True):
+        assert ours.shape == theirs.shape
+        np.testing.assert_allclose(ours, theirs, rtol=1e-14, atol=0)
+    for before, after in zip(given, arguments, strict=True):
+        np.testing.assert_array_equal(before, after)
+
+
+def test_an_argument_may_be_left_out() -> None:
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
+    function = ca.Function("f", [x, y], [x * y, ca.cos(y)])
+    for kernel in (Vectorised(function, 3), Mapped(function, 3)):
+        product, cosine = kernel([np.ones((2, 3)), None])
+        assert not product.any()
+        np.testing.assert_array_equal(cosine, np.ones((1, 3)))
+
+
+def test_what_numpy_cannot_do_is_mapped() -> None:
+    x = ca.SX.sym("x")
+    kernel = columnwise(ca.Function("f", [x], [ca.erf(x)]), vectorised.WORTHWHILE)
+    assert isinstance(kernel, Mapped)
+    assert kernel([np.zeros((1, vectorised.WORTHWHILE))])[0].shape == (1, vectorised.WORTHWHILE)
 
 
 def test_an_unknown_operation_is_noticed() -> None:
@@ -53,8 +73,9 @@ def test_derivatives_of_a_large_mesh_do_not_depend_on_it(name, size, monkeypatch
     fast = relocation(problem)
     monkeypatch.setattr(assembly, "WORTHWHILE", 10**9)
     slow = relocation(problem)
-    assert any(isinstance(kernel, Vectorised) for kernel in fast.derivatives.kernels)
-    assert not any(isinstance(kernel, Vectorised) for kernel in slow.derivatives.kernels)
+    assert all(isinstance(kernel, Summed) for kernel in fast.derivatives.kernels)
+    assert fast.derivatives.kernels
+    assert not slow.derivatives.kernels
     rng = np.random.default_rng(0)
     x, lam = rng.uniform(-0.5, 0.5, fast.nlp.n_x), rng.uniform(size=fast.nlp.n_g)
     for which, arguments in (("grad_f", (x, [])), ("jac_g", (x, [])), ("hess_lag", (x, [], 0.7, lam))):
