@@ -17,11 +17,12 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.assembly import ElementGroup, Field, assemble
+from rmesh_nlp.assembly import assemble
 from rmesh_nlp.contact_system import ContactSystem, Equilibrium
 from rmesh_nlp.element import local_symbols
 from rmesh_nlp.energy import bulk_groups, displacement_field, friction_group, gap_group
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fields import ElementGroup, Field
 from rmesh_nlp.kkt import bound_force_group, contact_force_group, gradient_group, identity_group
 from rmesh_nlp.motion import freedoms, validity_group
 from rmesh_nlp.mpcc import MPCC

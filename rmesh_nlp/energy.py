@@ -13,10 +13,10 @@ import numpy as np
 from scipy.special import roots_jacobi
 from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
-from rmesh_nlp.assembly import CONSTANT, ElementGroup, Field, Index, constant_field
 from rmesh_nlp.coefficients import Coefficient, at, is_nonzero
 from rmesh_nlp.element import PointValues
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fields import CONSTANT, ElementGroup, Field, Index, constant_field
 from rmesh_nlp.laws import Law, energy_density
 from rmesh_nlp.obstacle import Obstacle, Place
 from rmesh_nlp.problem import ContactProblem, Traction

@@ -24,10 +24,11 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.assembly import assemble, unknown_field
+from rmesh_nlp.assembly import assemble
 from rmesh_nlp.contact_system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.energy import bulk_groups, displacement_field, friction_group, gap_group
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
+from rmesh_nlp.fields import unknown_field
 from rmesh_nlp.nlp import Status
 from rmesh_nlp.prediction import first_set
 from rmesh_nlp.problem import ContactProblem

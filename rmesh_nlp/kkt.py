@@ -15,8 +15,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.assembly import CONSTANT, ElementGroup, Field, Index
 from rmesh_nlp.element import local_symbols
+from rmesh_nlp.fields import CONSTANT, ElementGroup, Field, Index
 from rmesh_nlp.problem import ContactProblem, Obstacle
 
 

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.assembly import CONSTANT, ElementGroup, Field
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fields import CONSTANT, ElementGroup, Field
 from rmesh_nlp.lines import sliding_directions
 from rmesh_nlp.moves import Relative, Where
 from rmesh_nlp.problem import ContactProblem, signed_areas

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear, nnls
 
-from rmesh_nlp.assembly import CONSTANT
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fields import CONSTANT
 from rmesh_nlp.motion import Mobility, constrained_elements
 from rmesh_nlp.relocation import Relocation
 

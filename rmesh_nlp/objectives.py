@@ -21,7 +21,6 @@ import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
-from rmesh_nlp.assembly import ElementGroup, Field, Index, constant_field
 from rmesh_nlp.element import local_symbols
 from rmesh_nlp.energy import (
     bulk_groups,
@@ -30,6 +29,7 @@ from rmesh_nlp.energy import (
     objective_group,
     triangle_rule,
 )
+from rmesh_nlp.fields import ElementGroup, Field, Index, constant_field
 from rmesh_nlp.laws import energy_density
 from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, at, signed_areas
 

@@ -14,8 +14,9 @@ from scipy.sparse import coo_array, csgraph
 from skfem import Basis, ElementTriP1
 from skfem.models.poisson import laplace
 
-from rmesh_nlp.assembly import CONSTANT, Field, element_values
+from rmesh_nlp.assembly import element_values
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fields import CONSTANT, Field
 from rmesh_nlp.objectives import energy
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.relocation import Relocation

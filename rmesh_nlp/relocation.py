@@ -17,9 +17,10 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.assembly import Assembled, ElementGroup, Field, assemble, constant_field
+from rmesh_nlp.assembly import Assembled, assemble
 from rmesh_nlp.energy import bulk_groups, displacement_field, friction_group, gap_group
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fields import ElementGroup, Field, constant_field
 from rmesh_nlp.motion import Freedoms, freedoms, validity_group
 from rmesh_nlp.nlp import NLP
 from rmesh_nlp.problem import ContactProblem, Obstacle

@@ -31,12 +31,12 @@ from scipy.optimize import Bounds, minimize
 
 from formulations import joint, nested
 from rmesh_nlp import mpcc
-from rmesh_nlp.assembly import Field
 from rmesh_nlp.contact_system import ActiveSet
 from rmesh_nlp.energy import displacement_field
 from rmesh_nlp.equilibrium import ContactModel, solve
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fields import Field
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.nlp import IPOPT_OPTIONS, Solver
 from rmesh_nlp.outer import SCIPY_MAX_ITERATIONS, SCIPY_TOLERANCE

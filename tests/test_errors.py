@@ -6,9 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.assembly import assemble, constant_field
+from rmesh_nlp.assembly import assemble
 from rmesh_nlp.equilibrium import ContactModel
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
+from rmesh_nlp.fields import constant_field
 from rmesh_nlp.motion import freedoms
 from rmesh_nlp.objectives import parse_objective
 from rmesh_nlp.problem import ContactProblem, ExactSolution, Laplace

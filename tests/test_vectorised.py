@@ -12,7 +12,7 @@ from rmesh_nlp import assembly, vectorised
 from rmesh_nlp.equilibrium import ContactModel
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.relocation import relocation
-from rmesh_nlp.summed import Summed
+from rmesh_nlp.sums import Summed
 from rmesh_nlp.vectorised import CHUNK, Mapped, Vectorised, columnwise, is_vectorisable
 
 

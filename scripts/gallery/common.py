@@ -12,7 +12,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from formulations import fixed, joint, nested
-from rmesh_nlp.assembly import assemble, constant_field
+from rmesh_nlp.assembly import assemble
+from rmesh_nlp.fields import constant_field
 from rmesh_nlp.objectives import parse_objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solution import Solution
