@@ -10,12 +10,10 @@ the nodes move along d: one more solve with the factorised stiffness of the cont
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
-import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
+from rmesh_nlp.blocks import Blocks, SecondDerivatives
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.reduced import ReducedEnergy, ReducedPoint
 from rmesh_nlp.sensitivity import tangent_response
 
@@ -29,43 +27,23 @@ class Curvature:
     """
 
     def __init__(self, energy: ReducedEnergy) -> None:
-        self.energy = energy
-        rel = energy.relocation
-        hessian, jacobian = rel.derivatives.hess_lag, rel.derivatives.jac_g
-        self._hessian, self._jacobian = Evaluator(hessian), Evaluator(jacobian)
-        q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
-        upper = numbered(hessian.sparsity_out(0))
-        self._qq = Symmetric(upper, rel.n_q)
-        self._qu, self._qs = Block(upper, q, u), Block(upper, q, s)
-        self._gap = Block(numbered(jacobian.sparsity_out(1)), rel.gap_rows, q)
+        self._energy, self._derivatives = energy, SecondDerivatives(energy.relocation)
 
     def at(self, point: ReducedPoint) -> Hessian:
         """L'' at a point, ready for products."""
-        x = self.energy.point(point.q, point.equilibrium)
-        rows = np.zeros(self.energy.relocation.nlp.n_g)
-        rows[self.energy.relocation.gap_rows] = -point.equilibrium.normal_force
-        (values,) = self._hessian(x, [], 1.0, rows)
-        _, gap = self._jacobian(x, [])
-        return Hessian(point, self._qq(values), self._qu(values), self._qs(values), self._gap(gap))
+        x = self._energy.point(point.q, point.equilibrium)
+        return Hessian(point, self._derivatives(x, point.equilibrium.normal_force))
 
 
 class Hessian:
-    """L'' at one point; ``products`` counts its applications."""
+    """L'' at one point."""
 
-    def __init__(
-        self,
-        point: ReducedPoint,
-        qq: sp.csc_array,
-        qu: sp.csc_array,
-        qs: sp.csc_array,
-        gap: sp.csc_array,
-    ) -> None:
-        self.qq = qq.T  # the same matrix, but by rows: a product takes half the time
-        self._qu, self._qs, self._gap = qu, qs, gap
-        self._uq, self._sq, self._gap_q = qu.T, qs.T, gap.T
+    def __init__(self, point: ReducedPoint, blocks: Blocks) -> None:
+        self.qq = blocks.qq.T  # the same matrix, but by rows: a product takes half the time
+        self._qu, self._qs = blocks.qu, blocks.qs
+        self._uq, self._sq, self._gap, self._gap_q = blocks.qu.T, blocks.qs.T, blocks.gap, blocks.gap.T
         self._system, self._active = point.system, point.equilibrium.active
         self._respond = tangent_response(point.system, self._active)
-        self.products = 0
 
     def diagonal(self) -> Array:
         """Size of the diagonal of Lambda_qq, kept away from zero."""
@@ -74,7 +52,6 @@ class Hessian:
 
     def __call__(self, d: Array) -> Array:
         """``L'' d``."""
-        self.products += 1
         out_of_balance = self._uq @ d
         frictional = self._system.slip_bound.size > 0
         if frictional:

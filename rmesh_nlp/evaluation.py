@@ -55,13 +55,6 @@ class Evaluator:
         return [output.copy() for output in self._outputs]
 
 
-def pattern(sparsity: ca.Sparsity) -> sp.csc_array:
-    """A scipy matrix of ones with the pattern of a CasADi one."""
-    shape = sparsity.shape
-    data = np.ones(sparsity.nnz())
-    return sp.csc_array((data, sparsity.row(), sparsity.colind()), shape=shape)
-
-
 class Block:
     """Makes a block of a sparse matrix from the nonzeros of the whole; where they are is found once.
 
@@ -96,8 +89,8 @@ class Symmetric(Block):
 
 def numbered(sparsity: ca.Sparsity) -> sp.csc_array:
     """A pattern with 1, 2, ... as values, in the order of CasADi's nonzeros."""
-    matrix = pattern(sparsity)
-    return sp.csc_array((np.arange(1, matrix.nnz + 1), matrix.indices, matrix.indptr), shape=matrix.shape)
+    values = np.arange(1, sparsity.nnz() + 1)
+    return sp.csc_array((values, sparsity.row(), sparsity.colind()), shape=sparsity.shape)
 
 
 def flat(matrix: ca.DM) -> Array:

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from rmesh_nlp.assembly import assemble
+from rmesh_nlp.blocks import SecondDerivatives
 from rmesh_nlp.contact_system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.equilibrium import ContactModel, solve
-from rmesh_nlp.evaluation import Array, Evaluator, pattern
+from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.objectives import Objective
 from rmesh_nlp.relocation import Relocation
 from rmesh_nlp.sensitivity import adjoint, weakly_active
@@ -126,14 +126,8 @@ class ReducedObjective:
         fields = (rel.freedoms.positions, rel.displacement, rel.slip)
         outer = assemble(objective.groups(rel.problem, *fields), nlp.x, nlp.p, 0)
         self._kernels = outer.kernels
-        value, gradient = outer.grad_f(nlp.x, nlp.p)
-        self._outer = Evaluator(ca.Function("outer", [nlp.x], [value, gradient]))
-        lam = ca.MX.sym("lam", rel.n_contact)
-        rows = ca.vertcat(-lam, ca.MX.zeros(nlp.n_g - rel.n_contact))
-        mixed = rel.derivatives.hess_lag(nlp.x, nlp.p, 1.0, rows)[: rel.n_q, rel.n_q :]
-        gap = rel.derivatives.jac_g(nlp.x, nlp.p)[1][rel.gap_rows, : rel.n_q]
-        self._mixed_pattern, self._gap_pattern = pattern(mixed.sparsity()), pattern(gap.sparsity())
-        self._inner = Evaluator(ca.Function("inner", [nlp.x, lam], [mixed, gap]))
+        self._outer = Evaluator(outer.grad_f)
+        self._derivatives = SecondDerivatives(rel)
 
     @property
     def contact_solves(self) -> int:
@@ -145,19 +139,14 @@ class ReducedObjective:
         rel, inner = self.energy.relocation, self.energy(q)
         system, state = inner.system, inner.equilibrium
         x = self.energy.point(q, state)
-        value, gradient = self._outer(x)
+        value, gradient = self._outer(x, [])
         f_q, f_u, f_s = np.split(gradient, [rel.n_q, rel.n_q + rel.n_u])
         direction = np.sign(system.tangents @ state.u) if rel.n_s else np.zeros(0)
         if rel.n_s:
             f_u = f_u + system.tangents.T @ (direction * f_s)
         p, reaction = adjoint(system, state.active, f_u)
-        mixed, gap = self._inner(x, state.normal_force)
-        to_p = p if not rel.n_s else np.concatenate([p, state.active.sliding * (system.tangents @ p)])
-        total = (
-            f_q - _filled(self._mixed_pattern, mixed) @ to_p - _filled(self._gap_pattern, gap).T @ reaction
-        )
+        blocks = self._derivatives(x, state.normal_force)
+        total = f_q - blocks.qu @ p - blocks.gap.T @ reaction
+        if rel.n_s:
+            total -= blocks.qs @ (state.active.sliding * (system.tangents @ p))
         return ReducedPoint(np.array(q), float(value[0]), total, system, state)
-
-
-def _filled(shape: sp.csc_array, data: Array) -> sp.csc_array:
-    return sp.csc_array((data, shape.indices, shape.indptr), shape=shape.shape)
