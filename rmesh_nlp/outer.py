@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
+from rmesh_nlp.alternating import alternated
 from rmesh_nlp.assembly import assemble
 from rmesh_nlp.callbacks import Monitor
 from rmesh_nlp.curvature import Curvature
@@ -21,7 +22,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.newton import Evaluation
 from rmesh_nlp.newton import minimise as newton
 from rmesh_nlp.nlp import NLP, Derivatives, Solver, Status
-from rmesh_nlp.recombination import Recombination, alternating
+from rmesh_nlp.recombination import Recombination
 from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
 from rmesh_nlp.referee import Referee
 
@@ -161,13 +162,9 @@ def _newton(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterRes
 def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
     """Newton-CG from alternating moves and from the start, the better blocks of both, and on from there."""
     descent = _Descent(program, monitor)
-    relocation, bound = descent.energy.relocation, program.nlp.ubx
-    alternate = alternating(relocation)
+    relocation = descent.energy.relocation
     here = descent.energy(start)
-    step = -ALTERNATING * np.sign(here.gradient @ alternate) * alternate
-    while not descent.is_valid(np.clip(start + step, -bound, bound)):
-        step = step / 2
-    starts = (np.clip(start + step, -bound, bound), start)
+    starts = (alternated(relocation, start, here.gradient, ALTERNATING, descent.is_valid), start)
     points = [
         descent.energy(descent(q, stationary=np.inf, gain=LOOSE, reference=here.value).q) for q in starts
     ]

@@ -10,9 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csgraph
-from skfem import Basis, ElementTriP1
-from skfem.models.poisson import laplace
 
 from rmesh_nlp.assembly import element_values
 from rmesh_nlp.evaluation import Array
@@ -23,9 +20,6 @@ from rmesh_nlp.relocation import Relocation
 
 COLOURS = 4
 """Of the blocks, in a chequerboard of two by two: blocks of one colour do not touch."""
-
-STRONG = 0.1
-"""Least coupling of two nodes, relative to the strongest of the mesh, that makes them neighbours."""
 
 
 class Recombination:
@@ -97,34 +91,3 @@ def _name_owners(node: NDArray[np.int64], field: Field) -> None:
     """Write to ``node[k]`` a node whose value depends on the unknown k."""
     used = field.index != CONSTANT
     node[field.index[used]] = np.broadcast_to(np.arange(field.index.shape[1]), field.index.shape)[used]
-
-
-def alternating(relocation: Relocation) -> Array:
-    """Moves of one box, to opposite sides at neighbouring nodes as far as the mesh allows it.
-
-    Two nodes are neighbours if the Laplace stiffness couples them. From one node the sign
-    changes with each edge of the shortest way: red and black on a structured grid, where a right
-    angle does not couple, and rings on others. So the patterns that grow from it are in step
-    all over the mesh.
-    """
-    rel = relocation
-    mesh = rel.problem.mesh
-    coupling = coo_array(-laplace.assemble(Basis(mesh, ElementTriP1())))
-    strong = (coupling.row != coupling.col) & (coupling.data > STRONG * coupling.data.max())
-    graph = coo_array((np.ones(strong.sum()), (coupling.row[strong], coupling.col[strong])), coupling.shape)
-    steps = _steps_from_first(graph.tocsr())
-    sign = np.where(steps % 2 == 0, 1.0, -1.0)
-    index = rel.freedoms.positions.index
-    q = np.zeros(rel.n_q)
-    for component in index:
-        used = component != CONSTANT
-        q[component[used]] = sign[used]
-    return q
-
-
-def _steps_from_first(graph: object) -> NDArray[np.int64]:
-    """Edges on the shortest way from the first node of each connected part."""
-    _, part = csgraph.connected_components(graph, directed=False)
-    first = np.unique(part, return_index=True)[1]
-    distance = csgraph.dijkstra(graph, directed=False, indices=first, unweighted=True, min_only=True)
-    return np.asarray(distance, dtype=np.int64)

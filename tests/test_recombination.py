@@ -11,7 +11,7 @@ from formulations import nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.motion import least_angles
 from rmesh_nlp.problem import signed_areas
-from rmesh_nlp.recombination import Recombination, alternating
+from rmesh_nlp.recombination import Recombination
 from rmesh_nlp.referee import Referee
 
 
@@ -47,17 +47,6 @@ def test_elements_stay_valid_where_boxes_are_large() -> None:
         problem.mesh.p, problem.triangles
     )
     assert ratio.min() >= problem.motion.min_area_fraction
-
-
-def test_alternating_moves_are_red_and_black_on_a_structured_grid() -> None:
-    problem = EXAMPLES["6.1"](6)
-    relocation = Referee(problem).relocation
-    moves = relocation.nodes(alternating(relocation)) - problem.mesh.p
-    i, j = np.rint(6 * problem.mesh.p).astype(int)
-    free = np.all(moves != 0, axis=0)
-    sign = np.sign(moves[0, free]) * (-1.0) ** (i + j)[free]
-    assert free.sum() == 25
-    assert np.all(sign == sign[0])
 
 
 def test_a_pair_of_descents_ends_lower_than_either() -> None:
