@@ -10,44 +10,33 @@ or meet negative curvature; the projection then shortens that step, so that the 
 although the model is right. In a box the step ends in a corner of the trusted part of the box
 instead, and the same model is used until it has nothing left to give: of the functions here, a
 derivative costs as much as dozens of Hessian products.
+
+Walls are smooth constraints that cost nothing beside the function. They are handled in the manner of feasible
+sequential quadratic programming (E. R. Panier, A. L. Tits, On combining feasibility, descent and
+superlinear convergence in inequality constrained optimization, Math. Programming 59 (1993) 261-276):
+a step obeys their linearisation, the model has the Hessian of the Lagrangian, and what curvature
+leaves of a violation is taken back before the function is evaluated. So the function itself is
+the merit, there is no penalty or barrier, and a wall that is not met changes nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.newton_step import BoxStep, Model, WalledStep
 from rmesh_nlp.nlp import Status
+from rmesh_nlp.walls import Walls, is_inside
 
 SUFFICIENT = 1e-4
 """Least ratio of actual to predicted decrease of an accepted step."""
 
-MAX_PRODUCTS = 40
-"""Hessian products of one step."""
-
 FIRST_RADIUS = 0.5
 """First half-width of the trust region, as a part of the longest move of the scaled gradient step."""
-
-WORTHWHILE = 0.06
-"""Least part of a step's decrease that the last round of conjugate gradients must give."""
-
-OVERSHOOT = 2.0
-"""How far beyond the trust region, in its widths, a direction is followed before it is projected."""
-
-
-class Model(Protocol):
-    """A second-order model of the function at a point."""
-
-    def __call__(self, d: Array) -> Array:
-        """Hessian times ``d``."""
-
-    def diagonal(self) -> Array:
-        """A positive diagonal to scale the variables with."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +70,10 @@ def minimise(
     reference: float | None = None,
     max_iterations: int = 200,
     forcing: float = 0.1,
+    walls: Walls | None = None,
     on_step: Callable[[int, Array, Evaluation], None] | None = None,
 ) -> NewtonResult:
-    """Minimise in the box ``lower <= x <= upper``.
+    """Minimise in the box ``lower <= x <= upper``, and within walls if there are any.
 
     Converged means two things: the point is stationary, and the model sees no decrease worth a
     step. On a fine mesh every point is nearly stationary, for each node has little to say.
@@ -92,10 +82,10 @@ def minimise(
     ----------
     evaluate : callable
         Value, gradient and model at a point of the box; None where the function is not
-        defined (an element would be inverted), which makes the trust region shrink.
+        defined, which makes the trust region shrink.
     start, lower, upper : (n,) arrays
     tolerance : float
-        Stationary: ``max |x - proj(x - g / |f|)|`` is at most this.
+        Stationary: ``max |x - proj(x - g / |f|)|`` is at most this, g less the pull of the walls.
     gain_tolerance : float
         No decrease: the model predicts less than this fraction of the decrease so far.
     reference : float, optional
@@ -103,6 +93,8 @@ def minimise(
     max_iterations : int
     forcing : float
         Conjugate gradients stop at this fraction of the residual they began with.
+    walls : Walls, optional
+        Constraints that ``start`` obeys.
     on_step : callable, optional
         Called with the iteration, the point and its evaluation.
     """
@@ -113,17 +105,20 @@ def minimise(
     reference, products = here.value if reference is None else reference, 0
     radius = 0.0
     model = here.model()
+    domain = _Box(lower, upper) if walls is None else _WalledBox(lower, upper, walls)
+    domain.arrive(x)
     for iteration in range(max_iterations + 1):
         if on_step is not None:
             on_step(iteration, x, here)
         g = here.gradient
         unit = max(abs(here.value), 1e-300)
-        residual = np.max(np.abs(x - np.clip(x - g / unit, lower, upper)), initial=0.0)
+        step_down = np.clip(x - domain.released(g) / unit, lower, upper)
+        residual = np.max(np.abs(x - step_down), initial=0.0)
         if iteration == max_iterations:
             break
         accepted = False
         while not accepted:
-            step = _Step(model, g)
+            step = domain.step(model, g)
             if radius == 0.0:
                 newton_like = np.clip(x - g / step.scale, lower, upper) - x
                 radius = FIRST_RADIUS * float(np.max(np.abs(newton_like), initial=0.0))
@@ -134,100 +129,81 @@ def minimise(
             if not np.any(s) or predicted <= 1e-16 * unit:
                 status = Status.CONVERGED if residual <= tolerance else Status.STALLED
                 return NewtonResult(x, here.value, status, iteration, products)
-            trial = np.clip(x + s, lower, upper)
-            there = evaluate(trial)
+            landed = domain.land(np.clip(x + s, lower, upper), step, s)
+            there = None if landed is None else evaluate(landed)
             actual = here.value - there.value if there is not None else -np.inf
             ratio = actual / predicted
             if ratio < 0.25:
                 radius = 0.25 * float(np.max(np.abs(s)))
             elif ratio > 0.75:
                 radius = 4 * radius
-            if there is not None and ratio > SUFFICIENT:
-                x, here, accepted = trial, there, True
+            if landed is not None and there is not None and ratio > SUFFICIENT:
+                x, here, accepted = landed, there, True
                 model = here.model()
+                domain.arrive(x)
     return NewtonResult(x, here.value, Status.ITERATION_LIMIT, max_iterations, products)
 
 
-class _Step:
-    """Minimises ``g . s + 1/2 s . H s`` approximately over a box that holds s = 0."""
+class _Box:
+    """Where the method may go, seen from its last point."""
 
-    def __init__(self, model: Model, g: Array) -> None:
-        self._model, self._g = model, g
-        self.scale = model.diagonal()
-        self.products = 0
-
-    def solve(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
-        """A step within the box, and the decrease that the model predicts."""
+    def __init__(self, lower: Array, upper: Array) -> None:
         self._lower, self._upper = lower, upper
-        s, Hs = self._cauchy()
-        while self.products < MAX_PRODUCTS:
-            free = (s > lower) & (s < upper)
-            residual = np.where(free, self._g + Hs, 0.0)
-            if self._dual_norm(residual) <= forcing * self._dual_norm(np.where(free, self._g, 0.0)):
-                break
-            w = self._conjugate_gradients(residual, free, forcing)
-            moved, H_moved = self._projected_search(s, residual, w)
-            decrease = -float(residual @ moved + 0.5 * moved @ H_moved)
-            s, Hs = s + moved, Hs + H_moved
-            if decrease <= WORTHWHILE * self._decrease(s, Hs):
-                break
-        return s, self._decrease(s, Hs)
 
-    def _decrease(self, s: Array, Hs: Array) -> float:
-        return float(-(self._g @ s + 0.5 * s @ Hs))
+    def arrive(self, x: Array) -> None:
+        """Take note of a new point."""
 
-    def _product(self, d: Array) -> Array:
-        self.products += 1
-        return self._model(d)
+    def released(self, g: Array) -> Array:
+        """A gradient less the pull of the walls."""
+        return g
 
-    def _dual_norm(self, r: Array) -> float:
-        return float(np.sqrt(r @ (r / self.scale)))
+    def step(self, model: Model, g: Array) -> BoxStep:
+        """The minimiser of the model."""
+        return BoxStep(model, g)
 
-    def _clip(self, s: Array) -> Array:
-        return np.clip(s, self._lower, self._upper)
+    def land(self, trial: Array, step: BoxStep, s: Array) -> Array | None:
+        """The point that the step ``s`` to ``trial`` leads to; None if there is none."""
+        return trial
 
-    def _cauchy(self) -> tuple[Array, Array]:
-        """Generalised Cauchy point along the projected scaled gradient."""
-        direction = -self._g / self.scale
-        alpha = 1.0
-        s = self._clip(direction)
-        while np.any(s):
-            Hs = self._product(s)
-            if self._g @ s + 0.5 * s @ Hs <= 0.01 * (self._g @ s):
-                return s, Hs
-            alpha *= 0.25
-            s = self._clip(alpha * direction)
-        return s, np.zeros_like(s)
 
-    def _conjugate_gradients(self, residual: Array, free: NDArray[np.bool_], forcing: float) -> Array:
-        """Steps over the free variables, until they converge or lead far out of the box."""
-        far = OVERSHOOT * float(np.max(np.maximum(self._upper, -self._lower)))
-        w, r = np.zeros_like(residual), -residual
-        z = r / self.scale
-        p, rz = z.copy(), float(r @ z)
-        target = forcing**2 * rz
-        while self.products < MAX_PRODUCTS:
-            Hp = np.where(free, self._product(p), 0.0)
-            curvature = float(p @ Hp)
-            if curvature <= 0:
-                return w + far / max(float(np.max(np.abs(p))), 1e-300) * p
-            alpha = rz / curvature
-            w, r = w + alpha * p, r - alpha * Hp
-            z = r / self.scale
-            rz, old = float(r @ z), rz
-            if rz <= target or np.max(np.abs(w)) > far:
-                break
-            p = z + (rz / old) * p
-        return w
+class _WalledBox(_Box):
+    """The same with walls; keeps their multipliers from one step to the next."""
 
-    def _projected_search(self, s: Array, gradient: Array, w: Array) -> tuple[Array, Array]:
-        """A step along the projected path of ``w`` that decreases the model."""
-        beta = 1.0
-        for _ in range(30):
-            moved = self._clip(s + beta * w) - s
-            H_moved = self._product(moved)
-            slope = gradient @ moved
-            if slope + 0.5 * moved @ H_moved <= 0.01 * np.minimum(slope, 0.0):
-                return moved, H_moved
-            beta *= 0.5
-        return np.zeros_like(s), np.zeros_like(s)
+    def __init__(self, lower: Array, upper: Array, walls: Walls) -> None:
+        super().__init__(lower, upper)
+        self._walls = walls
+        self._pull: Array | None = None
+
+    def arrive(self, x: Array) -> None:
+        self._x, self._wall = x, self._walls.at(x)
+        self._inside = is_inside(x, self._lower, self._upper)
+
+    def released(self, g: Array) -> Array:
+        multipliers = self._wall.fitted(g, self._inside)
+        if self._pull is None:
+            self._pull = multipliers
+        return g - self._wall.jacobian.T @ multipliers
+
+    def step(self, model: Model, g: Array) -> BoxStep:
+        assert self._pull is not None  # released comes first
+        return WalledStep(_Bent(model, self._walls.hessian(self._x, self._pull)), g, self._wall)
+
+    def land(self, trial: Array, step: BoxStep, s: Array) -> Array | None:
+        # of a step that will be rejected too: its rows are those that the next one meets
+        assert isinstance(step, WalledStep)
+        self._pull = step.multipliers(s)
+        return self._walls.back(trial, self._wall, self._lower, self._upper, step.scale)
+
+
+@dataclass(frozen=True)
+class _Bent:
+    """A model less the curvature of walls that pull: the Hessian of the Lagrangian."""
+
+    model: Model
+    walls: sp.csc_array
+
+    def __call__(self, d: Array) -> Array:
+        return self.model(d) - self.walls @ d
+
+    def diagonal(self) -> Array:
+        return self.model.diagonal()

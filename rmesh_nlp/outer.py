@@ -25,6 +25,7 @@ from rmesh_nlp.nlp import NLP, Derivatives, Solver, Status
 from rmesh_nlp.recombination import Recombination
 from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
 from rmesh_nlp.referee import Referee
+from rmesh_nlp.validity import Validity
 
 NAN = float("nan")
 
@@ -155,7 +156,7 @@ def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResu
 
 
 def _newton(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
-    """Projected trust-region Newton-CG; an invalid mesh makes the trust region shrink."""
+    """Projected trust-region Newton-CG; the elements that the boxes do not keep valid are its walls."""
     return _Descent(program, monitor)(start, stationary=STATIONARY, gain=TIGHT)
 
 
@@ -189,6 +190,7 @@ class _Descent:
         self.energy = program.function
         self._program, self._monitor = program, monitor
         self._curvature = Curvature(self.energy)
+        self._walls = Validity(self.energy.relocation) if program.nlp.n_g else None
         self._iterations = 0
 
     def __call__(
@@ -204,6 +206,7 @@ class _Descent:
             tolerance=stationary,
             gain_tolerance=gain,
             reference=reference,
+            walls=self._walls,
             on_step=lambda iteration, q, here: self._monitor(before + iteration, q, here.value),
         )
         self._iterations += result.iterations

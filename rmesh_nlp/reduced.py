@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from rmesh_nlp.assembly import assemble
 from rmesh_nlp.blocks import SecondDerivatives
@@ -17,9 +16,7 @@ from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.objectives import Objective
 from rmesh_nlp.relocation import Relocation
 from rmesh_nlp.sensitivity import adjoint, weakly_active
-
-ACTIVE_AREA = 1e-6
-"""Scaled distance to its bound below which an element-area constraint counts as active."""
+from rmesh_nlp.walls import fit, is_inside
 
 
 @dataclass(frozen=True)
@@ -101,12 +98,8 @@ class ReducedEnergy:
         if self.relocation.n_valid:
             area, jacobian = self._areas(self.point(point.q, point.equilibrium))
             bound = self.relocation.nlp.lbg[self.relocation.validity_rows]
-            active = np.flatnonzero(area.full().ravel() - bound < ACTIVE_AREA)
-            if active.size:
-                inside = np.abs(point.q) < box - 1e-6
-                rows = jacobian.full()[active]
-                multipliers = nnls(rows[:, inside].T, r[inside])[0]
-                r = r - rows.T @ multipliers
+            rows = jacobian.sparse().tocsr()
+            r = r - rows.T @ fit(area.full().ravel() - bound, rows, r, is_inside(point.q, -box, box))
         return float(np.max(np.abs(point.q - np.clip(point.q - r / scale, -box, box)), initial=0.0))
 
 

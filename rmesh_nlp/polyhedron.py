@@ -1,0 +1,149 @@
+"""A box cut by a few linear rows, and the nearest point of it.
+
+The projection is that of the norm ``d . scale d``. Its dual has one unknown per row, is concave and
+piecewise quadratic, and nearly all multipliers are zero: Newton's method on the rows that pull
+takes a few small systems, damped where a kink is in the way (a semismooth Newton method: L. Qi,
+J. Sun, A nonsmooth version of Newton's method, Math. Programming 58 (1993) 353-367).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from rmesh_nlp.evaluation import Array
+
+MAX_DUAL_STEPS = 200
+"""Newton steps on the dual of a projection."""
+
+EXACT = 1e-10
+"""Violation of a row at which its projection ends."""
+
+HELD = 1e-7
+"""Value of a row at which it counts as active; also the violation that a step may have."""
+
+REGULAR = 1e-10
+"""Part of a row's own coupling that is added to it: the rows of one element may depend on each other."""
+
+LEAST_DAMPING = 1e-4
+"""First such part where a Newton step does not raise the dual enough."""
+
+LENGTHS = tuple(0.3**k for k in range(8))
+"""Parts of a Newton step that are tried, one after the other, before it is damped."""
+
+SUFFICIENT = 1e-4
+"""Least part of the slope of the dual that an accepted step gives."""
+
+
+@dataclass(frozen=True)
+class Face:
+    """A face of the set: some rows hold, some variables are held by their bounds.
+
+    Attributes
+    ----------
+    precondition : callable
+        ``r / scale`` less what leads out of the face.
+    multipliers : callable
+        Those of the rows for a gradient r, by least squares.
+    """
+
+    precondition: Callable[[Array], Array]
+    multipliers: Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Polyhedron:
+    """The steps d with ``lower <= d <= upper`` and ``slack + jacobian d >= 0``.
+
+    Attributes
+    ----------
+    lower, upper : (n,) arrays
+    slack : (rows,) array
+    jacobian : (rows, n) sparse array, by rows
+    scale : (n,) array
+        The positive diagonal of the norm.
+    """
+
+    lower: Array
+    upper: Array
+    slack: Array
+    jacobian: sp.csr_array
+    scale: Array
+
+    def nearest(self, d: Array) -> Array:
+        """The projection of ``d`` if d = 0 is in the set, or a point on the way there if it is not found."""
+        near = self.project(d)
+        change = self.jacobian @ near
+        short = self.slack + change < -HELD
+        if np.any(short):
+            near = near * np.min(self.slack[short] / -change[short])
+        return near
+
+    def project(self, d: Array) -> Array:
+        """The projection of ``d``, as exactly as Newton's method finds it."""
+        multipliers = np.zeros(self.slack.size)
+        near, dual = self._lagrangian(d, multipliers)
+        damping = REGULAR
+        for _ in range(MAX_DUAL_STEPS):
+            value = self.slack + self.jacobian @ near
+            if np.all(np.where(multipliers > 0, np.abs(value), -value) <= EXACT):
+                break
+            pulling = np.flatnonzero((multipliers > 0) | (value < 0))
+            inside = (near > self.lower) & (near < self.upper)
+            newton = np.zeros(multipliers.size)
+            newton[pulling] = -self._coupled(pulling, inside, damping)(value[pulling])
+            damping = max(LEAST_DAMPING, 10 * damping)
+            for length in LENGTHS:
+                trial = np.maximum(multipliers + length * newton, 0.0)
+                near_there, dual_there = self._lagrangian(d, trial)
+                slope = -float(value @ (trial - multipliers))
+                if slope > 0 and dual_there >= dual + SUFFICIENT * slope:
+                    multipliers, near, dual = trial, near_there, dual_there
+                    damping = max(REGULAR, 0.01 * damping)
+                    break
+        return near
+
+    def active(self, d: Array) -> NDArray[np.int64]:
+        """The rows that hold ``d``."""
+        return np.flatnonzero(self.slack + self.jacobian @ d <= HELD)
+
+    def face(self, rows: NDArray[np.int64], inside: NDArray[np.bool_]) -> Face:
+        """The face where these rows hold and only the variables ``inside`` are free."""
+        weight = inside / self.scale
+        if rows.size == 0:
+            return Face(lambda r: weight * r, lambda r: np.zeros(0))
+        jacobian, solve = self.jacobian[rows], self._coupled(rows, inside, REGULAR)
+
+        def multipliers(r: Array) -> Array:
+            return solve(jacobian @ (weight * r))
+
+        return Face(lambda r: weight * (r - jacobian.T @ multipliers(r)), multipliers)
+
+    def _lagrangian(self, d: Array, multipliers: Array) -> tuple[Array, float]:
+        """Where the Lagrangian of the projection is least over the box, and its value there: the dual."""
+        near = np.clip(d + (self.jacobian.T @ multipliers) / self.scale, self.lower, self.upper)
+        distance = 0.5 * float((near - d) @ (self.scale * (near - d)))
+        return near, distance - float(multipliers @ (self.slack + self.jacobian @ near))
+
+    def _coupled(
+        self, rows: NDArray[np.int64], inside: NDArray[np.bool_], damping: float
+    ) -> Callable[[Array], Array]:
+        """Solves with ``J scale^-1 J^T`` of the given rows and the variables ``inside``."""
+        jacobian = self.jacobian[rows]
+        weighted = jacobian.copy()
+        weighted.data = weighted.data * (inside / self.scale)[weighted.indices]
+        added = sp.diags_array(damping * self._whole[rows])
+        solve: Callable[[Array], Array] = splu(sp.csc_array(weighted @ jacobian.T + added)).solve
+        return solve
+
+    @cached_property
+    def _whole(self) -> Array:
+        """Diagonal of the coupling if no variable is held; 1 for a row without variables."""
+        whole = np.asarray(self.jacobian.power(2) @ (1 / self.scale))
+        return np.where(whole > 0, whole, 1.0)

@@ -1,0 +1,73 @@
+"""Smooth constraints ``c(x) >= 0`` of a descent, many of them, few of which are met."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from rmesh_nlp.evaluation import Array
+
+ACTIVE = 1e-6
+"""Slack below which a row counts as active, and distance to a bound below which that does."""
+
+
+@dataclass(frozen=True)
+class Wall:
+    """The rows at a point.
+
+    Attributes
+    ----------
+    slack : (rows,) array
+        Their values c, not negative.
+    floor : (rows,) array
+        Least value that a step from this point may leave; at most the slack.
+    jacobian : (rows, n) sparse array, by rows
+    """
+
+    slack: Array
+    floor: Array
+    jacobian: sp.csr_array
+
+    def fitted(self, gradient: Array, inside: NDArray[np.bool_]) -> Array:
+        """Multipliers of all rows, see :func:`fit`."""
+        return fit(self.slack, self.jacobian, gradient, inside)
+
+
+class Walls(Protocol):
+    """Constraints that cost nothing beside the function."""
+
+    def at(self, x: Array) -> Wall:
+        """The rows at a point."""
+
+    def hessian(self, x: Array, multipliers: Array) -> sp.csc_array:
+        """The Hessian of ``multipliers . c``."""
+
+    def back(self, x: Array, wall: Wall, lower: Array, upper: Array, scale: Array) -> Array | None:
+        """A point of the box near ``x`` that obeys the rows, in the norm of ``scale``; None if none is found.
+
+        ``wall`` is where the step to ``x`` began: rows that are not obeyed come back to its floor.
+        """
+
+
+def fit(slack: Array, jacobian: Any, gradient: Array, inside: NDArray[np.bool_]) -> Array:
+    """Multipliers of active rows: non-negative least squares for ``gradient = jacobian^T multipliers``.
+
+    Only the variables that are ``inside`` their bounds count; the others have multipliers of their own.
+    Rows that are not active have zero.
+    """
+    multipliers = np.zeros(slack.size)
+    active = np.flatnonzero(slack < ACTIVE)
+    if active.size:
+        matrix = jacobian[active][:, inside].T.toarray()
+        multipliers[active] = nnls(matrix, gradient[inside], maxiter=30 * active.size)[0]
+    return multipliers
+
+
+def is_inside(x: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
+    """Variables that are off their bounds."""
+    return np.asarray((x - lower > ACTIVE) & (upper - x > ACTIVE))
