@@ -20,7 +20,7 @@ from rmesh_nlp.walls import Wall
 CLEAR = 1e-9
 """Slack, in units of the initial area, of a row that holds: valid in spite of rounding, and active."""
 
-KEPT = 0.1
+KEPT = 0.01
 """Part of its slack that a step leaves to an element: far away the linearisation is not to be trusted ..."""
 
 NEAR = 1e-2

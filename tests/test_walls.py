@@ -156,7 +156,7 @@ def test_newton_converges_where_areas_are_at_their_bounds(name: str, outer: str)
     assert np.any(solution.multipliers.area > 0)
     # other local minima than joint's, but none that is much worse
     best = joint.solve(problem)
-    assert solution.energy_initial - solution.energy >= 0.96 * (best.energy_initial - best.energy)
+    assert solution.energy_initial - solution.energy >= 0.9 * (best.energy_initial - best.energy)
 
 
 def test_newton_converges_where_angles_are_at_their_bounds() -> None:
