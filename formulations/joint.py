@@ -44,9 +44,9 @@ WITH_AREAS: Mapping[str, Any] = {
     "compl_inf_tol": 1e-12,
     "acceptable_tol": 1e-9,
 }
-"""The same where element areas are constraints: against so large an objective Ipopt gives too little
-weight to them, and its restoration ends at points that it takes for infeasible (6.2 on 36 x 18 and
-48 x 24 squares)."""
+"""The same where element areas are constraints, in Ipopt's own units: in those of `pull` the rounding of
+the forces can be above every tolerance, and Ipopt's restoration then leaves the minimiser and ends as
+infeasible (6.2 on 36 x 18 and 48 x 24 squares). docs/speed.md has the remedies that were tried."""
 
 
 FINE = 3000
