@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from rmesh_nlp.coefficients import on_points
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.geometry import signed_areas
+from rmesh_nlp.geometry import overlapping, signed_areas
 from rmesh_nlp.obstacle import Place
 
 if TYPE_CHECKING:
@@ -76,6 +76,9 @@ def _check_names(problem: ContactProblem) -> None:
     if not np.all(np.abs(signed_areas(mesh.p, mesh.t)) > 0):
         bad = int(np.flatnonzero(~(np.abs(signed_areas(mesh.p, mesh.t)) > 0))[0])
         raise ProblemError("mesh", f"element {bad} of the mesh has no area")
+    edge = overlapping(problem.triangles)
+    if edge is not None:
+        raise ProblemError("mesh", f"the mesh is folded at the edge between nodes {edge[0]} and {edge[1]}")
     if not problem.dirichlet:
         raise ProblemError(
             "dirichlet", "at least one boundary must be held (dirichlet), or the energy has no minimum"

@@ -138,7 +138,8 @@ def example_62(n: Size = (12, 6), delta: Delta | None = None) -> ContactProblem:
     """Example 6.2: elastic body (0,4) x (0.05,1) above a rigid foundation, no friction.
 
     Held on x_1 = 0, pressed down by 57.5 N/m^2 on the top where x_1 > 2; initial distance
-    alpha = 0.05. The grid is the uniform one of (0,4) x (0,1) with its bottom row moved up.
+    alpha = 0.05. The grid is the uniform one of (0,4) x (0,1) with its bottom row moved up, so it
+    must have fewer than 20 rows of squares.
     """
     return _elastic("6.2", n, delta, bottom=0.05, traction=(0.0, -LOAD), friction=0.0)
 
@@ -159,6 +160,8 @@ def _elastic(
     nx, ny = _size(n)
     if nx % 2:
         raise ValueError(f"{name}: the load begins at x = 2, so the number of columns must be even, got {nx}")
+    if bottom * ny >= 1:
+        raise ValueError(f"{name}: the bottom row is moved up to {bottom}, beyond the next one of {ny} rows")
     x, y = np.meshgrid(np.linspace(0, 4, nx + 1), np.linspace(0, 1, ny + 1), indexing="ij")
     y[:, 0] = bottom
     mesh = _grid(x, y, rising=False).with_boundaries(

@@ -21,3 +21,14 @@ def counter_clockwise(nodes: NDArray, triangles: NDArray) -> NDArray[np.int64]:
     clockwise = signed_areas(nodes, t) < 0
     t[1:, clockwise] = t[:0:-1, clockwise]
     return t
+
+
+def overlapping(triangles: NDArray) -> tuple[int, int] | None:
+    """An edge where two counter-clockwise triangles overlap: both run along it in the same direction."""
+    edges = np.hstack([triangles[[0, 1]], triangles[[1, 2]], triangles[[2, 0]]]).astype(np.int64)
+    key = edges[0] * (triangles.max() + 1) + edges[1]
+    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    if not np.any(count > 1):
+        return None
+    a, b = edges[:, first[count > 1][0]]
+    return int(a), int(b)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
-from rmesh_nlp.geometry import counter_clockwise, signed_areas
+from rmesh_nlp.geometry import counter_clockwise, overlapping, signed_areas
 
 SAME_NODE = 1e-10
 """Nodes closer than this times the size of the mesh are one."""
@@ -71,7 +71,9 @@ def from_arrays(
         _warn(f"turned {np.sum(areas < 0)} clockwise triangles")
         t = counter_clockwise(p, t)
     mesh = MeshTri(np.ascontiguousarray(p), np.ascontiguousarray(t))
-    _check_edges(t)
+    edge = overlapping(t)
+    if edge is not None:
+        raise ValueError(f"triangles overlap at the edge between nodes {edge[0]} and {edge[1]}")
     return _named(mesh, boundaries or {}, subdomains or {}, number)
 
 
@@ -164,16 +166,6 @@ def _without_duplicates(p: NDArray, t: NDArray) -> tuple[NDArray, NDArray, NDArr
     if repeated.size:
         raise ValueError(f"triangle {repeated[0]} has a repeated node")
     return p, t, number
-
-
-def _check_edges(t: NDArray) -> None:
-    """Counter-clockwise triangles that overlap on an edge run along it in the same direction."""
-    edges = np.hstack([t[[0, 1]], t[[1, 2]], t[[2, 0]]])
-    key = edges[0] * (t.max() + 1) + edges[1]
-    _, first, count = np.unique(key, return_index=True, return_counts=True)
-    if np.any(count > 1):
-        edge = edges[:, first[count > 1][0]]
-        raise ValueError(f"triangles overlap at the edge between nodes {edge[0]} and {edge[1]}")
 
 
 def _named(

@@ -33,6 +33,10 @@ ENERGY_AGREEMENT = 1e-6
 TIMING_SECONDS = 0.05
 """Time spent on measuring the unit of cost, if one contact solve takes less."""
 
+ROUNDING = 1e-9
+"""Part of its initial area, and radians, by which an element may fall short: a solution that has elements at
+their bounds is valid to start from."""
+
 KKT_TOLERANCE = 1e-6
 """Largest first-order residual of the outer problem that earns the label "KKT"."""
 
@@ -78,14 +82,14 @@ class Referee:
         return q
 
     def is_valid(self, q: Array) -> bool:
-        """Whether all elements keep the least area and angle that the motion asks for."""
+        """Whether all elements keep the least area and angle that the motion asks for, up to ``ROUNDING``."""
         motion = self.problem.motion
-        if self.least_area_ratio(q) < motion.min_area_fraction:
+        if self.least_area_ratio(q) < motion.min_area_fraction - ROUNDING:
             return False
         if motion.min_angle == 0:
             return True
         angle = least_angles(self.relocation.nodes(q), self.problem.triangles)
-        return bool(np.min(angle) >= motion.min_angle)
+        return bool(np.min(angle) >= motion.min_angle - np.rad2deg(ROUNDING))
 
     def least_area_ratio(self, q: Array) -> float:
         """Least signed element area over its initial value."""

@@ -74,3 +74,18 @@ def test_bad_sizes_name_the_value(n: object) -> None:
 def test_odd_columns_cannot_carry_the_load() -> None:
     with pytest.raises(ValueError, match="got 11"):
         EXAMPLES["6.2"]((11, 6))
+
+
+def test_rows_lower_than_the_bottom_row_are_refused() -> None:
+    assert np.min(EXAMPLES["6.2"]((36, 19)).mesh.p[1]) == 0.05
+    with pytest.raises(ValueError, match="beyond the next one of 20 rows"):
+        EXAMPLES["6.2"]((40, 20))
+
+
+def test_a_folded_mesh_is_refused() -> None:
+    problem = EXAMPLES["6.3"]((4, 2))
+    p = problem.mesh.p.copy()
+    (middle,) = np.flatnonzero((p[0] == 1) & (p[1] == 0.5))
+    p[1, middle] = -0.25
+    with pytest.raises(ValueError, match="the mesh is folded at the edge between nodes"):
+        replace(problem, mesh=replace(problem.mesh, doflocs=p))

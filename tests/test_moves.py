@@ -134,7 +134,8 @@ def test_without_a_box_validity_alone_limits_and_says_where() -> None:
     free = freedoms(p)
     assert np.all(np.isinf(free.bound))
     assert validity_group(p, free)[1].size == p.mesh.t.shape[1]
-    one, two = joint.solve(p), nested.solve(p)
+    one = joint.solve(p)
+    two = nested.solve(p, start=one.mesh.p)  # of several minima the same
     assert one.success
     assert two.energy == pytest.approx(one.energy, rel=1e-4)
     assert one.audit.min_area_ratio == pytest.approx(0.3, abs=1e-4)

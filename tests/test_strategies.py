@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -15,6 +16,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.nlp import Solver, Status
 from rmesh_nlp.problem import signed_areas
+from rmesh_nlp.referee import Referee
 from rmesh_nlp.solution import Solution
 
 # Bounds on the final energy from the initial grid, with the paper's settings: what prototypes of
@@ -46,6 +48,28 @@ def test_joint_and_mpcc_reach_the_same_low_energy(name: str) -> None:
     assert one.stationarity == "KKT"
     assert two.stationarity == "S"
     assert two.record()["equilibrium_multiplier"] <= 1e-6
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+@pytest.mark.parametrize(
+    "strategy", [joint.solve, mpcc.solve, functools.partial(nested.solve, outer="newton")]
+)
+@pytest.mark.parametrize("name", ["6.2", "6.3"])
+def test_the_unit_of_force_does_not_matter(name, strategy, factor) -> None:
+    problem = EXAMPLES[name]()
+    law, (load,) = problem.law, problem.tractions
+    scaled = replace(
+        problem,
+        law=replace(law, lame_lambda=factor * law.lame_lambda, lame_mu=factor * law.lame_mu),
+        tractions=(replace(load, value=(factor * load.value[0], factor * load.value[1])),),
+        obstacle=replace(problem.obstacle, friction=factor * problem.obstacle.friction),
+    )
+    solution, usual = strategy(scaled), strategy(problem)
+    check_record(solution)
+    assert solution.stationarity == usual.stationarity
+    # rounding differs, and with it which of several local minima newton finds
+    assert solution.energy_initial == pytest.approx(factor * usual.energy_initial, rel=1e-9)
+    assert solution.energy == pytest.approx(factor * usual.energy, rel=2e-4)
 
 
 @pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
@@ -112,6 +136,16 @@ def test_no_delta_however_large_inverts_an_element() -> None:
     check_record(solution)
     assert solution.audit.min_area_ratio >= 0.01 * (1 - 1e-6)
     assert solution.energy < solution.energy_initial
+
+
+def test_a_solution_with_elements_at_their_bounds_is_a_start() -> None:
+    problem = EXAMPLES["6.1"](4, 0.9)
+    end = joint.solve(problem)
+    assert end.audit.min_area_ratio == pytest.approx(problem.motion.min_area_fraction, abs=1e-9)
+    referee = Referee(problem)
+    q = referee.start(None, np.asarray(end.mesh.p))
+    np.testing.assert_allclose(referee.relocation.nodes(q), end.mesh.p, atol=1e-12)
+    assert not referee.is_valid(1.01 * q)
 
 
 def test_random_starts_are_repeatable_and_seeded() -> None:
