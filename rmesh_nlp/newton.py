@@ -144,6 +144,10 @@ def minimise(
     return NewtonResult(x, here.value, Status.ITERATION_LIMIT, max_iterations, products)
 
 
+CLOSE = 1e-2
+"""Slack of a wall that counts as met."""
+
+
 class _Box:
     """Where the method may go, seen from its last point."""
 
@@ -167,32 +171,39 @@ class _Box:
 
 
 class _WalledBox(_Box):
-    """The same with walls; keeps their multipliers from one step to the next."""
+    """The same with walls; keeps their multipliers from one step to the next.
+
+    Steps take account of walls from when one is first met.
+    """
 
     def __init__(self, lower: Array, upper: Array, walls: Walls) -> None:
         super().__init__(lower, upper)
         self._walls = walls
-        self._pull: Array | None = None
+        self._pull: Array | None = None  # of the last step that took account of walls
+        self._met = False
 
     def arrive(self, x: Array) -> None:
         self._x, self._wall = x, self._walls.at(x)
         self._inside = is_inside(x, self._lower, self._upper)
+        self._met = self._met or bool(np.any(self._wall.slack < CLOSE))
 
     def released(self, g: Array) -> Array:
-        multipliers = self._wall.fitted(g, self._inside)
-        if self._pull is None:
-            self._pull = multipliers
-        return g - self._wall.jacobian.T @ multipliers
+        self._fitted = self._wall.fitted(g, self._inside)
+        return g - self._wall.jacobian.T @ self._fitted
 
     def step(self, model: Model, g: Array) -> BoxStep:
-        assert self._pull is not None  # released comes first
-        return WalledStep(_Bent(model, self._walls.hessian(self._x, self._pull)), g, self._wall)
+        if not self._met:
+            return super().step(model, g)
+        pull = self._fitted if self._pull is None else self._pull
+        return WalledStep(_Bent(model, self._walls.hessian(self._x, pull)), g, self._wall)
 
     def land(self, trial: Array, step: BoxStep, s: Array) -> Array | None:
-        # of a step that will be rejected too: its rows are those that the next one meets
-        assert isinstance(step, WalledStep)
-        self._pull = step.multipliers(s)
-        return self._walls.back(trial, self._wall, self._lower, self._upper, step.scale)
+        if isinstance(step, WalledStep):
+            # of a step that will be rejected too: its rows are those that the next one meets
+            self._pull = step.multipliers(s)
+        landed = self._walls.back(trial, self._wall, self._lower, self._upper, step.scale)
+        self._met = self._met or landed is not trial
+        return landed
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ STATIONARY = 1e-6
 TIGHT = 1e-4
 """... and where the model predicts less than this part of the gain so far."""
 
-LOOSE = 3e-3
+LOOSE = 1.5e-3
 """The two descents of "newton-pair" end where the model predicts less than this part, stationary or not."""
 
 BLOCKS = (16, 8)

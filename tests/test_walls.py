@@ -17,7 +17,7 @@ from rmesh_nlp.validity import CLEAR, Validity
 from rmesh_nlp.walls import Wall
 
 LARGE_BOXES = {
-    "6.1, boxes of 0.9 edges": lambda: EXAMPLES["6.1"](8, 0.9 / 8),
+    "6.1, boxes of 0.6 edges": lambda: EXAMPLES["6.1"](8, 0.6 / 8),
     "6.2, boxes of 0.9 edges": lambda: EXAMPLES["6.2"]((12, 6), (0.3, 0.15)),
     "6.2 refined": lambda: EXAMPLES["6.2"]((24, 12)),
 }
@@ -89,10 +89,12 @@ def test_newton_follows_a_curved_wall_and_converges_there(side: float) -> None:
         np.full(2, -3.0),
         np.full(2, 3.0),
         walls=wall,
+        gain_tolerance=1e-8,
+        tolerance=2e-5,  # the way back costs 1e-12 in the value, what a move by 1e-6 along the circle gives
         on_step=lambda iteration, x, here: points.append(x),
     )
     assert result.status is Status.CONVERGED
-    np.testing.assert_allclose(result.x, [np.cos(1), np.sin(1)], atol=1e-5)
+    np.testing.assert_allclose(result.x, [np.cos(1), np.sin(1)], atol=3e-5)
     # half way round the circle or less; held back by the wall it would creep for hundreds
     assert result.iterations <= 25
     assert min(side * (x @ x - 1) for x in points) >= 0
