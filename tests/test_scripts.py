@@ -111,3 +111,14 @@ def test_the_assembly_benchmark_compares_the_same_program(
     script("benchmark_assembly").main()
     row = capsys.readouterr().out.splitlines()[1].split()
     assert row[5] == row[9]  # one energy, once with assembled and once with automatic derivatives
+
+
+def test_the_contact_benchmark_counts_the_active_sets(capsys: pytest.CaptureFixture[str]) -> None:
+    script("benchmark_contact").main(["--n", "8"])
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()[2:]]
+    assert [row[:2] for row in rows] == [["6.1", "8"], ["6.3", "8"]]
+    for row in rows:
+        sets, whole, assembling, plain = int(row[3]), *map(float, row[4:7])
+        assert 1 <= sets <= 8
+        assert whole > assembling
+        assert float(row[8]) == pytest.approx(whole / (sets * plain), rel=0.1)  # of rounded figures
