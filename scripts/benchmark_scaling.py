@@ -189,7 +189,9 @@ def exponent(rows: Sequence[Row], example: str, strategy: str) -> float | None:
     points = [
         (np.log(r.nodes), np.log(r.seconds))
         for r in rows
-        if (r.case.example, r.case.strategy) == (example, strategy) and 32 <= r.case.n <= 224 and r.seconds
+        if (r.case.example, r.case.strategy) == (example, strategy)
+        and 32 <= r.case.n <= 224
+        and r.status == "converged"
     ]
     return float(np.polyfit(*zip(*points, strict=True), 1)[0]) if len(points) > 2 else None
 
@@ -243,7 +245,11 @@ def figure(rows: Sequence[Row], path: Path) -> None:
     fig, (left, right) = plt.subplots(1, 2, figsize=(8, 3.4), layout="constrained")
     for strategy, colour, marker in zip(STRATEGIES, colours, markers, strict=True):
         own = sorted(
-            (r for r in rows if r.case.strategy == strategy and r.case.example == "6.1" and r.seconds),
+            (
+                r
+                for r in rows
+                if (r.case.strategy, r.case.example, r.status) == (strategy, "6.1", "converged")
+            ),
             key=lambda r: r.case.n,
         )
         to_99 = [(r.case.n, r.units_to(0.99, best["6.1", r.case.n])) for r in own]
