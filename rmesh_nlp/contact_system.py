@@ -115,7 +115,7 @@ class Equilibrium:
     status : Status
         CONVERGED, CYCLED or ITERATION_LIMIT.
     iterations : int
-        Factorisations, one for each active set that was tried; a cold start adds one for its guess.
+        Active sets that were tried, a factorisation each; the guess of a cold start takes one more.
     """
 
     u: Array
