@@ -35,6 +35,9 @@ from rmesh_nlp.walls import Walls, is_inside
 SUFFICIENT = 1e-4
 """Least ratio of actual to predicted decrease of an accepted step."""
 
+CLOSE = 1e-2
+"""Slack of a wall that counts as met."""
+
 FIRST_RADIUS = 0.5
 """First half-width of the trust region, as a part of the longest move of the scaled gradient step."""
 
@@ -142,10 +145,6 @@ def minimise(
                 model = here.model()
                 domain.arrive(x)
     return NewtonResult(x, here.value, Status.ITERATION_LIMIT, max_iterations, products)
-
-
-CLOSE = 1e-2
-"""Slack of a wall that counts as met."""
 
 
 class _Box:

@@ -25,7 +25,6 @@ from rmesh_nlp.nlp import NLP, Derivatives, Solver, Status
 from rmesh_nlp.recombination import Recombination
 from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
 from rmesh_nlp.referee import Referee
-from rmesh_nlp.validity import Validity
 
 NAN = float("nan")
 
@@ -190,7 +189,7 @@ class _Descent:
         self.energy = program.function
         self._program, self._monitor = program, monitor
         self._curvature = Curvature(self.energy)
-        self._walls = Validity(self.energy.relocation) if program.nlp.n_g else None
+        self._walls = self.energy.validity if program.nlp.n_g else None
         self._iterations = 0
 
     def __call__(

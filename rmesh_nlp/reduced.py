@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -16,7 +17,8 @@ from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.objectives import Objective
 from rmesh_nlp.relocation import Relocation
 from rmesh_nlp.sensitivity import adjoint, weakly_active
-from rmesh_nlp.walls import fit, is_inside
+from rmesh_nlp.validity import Validity
+from rmesh_nlp.walls import is_inside
 
 
 @dataclass(frozen=True)
@@ -64,9 +66,11 @@ class ReducedEnergy:
         energy_gradient = relocation.derivatives.grad_f(nlp.x, nlp.p)[1][: relocation.n_q]
         gradient = energy_gradient - gap_jacobian.T @ lam
         self._gradient = Evaluator(ca.Function("reduced_gradient", [nlp.x, lam], [ca.densify(gradient)]))
-        validity = relocation.validity_rows
-        rows = relocation.derivatives.jac_g(nlp.x, nlp.p)
-        self._areas = ca.Function("areas", [nlp.x], [rows[0][validity], rows[1][validity, : relocation.n_q]])
+
+    @cached_property
+    def validity(self) -> Validity:
+        """Element validity as a function of the moves."""
+        return Validity(self.relocation)
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at moves ``q``; the last point is remembered."""
@@ -96,10 +100,8 @@ class ReducedEnergy:
         scale, box = max(abs(point.value), 1e-300), self.relocation.freedoms.bound
         r = point.gradient
         if self.relocation.n_valid:
-            area, jacobian = self._areas(self.point(point.q, point.equilibrium))
-            bound = self.relocation.nlp.lbg[self.relocation.validity_rows]
-            rows = jacobian.sparse().tocsr()
-            r = r - rows.T @ fit(area.full().ravel() - bound, rows, r, is_inside(point.q, -box, box))
+            wall = self.validity.at(point.q)
+            r = r - wall.jacobian.T @ wall.fitted(r, is_inside(point.q, -box, box))
         return float(np.max(np.abs(point.q - np.clip(point.q - r / scale, -box, box)), initial=0.0))
 
 

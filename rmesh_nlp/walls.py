@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -34,8 +34,17 @@ class Wall:
     jacobian: sp.csr_array
 
     def fitted(self, gradient: Array, inside: NDArray[np.bool_]) -> Array:
-        """Multipliers of all rows, see :func:`fit`."""
-        return fit(self.slack, self.jacobian, gradient, inside)
+        """Multipliers of active rows: non-negative least squares for ``gradient = jacobian^T multipliers``.
+
+        Only the variables that are ``inside`` their bounds count; the others have multipliers of
+        their own. Rows that are not active have zero.
+        """
+        multipliers = np.zeros(self.slack.size)
+        active = np.flatnonzero(self.slack < ACTIVE)
+        if active.size:
+            matrix = self.jacobian[active][:, inside].T.toarray()
+            multipliers[active] = nnls(matrix, gradient[inside], maxiter=30 * active.size)[0]
+        return multipliers
 
 
 class Walls(Protocol):
@@ -52,20 +61,6 @@ class Walls(Protocol):
 
         ``wall`` is where the step to ``x`` began: rows that are not obeyed come back to its floor.
         """
-
-
-def fit(slack: Array, jacobian: Any, gradient: Array, inside: NDArray[np.bool_]) -> Array:
-    """Multipliers of active rows: non-negative least squares for ``gradient = jacobian^T multipliers``.
-
-    Only the variables that are ``inside`` their bounds count; the others have multipliers of their own.
-    Rows that are not active have zero.
-    """
-    multipliers = np.zeros(slack.size)
-    active = np.flatnonzero(slack < ACTIVE)
-    if active.size:
-        matrix = jacobian[active][:, inside].T.toarray()
-        multipliers[active] = nnls(matrix, gradient[inside], maxiter=30 * active.size)[0]
-    return multipliers
 
 
 def is_inside(x: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
