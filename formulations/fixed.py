@@ -6,11 +6,11 @@ import time
 
 import numpy as np
 
-from rmesh_nlp.objectives import parse_objective
+from rmesh_nlp.fem.objectives import parse_objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.reduced import ReducedObjective
-from rmesh_nlp.referee import OnStep, Referee
-from rmesh_nlp.solution import Solution, Step
+from rmesh_nlp.programs.reduced import ReducedObjective
+from rmesh_nlp.solution.referee import OnStep, Referee
+from rmesh_nlp.solution.solution import Solution, Step
 
 
 def solve(problem: ContactProblem, *, objective: str = "energy", on_step: OnStep | None = None) -> Solution:

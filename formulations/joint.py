@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.alternating import alternated
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.history import Recorder
-from rmesh_nlp.nlp import NLP, NLPResult, Solver, Status
+from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver, Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.reduced import ReducedPoint
-from rmesh_nlp.referee import OnStep, Referee
-from rmesh_nlp.relocation import relocation
-from rmesh_nlp.solution import Solution
+from rmesh_nlp.programs.alternating import alternated
+from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.programs.reduced import ReducedPoint
+from rmesh_nlp.solution.history import Recorder
+from rmesh_nlp.solution.referee import OnStep, Referee
+from rmesh_nlp.solution.solution import Solution
 
 OPTIONS: Mapping[str, Any] = {
     "max_iter": 3000,
@@ -39,7 +39,7 @@ OPTIONS: Mapping[str, Any] = {
     "perturb_dec_fact": 0.2,
     "perturb_inc_fact": 1.5,
 }
-"""Ipopt options that add to ``rmesh_nlp.nlp.IPOPT_OPTIONS``; ``solve`` adds ``obj_scaling_factor``."""
+"""Ipopt options on top of ``rmesh_nlp.optimize.nlp.IPOPT_OPTIONS``; ``solve`` adds ``obj_scaling_factor``."""
 
 WITH_AREAS: Mapping[str, Any] = {
     "max_iter": 3000,
@@ -53,17 +53,17 @@ the forces can be above every tolerance, and Ipopt's restoration then leaves the
 infeasible (6.2 on 36 x 18 squares). docs/speed.md has the remedies that were tried."""
 
 FINE = 3000
-"""Number of moves from which on the start is given alternating moves (:mod:`rmesh_nlp.alternating`): the
-end is then lower by 0.1 to 0.7 % of the gain. On coarser meshes they change nothing but the start."""
+"""Number of moves from which on the start is given alternating moves (:mod:`rmesh_nlp.programs.alternating`):
+the end is then lower by 0.1 to 0.7 % of the gain. On coarser meshes they change nothing but the start."""
 
 ALTERNATING = 0.3
 """Length of these moves, in boxes."""
 
 
 def build(problem: ContactProblem) -> NLP:
-    """The symbolic NLP in ``x = (q, u, s)``, see :mod:`rmesh_nlp.relocation`.
+    """The symbolic NLP in ``x = (q, u, s)``, see :mod:`rmesh_nlp.programs.energy_program`.
 
-    Extend it with :meth:`rmesh_nlp.nlp.NLP.extended`, or hand ``x``, ``f`` and ``g`` to any
+    Extend it with :meth:`rmesh_nlp.optimize.nlp.NLP.extended`, or hand ``x``, ``f`` and ``g`` to any
     CasADi solver.
     """
     return relocation(problem).nlp

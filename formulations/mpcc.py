@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 
 from formulations import joint
-from rmesh_nlp.bilevel import Bilevel, bilevel
-from rmesh_nlp.contact_system import ActiveSet, Equilibrium
+from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.history import Recorder
+from rmesh_nlp.fem.objectives import parse_objective
 from rmesh_nlp.mpcc import MPCC, MPCCResult, MPCCSolver
-from rmesh_nlp.nlp import Solver
-from rmesh_nlp.objectives import parse_objective
+from rmesh_nlp.optimize.nlp import Solver
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.reduced import ReducedEnergy, ReducedObjective
-from rmesh_nlp.referee import OnStep, Referee
-from rmesh_nlp.solution import Solution, Step
+from rmesh_nlp.programs.kkt_program import Bilevel, bilevel
+from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedObjective
+from rmesh_nlp.solution.history import Recorder
+from rmesh_nlp.solution.referee import OnStep, Referee
+from rmesh_nlp.solution.solution import Solution, Step
 
 
 def _close(mu: float, push: float) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def _after_energy(scaling: float) -> dict[str, Any]:
 
 
 def build(problem: ContactProblem, objective: str = "energy") -> MPCC:
-    """The symbolic MPCC, see :mod:`rmesh_nlp.bilevel`; in units of N/m, m and the objective's own."""
+    """The symbolic MPCC, see :mod:`rmesh_nlp.programs.kkt_program`; in N/m, m and the objective's unit."""
     return bilevel(problem, parse_objective(objective)).mpcc
 
 
@@ -100,7 +100,7 @@ def solve(
     ----------
     problem : ContactProblem
     objective : str
-        Terms of :mod:`rmesh_nlp.objectives`, such as "energy" or "error-l2 + 0.01*quality".
+        Terms of :mod:`rmesh_nlp.fem.objectives`, such as "energy" or "error-l2 + 0.01*quality".
     relaxation : str
         A name in ``rmesh_nlp.mpcc.RELAXATIONS``.
     seed : int, optional

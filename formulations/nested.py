@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.objectives import parse_objective
-from rmesh_nlp.outer import OUTER_SOLVERS, Reduced, reduced_nlp
+from rmesh_nlp.fem.objectives import parse_objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.reduced import ReducedObjective
-from rmesh_nlp.referee import OnStep, Referee
-from rmesh_nlp.solution import Solution, Step
+from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS, Reduced, reduced_nlp
+from rmesh_nlp.programs.reduced import ReducedObjective
+from rmesh_nlp.solution.referee import OnStep, Referee
+from rmesh_nlp.solution.solution import Solution, Step
 
 NAN = float("nan")
 
@@ -42,9 +42,9 @@ def solve(
     ----------
     problem : ContactProblem
     objective : str
-        Terms of :mod:`rmesh_nlp.objectives`, such as "energy" or "error-l2 + 0.01*quality".
+        Terms of :mod:`rmesh_nlp.fem.objectives`, such as "energy" or "error-l2 + 0.01*quality".
     outer : str
-        A name in ``rmesh_nlp.outer.OUTER_SOLVERS``: "ipopt" (limited-memory BFGS), "newton"
+        A name in ``rmesh_nlp.programs.outer_solvers.OUTER_SOLVERS``: "ipopt" (limited-memory BFGS), "newton"
         (projected trust-region Newton-CG, the fastest) and "newton-pair" (two such descents,
         recombined: for fine meshes), both for the energy only, "slsqp", "trust-constr" or
         "l-bfgs-b".
@@ -70,7 +70,7 @@ def solve(
     if not outer_objective.is_energy:
         function = ReducedObjective(referee.reduced, outer_objective)
     recorder = _Recorder(function, referee.relocation.freedoms.bound, on_step, began)
-    program = reduced_nlp(referee, function)
+    program = reduced_nlp(referee.relocation, function, referee.is_valid)
     finish = OUTER_SOLVERS[outer](program, referee.start(seed, start), recorder)
     seconds = time.perf_counter() - began
     return referee.judge(

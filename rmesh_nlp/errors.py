@@ -20,3 +20,15 @@ def unknown(what: str, name: str, known: Iterable[str]) -> BadInputError:
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {near[0]}? " if near else ""
     return BadInputError(f"unknown {what} {name!r}: {hint}choose from {', '.join(names) or 'none'}")
+
+
+class ProblemError(ValueError):
+    """A problem that contradicts itself.
+
+    ``part`` names the part of the statement that is at fault: mesh, law, dirichlet, obstacle,
+    friction, motion or tractions.
+    """
+
+    def __init__(self, part: str, message: str) -> None:
+        super().__init__(message)
+        self.part = part

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.nlp import NLP, NLPResult, Solver
-from rmesh_nlp.referee import Referee
-from rmesh_nlp.relocation import relocation
+from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver
+from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.solution.referee import Referee
 
 OPTIONS = {"max_iter": 3000}
 

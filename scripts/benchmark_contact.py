@@ -17,8 +17,8 @@ from collections.abc import Callable, Sequence
 
 from scipy.sparse.linalg import splu
 
-from rmesh_nlp.contact_system import factorised
-from rmesh_nlp.equilibrium import ContactModel
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.system import factorised
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
 

@@ -35,10 +35,10 @@ import matplotlib as mpl
 import numpy as np
 
 from formulations import joint, mpcc, nested
-from rmesh_nlp.equilibrium import ContactModel
+from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution import Solution
+from rmesh_nlp.solution.solution import Solution
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

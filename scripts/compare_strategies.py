@@ -14,13 +14,13 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from rmesh_nlp import campaign
-from rmesh_nlp.cases import make_cases
+from rmesh_nlp.campaign import run as campaign
+from rmesh_nlp.campaign.cases import make_cases
+from rmesh_nlp.campaign.progress import CampaignProgress
+from rmesh_nlp.cli.inputs import parse_size
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.inputs import parse_size
-from rmesh_nlp.progress import CampaignProgress
+from rmesh_nlp.io.results import Record, Results
 from rmesh_nlp.report.tables import write_tables
-from rmesh_nlp.results import Record, Results
 
 
 def compare(example: str, sizes: Sequence[str], formulations: Sequence[str], out: Path) -> list[Record]:

@@ -18,8 +18,8 @@ import warnings
 from collections import Counter
 from pathlib import Path
 
-from rmesh_nlp.problem_file import ProblemFileError, load_problem
-from rmesh_nlp.problem_template import template
+from rmesh_nlp.io.problem_file import ProblemFileError, load_problem
+from rmesh_nlp.io.problem_template import template
 
 ODD = [
     "0", "-1", "1e308", "1e-308", "nan", "inf", "true", '""', '"x"', '"1/0"', '"x**x"', "[]", "[[]]", "{}",

@@ -3,7 +3,7 @@
     python scripts/make_figures.py results
     python scripts/make_figures.py results --out paper/figures
 
-For a figure of one's own take the fields of a solution: ``rmesh_nlp.vtu.read_vtu(path)``.
+For a figure of one's own take the fields of a solution: ``rmesh_nlp.io.vtu.read_vtu(path)``.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.results import read_results
 from rmesh_nlp.report.figures import write_figures
-from rmesh_nlp.results import read_results
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.results import read_results
 from rmesh_nlp.report.tables import frame, write_tables
-from rmesh_nlp.results import read_results
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -31,19 +31,19 @@ from scipy.optimize import Bounds, minimize
 
 from formulations import joint, nested
 from rmesh_nlp import mpcc
-from rmesh_nlp.contact_system import ActiveSet
-from rmesh_nlp.energy import displacement_field
-from rmesh_nlp.equilibrium import ContactModel, solve
+from rmesh_nlp.contact.model import ContactModel, solve
+from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fields import Field
+from rmesh_nlp.fem.energy import displacement_field
+from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.meshes import read_mesh
-from rmesh_nlp.nlp import IPOPT_OPTIONS, Solver
-from rmesh_nlp.outer import SCIPY_MAX_ITERATIONS, SCIPY_TOLERANCE
+from rmesh_nlp.optimize.nlp import IPOPT_OPTIONS, Solver
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain, signed_areas
-from rmesh_nlp.reduced import ReducedEnergy
-from rmesh_nlp.referee import Referee
-from rmesh_nlp.relocation import relocation
+from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.programs.outer_solvers import SCIPY_MAX_ITERATIONS, SCIPY_TOLERANCE
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.solution.referee import Referee
 
 REACHED, FEASIBLE = 1e-4, 1e-3
 """Largest error of the objective, and violation and min(G, H), of an MPCC that counts as solved.

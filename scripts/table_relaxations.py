@@ -19,10 +19,10 @@ import pandas as pd
 
 from formulations import mpcc
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.reference import with_reference
+from rmesh_nlp.fem.objectives import parse_objective
 from rmesh_nlp.mpcc import RELAXATIONS
-from rmesh_nlp.objectives import parse_objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.reference import with_reference
 
 OBJECTIVES = ("energy", "error-energy", "error-l2", "error-h1", "contact", "energy+0.1*quality")
 COLUMNS = {

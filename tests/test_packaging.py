@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 import rmesh_nlp
-from rmesh_nlp import cli, strategies
+from rmesh_nlp.campaign import strategies
+from rmesh_nlp.cli import app as cli
 from rmesh_nlp.examples import EXAMPLES
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -47,7 +48,7 @@ def test_imports_go_one_way(folder: str, forbidden: set[str]) -> None:
 
 
 def test_the_library_loads_no_strategy() -> None:
-    code = "import sys, rmesh_nlp.commands; print('formulations' in sys.modules)"
+    code = "import sys, rmesh_nlp.cli.commands; print('formulations' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"
 
@@ -116,11 +117,10 @@ def test_the_strategy_of_contributing_runs() -> None:
     assert len(solution.history) == 10
 
 
-def test_the_modules_that_the_readme_names_exist() -> None:
+def test_the_folders_that_the_readme_names_exist() -> None:
     section = README.split("## How the code is laid out")[1].split("\n## ")[0]
-    entries = [line for line in section.splitlines() if re.match(r"\d+\.", line)]
-    assert len(entries) == 10
-    names = re.findall(r"`(?:rmesh_nlp/)?(\w+\.py|\w+/)`", section)
-    for name in names:
-        places = [ROOT / "rmesh_nlp" / name, ROOT / name, ROOT / "scripts" / name]
-        assert any(place.exists() for place in places), name
+    names = re.findall(r"^\| .*", section, re.M)
+    folders = re.findall(r"`(\w+(?:/\w+)*/)`", " ".join(names))
+    assert folders
+    for name in folders:
+        assert (ROOT / name).is_dir(), name

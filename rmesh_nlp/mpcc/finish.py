@@ -20,7 +20,7 @@ from rmesh_nlp.mpcc.classify import Verdict, judge
 from rmesh_nlp.mpcc.linearisation import Linearisation, linearisation
 from rmesh_nlp.mpcc.lpec import Direction, nearest_branch
 from rmesh_nlp.mpcc.programs import BoolArray, Log, Programs
-from rmesh_nlp.nlp import NLPResult, Status
+from rmesh_nlp.optimize.nlp import NLPResult, Status
 
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|
 _REACHES = (2.0, 20.0)  # radii of the search for a feasible branch, in units of the largest min(G, H)

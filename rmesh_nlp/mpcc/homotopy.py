@@ -9,7 +9,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import Finish, exact, finish
 from rmesh_nlp.mpcc.programs import BoolArray, Log, Programs
-from rmesh_nlp.nlp import NLPResult, Status
+from rmesh_nlp.optimize.nlp import NLPResult, Status
 
 _MAX_RETREATS = 3
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.mpcc.problem import MPCC
-from rmesh_nlp.nlp import NLP, Derivatives
+from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
 IntArray = NDArray[np.int64]
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.nlp import Derivatives
+from rmesh_nlp.optimize.nlp import Derivatives
 
 
 @dataclass(frozen=True, eq=False)

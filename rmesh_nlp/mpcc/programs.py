@@ -17,7 +17,7 @@ from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Residuals, Step, excess, residuals
-from rmesh_nlp.nlp import NLP, NLPResult, Solver
+from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver
 
 Progress = Callable[[str], None]
 BoolArray = NDArray[np.bool_]

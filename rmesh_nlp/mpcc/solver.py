@@ -15,7 +15,7 @@ from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.programs import Log, Programs, Progress
 from rmesh_nlp.mpcc.result import MPCCResult
-from rmesh_nlp.nlp import Status
+from rmesh_nlp.optimize.nlp import Status
 
 _HUGE = 1e15  # |f| or |x| beyond this: the iterates diverge
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rmesh_nlp.examples import PAPER, PaperValues
-from rmesh_nlp.results import Record
+from rmesh_nlp.io.results import Record
 
 DEFAULT_RELAXATION = "scholtes"
 RELOCATING_NOTHING = "fixed"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from rmesh_nlp.examples import PaperValues
+from rmesh_nlp.io.results import Record
 from rmesh_nlp.report.blocks import Block, label
-from rmesh_nlp.results import Record
 
 MISSING = "-"
 

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from rmesh_nlp.io.results import Record, Result
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label
 from rmesh_nlp.report.style import TWO_COLUMNS, Look, look, new_figure
-from rmesh_nlp.results import Record, Result
 
 FEASIBLE = 1e-6
 """Primal residual up to which an iterate counts as one whose energy means something."""

@@ -11,13 +11,13 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.results import Result
+from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, label
 from rmesh_nlp.report.convergence import convergence_figure, curve
 from rmesh_nlp.report.grids import grid_figure, surface_figure
 from rmesh_nlp.report.stresses import stress_figure
 from rmesh_nlp.report.style import SETTINGS, save
-from rmesh_nlp.results import Result
-from rmesh_nlp.vtu import Fields, read_vtu
 
 GIVEN = "given grid"
 

@@ -11,8 +11,8 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from rmesh_nlp.io.vtu import Fields
 from rmesh_nlp.report.style import FOUNDATION, GRID_LINE, MAP, TWO_COLUMNS, new_figure
-from rmesh_nlp.vtu import Fields
 
 LEVELS = 16
 LARGEST_DEFORMATION = 0.08

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 from rmesh_nlp.examples import PaperValues
+from rmesh_nlp.io.results import Record
 from rmesh_nlp.report.blocks import Block, blocks, label
-from rmesh_nlp.results import Record
 
 PRINTED_DIGITS = 4
 """Decimals of the paper's figures; it truncates, so that -1.124602 is printed as -1.1246."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
+from rmesh_nlp.io.vtu import Fields
 from rmesh_nlp.report.style import TWO_COLUMNS, look, new_figure
-from rmesh_nlp.vtu import Fields
 
 
 def stress_figure(curves: Mapping[str, Fields]) -> Figure:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pandas as pd
 
+from rmesh_nlp.io.results import Record, write_text
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.columns import COSTS, ENERGIES, OBJECTIVES, Column, body, contact_units
 from rmesh_nlp.report.markup import latex_list, latex_table, markdown_table
 from rmesh_nlp.report.notes import notes
-from rmesh_nlp.results import Record, write_text
 
 CAPTIONS = {
     ENERGIES: r"Energies and extremes of the displacement; the paper truncates its digits.",

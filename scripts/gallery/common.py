@@ -12,12 +12,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from formulations import fixed, joint, nested
-from rmesh_nlp.assembly import assemble
-from rmesh_nlp.fields import constant_field
-from rmesh_nlp.objectives import parse_objective
+from rmesh_nlp.fem.assembly import assemble
+from rmesh_nlp.fem.fields import constant_field
+from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution import Solution
-from rmesh_nlp.stress import stresses, von_mises
+from rmesh_nlp.solution.solution import Solution
 
 AGREEMENT = 1e-4
 """Largest relative difference of energy between joint and nested."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from common import Case, command_line, energy_above, run
 
+from rmesh_nlp.meshes.shapes import l_shape
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Relative
-from rmesh_nlp.shapes import l_shape
 
 EXACT_ENERGY = -0.2140758036 / 2
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 from common import Case, command_line, energy_above, run
 
 from formulations import fixed
+from rmesh_nlp.meshes.shapes import plate_with_hole
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain
-from rmesh_nlp.shapes import plate_with_hole
-from rmesh_nlp.starts import refine
+from rmesh_nlp.solution.starts import refine
 
 
 def problem(n: int) -> ContactProblem:

@@ -16,8 +16,8 @@ from typing import Any
 import casadi as ca
 from common import Case, command_line, energy_norm, run
 
+from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, ExactSolution, Laplace, Motion, Obstacle, Relative
-from rmesh_nlp.shapes import rectangle
 
 
 def exact(x: Any, y: Any) -> Any:

@@ -11,6 +11,7 @@ from common import Case, command_line, energy_above, run
 
 from formulations import fixed
 from rmesh_nlp.meshes import named
+from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
     Motion,
@@ -20,7 +21,6 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
-from rmesh_nlp.shapes import rectangle
 
 WEDGE = PiecewiseLinear((0.0, 3.0, 4.0), (-0.12, -0.03, -0.06))
 

@@ -1,0 +1,123 @@
+"""What is to be solved: pairs of problems and strategies with their options."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from rmesh_nlp.campaign import strategies
+from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.examples import EXAMPLES, Delta, Size
+from rmesh_nlp.examples.reference import with_reference
+from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.io.results import Record
+from rmesh_nlp.mpcc import RELAXATIONS
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS
+
+
+@dataclass(frozen=True)
+class Case:
+    """One solve to be done.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+    formulation : str
+        Name of an installed strategy.
+    options : mapping
+        Keyword arguments of the strategy's ``solve``: ``objective``, ``relaxation``, ``seed``, ...
+    """
+
+    problem: ContactProblem
+    formulation: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """A name for files, such as ``6.2-12x6-joint`` or ``6.1-8-mpcc-seed3``."""
+        options = [
+            f"{name}{value}" if name in ("seed", "starts", "levels") else str(value)
+            for name, value in sorted(self.options.items())
+        ]
+        parts = [self.problem.name, self.problem.size, self.formulation, *options]
+        return re.sub(r"[^\w.+-]+", "_", "-".join(part for part in parts if part))
+
+    @property
+    def identity(self) -> Record:
+        """The entries of the record that say which solve it is."""
+        return {
+            "key": self.key,
+            "example": self.problem.name,
+            "formulation": self.formulation,
+            "n": self.problem.size,
+            "delta": self.problem.motion.delta_record(),
+            "quadrature": self.problem.quadrature,
+        }
+
+
+def make_cases(
+    examples: Sequence[str],
+    formulations: Sequence[str],
+    *,
+    n: Size | None = None,
+    delta: Delta | None = None,
+    quadrature: str | int = "midpoint",
+    options: Mapping[str, Any] | None = None,
+) -> list[Case]:
+    """All pairs of examples and strategies, with the same settings.
+
+    An option goes to those strategies that take it.
+
+    Raises
+    ------
+    BadInputError
+        If a name is unknown, a setting does not suit an example, or no strategy takes an option.
+    """
+    options = dict(options or {})
+    _check_options(options)
+    problems = [build_problem(name, n=n, delta=delta, quadrature=quadrature) for name in examples]
+    if "objective" in options and parse_objective(options["objective"]).needs_exact:
+        problems = [with_reference(problem) for problem in problems]
+    taken = {name: strategies.accepted(strategies.load(name), options) for name in formulations}
+    for option in options:
+        if not any(option in names for names in taken.values()):
+            raise BadInputError(f"--{option} {options[option]}: not an option of {', '.join(formulations)}")
+    return [
+        Case(problem, name, {option: options[option] for option in options if option in taken[name]})
+        for problem in problems
+        for name in formulations
+    ]
+
+
+def build_problem(
+    name: str, *, n: Size | None = None, delta: Delta | None = None, quadrature: str | int = "midpoint"
+) -> ContactProblem:
+    """An example by name; by default of the paper's size.
+
+    Raises
+    ------
+    BadInputError
+        If the name is unknown or the example refuses the size or the delta.
+    """
+    if name not in EXAMPLES:
+        raise unknown("example", name, EXAMPLES)
+    given = {key: value for key, value in (("n", n), ("delta", delta)) if value is not None}
+    try:
+        return replace(EXAMPLES[name](**given), quadrature=quadrature)
+    except (ValueError, MemoryError) as error:
+        raise BadInputError(str(error)) from error
+
+
+def _check_options(options: Mapping[str, Any]) -> None:
+    if "objective" in options:
+        try:
+            parse_objective(options["objective"])
+        except ValueError as error:
+            raise BadInputError(str(error)) from error
+    if options.get("relaxation", "scholtes") not in RELAXATIONS:
+        raise unknown("relaxation", options["relaxation"], RELAXATIONS)
+    if options.get("outer", "ipopt") not in OUTER_SOLVERS:
+        raise unknown("outer solver", options["outer"], OUTER_SOLVERS)

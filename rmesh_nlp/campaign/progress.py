@@ -1,0 +1,86 @@
+"""Progress of a campaign on stderr: a live line in a terminal, one line per solve elsewhere."""
+
+from __future__ import annotations
+
+import math
+import sys
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from rmesh_nlp.campaign.cases import Case
+from rmesh_nlp.io.results import Record
+from rmesh_nlp.solution.solution import Step
+
+
+class CampaignProgress:
+    """Shows what is being solved and, for each solve that ended, one line.
+
+    Parameters
+    ----------
+    total : int
+        Number of solves.
+    """
+
+    def __init__(self, total: int) -> None:
+        console = Console(file=sys.stderr, highlight=False, soft_wrap=True)
+        self._bar = Progress(
+            BarColumn(20),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.description}", markup=False),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._console = console
+        self._task = self._bar.add_task("", total=total)
+        self._name = ""
+
+    def __enter__(self) -> CampaignProgress:
+        """Start the live line."""
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Remove the live line."""
+        self.stop()
+
+    def stop(self) -> None:
+        """Remove the live line and show the cursor again."""
+        self._bar.stop()
+
+    def start(self, case: Case) -> None:
+        """A solve begins."""
+        self._name = f"{case.problem.name} {case.formulation}"
+        self._bar.update(self._task, description=self._name)
+
+    def step(self, step: Step) -> None:
+        """An iteration has ended."""
+        text = f"{self._name}: iteration {step.iteration}"
+        if math.isfinite(step.energy):
+            text += f", J = {step.energy:.6f}"
+        self._bar.update(self._task, description=text)
+
+    def finish(self, record: Record) -> None:
+        """A solve has ended."""
+        self._bar.advance(self._task)
+        self._console.print(summary(record), markup=False)
+
+
+def summary(record: Record) -> str:
+    """One line about a record."""
+    line = f"{record['example']} {record['formulation']}: {record['status']}"
+    if record["energy"] is not None:
+        line += f", J = {record['energy']:.6f}"
+        if record["energy_audited"] is not None:
+            line += f" (audited {record['energy_audited']:.6f})"
+    if record["iterations"] is not None:
+        line += f", {record['iterations']} iterations"
+    line += f", {record['wall_time_s']:.2f} s"
+    if not record["success"] and record.get("message"):
+        line += f": {record['message']}"
+    return line

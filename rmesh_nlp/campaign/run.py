@@ -1,0 +1,149 @@
+"""Many solves, one row each: whatever happens to a solve, it leaves a row and the next one runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from rmesh_nlp.campaign import strategies
+from rmesh_nlp.campaign.cases import Case
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.export import write_solution
+from rmesh_nlp.io.results import HISTORY_FIELDS, REQUIRED, Record, Result, Results, write_history, write_whole
+from rmesh_nlp.solution.solution import Solution, Step, versions
+
+OnStep = Callable[[Step], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The row of a solve, and its solution unless it raised."""
+
+    record: Record
+    solution: Solution | None
+
+
+def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
+    """Run one case; an exception becomes a row with its message.
+
+    Raises
+    ------
+    BadInputError
+        If the strategy does not exist.
+    """
+    function = strategies.load(case.formulation)
+    watch = dict.fromkeys(strategies.accepted(function, ("on_step",)), on_step)
+    began = time.perf_counter()
+    try:
+        solution = function(case.problem, **case.options, **watch)
+        record = {**case.identity, "message": solution.status.message, **solution.record(), "key": case.key}
+    except ValueError as error:  # the strategy does not take this problem or option
+        return Outcome(_failure(case, "refused", error, time.perf_counter() - began), None)
+    except Exception as error:
+        return Outcome(_failure(case, "failed", error, time.perf_counter() - began), None)
+    return Outcome(record, solution)
+
+
+def _failure(case: Case, status: str, error: Exception, seconds: float) -> Record:
+    empty = dict.fromkeys(REQUIRED)
+    text = " ".join(str(error).split()) or type(error).__name__
+    return {
+        **empty,
+        **case.identity,
+        "objective": case.options.get("objective", "energy"),
+        "status": status,
+        "success": False,
+        "message": text if isinstance(error, ValueError) else f"{type(error).__name__}: {text}",
+        "stationarity": "",
+        "wall_time_s": seconds,
+        "versions": versions(),
+        "seed": case.options.get("seed"),
+    }
+
+
+def run(
+    cases: Sequence[Case],
+    results: Results,
+    *,
+    resume: bool = False,
+    on_start: Callable[[Case], None] | None = None,
+    on_step: OnStep | None = None,
+) -> Iterator[Record]:
+    """Solve the cases one after the other and yield each record once it is on the disk.
+
+    What an earlier run left in the folder is set aside when the first solve has ended, not
+    before. With ``resume`` it stays, and cases that succeeded there are not solved again.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+    results : Results
+    resume : bool
+    on_start, on_step : callable, optional
+        Called before each solve, and after each of its iterations.
+
+    Raises
+    ------
+    BadInputError
+        If two cases have one key, or the rows to be resumed were solved with other settings.
+    """
+    keys = [case.key for case in cases]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise BadInputError(f"two cases are both called {key!r}")
+    rows = results.read() if resume and (results.folder / "records.jsonl").exists() else []
+    done = _finished(cases, rows)
+    results.folder.mkdir(parents=True, exist_ok=True)
+    clean = False
+    for case in cases:
+        if case.key in done:
+            yield done[case.key]
+            continue
+        if on_start is not None:
+            on_start(case)
+        outcome = solve(case, on_step)
+        if not clean:
+            _make_room(results, rows, keys, done, resume)
+            clean = True
+        save(outcome, results.result(outcome.record))
+        results.append(outcome.record)
+        yield outcome.record
+
+
+def save(outcome: Outcome, places: Result) -> None:
+    """Write fields and history of an outcome; a solve that raised has none, nor keeps older ones."""
+    solution = outcome.solution
+    if solution is None:
+        places.vtu.unlink(missing_ok=True)
+        places.history.unlink(missing_ok=True)
+        return
+    write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu"))
+    rows = [{name: row[name] for name in HISTORY_FIELDS} for row in solution.history_rows()]
+    write_whole(places.history, lambda path: write_history(path, rows))
+
+
+def _finished(cases: Sequence[Case], rows: Sequence[Record]) -> dict[str, Record]:
+    """Rows of cases that need not be solved again."""
+    by_key = {row.get("key"): row for row in rows if row["success"]}
+    done = {}
+    for case in cases:
+        row = by_key.get(case.key)
+        if row is None:
+            continue
+        for name, value in case.identity.items():
+            if row.get(name) != value:
+                raise BadInputError(
+                    f"cannot resume {case.key}: it was solved with {name} {row.get(name)}, not {value}"
+                )
+        done[case.key] = row
+    return done
+
+
+def _make_room(
+    results: Results, rows: Sequence[Record], keys: Sequence[str], done: Mapping[str, Record], resume: bool
+) -> None:
+    if not resume:
+        results.set_aside()
+    elif rows:
+        results.replace_all([row for row in rows if row.get("key") in done or row.get("key") not in keys])

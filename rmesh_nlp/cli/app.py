@@ -1,0 +1,327 @@
+"""The command ``rmesh``: options and their help; the work is done in :mod:`rmesh_nlp.cli.commands`."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Any
+
+import typer
+from typer.main import get_command
+
+from rmesh_nlp import __version__
+from rmesh_nlp.cli.inputs import parse_delta, parse_names, parse_quadrature, parse_seed, parse_size
+from rmesh_nlp.errors import BadInputError, InterruptedSolveError
+
+BAD_INPUT, INTERRUPTED = 2, 130
+
+# typer brings its own click, or uses the installed one: its exceptions are found either way
+UsageError = typer.BadParameter.__mro__[1]
+ClickException: Any = UsageError.__mro__[1]
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+Size = Annotated[
+    str | None,
+    typer.Option(
+        "--n", metavar="SIZE", help="Squares per side, 8, or columns by rows, 12x6. Default: the paper's."
+    ),
+]
+Delta = Annotated[
+    str | None,
+    typer.Option(
+        "--delta",
+        metavar="D[,D]",
+        help="Half-width of the boxes in which nodes move, or two, along x and y. "
+        "Default: the paper's, scaled with the mesh width.",
+    ),
+]
+Seed = Annotated[
+    str | None,
+    typer.Option(
+        "--seed", metavar="NUMBER", help="Start from random node positions instead of the given mesh."
+    ),
+]
+Quadrature = Annotated[
+    str,
+    typer.Option("--quadrature", metavar="RULE", help="Rule for the load: midpoint, or a degree such as 6."),
+]
+Objective = Annotated[
+    str | None,
+    typer.Option(
+        "--objective",
+        metavar="TERMS",
+        help="Outer objective: energy (default), error-energy, error-l2, error-h1, contact, quality, "
+        "or a sum such as error-l2+0.01*quality.",
+    ),
+]
+Starts = Annotated[
+    int | None,
+    typer.Option(
+        "--starts", min=1, metavar="N", help="As many random starts besides the given mesh; the best counts."
+    ),
+]
+Levels = Annotated[
+    int | None,
+    typer.Option(
+        "--levels", min=1, max=4, metavar="N", help="Optimise, refine the mesh uniformly, go on, so often."
+    ),
+]
+Relaxation = Annotated[
+    str | None,
+    typer.Option(
+        "--relaxation", metavar="NAME", help="Relaxation of complementarity in mpcc; scholtes by default."
+    ),
+]
+Outer = Annotated[
+    str | None,
+    typer.Option(
+        "--outer",
+        metavar="NAME",
+        help="Outer solver of nested: ipopt (default), newton, newton-pair, slsqp, trust-constr or l-bfgs-b.",
+    ),
+]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve or compare wrote.")]
+
+
+def _commands() -> ModuleType:
+    """The module that does the work, loaded only when a command runs: it brings CasADi and all."""
+    return importlib.import_module("rmesh_nlp.cli.commands")
+
+
+def _problem_commands() -> ModuleType:
+    """The same for problem files."""
+    return importlib.import_module("rmesh_nlp.cli.problem_commands")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"rmesh {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _rmesh(
+    context: typer.Context,
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and leave."),
+    ] = False,
+) -> None:
+    """Relocate the nodes of finite-element meshes for contact problems.
+
+    \b
+    rmesh compare                                     all examples, all strategies
+    rmesh solve 6.1 --formulation joint --n 16        one solve
+    rmesh new my.toml                                 a problem of your own: a commented template
+    rmesh check my.toml                               is it in order? with a picture
+    rmesh solve my.toml                               solve it
+    rmesh table results                               tables again, without solving
+    rmesh figures results                             figures again, without solving
+
+    Exit code: 0 if every requested solve succeeded, 1 if one did not, 2 for bad input,
+    130 after Ctrl-C.
+    """
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@app.command()
+def solve(
+    example: Annotated[
+        str, typer.Argument(metavar="EXAMPLE", help="6.1, 6.2 or 6.3, or a problem file such as my.toml.")
+    ],
+    formulation: Annotated[
+        str | None,
+        typer.Option(
+            "--formulation",
+            "-f",
+            help="fixed, nested, joint, mpcc, or one you installed. Default: that of the file, or joint.",
+        ),
+    ] = None,
+    n: Size = None,
+    delta: Delta = None,
+    seed: Seed = None,
+    quadrature: Quadrature = "midpoint",
+    objective: Objective = None,
+    relaxation: Relaxation = None,
+    outer: Outer = None,
+    starts: Starts = None,
+    levels: Levels = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
+    ] = None,
+) -> None:
+    """Solve one example, or the problem of a file, by one strategy.
+
+    Writes DIR/record.json, DIR/solution.vtu and DIR/history.csv; for a problem file also the
+    relocated mesh DIR/mesh.msh and the series DIR/iterations for ParaView.
+
+    \b
+    rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
+    rmesh solve 6.2 --n 12x6 --delta 0.15667,0.07333
+    rmesh solve 6.1 --formulation nested --outer newton --n 32
+    rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
+    rmesh solve my.toml --formulation nested
+    """
+    settings = _settings(
+        n,
+        delta,
+        quadrature,
+        seed,
+        objective=objective,
+        relaxation=relaxation,
+        outer=outer,
+        starts=starts,
+        levels=levels,
+    )
+    if example.endswith(".toml"):
+        for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
+            if value not in (None, "midpoint"):
+                raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
+        commands = _problem_commands()
+        raise typer.Exit(commands.solve(Path(example), formulation, settings["options"], out))
+    raise typer.Exit(_commands().solve(example, formulation or "joint", settings, out))
+
+
+@app.command()
+def check(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")],
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE", help="Where to draw; default: beside the problem file."),
+    ] = None,
+) -> None:
+    """Validate a problem file, print what it says, draw its mesh with boundary roles and motion.
+
+    \b
+    rmesh check my.toml
+    rmesh check my.toml --picture roles.pdf
+    """
+    raise typer.Exit(_problem_commands().check(file, picture))
+
+
+@app.command()
+def new(file: Annotated[Path, typer.Argument(metavar="FILE", help="The problem file to write.")]) -> None:
+    """Write a commented template of a problem file; it solves as it is.
+
+    \b
+    rmesh new my.toml
+    """
+    raise typer.Exit(_problem_commands().new(file))
+
+
+@app.command()
+def compare(
+    examples: Annotated[list[str] | None, typer.Argument(help="Examples; all three by default.")] = None,
+    formulations: Annotated[
+        str, typer.Option("--formulations", metavar="NAMES", help="Strategies, separated by commas.")
+    ] = "fixed,nested,joint,mpcc",
+    n: Size = None,
+    delta: Delta = None,
+    seed: Seed = None,
+    quadrature: Quadrature = "midpoint",
+    objective: Objective = None,
+    relaxation: Relaxation = None,
+    outer: Outer = None,
+    starts: Starts = None,
+    levels: Levels = None,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("results"),
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
+    ] = False,
+) -> None:
+    """Compare strategies: solve, table and draw.
+
+    Writes DIR/records.jsonl, DIR/table.md, .tex, .csv, DIR/figures and DIR/solutions.
+    An option goes to those strategies that take it. What an earlier run left in DIR is moved to
+    DIR/previous when the first solve has ended.
+
+    \b
+    rmesh compare
+    rmesh compare 6.1 --formulations fixed,nested,joint --n 16 --out fine
+    rmesh compare --out results --resume
+    """
+    settings = _settings(
+        n,
+        delta,
+        quadrature,
+        seed,
+        objective=objective,
+        relaxation=relaxation,
+        outer=outer,
+        starts=starts,
+        levels=levels,
+    )
+    names = tuple(dict.fromkeys(examples or ()))
+    raise typer.Exit(
+        _commands().compare(names, parse_names("--formulations", formulations), settings, out, resume)
+    )
+
+
+@app.command()
+def table(folder: Folder) -> None:
+    """Make the tables of DIR again.
+
+    Writes DIR/table.md, DIR/table.tex and DIR/table.csv from the records, without solving.
+
+    \b
+    rmesh table results
+    """
+    _commands().table(folder)
+
+
+@app.command()
+def figures(folder: Folder) -> None:
+    """Make the figures of DIR again.
+
+    Writes PNG and PDF files to DIR/figures from the saved solutions, without solving.
+
+    \b
+    rmesh figures results
+    """
+    _commands().figures(folder)
+
+
+def _settings(
+    n: str | None, delta: str | None, quadrature: str, seed: str | None, **given: str | int | None
+) -> dict[str, Any]:
+    """Keyword arguments of :func:`~rmesh_nlp.campaign.cases.make_cases`; options not given are left out."""
+    options = {"seed": None if seed is None else parse_seed(seed), **given}
+    return {
+        "n": None if n is None else parse_size(n),
+        "delta": None if delta is None else parse_delta(delta),
+        "quadrature": parse_quadrature(quadrature),
+        "options": {name: value for name, value in options.items() if value is not None},
+    }
+
+
+def run(arguments: list[str]) -> int:
+    """Run the command line and return its exit code; what is wrong is said in one line on stderr."""
+    command: Any = get_command(app)
+    try:
+        return int(command.main(args=arguments, prog_name="rmesh", standalone_mode=False) or 0)
+    except ClickException as error:
+        return _complain(" ".join(error.format_message().split()))
+    except (BadInputError, OSError) as error:
+        return _complain(str(error))
+    except InterruptedSolveError as error:
+        print(f"rmesh: interrupted: {error}", file=sys.stderr)
+        return INTERRUPTED
+    except (KeyboardInterrupt, typer.Abort):
+        print("rmesh: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _complain(message: str) -> int:
+    for line in message.splitlines() or [""]:
+        print(f"rmesh: error: {line}", file=sys.stderr)
+    return BAD_INPUT
+
+
+def main() -> None:
+    """Entry point of ``rmesh``."""
+    sys.exit(run(sys.argv[1:]))

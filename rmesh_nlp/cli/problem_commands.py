@@ -1,0 +1,116 @@
+"""What ``rmesh check``, ``rmesh new`` and ``rmesh solve my.toml`` do."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from rmesh_nlp.campaign import strategies
+from rmesh_nlp.display import rich_table
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.export import Series, write_mesh, write_solution
+from rmesh_nlp.io.problem_file import build, read_table
+from rmesh_nlp.io.problem_template import template
+from rmesh_nlp.io.results import to_json, write_history, write_whole
+from rmesh_nlp.meshes import MeshRepairWarning
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.freedoms import Mobility, freedoms, validity_group
+from rmesh_nlp.report.problem_picture import draw_problem
+
+SUCCESS, NO_SUCCESS = 0, 1
+
+
+def new(path: Path) -> int:
+    """Write the commented template; an existing file is never replaced."""
+    name = "".join(c if c.isalnum() or c in "-_ ." else "-" for c in path.stem) or "problem"
+    try:
+        with path.open("x") as file:
+            file.write(template(name, name + path.suffix))
+    except FileExistsError:
+        raise BadInputError(f"{path} exists: choose another name") from None
+    except OSError as error:
+        raise BadInputError(f"cannot write {path}: {error.strerror}") from error
+    print(f"wrote {path}; next: rmesh check {path}")
+    return SUCCESS
+
+
+def check(path: Path, picture: Path | None = None) -> int:
+    """Validate a problem file, print what it says, draw the mesh with roles and motion."""
+    problem = _load(path)
+    free = freedoms(problem)
+    rows = problem.summary()
+    for kind in Mobility:
+        rows.append((f"nodes {kind.name.lower()}", str(int((free.mobility == kind).sum()))))
+    rows.append(("moves", str(free.n)))
+    rows.append(("validity constraints", str(validity_group(problem, free)[1].size)))
+    Console().print(rich_table(f"{path}: problem {problem.name!r} is in order", rows))
+    target = path.with_suffix(".png") if picture is None else picture
+    try:
+        draw_problem(problem, target)
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"cannot draw to {target}: {' '.join(str(error).split())}") from error
+    print(f"drew {target}")
+    return SUCCESS
+
+
+def solve(path: Path, formulation: str | None, options: Mapping[str, Any], out: Path | None) -> int:
+    """Solve the problem of a file; returns the exit code.
+
+    Writes ``record.json``, ``solution.vtu``, ``history.csv``, the relocated mesh ``mesh.msh`` with
+    its names, and ``iterations/iterations.pvd`` with its frames where the strategy reports iterates.
+
+    Parameters
+    ----------
+    options : mapping
+        Options given on the command line; they override ``[solve]``. ``None`` means not given.
+    """
+    table = read_table(path)
+    problem = _load(path)
+    name = formulation or table.solve.formulation
+    function = strategies.load(name)
+    plan = table.solve
+    wanted = {"objective": plan.objective, "seed": plan.seed, "starts": plan.starts, "levels": plan.levels}
+    wanted.update({key: value for key, value in options.items() if value is not None})
+    # the defaults need not be known to every strategy, what was asked for must be
+    default = {"objective": "energy", "starts": 0, "levels": 0, "seed": None}
+    asked = {key for key, value in wanted.items() if value != default.get(key)}
+    refused = asked - strategies.accepted(function, asked)
+    if refused:
+        raise BadInputError(f"{path}: the formulation {name!r} takes no {sorted(refused)[0]}")
+    series = Series(problem)
+    keywords: dict[str, Any] = {key: wanted[key] for key in asked}
+    if not asked & {"starts", "levels"} and strategies.accepted(function, ["on_step"]):
+        keywords["on_step"] = series
+    folder = Path("results") / problem.name if out is None else out
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(f"cannot write to {str(folder)!r}: {error.strerror}") from error
+    try:
+        solution = function(problem, **keywords)
+    except ValueError as error:
+        raise BadInputError(f"{path}: {' '.join(str(error).split())}") from error
+    write_whole(folder / "record.json", lambda p: p.write_text(to_json(solution.record(), indent=2) + "\n"))
+    write_solution(solution, folder / "solution.vtu")
+    write_mesh(solution.mesh, folder / "mesh.msh")
+    write_history(folder / "history.csv", solution.history_rows())
+    if series.frames:
+        series.write(folder / "iterations")
+    Console().print(solution)
+    print(f"wrote {folder}: {', '.join(sorted(p.name for p in folder.iterdir()))}")
+    return SUCCESS if solution.success else NO_SUCCESS
+
+
+def _load(path: Path) -> ContactProblem:
+    """The problem of a file; repairs of its mesh are printed as notes."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", MeshRepairWarning)
+        problem = build(read_table(path), path)
+    for warning in caught:
+        if issubclass(warning.category, MeshRepairWarning):
+            print(f"note: {path}: {warning.message}")
+    return problem

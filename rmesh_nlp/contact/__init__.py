@@ -1,0 +1,1 @@
+"""The inner problem: contact on a fixed mesh, solved exactly."""

@@ -1,0 +1,208 @@
+"""Contact on a fixed mesh as a quadratic program, and its solution for a given active set.
+
+    min 1/2 u^T K u - F^T u + sum_i b_i |t_i . u_i|   with   gap = N u + gamma >= 0,
+
+(5.1), (5.8), with Tresca bounds b_i = g omega_i >= 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.nlp import Status
+
+
+@dataclass(frozen=True)
+class ContactSystem:
+    """The quadratic program of the inner problem at fixed node positions.
+
+    Attributes
+    ----------
+    stiffness : (m, m) sparse array
+        K, over the displacement unknowns.
+    load : (m,) array
+        F.
+    constant : float
+        Energy at zero displacement.
+    normals, tangents : (contact nodes, m) sparse arrays
+        Rows with unit vectors; a scalar problem has no tangents.
+    offset : (contact nodes,) array
+        gamma, the gap at zero displacement.
+    slip_bound : (contact nodes,) array
+        b = g omega, the largest tangential force; empty without friction.
+    """
+
+    stiffness: sp.csc_array
+    load: Array
+    constant: float
+    normals: sp.csr_array
+    tangents: sp.csr_array
+    offset: Array
+    slip_bound: Array
+
+    def energy(self, u: Array) -> float:
+        """J(u), friction included."""
+        friction = self.slip_bound @ np.abs(self.tangents @ u) if self.slip_bound.size else 0.0
+        return float(0.5 * u @ (self.stiffness @ u) - self.load @ u + self.constant + friction)
+
+    @cached_property
+    def rotated(self) -> RotatedSystem:
+        """The same system with gaps and slips as unknowns."""
+        return RotatedSystem(self)
+
+    def equilibrium(self, active: ActiveSet) -> Equilibrium:
+        """Equilibrium with the given nodes touching, sticking and sliding."""
+        rotated = self.rotated
+        w = np.zeros(self.load.size)
+        w[rotated.normal[active.touching]] = -self.offset[active.touching]
+        F = rotated.F
+        if self.slip_bound.size:
+            F = F.copy()
+            F[rotated.tangent[rotated.slips]] -= (self.slip_bound * active.sliding)[rotated.slips]
+        inside, factor = rotated.factor(active)
+        w[inside] = factor.solve((F - rotated.K @ w)[inside])
+        residual = rotated.K @ w - rotated.F
+        normal_force = np.where(active.touching, residual[rotated.normal], 0.0)
+        tangential = np.zeros(0)
+        if self.slip_bound.size:
+            sticking = rotated.slips & (active.sliding == 0)
+            tangential = np.where(sticking, residual[rotated.tangent], -self.slip_bound * active.sliding)
+        u = w if rotated.basis is None else rotated.basis @ w
+        return Equilibrium(u, self.energy(u), normal_force, tangential, active, Status.CONVERGED, 1)
+
+    @property
+    def force_scale(self) -> float:
+        """Unit of nodal forces, to make residuals dimensionless."""
+        return float(
+            max(np.max(np.abs(self.load), initial=0.0), np.max(self.slip_bound, initial=0.0), 1e-300)
+        )
+
+
+@dataclass(frozen=True)
+class ActiveSet:
+    """Which contact nodes touch, and how they slide: -1, +1, or 0 for stick."""
+
+    touching: NDArray[np.bool_]
+    sliding: NDArray[np.int8]
+
+    def key(self) -> bytes:
+        """A hashable name."""
+        return self.touching.tobytes() + self.sliding.tobytes()
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """Solution of a contact problem on a fixed mesh.
+
+    Attributes
+    ----------
+    u : (m,) array
+        Displacement unknowns.
+    energy : float
+    normal_force : (contact nodes,) array
+        Multipliers of the gaps, nodal forces >= 0 pushing the body off the foundation.
+    tangential_force : (contact nodes,) array
+        Friction on the body, -b <= force <= b, opposite to the slip.
+    active : ActiveSet
+    status : Status
+        CONVERGED, CYCLED or ITERATION_LIMIT.
+    iterations : int
+        Active sets that were tried, a factorisation each; the guess of a cold start takes one more.
+    """
+
+    u: Array
+    energy: float
+    normal_force: Array
+    tangential_force: Array
+    active: ActiveSet
+    status: Status
+    iterations: int
+
+
+def factorised(K: sp.csc_array) -> Any:
+    """Sparse factorisation of a symmetric positive definite matrix."""
+    return splu(K, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+
+
+class RotatedSystem:
+    """The stiffness in coordinates in which every gap and slip is one unknown (plus a constant).
+
+    It must not refer to its system: in a cycle the factorisation would outlive its use by far.
+    """
+
+    def __init__(self, system: ContactSystem) -> None:
+        basis, self.normal, self.tangent = _contact_basis(system)
+        self.basis = basis
+        self.slips = self.tangent >= 0  # False where the tangential displacement is given
+        self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
+        self.F = system.load if basis is None else basis.T @ system.load
+        self._frictional = system.slip_bound.size > 0
+        self._factor: tuple[bytes, NDArray[np.intp], Any] | None = None
+
+    def free(self, active: ActiveSet) -> NDArray[np.bool_]:
+        """Unknowns that touching and sticking nodes leave free."""
+        free = np.ones(self.F.size, dtype=bool)
+        free[self.normal[active.touching]] = False
+        if self._frictional:
+            free[self.tangent[self.slips & (active.sliding == 0)]] = False
+        return free
+
+    def factor(self, active: ActiveSet) -> tuple[NDArray[np.intp], Any]:
+        """The free unknowns and the factorised stiffness over them; the last one is kept.
+
+        So derivatives at a contact solution need no factorisation of their own.
+        """
+        if self._factor is None or self._factor[0] != active.key():
+            inside = np.flatnonzero(self.free(active))
+            self._factor = None  # its memory first
+            self._factor = active.key(), inside, factorised(self.K[:, inside][inside])
+        return self._factor[1:]
+
+
+def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, NDArray, NDArray]:
+    """Change of unknowns ``u = basis @ w`` after which N u and T u are single entries of w.
+
+    Returns the basis (None for the identity) and the entries of w that hold N u and T u; -1 where
+    T u is given.
+    """
+    N, T = sp.csr_array(system.normals), sp.csr_array(system.tangents)
+    single = np.diff(N.indptr) == 1
+    if np.all(single) and np.all(N.data == 1) and np.all(np.diff(T.indptr) <= 1) and np.all(T.data == 1):
+        tangent = np.full(T.shape[0], -1, np.int64)
+        tangent[np.diff(T.indptr) == 1] = T.indices
+        return None, N.indices.astype(np.int64), tangent
+    basis = sp.lil_array(sp.eye_array(system.load.size))
+    normal, tangent = np.zeros(N.shape[0], np.int64), np.full(T.shape[0], -1, np.int64)
+    for i in range(N.shape[0]):
+        n_dofs, n_values = _row(N, i)
+        normal[i] = n_dofs[np.argmax(np.abs(n_values))]
+        if n_dofs.size == 1:
+            basis[normal[i], normal[i]] = 1 / n_values[0]
+        else:  # columns n and t, orthonormal, so n.u and t.u are the new unknowns
+            other = n_dofs[np.argmin(np.abs(n_values))]
+            pair = n_values[n_dofs == normal[i]][0], n_values[n_dofs == other][0]
+            direction = _row(T, i)
+            sign = dict(zip(*direction, strict=True))
+            basis[normal[i], normal[i]], basis[other, normal[i]] = pair
+            basis[normal[i], other], basis[other, other] = sign[normal[i]], sign[other]
+            tangent[i] = other
+            continue
+        if T.shape[0]:
+            t_dofs, t_values = _row(T, i)
+            if t_dofs.size and t_dofs[0] != normal[i]:
+                tangent[i] = t_dofs[0]
+                basis[tangent[i], tangent[i]] = 1 / t_values[0]
+    return sp.csc_array(basis), normal, tangent
+
+
+def _row(matrix: sp.csr_array, i: int) -> tuple[NDArray, Array]:
+    part = slice(matrix.indptr[i], matrix.indptr[i + 1])
+    return matrix.indices[part], matrix.data[part]

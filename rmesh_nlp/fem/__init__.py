@@ -1,0 +1,1 @@
+"""Finite elements: element functions, their sums over a mesh, energies, stresses."""

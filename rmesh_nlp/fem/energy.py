@@ -1,0 +1,237 @@
+"""Element potential energies as CasADi Functions of (X_e, u_e), and their element groups.
+
+All energies are per unit thickness, in N m/m. Columns run node by node:
+``X_e = (x_1, y_1, x_2, y_2, ...)``, and ``u_e`` likewise with one or two components.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.special import roots_jacobi
+from skfem.quadrature import get_quadrature_line, get_quadrature_tri
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.element import PointValues
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, Index, constant_field
+from rmesh_nlp.problem import ContactProblem, Traction
+from rmesh_nlp.problem.coefficients import Coefficient, at, is_nonzero
+from rmesh_nlp.problem.laws import Law, energy_density
+from rmesh_nlp.problem.obstacle import Obstacle, Place
+
+HIGHEST_TABULATED_DEGREE = 19
+"""Highest degree of scikit-fem's triangle rules."""
+
+TRACTION_DEGREE = 4
+"""Degree of the Gauss rule for tractions: exact for constant and linear ones times P1."""
+
+
+def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
+    """Barycentric coordinates (3, points) and weights (points,), summing to 1.
+
+    "midpoint" is the three edge midpoints, exact to degree 2; a number asks for that degree.
+    """
+    if quadrature == "midpoint":
+        return (np.ones((3, 3)) - np.eye(3)) / 2, np.full(3, 1 / 3)
+    if not isinstance(quadrature, int) or quadrature < 1:
+        raise ValueError(f"quadrature must be 'midpoint' or a degree of at least 1, got {quadrature!r}")
+    if quadrature <= HIGHEST_TABULATED_DEGREE:
+        points, weights = get_quadrature_tri(quadrature)
+    else:
+        points, weights = _conical_product_rule(quadrature)
+    return np.vstack([1 - points.sum(axis=0), points]), 2 * weights
+
+
+def _conical_product_rule(degree: int) -> tuple[Array, Array]:
+    """Gauss-Jacobi times Gauss-Legendre on the reference triangle, for any degree (Stroud 1971)."""
+    n = degree // 2 + 1
+    r, weight_r = roots_jacobi(n, 1, 0)
+    s, weight_s = roots_jacobi(n, 0, 0)
+    x, z = (1 + r) / 2, (1 + s) / 2
+    points = np.vstack([np.repeat(x, n), np.outer(1 - x, z).ravel()])
+    return points, np.outer(weight_r / 4, weight_s / 2).ravel()
+
+
+def strain_energy(law: Law) -> ca.Function:
+    """``(X_e, u_e) -> (energy, empty)`` of one P1 triangle: 1/2 a(u, u) of (3.3), (3.15)."""
+    X, u = ca.SX.sym("X", 2, 3), ca.SX.sym("u", law.components, 3)
+    jacobian = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
+    det = jacobian[0, 0] * jacobian[1, 1] - jacobian[0, 1] * jacobian[1, 0]
+    # gradients of the barycentric coordinates, without a division per entry
+    inverse = ca.vertcat(
+        ca.horzcat(jacobian[1, 1], -jacobian[0, 1]), ca.horzcat(-jacobian[1, 0], jacobian[0, 0])
+    )
+    difference = ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0])
+    scaled_gradient = difference @ inverse  # det * grad u
+    # the density is quadratic, so the division by det comes once, at the end
+    energy = energy_density(law, scaled_gradient) / (2 * det)
+    return ca.Function("strain_energy", [ca.vec(X), ca.vec(u)], [energy, ca.SX(0, 1)])
+
+
+def load_energy(law: Law, quadrature: str | int) -> tuple[ca.Function, PointValues]:
+    """``(X_e, u_e, load at the points) -> (-integral of load . u, empty)`` of one P1 triangle."""
+    barycentric, weights = triangle_rule(quadrature)
+    X, u = ca.SX.sym("X", 2, 3), ca.SX.sym("u", law.components, 3)
+    return _load_energy(
+        law, X, u, _area(X, 0, 1, 2), X @ ca.DM(barycentric), u @ ca.DM(barycentric * weights)
+    )
+
+
+def load_energy_of_edge(law: Law) -> tuple[ca.Function, PointValues]:
+    """What the midpoint of an edge adds to :func:`load_energy` from the triangles on both sides.
+
+    ``X_e`` holds the ends and the vertices to the left and right of the edge, ``u_e`` the ends.
+    Two triangles share the values there, a third of the work for each of its three edges.
+    """
+    X, u = ca.SX.sym("X", 2, 4), ca.SX.sym("u", law.components, 2)
+    thirds = (_area(X, 0, 1, 2) + _area(X, 1, 0, 3)) / 3
+    return _load_energy(law, X, u, thirds, (X[:, 0] + X[:, 1]) / 2, (u[:, 0] + u[:, 1]) / 2)
+
+
+def _load_energy(
+    law: Law, X: ca.SX, u: ca.SX, area: ca.SX, points: ca.SX, weighted: ca.SX
+) -> tuple[ca.Function, PointValues]:
+    load = ca.SX.sym("f", *weighted.shape)
+    columns = [ca.vec(X), ca.vec(u)]
+    energy = -area * ca.dot(load, weighted)
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    value = ca.vertcat(*[at(component, x, y) for component in law.load])
+    return (
+        ca.Function("load_energy", [*columns, ca.vec(load)], [energy, ca.SX(0, 1)]),
+        PointValues(ca.Function("points", columns, [points]), ca.Function("load", [x, y], [value])),
+    )
+
+
+def _area(X: ca.SX, i: int, j: int, k: int) -> ca.SX:
+    return ((X[0, j] - X[0, i]) * (X[1, k] - X[1, i]) - (X[0, k] - X[0, i]) * (X[1, j] - X[1, i])) / 2
+
+
+def edges_with_opposite(triangles: Index) -> Index:
+    """(4, edges): the ends of each edge of some triangles (3, elements), then the vertices beside it.
+
+    Left of the edge first. Where there is no triangle on the right, the first end stands for
+    its vertex: that triangle has no area, wherever the nodes go.
+    """
+    first, second, third = triangles
+    directed = np.hstack([[first, second, third], [second, third, first], [third, first, second]])
+    low, high = np.sort(directed[:2], axis=0)
+    _, left, edge = np.unique(low * (triangles.max() + 1) + high, return_index=True, return_inverse=True)
+    result = np.vstack([directed[:, left], directed[0, left]])
+    right = np.setdiff1d(np.arange(edge.size), left)
+    result[3, edge[right]] = directed[2, right]
+    return result
+
+
+def traction_energy(traction: Traction) -> ca.Function:
+    """``(X_e, u_e) -> (-integral of traction . u, empty)`` on one boundary edge."""
+    X, u = ca.SX.sym("X", 2, 2), ca.SX.sym("u", len(traction.value), 2)
+    points, weights = get_quadrature_line(TRACTION_DEGREE)
+    work = _work(traction.value, X, u, np.vstack([1 - points, points]), weights)
+    length = ca.norm_2(X[:, 1] - X[:, 0])
+    return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, ca.SX(0, 1)])
+
+
+def _work(load: tuple[Coefficient, ...], X: ca.SX, u: ca.SX, barycentric: Array, weights: Array) -> Any:
+    """Weighted sum of load . u over the points; the mean over the element."""
+    work = ca.SX(0)
+    for point, weight in zip(barycentric.T, weights, strict=True):
+        x, y = ca.vertsplit(X @ point)
+        value = ca.vertcat(*[at(component, x, y) for component in load])
+        work += weight * ca.dot(value, u @ point)
+    return work
+
+
+def friction_energy(obstacle: Obstacle) -> ca.Function:
+    """``(X_e, s_e) -> (energy, empty)`` on one contact edge.
+
+    |e| / 2 (g_1 s_1 + g_2 s_2), where s_i stands for |u_t,i|: the trapezoidal rule of (5.9),
+    whose weights omega_i move with the nodes.
+    """
+    X, s = ca.SX.sym("X", 2, 2), ca.SX.sym("s", 2)
+    length = ca.norm_2(X[:, 1] - X[:, 0])
+    slip = sum(at(obstacle.friction, X[0, i], X[1, i]) * s[i] for i in range(2))
+    return ca.Function("friction_energy", [ca.vec(X), s], [length * slip / 2, ca.SX(0, 1)])
+
+
+def gap_function(obstacle: Obstacle) -> ca.Function:
+    """``(X_i, u_i) -> (0, gap)`` of one contact node: normal . u + offset(X)."""
+    X, u = ca.SX.sym("X", 2), ca.SX.sym("u", len(obstacle.normal))
+    gap = ca.dot(ca.DM(obstacle.normal), u) + at(obstacle.offset, X[0], X[1])
+    return ca.Function("gap", [X, u], [0, gap])
+
+
+def contact_edges(problem: ContactProblem) -> Index:
+    """(2, edges) node numbers of the contact boundary; none for an obstacle in the interior."""
+    if isinstance(problem.obstacle.boundary, Place):
+        return np.zeros((2, 0), dtype=np.int64)
+    facets = problem.mesh.boundaries[problem.obstacle.boundary]
+    return np.asarray(problem.mesh.facets[:, facets], dtype=np.int64)
+
+
+def bulk_groups(problem: ContactProblem, positions: Field, displacement: Field) -> list[ElementGroup]:
+    """Strain energy, source or body force, and tractions: J without friction."""
+    triangles = problem.triangles
+    groups = []
+    for law, elements in problem.regions:
+        vertices = triangles[:, elements]
+        local = (positions.at(vertices), displacement.at(vertices))
+        groups.append(objective_group(strain_energy(law), local))
+        if any(is_nonzero(component) for component in law.load):
+            groups.append(_load_group(law, problem.quadrature, vertices, positions, displacement))
+    for traction in problem.tractions:
+        edges = np.asarray(problem.mesh.facets[:, problem.mesh.boundaries[traction.boundary]], dtype=np.int64)
+        local = (positions.at(edges), displacement.at(edges))
+        groups.append(objective_group(traction_energy(traction), local))
+    return groups
+
+
+def _load_group(
+    law: Law, quadrature: str | int, triangles: Index, positions: Field, displacement: Field
+) -> ElementGroup:
+    if quadrature == "midpoint":
+        edges = edges_with_opposite(triangles)
+        function, at_points = load_energy_of_edge(law)
+        return objective_group(function, (positions.at(edges), displacement.at(edges[:2])), at_points)
+    function, at_points = load_energy(law, quadrature)
+    return objective_group(function, (positions.at(triangles), displacement.at(triangles)), at_points)
+
+
+def friction_group(problem: ContactProblem, positions: Field, slip: Field) -> ElementGroup:
+    """Friction energy as a function of nodal slip magnitudes (1, nodes)."""
+    edges = contact_edges(problem)
+    return objective_group(friction_energy(problem.obstacle), (positions.at(edges), slip.at(edges)))
+
+
+def gap_group(
+    problem: ContactProblem, positions: Field, displacement: Field, first_row: int = 0
+) -> ElementGroup:
+    """One constraint row per contact node: its gap."""
+    nodes = problem.contact_nodes[None, :]
+    rows = first_row + np.arange(nodes.size)[None, :]
+    return ElementGroup(gap_function(problem.obstacle), (positions.at(nodes), displacement.at(nodes)), rows)
+
+
+def displacement_field(problem: ContactProblem, first: int = 0) -> tuple[Field, int]:
+    """The displacement as unknowns numbered from ``first``, fixed where it is given.
+
+    Returns the field (components, nodes) and the number of unknowns.
+    """
+    held, value = problem.held()
+    field = constant_field(value)
+    movable = ~held
+    movable[:, np.setdiff1d(np.arange(held.shape[1]), problem.mesh.t)] = False
+    count = int(movable.sum())
+    # node by node, so that the unknowns of a node stay together
+    index = np.full(held.T.shape, CONSTANT)
+    index[movable.T] = first + np.arange(count)
+    return Field(index.T, field.scale, field.offset), count
+
+
+def objective_group(
+    function: ca.Function, local: tuple[Field, ...], at_points: PointValues | None = None
+) -> ElementGroup:
+    """Elements that add to the objective and to no constraint."""
+    no_rows = np.zeros((0, local[0].index.shape[1]), dtype=np.int64)
+    return ElementGroup(function, local, no_rows, at_points)

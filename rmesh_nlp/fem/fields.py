@@ -1,0 +1,97 @@
+"""Nodal fields as functions of the unknowns, and groups of elements that share a local function."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.element import PointValues
+
+Index = NDArray[np.int64]
+CONSTANT = -1
+"""Index of a local value that does not depend on any unknown or parameter."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """A nodal field as an affine function of one vector, ``scale * w[index] + offset``.
+
+    The vector ``w`` is the unknowns ``x`` of a program or, if ``parameter``, its ``p``.
+
+    Attributes
+    ----------
+    index : (components, nodes) int array
+        ``CONSTANT`` where the field is fixed at ``offset``.
+    scale, offset : (components, nodes) arrays
+    parameter : bool
+    """
+
+    index: Index
+    scale: Array
+    offset: Array
+    parameter: bool = False
+
+    def at(self, nodes: Index) -> Field:
+        """Local values on elements.
+
+        ``nodes`` is (nodes per element, elements); the result has one column per element and
+        runs through the components of the first node, then of the second, ...
+        """
+        shape = (self.index.shape[0] * nodes.shape[0], nodes.shape[1])
+
+        def pick(a: NDArray) -> NDArray:
+            return np.moveaxis(a[:, nodes], 0, 1).reshape(shape)
+
+        return Field(pick(self.index), pick(self.scale), pick(self.offset), self.parameter)
+
+    def values(self, w: Array) -> Array:
+        """The field itself, (components, nodes), for a numeric vector ``w``."""
+        moving = self.index != CONSTANT
+        result = self.offset.copy()
+        result[moving] += self.scale[moving] * np.asarray(w)[self.index[moving]]
+        return result
+
+
+def unknown_field(shape: tuple[int, int], first: int = 0, *, parameter: bool = False) -> Field:
+    """A field all of whose values are unknowns, numbered node by node from ``first``."""
+    components, nodes = shape
+    index = first + np.arange(components * nodes).reshape(nodes, components).T
+    return Field(index, np.ones(shape), np.zeros(shape), parameter)
+
+
+def constant_field(values: Array) -> Field:
+    """A field that is fixed at ``values`` of shape (components, nodes or elements)."""
+    offset = np.atleast_2d(np.asarray(values, dtype=float))
+    return Field(np.full(offset.shape, CONSTANT), np.ones(offset.shape), offset)
+
+
+@dataclass(frozen=True)
+class ElementGroup:
+    """Elements that share one local function.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        ``(*local columns) -> (f, g)``; f a scalar, g a column (possibly empty). An SX Function,
+        or an MX one where SX has no expression (splines). With ``at_points`` it has one more
+        argument, the column of values at all points.
+    arguments : tuple of Field
+        For each argument its local values, (length, elements).
+    rows : (len(g), elements) int array
+        Constraint row that each local ``g`` is added to; ``CONSTANT`` drops it.
+    at_points : PointValues, optional
+    """
+
+    function: ca.Function
+    arguments: tuple[Field, ...]
+    rows: Index
+    at_points: PointValues | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return int(self.arguments[0].index.shape[1])

@@ -1,0 +1,281 @@
+"""Outer objectives other than the energy, as element groups of positions and displacement.
+
+Errors are measured against the problem's exact solution u:
+
+``error-energy``  I1 of (4.1), 1/2 a(u_h - u, u_h - u)
+``error-l2``      squared L2 norm of u_h - u
+``error-h1``      squared H1 seminorm of u_h - u
+``contact``       I2 of (4.2), the work of the exact contact stress on the discrete gap
+``quality``       distortion of the elements against the initial mesh
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from skfem.quadrature import get_quadrature_line
+
+from rmesh_nlp.fem.element import local_symbols
+from rmesh_nlp.fem.energy import (
+    bulk_groups,
+    contact_edges,
+    friction_group,
+    objective_group,
+    triangle_rule,
+)
+from rmesh_nlp.fem.fields import ElementGroup, Field, Index, constant_field
+from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, at, signed_areas
+from rmesh_nlp.problem.laws import energy_density
+
+ERROR_DEGREE = 10
+"""Degree of the rules for error integrals: high, since an optimiser exploits a low one."""
+
+SPLINE_DEGREE = 5
+"""The same for a reference given by splines, which are dear and smooth on the scale of an element."""
+
+Groups = Callable[[ContactProblem, Field, Field, Field], list[ElementGroup]]
+
+
+def energy(problem: ContactProblem, positions: Field, displacement: Field, slip: Field) -> list[ElementGroup]:
+    """The total potential energy (3.3), (3.15)."""
+    groups = bulk_groups(problem, positions, displacement)
+    if problem.frictional:
+        groups.append(friction_group(problem, positions, slip))
+    return groups
+
+
+def error_energy(
+    problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+) -> list[ElementGroup]:
+    """I1 of (4.1)."""
+    exact = _exact(problem, "error-energy")
+    return [
+        _triangles(problem, positions, displacement, partial(_strain_energy_of_error, law), exact, elements)
+        for law, elements in problem.regions
+    ]
+
+
+def _strain_energy_of_error(law: Law, error: Any, gradient: Any) -> Any:
+    return energy_density(law, gradient)
+
+
+def error_l2(
+    problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+) -> list[ElementGroup]:
+    """Squared L2 norm of the error."""
+    exact = _exact(problem, "error-l2")
+    return [_triangles(problem, positions, displacement, lambda e, de: ca.sumsqr(e), exact)]
+
+
+def error_h1(
+    problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+) -> list[ElementGroup]:
+    """Squared H1 seminorm of the error."""
+    exact = _exact(problem, "error-h1")
+    return [_triangles(problem, positions, displacement, lambda e, de: ca.sumsqr(de), exact)]
+
+
+def contact(
+    problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+) -> list[ElementGroup]:
+    """I2 of (4.2): integral of (T(u) . normal) times the discrete gap over the contact boundary.
+
+    T(u) is the exact traction (the outward normal derivative of a scalar problem).
+    """
+    exact, obstacle = _exact(problem, "contact"), problem.obstacle
+    if len(problem.laws) > 1 or not isinstance(obstacle.boundary, str):
+        raise ValueError("the objective 'contact' needs one law and contact on a boundary")
+    traction = _traction(problem.laws[0], exact)
+    kind, components = exact.symbol, problem.components
+    X_column, u_column = kind.sym("X", 4), kind.sym("u", 2 * components)
+    X, u = ca.reshape(X_column, 2, 2), ca.reshape(u_column, components, 2)
+    tangent = X[:, 1] - X[:, 0]
+    outward = ca.vertcat(tangent[1], -tangent[0])  # times the length; the body is on the left
+    total = kind(0)
+    points, weights = get_quadrature_line(ERROR_DEGREE)
+    for point, weight in zip(np.vstack([1 - points, points]).T, weights, strict=True):
+        x, y = ca.vertsplit(X @ point)
+        gap = ca.dot(ca.DM(obstacle.normal), u @ point) + at(obstacle.offset, x, y)
+        total += weight * ca.dot(ca.DM(obstacle.normal), traction(x, y, outward)) * gap
+    function = ca.Function("contact_error", [X_column, u_column], [total, kind(0, 1)])
+    edges = _with_body_on_the_left(problem, contact_edges(problem))
+    return [objective_group(function, (positions.at(edges), displacement.at(edges)))]
+
+
+def quality(
+    problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+) -> list[ElementGroup]:
+    """Mean over the area of ``|A|^2 / (2 det A) - 1``, A the map from the initial element.
+
+    Zero for a mesh that is a rotated and scaled copy of the initial one element by element,
+    infinite as an element degenerates (the inverse mean ratio of Knupp 2001).
+    """
+    triangles, p = problem.triangles, problem.mesh.p
+    X, X0, total = ca.SX.sym("X", 2, 3), ca.SX.sym("X0", 2, 3), ca.SX.sym("total")
+    now, before = (ca.horzcat(Y[:, 1] - Y[:, 0], Y[:, 2] - Y[:, 0]) for Y in (X, X0))
+    det0 = before[0, 0] * before[1, 1] - before[0, 1] * before[1, 0]
+    adjugate = ca.vertcat(ca.horzcat(before[1, 1], -before[0, 1]), ca.horzcat(-before[1, 0], before[0, 0]))
+    A = now @ adjugate / det0
+    det = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+    value = (ca.sumsqr(A) / (2 * det) - 1) * det0 / (2 * total)
+    function = ca.Function("distortion", [ca.vec(X), ca.vec(X0), total], [value, ca.SX(0, 1)])
+    local = (
+        positions.at(triangles),
+        constant_field(p).at(triangles),
+        constant_field(np.full((1, triangles.shape[1]), signed_areas(p, triangles).sum())),
+    )
+    return [objective_group(function, local)]
+
+
+TERMS: dict[str, Groups] = {
+    "energy": energy,
+    "error-energy": error_energy,
+    "error-l2": error_l2,
+    "error-h1": error_h1,
+    "contact": contact,
+    "quality": quality,
+}
+
+
+NEED_EXACT = ("error-energy", "error-l2", "error-h1", "contact")
+
+
+@dataclass(frozen=True)
+class Objective:
+    """A weighted sum of terms, written like ``error-l2 + 0.01*quality``.
+
+    Attributes
+    ----------
+    text : str
+    terms : tuple of (weight, name)
+    """
+
+    text: str
+    terms: tuple[tuple[float, str], ...]
+
+    @property
+    def is_energy(self) -> bool:
+        """Whether it is a positive multiple of the energy alone."""
+        return [name for _, name in self.terms] == ["energy"]
+
+    @property
+    def needs_exact(self) -> bool:
+        """Whether a term compares with an exact or reference solution."""
+        return any(name in NEED_EXACT for _, name in self.terms)
+
+    def groups(
+        self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+    ) -> list[ElementGroup]:
+        """Element groups of the sum."""
+        return [
+            scaled_group(group, weight)
+            for weight, name in self.terms
+            for group in TERMS[name](problem, positions, displacement, slip)
+        ]
+
+
+def parse_objective(text: str) -> Objective:
+    """Read an objective such as ``energy`` or ``error-l2 + 0.01*quality``.
+
+    Raises
+    ------
+    ValueError
+        If a term is unknown or a weight is not a positive number.
+    """
+    terms = []
+    # a plus sign inside a number (1e+3) belongs to the number
+    for part in re.split(r"(?<![0-9.][eE])\+", text):
+        weight_text, star, name = part.strip().rpartition("*")
+        name = name.strip()
+        if name not in TERMS:
+            raise ValueError(f"unknown objective {name!r} in {text!r}: choose from {', '.join(TERMS)}")
+        try:
+            weight = float(weight_text) if star else 1.0
+        except ValueError:
+            raise ValueError(f"the weight {weight_text.strip()!r} in {text!r} is not a number") from None
+        if not (np.isfinite(weight) and weight > 0):
+            raise ValueError(f"the weight {weight_text.strip()!r} in {text!r} must be positive and finite")
+        terms.append((weight, name))
+    return Objective(text, tuple(terms))
+
+
+ENERGY = parse_objective("energy")
+
+
+def _exact(problem: ContactProblem, name: str) -> ExactSolution:
+    if problem.exact is None:
+        raise ValueError(
+            f"the objective {name!r} needs an exact or reference solution, and {problem.name!r} has none"
+        )
+    return problem.exact
+
+
+def _gradient(exact: ExactSolution) -> ca.Function:
+    """``(x, y) -> (value, gradient)``, the gradient (components, 2)."""
+    x, y = exact.symbol.sym("x"), exact.symbol.sym("y")
+    u = ca.vertcat(exact.value(x, y))
+    return ca.Function("exact", [x, y], [u, ca.horzcat(ca.jacobian(u, x), ca.jacobian(u, y))])
+
+
+def _triangles(
+    problem: ContactProblem,
+    positions: Field,
+    displacement: Field,
+    density: Callable[[Any, Any], Any],
+    exact: ExactSolution,
+    elements: Index | None = None,
+) -> ElementGroup:
+    """Integral of a density of the error and of its gradient over the triangles, or some of them."""
+    kind, components = exact.symbol, problem.components
+    X_column, u_column = kind.sym("X", 6), kind.sym("u", 3 * components)
+    X, u = ca.reshape(X_column, 2, 3), ca.reshape(u_column, components, 3)
+    edges = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
+    det = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
+    adjugate = ca.vertcat(ca.horzcat(edges[1, 1], -edges[0, 1]), ca.horzcat(-edges[1, 0], edges[0, 0]))
+    gradient = ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]) @ adjugate / det
+    solution = _gradient(exact)
+    barycentric, weights = triangle_rule(ERROR_DEGREE if kind is ca.SX else SPLINE_DEGREE)
+    total = kind(0)
+    for point, weight in zip(barycentric.T, weights, strict=True):
+        value, slope = solution(*ca.vertsplit(X @ point))
+        total += weight * density(u @ point - value, gradient - slope)
+    function = ca.Function("error", [X_column, u_column], [total * det / 2, kind(0, 1)])
+    triangles = problem.triangles if elements is None else problem.triangles[:, elements]
+    return objective_group(function, (positions.at(triangles), displacement.at(triangles)))
+
+
+def _traction(law: Law, exact: ExactSolution) -> Callable[[Any, Any, Any], Any]:
+    """The exact traction on a surface with outward normal n (of any length, which scales it)."""
+    solution = _gradient(exact)
+
+    def traction(x: Any, y: Any, n: Any) -> Any:
+        slope = solution(x, y)[1]
+        # the traction is the derivative of the energy density with respect to the gradient
+        variable = ca.SX.sym("gradient", law.components, 2)
+        stress = ca.Function("stress", [variable], [ca.gradient(energy_density(law, variable), variable)])
+        return stress(slope) @ n
+
+    return traction
+
+
+def _with_body_on_the_left(problem: ContactProblem, edges: Index) -> Index:
+    """The edges oriented so that their triangle is on the left."""
+    t, n_nodes = problem.triangles, problem.mesh.p.shape[1]
+    directed = np.hstack([t[[0, 1]], t[[1, 2]], t[[2, 0]]])
+    forward = np.isin(edges[0] * n_nodes + edges[1], directed[0] * n_nodes + directed[1])
+    return np.where(forward, edges, edges[::-1])
+
+
+def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
+    """The group with its objective multiplied by ``weight``."""
+    if weight == 1.0:
+        return group
+    symbols = local_symbols(group.function)
+    f, g = group.function(*symbols)
+    return replace(group, function=ca.Function(group.function.name(), symbols, [weight * f, g]))

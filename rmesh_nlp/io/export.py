@@ -1,0 +1,214 @@
+"""Results out: VTU with all fields, a PVD series of the iterations, meshes with names, pandas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import quoteattr
+
+import meshio
+import numpy as np
+from skfem import MeshTri
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.stress import stresses, von_mises
+from rmesh_nlp.io.vtu import fields_of, point_arrays
+from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem.lines import element_zones
+from rmesh_nlp.programs.freedoms import freedoms, least_angles
+from rmesh_nlp.solution.solution import Solution, Step
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def gaps(problem: ContactProblem, nodes: Array, displacement: Array) -> Array:
+    """Gap (nodes,) along the contact normal in units of length; NaN off the contact set."""
+    result = np.full(nodes.shape[1], np.nan)
+    where, obstacle = problem.contact_nodes, problem.obstacle
+    if where.size:
+        offset = on_points(obstacle.offset, nodes[:, where])
+        result[where] = np.array(obstacle.normal) @ displacement[:, where] + offset
+    return result
+
+
+def point_data(solution: Solution) -> dict[str, Array]:
+    """Fields of the nodes, by name; vectors have three components, as VTU files want them.
+
+    ``motion`` is the way from the initial position, ``mobility`` 0 pinned, 1 sliding, 2 free,
+    3 tied, ``box_multiplier`` as in :class:`rmesh_nlp.programs.multipliers.Multipliers`.
+    """
+    problem, nodes = solution.problem, np.asarray(solution.mesh.p)
+    data = point_arrays(fields_of(solution))
+    data["gap"] = gaps(problem, nodes, solution.displacement)
+    data["motion"] = _three(nodes - problem.mesh.p)
+    data["mobility"] = freedoms(problem).mobility.astype(np.int32)
+    if solution.multipliers is not None:
+        data["box_multiplier"] = solution.multipliers.box
+    return data
+
+
+def cell_data(solution: Solution) -> dict[str, Array]:
+    """Fields of the elements, by name.
+
+    ``stress`` is (elements, 4), sigma_xx, sigma_yy, sigma_xy, sigma_zz, with ``von_mises``; for
+    a scalar problem ``flux``. ``area_ratio`` is the area over the initial one, ``least_angle``
+    in degrees, ``zone`` a number per set of subdomains.
+    """
+    problem, nodes = solution.problem, np.asarray(solution.mesh.p)
+    stress = stresses(problem, nodes, solution.displacement)
+    triangles = problem.triangles
+    areas = signed_areas(nodes, triangles)
+    data = {
+        "area_ratio": areas / signed_areas(problem.mesh.p, triangles),
+        "least_angle": least_angles(nodes, triangles),
+        "zone": element_zones(problem).astype(np.int32),
+    }
+    if problem.components == 1:
+        data["flux"] = _three(stress)
+    else:
+        data["stress"] = np.ascontiguousarray(stress.T)
+        data["von_mises"] = von_mises(stress)
+    if solution.multipliers is not None:
+        data["area_multiplier"] = solution.multipliers.area
+        data["angle_multiplier"] = solution.multipliers.angle
+    return data
+
+
+def write_solution(solution: Solution, path: str | Path, file_format: str | None = None) -> None:
+    """Write a solution with all its fields, in the format of the suffix; ``.vtu`` for ParaView."""
+    points, cells = _three(np.asarray(solution.mesh.p)), [("triangle", solution.problem.triangles.T)]
+    data = {name: [values] for name, values in cell_data(solution).items()}
+    meshio.Mesh(points, cells, point_data=point_data(solution), cell_data=data).write(path, file_format)
+
+
+def write_mesh(mesh: MeshTri, path: str | Path) -> None:
+    """Write a mesh with the names of its boundaries and subdomains.
+
+    ``.msh`` gets physical groups (a facet of several boundaries appears once for each). In any
+    other format of meshio the names are kept as scikit-fem does; :func:`rmesh_nlp.meshes.read_mesh`
+    and ``skfem.MeshTri.load`` read them back.
+    """
+    path = Path(path)
+    if path.suffix != ".msh":
+        mesh.save(path)
+        return
+    lines, line_tags = [np.zeros((0, 2), int)], [np.zeros(0, int)]
+    names: dict[str, tuple[int, int]] = {}
+    triangles = counter_clockwise(mesh.p, mesh.t)
+    for name, facets in _user_names(mesh.boundaries):
+        names[name] = (len(names) + 1, 1)
+        lines.append(np.asarray(mesh.facets[:, facets]).T)
+        line_tags.append(np.full(len(facets), names[name][0]))
+    cells, tags = [np.zeros((0, 3), int)], [np.zeros(0, int)]
+    rest = np.ones(mesh.t.shape[1], dtype=bool)
+    for name, elements in _user_names(mesh.subdomains):
+        fresh = np.asarray(elements)[rest[elements]]  # a triangle is written once, under its first name
+        rest[fresh] = False
+        names[name] = (len(names) + 1, 2)
+        cells.append(triangles[:, fresh].T)
+        tags.append(np.full(fresh.size, names[name][0]))
+    cells.append(triangles[:, rest].T)
+    tags.append(np.zeros(int(rest.sum()), int))
+    blocks = [("triangle", np.vstack(cells)), ("line", np.vstack(lines))]
+    numbers = [np.concatenate(tags), np.concatenate(line_tags)]
+    blocks, numbers = (blocks, numbers) if len(numbers[1]) else (blocks[:1], numbers[:1])
+    meshio.Mesh(
+        _three(np.asarray(mesh.p)),
+        blocks,
+        cell_data={"gmsh:physical": numbers, "gmsh:geometrical": numbers},
+        field_data={name: np.array(value) for name, value in names.items()},
+    ).write(path, file_format="gmsh22", binary=False)
+
+
+class Series:
+    """Collects the iterates of a strategy and writes them as a PVD series that ParaView plays.
+
+    Give it as ``on_step`` to a strategy, then call :meth:`write`. The displacement of each
+    frame is the contact solution on its mesh.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    every : int
+        Keep one of so many iterates, the first and the last always.
+    """
+
+    def __init__(self, problem: ContactProblem, every: int = 1) -> None:
+        self.problem, self.every = problem, every
+        self._steps: list[Step] = []
+
+    def __call__(self, step: Step) -> None:
+        """Note an iterate."""
+        if step.q is not None:
+            self._steps.append(step)
+
+    @property
+    def frames(self) -> int:
+        """Number of iterates so far."""
+        return len(self._steps)
+
+    def write(self, folder: str | Path, name: str = "iterations") -> Path:
+        """Write ``name.pvd`` and one VTU file per frame; returns the path of the former."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        model, free = ContactModel(self.problem), freedoms(self.problem)
+        count = len(self._steps)
+        chosen = [s for i, s in enumerate(self._steps) if i % self.every == 0 or i == count - 1]
+        entries, active = [], None
+        for step in chosen:
+            nodes = free.positions.values(np.asarray(step.q))
+            state = model.solve(nodes, active)
+            active = state.active
+            u = model.displacement.values(state.u)
+            file = f"{name}-{step.iteration:05d}.vtu"
+            meshio.Mesh(
+                _three(nodes),
+                [("triangle", self.problem.triangles.T)],
+                point_data={
+                    "displacement": u[0] if u.shape[0] == 1 else _three(u),
+                    "motion": _three(nodes - self.problem.mesh.p),
+                },
+            ).write(folder / file)
+            entries.append(f'    <DataSet timestep="{step.iteration}" file={quoteattr(file)}/>')
+        path = folder / f"{name}.pvd"
+        lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
+        path.write_text("\n".join([*lines, *entries, "  </Collection>", "</VTKFile>", ""]))
+        return path
+
+
+def node_table(solution: Solution) -> pd.DataFrame:
+    """The fields of the nodes as a pandas table, one row per node, vectors by component."""
+    return _table({"x": solution.mesh.p[0], "y": solution.mesh.p[1], **point_data(solution)})
+
+
+def element_table(solution: Solution) -> pd.DataFrame:
+    """The fields of the elements as a pandas table, one row per element."""
+    a, b, c = solution.problem.triangles
+    return _table({"node_1": a, "node_2": b, "node_3": c, **cell_data(solution)})
+
+
+def _table(data: dict[str, Any]) -> pd.DataFrame:
+    import pandas as pd  # loading it takes longer than a small solve
+
+    axes = {2: "xy", 3: "xy", 4: ("xx", "yy", "xy", "zz")}
+    columns: dict[str, Array] = {}
+    for name, values in data.items():
+        if np.ndim(values) == 1:
+            columns[name] = values
+        else:
+            for axis, column in zip(axes[values.shape[1]], values.T, strict=False):
+                columns[f"{name}_{axis}"] = column
+    return pd.DataFrame(columns)
+
+
+def _user_names(groups: Any) -> list[tuple[str, Any]]:
+    return [(name, value) for name, value in (groups or {}).items() if not name.startswith("gmsh:")]
+
+
+def _three(points: Array) -> Array:
+    """(nodes, 3) from (2, nodes)."""
+    return np.ascontiguousarray(np.vstack([points, np.zeros(points.shape[1])]).T)

@@ -1,0 +1,248 @@
+"""Contact problems from TOML files. Every error is one line: file, key, value, what was expected."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+from skfem import MeshTri
+
+from rmesh_nlp.io.problem_messages import (
+    ProblemFileError,
+    as_text,
+    at_key,
+    error_at,
+    nearest,
+    one_line,
+    pydantic_line,
+    shown,
+    value_at,
+)
+from rmesh_nlp.io.problem_schema import ContactTable, MeshTable, MotionTable, ProblemTable
+from rmesh_nlp.meshes import named, read_mesh, shapes
+from rmesh_nlp.problem import (
+    NO_CONTACT,
+    ContactProblem,
+    Dirichlet,
+    Motion,
+    Obstacle,
+    PiecewiseLinear,
+    ProblemError,
+    Relative,
+    Traction,
+)
+from rmesh_nlp.problem.laws import Laplace, Law, PlaneStrain, PlaneStress
+from rmesh_nlp.programs.freedoms import freedoms, validity_group
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found,unused-ignore]
+
+LARGEST_FILE = 1_000_000
+"""Bytes that a problem file may have."""
+
+SHAPES: dict[str, tuple[Callable[..., MeshTri], tuple[str, ...], tuple[str, ...]]] = {
+    "rectangle": (shapes.rectangle, ("nx", "ny"), ("x", "y", "diagonal")),
+    "l-shape": (shapes.l_shape, ("h",), ("size",)),
+    "plate-with-hole": (shapes.plate_with_hole, ("h",), ("size", "radius")),
+    "half-disc": (shapes.half_disc, ("h",), ("radius", "contact", "h_contact")),
+    "wedge-block": (shapes.wedge_block, ("h",), ("width", "height", "rise")),
+    "polygon": (shapes.polygon, ("points", "h"), ()),
+}
+"""Function, needed keys and further keys of every shape."""
+
+_KEY_OF_PART = {
+    "mesh": "mesh",
+    "law": "materials",
+    "dirichlet": "dirichlet",
+    "obstacle": "contact",
+    "friction": "contact.friction",
+    "motion": "motion",
+    "tractions": "tractions",
+}
+
+
+def load_problem(path: str | Path) -> ContactProblem:
+    """The contact problem that a TOML file states.
+
+    Raises
+    ------
+    ProblemFileError
+        With one line per error, each naming file, key, value and what was expected.
+    """
+    return build(read_table(path), Path(path))
+
+
+def read_table(path: str | Path) -> ProblemTable:
+    """The checked tables of a problem file, its mesh not yet read."""
+    path = Path(path)
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise ProblemFileError([f"{path}: cannot be read: {error.strerror}"]) from error
+    if len(raw) > LARGEST_FILE:
+        raise ProblemFileError([f"{path}: has {len(raw)} bytes: more than {LARGEST_FILE} are not read"])
+    try:
+        data = tomllib.loads(raw.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ProblemFileError([f"{path}: is not valid TOML: {one_line(error)}"]) from error
+    try:
+        return ProblemTable.model_validate(data)
+    except ValidationError as error:
+        raise ProblemFileError([pydantic_line(path, item, data) for item in error.errors()]) from error
+
+
+def build(table: ProblemTable, path: Path) -> ContactProblem:
+    """Read the mesh and put the problem together."""
+    mesh = _mesh(table, path)
+    laws = {name: _law(table, f"materials.{name}", path) for name in table.materials}
+    law = laws or _law(table, "material", path)
+    _check_names(table, mesh, path)
+    n = next(iter(laws.values())).components if laws else law.components  # type: ignore[union-attr]
+    for section, entries in (("dirichlet", table.dirichlet), ("tractions", table.tractions)):
+        for name, value in entries.items():
+            if len(value) != n:
+                raise error_at(
+                    path, f"{section}.{name}", as_text(value), f"expected {n} value{'s' * (n > 1)}"
+                )
+    with at_key(path, "contact", table):
+        obstacle = _obstacle(table.contact, n)
+    with at_key(path, "motion", table):
+        motion = _motion(table.motion)
+    try:
+        problem = ContactProblem(
+            mesh=mesh,
+            law=law,
+            dirichlet=tuple(Dirichlet(name, value) for name, value in table.dirichlet.items()),
+            obstacle=obstacle,
+            motion=motion,
+            tractions=tuple(Traction(name, value) for name, value in table.tractions.items()),
+            quadrature=table.quadrature,
+            name=table.name or path.stem,
+            size=f"{mesh.t.shape[1]} triangles",
+        )
+    except ProblemError as error:
+        key = "material" if error.part == "law" and table.material else _KEY_OF_PART[error.part]
+        raise error_at(path, key, shown(table, key), one_line(error)) from error
+    with at_key(path, "motion", table):
+        validity_group(problem, freedoms(problem))
+    return problem
+
+
+def _mesh(table: ProblemTable, path: Path) -> MeshTri:
+    spec = table.mesh
+    if spec.file is not None:
+        _refuse_other_keys(spec, ("file",), path)
+        with at_key(path, "mesh.file", table):
+            mesh = read_mesh(path.parent / spec.file)
+    else:
+        function, needed, further = SHAPES[str(spec.shape)]
+        _refuse_other_keys(spec, ("shape", *needed, *further), path)
+        for key in needed:
+            if getattr(spec, key) is None:
+                raise error_at(path, f"mesh.{key}", "nothing", f"the shape {spec.shape!r} needs it")
+        keys = {key: getattr(spec, key) for key in (*needed, *further) if getattr(spec, key) is not None}
+        with at_key(path, "mesh", table):
+            mesh = function(**keys)
+    for kind, conditions in (("boundaries", table.boundaries), ("subdomains", table.subdomains)):
+        for name, condition in conditions.items():
+            with at_key(path, f"{kind}.{name}", table):
+                mesh = named(mesh, **{kind: {name: lambda p, c=condition: c.on(p) > 0.5}})
+    return mesh
+
+
+def _refuse_other_keys(spec: MeshTable, known: tuple[str, ...], path: Path) -> None:
+    for key in type(spec).model_fields:
+        if key in spec.model_fields_set and key not in known:
+            what = f"the shape {spec.shape!r}" if spec.shape else "a mesh from a file"
+            raise error_at(
+                path, f"mesh.{key}", as_text(getattr(spec, key)), f"{what} takes {', '.join(known)}"
+            )
+
+
+def _law(whole: ProblemTable, key: str, path: Path) -> Law:
+    table: Any = value_at(whole, key)
+    scalar = ("source", "conductivity")
+    elastic = ("young", "poisson", "lame_lambda", "lame_mu", "body_force")
+    known = scalar if table.law == "laplace" else elastic
+    for name in type(table).model_fields:
+        if name in table.model_fields_set and name not in ("law", *known):
+            value = as_text(getattr(table, name))
+            raise error_at(path, f"{key}.{name}", value, f"the law {table.law!r} takes {', '.join(known)}")
+    with at_key(path, key, whole):
+        if table.law == "laplace":
+            return Laplace(
+                0.0 if table.source is None else table.source,
+                1.0 if table.conductivity is None else table.conductivity,
+            )
+        kind = PlaneStrain if table.law == "plane-strain" else PlaneStress
+        force = table.body_force or (0.0, 0.0)
+        given = [k for k in ("young", "poisson", "lame_lambda", "lame_mu") if getattr(table, k) is not None]
+        if given == ["lame_lambda", "lame_mu"]:
+            return kind(table.lame_lambda, table.lame_mu, force)
+        if given == ["young", "poisson"]:
+            return kind.from_young(table.young, table.poisson, force)
+        raise ValueError("expected either young and poisson, or lame_lambda and lame_mu")
+
+
+def _obstacle(table: ContactTable | None, components: int) -> Obstacle:
+    if table is None:
+        return NO_CONTACT
+    if table.interior is not None:
+        if table.friction is not None:
+            raise ValueError("friction needs contact on a boundary")
+        return Obstacle.interior(table.interior)
+    friction = 0.0 if table.friction is None else table.friction
+    boundary = str(table.boundary)
+    if table.line is not None:
+        return Obstacle.line(boundary, table.line.point, table.line.normal, friction)
+    if table.height is not None:
+        return Obstacle.graph(boundary, table.height, friction)
+    if table.points is not None:
+        x, y = zip(*table.points, strict=True)
+        return Obstacle.graph(boundary, PiecewiseLinear(x, y), friction)
+    offset = 0.0 if table.offset is None else table.offset
+    if components == 1:
+        return Obstacle(boundary, (1.0,), offset, friction)
+    normal = table.normal or (0.0, 1.0)
+    length = float(np.hypot(*normal))
+    if length == 0:
+        raise ValueError("expected a normal that is not zero")
+    return Obstacle(boundary, (normal[0] / length, normal[1] / length), offset, friction)
+
+
+def _motion(table: MotionTable) -> Motion:
+    delta = Relative(table.delta["relative"]) if isinstance(table.delta, dict) else table.delta
+    return Motion(
+        delta,
+        pinned=table.pinned,
+        slides=table.slides,
+        free=table.free,
+        tied=table.tied,
+        min_area_fraction=table.min_area_fraction,
+        min_angle=table.min_angle,
+    )
+
+
+def _check_names(table: ProblemTable, mesh: MeshTri, path: Path) -> None:
+    """Names of boundaries and subdomains, with the nearest known one in the message."""
+    boundaries, subdomains = sorted(mesh.boundaries or {}), sorted(mesh.subdomains or {})
+    used = [(f"dirichlet.{name}", name) for name in table.dirichlet]
+    used += [(f"tractions.{name}", name) for name in table.tractions]
+    for rule in ("pinned", "slides", "free"):
+        used += [(f"motion.{rule}", name) for name in getattr(table.motion, rule) if isinstance(name, str)]
+    if table.contact is not None and table.contact.boundary is not None:
+        used.append(("contact.boundary", table.contact.boundary))
+    for key, name in used:
+        if name not in boundaries:
+            expected = f"expected a boundary of the mesh{nearest(name, boundaries)}"
+            raise error_at(path, key, shown(table, key), expected)
+    for name in table.materials:
+        if name not in subdomains:
+            expected = f"expected a subdomain of the mesh{nearest(name, subdomains)}"
+            raise error_at(path, f"materials.{name}", shown(table, f"materials.{name}"), expected)

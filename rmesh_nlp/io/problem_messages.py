@@ -1,0 +1,126 @@
+"""Errors in problem files as one line each: file, key, value, and what was expected."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.problem_schema import (
+    ContactTable,
+    LineTable,
+    MaterialTable,
+    MeshTable,
+    MotionTable,
+    ProblemTable,
+    SolveTable,
+)
+
+
+class ProblemFileError(BadInputError):
+    """A problem file that cannot be used; ``lines`` has one line per error."""
+
+    def __init__(self, lines: list[str]) -> None:
+        super().__init__("\n".join(lines))
+        self.lines = lines
+
+
+@contextmanager
+def at_key(path: Path, key: str, table: ProblemTable) -> Iterator[None]:
+    """Name file, key and value in any ValueError that is not yet one of a problem file."""
+    try:
+        yield
+    except ProblemFileError:
+        raise
+    except ValueError as error:
+        raise error_at(path, key, shown(table, key), one_line(error)) from error
+
+
+def value_at(table: ProblemTable, key: str) -> Any:
+    """What stands at a dotted key; the last part of the key is a name or a field."""
+    value: Any = table
+    for part in key.split(".", 1):
+        value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
+    return value
+
+
+def shown(table: ProblemTable, key: str) -> str:
+    """What stands at a key, as text."""
+    value = value_at(table, key)
+    return as_text(value.model_dump(exclude_unset=True) if isinstance(value, BaseModel) else value)
+
+
+def error_at(path: Path, key: str, value: str, expected: str) -> ProblemFileError:
+    """The error of one key."""
+    return ProblemFileError([f"{path}: {key} = {value}: {expected}"])
+
+
+def pydantic_line(path: Path, item: Any, data: dict[str, Any]) -> str:
+    """One of pydantic's errors as one line."""
+    location = [str(part) for part in item["loc"]]
+    key = ".".join(location) or "file"
+    if item["type"] == "extra_forbidden":
+        known = _known_keys(location[:-1])
+        return f"{path}: {key} = {as_text(item['input'])}: unknown key{nearest(location[-1], known)}"
+    if item["type"] == "missing":
+        return f"{path}: {key} = nothing: expected, but it is missing"
+    if item["type"] == "literal_error":
+        return f"{path}: {key} = {as_text(item['input'])}: expected {item['ctx']['expected']}"
+    if item["type"] in ("model_type", "dict_type", "model_attributes_type"):
+        return f"{path}: {key} = {as_text(item['input'])}: expected a table [{key}]"
+    message = one_line(item["msg"]).removeprefix("Value error, ")
+    if not location:
+        return f"{path}: {key}: {message}"
+    return f"{path}: {key} = {as_text(item['input'])}: {message}"
+
+
+_TABLES: dict[str, type[BaseModel]] = {
+    "mesh": MeshTable,
+    "material": MaterialTable,
+    "materials": MaterialTable,
+    "contact": ContactTable,
+    "contact.line": LineTable,
+    "motion": MotionTable,
+    "solve": SolveTable,
+}
+
+
+def _known_keys(location: list[str]) -> list[str]:
+    """Keys that the table at this place may have."""
+    place = "materials" if location[:1] == ["materials"] else ".".join(location)
+    return list(_TABLES.get(place, ProblemTable).model_fields)
+
+
+def nearest(name: str, known: list[str]) -> str:
+    """The end of a message about an unknown name."""
+    if not known:
+        return ", which has none"
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+    return f", did you mean {close[0]!r}?" if close else f": one of {', '.join(known)}"
+
+
+def as_text(value: Any) -> str:
+    """A value as it stood in the file, cut to 60 characters."""
+    text = "nothing" if value is None else repr(_plain(value))
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _plain(value: Any) -> Any:
+    """A checked value as it stood in the file."""
+    if isinstance(value, BaseModel):
+        return _plain(value.model_dump(exclude_unset=True))
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return ["free" if item is None else _plain(item) for item in value]
+    return getattr(value, "text", value)
+
+
+def one_line(error: Any) -> str:
+    """The message of an error without line breaks."""
+    return " ".join(str(error).split())

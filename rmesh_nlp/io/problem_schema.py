@@ -1,0 +1,159 @@
+"""The keys of a problem file and what may stand there, as pydantic models."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from rmesh_nlp.io.problem_values import (
+    Angle,
+    Condition,
+    Count,
+    Delta,
+    Finite,
+    Fraction,
+    Given,
+    Levels,
+    Pair,
+    Places,
+    Points,
+    Poisson,
+    Positive,
+    Quadrature,
+    Scalar,
+    Seed,
+    Text,
+    Ties,
+    Vector,
+)
+
+
+class Table(BaseModel):
+    """A table whose keys are all known."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class MeshTable(Table):
+    """``[mesh]``: a file, or a shape with its own parameters."""
+
+    file: Text | None = None
+    shape: (
+        Literal["rectangle", "l-shape", "plate-with-hole", "half-disc", "wedge-block", "polygon"] | None
+    ) = None
+    nx: Count | None = None
+    ny: Count | None = None
+    x: Pair | None = None
+    y: Pair | None = None
+    diagonal: Literal["rising", "falling"] | None = None
+    h: Positive | None = None
+    size: Positive | None = None
+    radius: Positive | None = None
+    contact: Positive | None = None
+    h_contact: Positive | None = None
+    width: Positive | None = None
+    height: Positive | None = None
+    rise: Finite | None = None
+    points: Points | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> MeshTable:
+        if (self.file is None) == (self.shape is None):
+            raise ValueError("expected either a file or a shape")
+        return self
+
+
+class MaterialTable(Table):
+    """``[material]`` or ``[materials.<subdomain>]``."""
+
+    law: Literal["laplace", "plane-strain", "plane-stress"]
+    young: Positive | None = None
+    poisson: Poisson | None = None
+    lame_lambda: Finite | None = None
+    lame_mu: Positive | None = None
+    body_force: Vector | None = None
+    source: Scalar | None = None
+    conductivity: Positive | None = None
+
+
+class LineTable(Table):
+    """A rigid straight line."""
+
+    point: Pair
+    normal: Pair
+
+
+class ContactTable(Table):
+    """``[contact]``: on a boundary, or above an obstacle in the interior."""
+
+    boundary: Text | None = None
+    offset: Scalar | None = None
+    normal: Pair | None = None
+    line: LineTable | None = None
+    height: Scalar | None = None
+    points: Points | None = None
+    interior: Scalar | None = None
+    friction: Scalar | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> ContactTable:
+        if (self.boundary is None) == (self.interior is None):
+            raise ValueError("expected either a boundary or interior")
+        kinds = [k for k in ("offset", "line", "height", "points") if getattr(self, k) is not None]
+        if len(kinds) > 1 or (kinds and self.interior is not None):
+            raise ValueError(f"expected one way to say where the obstacle is, got {' and '.join(kinds)}")
+        if self.normal is not None and kinds not in ([], ["offset"]):
+            raise ValueError("expected normal only together with offset")
+        return self
+
+
+class MotionTable(Table):
+    """``[motion]``."""
+
+    delta: Delta = None
+    pinned: Places = ()
+    slides: Places = ()
+    free: Places = ()
+    tied: Ties = ()
+    min_area_fraction: Fraction = 0.01
+    min_angle: Angle = 0.0
+
+
+class SolveTable(Table):
+    """``[solve]``: defaults of ``rmesh solve`` for this file."""
+
+    formulation: Text = "joint"
+    objective: Text = "energy"
+    seed: Seed | None = None
+    starts: Seed = 0
+    levels: Levels = 0
+
+    @model_validator(mode="after")
+    def _one_way(self) -> SolveTable:
+        if self.starts and (self.levels or self.seed is not None):
+            raise ValueError("expected starts alone, without levels or seed")
+        return self
+
+
+class ProblemTable(Table):
+    """A whole problem file."""
+
+    name: Text | None = None
+    quadrature: Quadrature = "midpoint"
+    mesh: MeshTable
+    boundaries: dict[str, Condition] = Field(default_factory=dict)
+    subdomains: dict[str, Condition] = Field(default_factory=dict)
+    material: MaterialTable | None = None
+    materials: dict[str, MaterialTable] = Field(default_factory=dict)
+    dirichlet: dict[str, Given]
+    tractions: dict[str, Vector] = Field(default_factory=dict)
+    contact: ContactTable | None = None
+    motion: MotionTable = MotionTable()
+    solve: SolveTable = SolveTable()
+
+    @model_validator(mode="after")
+    def _one_material(self) -> ProblemTable:
+        if (self.material is None) == (not self.materials):
+            raise ValueError("expected either [material] or [materials.<subdomain>]")
+        return self

@@ -1,0 +1,116 @@
+"""The fields of a solution that figures are made from, and reading them back from VTU files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.solution.solution import Solution
+
+
+@dataclass(frozen=True)
+class Fields:
+    """What a VTU file holds. Arrays run over the nodes in their last axis.
+
+    Attributes
+    ----------
+    nodes, initial : (2, nodes) arrays
+        Positions after and before the relocation.
+    triangles : (3, elements) array
+    displacement : (components, nodes) array
+    pressure, tangential_stress, friction_bound : (nodes,) arrays
+        In N/m^2, zero off the contact nodes.
+    contact : (nodes,) array of bool
+        Whether a node may come in contact.
+    foundation : (2, nodes) array
+        The point of the foundation that a contact node would meet; the node itself elsewhere
+        and for scalar problems.
+    """
+
+    nodes: Array
+    initial: Array
+    triangles: NDArray[np.int64]
+    displacement: Array
+    pressure: Array
+    tangential_stress: Array
+    friction_bound: Array
+    contact: NDArray[np.bool_]
+    foundation: Array
+
+
+def fields_of(solution: Solution) -> Fields:
+    """The fields of a solution."""
+    problem, nodes = solution.problem, np.asarray(solution.mesh.p)
+    obstacle, where = problem.obstacle, problem.contact_nodes
+    contact = np.zeros(nodes.shape[1], dtype=bool)
+    contact[where] = True
+    bound, foundation = np.zeros(nodes.shape[1]), nodes.copy()
+    bound[where] = on_points(obstacle.friction, nodes[:, where])
+    if problem.components == 2:
+        distance = on_points(obstacle.offset, nodes[:, where])
+        foundation[:, where] -= np.outer(obstacle.normal, distance)
+    return Fields(
+        nodes=nodes,
+        initial=np.asarray(problem.mesh.p),
+        triangles=problem.triangles,
+        displacement=solution.displacement,
+        pressure=solution.pressure,
+        tangential_stress=solution.tangential_stress,
+        friction_bound=bound,
+        contact=contact,
+        foundation=foundation,
+    )
+
+
+def point_arrays(fields: Fields) -> dict[str, NDArray]:
+    """The fields as VTU files have them, by name.
+
+    ``displacement`` has one or two components; ``initial_position`` and ``foundation`` have
+    three, as the points of a VTU file do.
+    """
+    u = fields.displacement
+    return {
+        "displacement": u[0] if u.shape[0] == 1 else np.ascontiguousarray(u.T),
+        "initial_position": _three(fields.initial),
+        "pressure": fields.pressure,
+        "tangential_stress": fields.tangential_stress,
+        "friction_bound": fields.friction_bound,
+        "contact": fields.contact.astype(np.int32),
+        "foundation": _three(fields.foundation),
+    }
+
+
+def read_vtu(path: Path) -> Fields:
+    """Read what :func:`rmesh_nlp.io.export.write_solution` wrote.
+
+    Raises
+    ------
+    KeyError
+        If an array is missing.
+    meshio.ReadError
+        If the file is not a VTU file.
+    """
+    mesh = meshio.vtu.read(str(path))  # meshio.read ends the process where it cannot read
+    data = mesh.point_data
+    return Fields(
+        nodes=mesh.points[:, :2].T,
+        initial=data["initial_position"][:, :2].T,
+        triangles=mesh.cells_dict["triangle"].T,
+        displacement=np.atleast_2d(data["displacement"].T),
+        pressure=data["pressure"],
+        tangential_stress=data["tangential_stress"],
+        friction_bound=data["friction_bound"],
+        contact=data["contact"].astype(bool),
+        foundation=data["foundation"][:, :2].T,
+    )
+
+
+def _three(points: Array) -> Array:
+    """(nodes, 3) coordinates of (2, nodes) ones."""
+    return np.ascontiguousarray(np.vstack([points, np.zeros(points.shape[1])]).T)

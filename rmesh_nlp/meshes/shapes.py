@@ -1,0 +1,219 @@
+"""Meshes of simple shapes with named boundaries: a rectangle, and others through gmsh.
+
+gmsh is an optional extra: ``pip install rmesh-nlp[gmsh]``.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skfem import MeshTri
+
+from rmesh_nlp.meshes.reading import from_arrays, read_mesh
+
+DIAGONALS = ("rising", "falling")
+
+LARGEST = 1e6
+"""Triangles that a shape may have."""
+
+
+def rectangle(
+    nx: int,
+    ny: int,
+    *,
+    x: tuple[float, float] = (0.0, 1.0),
+    y: tuple[float, float] = (0.0, 1.0),
+    diagonal: str = "rising",
+) -> MeshTri:
+    """A rectangle of ``nx`` times ``ny`` cells with boundaries left, right, bottom, top.
+
+    Each cell is cut from lower left to upper right ("rising") or from upper left ("falling").
+    """
+    for name, n in (("nx", nx), ("ny", ny)):
+        if not isinstance(n, (int, np.integer)) or n < 1:
+            raise ValueError(f"{name} must be a whole number of at least 1, got {n!r}")
+    _increasing("x", x)
+    _increasing("y", y)
+    _affordable(2 * nx * ny)
+    if diagonal not in DIAGONALS:
+        raise ValueError(f"diagonal must be one of {', '.join(DIAGONALS)}, got {diagonal!r}")
+    px, py = np.meshgrid(np.linspace(*x, nx + 1), np.linspace(*y, ny + 1), indexing="ij")
+    number = np.arange(px.size).reshape(px.shape)
+    ll, lr, ul, ur = (a.ravel() for a in (number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]))
+    cells = [(ll, lr, ur), (ll, ur, ul)] if diagonal == "rising" else [(ll, lr, ul), (lr, ur, ul)]
+    return from_arrays(
+        np.column_stack([px.ravel(), py.ravel()]),
+        np.vstack([np.column_stack(cell) for cell in cells]),
+        {
+            "left": lambda z: z[0] == x[0],
+            "right": lambda z: z[0] == x[1],
+            "bottom": lambda z: z[1] == y[0],
+            "top": lambda z: z[1] == y[1],
+        },
+    )
+
+
+def l_shape(h: float, *, size: float = 1.0) -> MeshTri:
+    """(-size, size)^2 without its lower right quarter; boundaries ``corner`` (the two edges at the
+    re-entrant corner at the origin) and ``outer``. ``h`` is the target edge length.
+    """  # noqa: D205
+    _positive(h=h, size=size)
+    _affordable(2.3 * 3 * (size / h) ** 2)
+    s = size
+    points = [(0, 0), (s, 0), (s, s), (-s, s), (-s, -s), (0, -s)]
+    return _polygon(points, h, {"corner": [0, 5], "outer": [1, 2, 3, 4]})
+
+
+def plate_with_hole(h: float, *, size: float = 10.0, radius: float = 2.5) -> MeshTri:
+    """A square (0, size)^2 with a round hole in its middle; boundaries left, right, bottom, top, hole."""
+    _positive(h=h, size=size, radius=radius)
+    if not radius < size / 2:
+        raise ValueError(f"the hole of radius {radius} does not fit into a square of side {size}")
+    _affordable(2.3 * (size / h) ** 2)
+
+    def draw(gmsh: Any) -> None:
+        geo = gmsh.model.geo
+        lines = _loop(geo, [(0, 0), (size, 0), (size, size), (0, size)], [h] * 4)
+        c = size / 2
+        centre = geo.addPoint(c, c, 0)
+        ring = [
+            geo.addPoint(c + a * radius, c + b * radius, 0, h) for a, b in ((1, 0), (0, 1), (-1, 0), (0, -1))
+        ]
+        arcs = [geo.addCircleArc(ring[i], centre, ring[(i + 1) % 4]) for i in range(4)]
+        surface = geo.addPlaneSurface([geo.addCurveLoop(lines), geo.addCurveLoop(arcs)])
+        names = {name: [line] for name, line in zip(("bottom", "right", "top", "left"), lines, strict=True)}
+        _name(gmsh, {**names, "hole": arcs}, surface)
+
+    return _with_gmsh(draw)
+
+
+def half_disc(h: float, *, radius: float = 1.0, contact: float = 0.1, h_contact: float = 0.01) -> MeshTri:
+    """The right half of the lower half disc with centre (0, radius): a quarter, by symmetry.
+
+    The arc is cut off at the bottom by its chord of half-length ``contact``, so that contact
+    nodes can slide on a straight piece; the true distance to the line y = 0 belongs into the
+    obstacle, radius - sqrt(radius^2 - x^2). Boundaries ``axis`` (x = 0), ``top`` (y = radius), ``arc``,
+    ``contact``; edges are ``h_contact`` long at the contact and ``h`` far from it.
+    """
+    _positive(h=h, radius=radius, contact=contact, h_contact=h_contact)
+    if not contact < radius:
+        raise ValueError(f"the contact half-length {contact} must be smaller than the radius {radius}")
+    _affordable(2.3 * ((radius / h) ** 2 + (contact / h_contact) ** 2))
+
+    def draw(gmsh: Any) -> None:
+        geo = gmsh.model.geo
+        low = radius - np.sqrt(radius**2 - contact**2)
+        centre = geo.addPoint(0, radius, 0, h)
+        bottom, end = geo.addPoint(0, low, 0, h_contact), geo.addPoint(contact, low, 0, h_contact)
+        right = geo.addPoint(radius, radius, 0, h)
+        lines = [
+            geo.addLine(bottom, end),
+            geo.addCircleArc(end, centre, right),
+            geo.addLine(right, centre),
+            geo.addLine(centre, bottom),
+        ]
+        surface = geo.addPlaneSurface([geo.addCurveLoop(lines)])
+        names = {name: [line] for name, line in zip(("contact", "arc", "top", "axis"), lines, strict=True)}
+        _name(gmsh, names, surface)
+
+    return _with_gmsh(draw)
+
+
+def wedge_block(h: float, *, width: float = 4.0, height: float = 1.0, rise: float = 0.2) -> MeshTri:
+    """A block whose lower edge rises by ``rise`` from its middle to both ends, like a blunt wedge.
+
+    Boundaries left, right, top, ``wedge`` (the lower edge, two straight pieces that meet at
+    (width/2, 0)).
+    """
+    _positive(h=h, width=width, height=height)
+    if not 0 <= rise < height:
+        raise ValueError(f"the rise {rise} must be at least 0 and smaller than the height {height}")
+    _affordable(2.3 * width * height / h**2)
+    points = [(0, rise), (width / 2, 0), (width, rise), (width, height), (0, height)]
+    return _polygon(points, h, {"wedge": [0, 1], "right": [2], "top": [3], "left": [4]})
+
+
+def polygon(
+    points: list[tuple[float, float]], h: float, boundaries: dict[str, list[int]] | None = None
+) -> MeshTri:
+    """A simple polygon, counter-clockwise, meshed with edges of length ``h``.
+
+    ``boundaries`` names its edges by number, edge i running from point i to the next; by
+    default edge i is called ``edge-i``.
+    """
+    _positive(h=h)
+    if len(points) < 3 or not np.all(np.isfinite(points)):
+        raise ValueError(f"a polygon needs 3 or more finite points, got {points}")
+    _affordable(2.3 * float(np.prod(np.ptp(points, axis=0))) / h**2)
+    names = boundaries or {f"edge-{i}": [i] for i in range(len(points))}
+    for name, edges in names.items():
+        for edge in edges:
+            if not 0 <= edge < len(points):
+                raise ValueError(f"the boundary {name!r} names edge {edge}; edges run to {len(points) - 1}")
+    return _polygon(points, h, names)
+
+
+def _polygon(points: list[tuple[float, float]], h: float, boundaries: dict[str, list[int]]) -> MeshTri:
+    def draw(gmsh: Any) -> None:
+        lines = _loop(gmsh.model.geo, points, [h] * len(points))
+        surface = gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(lines)])
+        _name(gmsh, {name: [lines[i] for i in edges] for name, edges in boundaries.items()}, surface)
+
+    return _with_gmsh(draw)
+
+
+def _loop(geo: Any, points: list[tuple[float, float]], sizes: list[float]) -> list[int]:
+    tags = [geo.addPoint(x, y, 0, size) for (x, y), size in zip(points, sizes, strict=True)]
+    return [geo.addLine(tags[i], tags[(i + 1) % len(tags)]) for i in range(len(tags))]
+
+
+def _name(gmsh: Any, boundaries: dict[str, list[int]], surface: int) -> None:
+    gmsh.model.geo.synchronize()
+    for name, lines in boundaries.items():
+        gmsh.model.addPhysicalGroup(1, lines, name=name)
+    gmsh.model.addPhysicalGroup(2, [surface], name="body")
+
+
+def _with_gmsh(draw: Callable[[Any], None]) -> MeshTri:
+    """Run gmsh on what ``draw`` draws; the same drawing gives the same mesh."""
+    try:
+        gmsh = import_module("gmsh")
+    except (ImportError, OSError) as error:  # OSError: its library needs libGLU
+        raise ValueError(f"this shape needs gmsh: pip install rmesh-nlp[gmsh] ({error})") from error
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("shape")
+        draw(gmsh)
+        gmsh.model.mesh.generate(2)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "shape.msh"
+            gmsh.write(str(path))
+            return read_mesh(path)
+    except ValueError:
+        raise
+    except Exception as error:  # gmsh raises bare Exceptions
+        raise ValueError(f"gmsh cannot mesh this shape: {error}") from error
+    finally:
+        gmsh.finalize()
+
+
+def _affordable(triangles: float) -> None:
+    if triangles > LARGEST:
+        raise ValueError(f"this would be a mesh of about {triangles:.0e} triangles, more than {LARGEST:.0e}")
+
+
+def _positive(**values: float) -> None:
+    for name, value in values.items():
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"{name} must be positive, got {value}")
+
+
+def _increasing(name: str, ends: tuple[float, float]) -> None:
+    if len(ends) != 2 or not (np.all(np.isfinite(ends)) and ends[0] < ends[1]):
+        raise ValueError(f"{name} must be two increasing numbers, got {ends}")

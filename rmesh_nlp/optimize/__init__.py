@@ -1,0 +1,1 @@
+"""Nonlinear programs and descents; knows nothing of meshes."""

@@ -1,0 +1,168 @@
+"""One step of projected Newton-CG: a quadratic model minimised approximately in a box that walls may cut.
+
+A Cauchy point, then rounds of conjugate gradients on the face of the set where the step is, each with a
+projected search, all on the same model (:mod:`rmesh_nlp.optimize.newton`).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.polyhedron import Polyhedron
+from rmesh_nlp.optimize.smooth_constraints import Wall
+
+MAX_PRODUCTS = 40
+"""Hessian products of one step."""
+
+MAX_PRODUCTS_WALLED = 250
+"""The same along walls: there the conjugate gradients, not the model, are what stops a step early."""
+
+WORTHWHILE = 0.06
+"""Least part of a step's decrease that the last round of conjugate gradients must give."""
+
+OVERSHOOT = 2.0
+"""How far beyond the trust region, in its widths, a direction is followed before it is projected."""
+
+
+class Model(Protocol):
+    """A second-order model of the function at a point."""
+
+    def __call__(self, d: Array) -> Array:
+        """Hessian times ``d``."""
+
+    def diagonal(self) -> Array:
+        """A positive diagonal to scale the variables with."""
+
+
+class BoxStep:
+    """Minimises ``g . s + 1/2 s . H s`` approximately over a box that holds s = 0."""
+
+    max_products = MAX_PRODUCTS
+
+    def __init__(self, model: Model, g: Array) -> None:
+        self._model, self._g = model, g
+        self.scale = model.diagonal()
+        self.products = 0
+
+    def solve(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
+        """A step within the box, and the decrease that the model predicts."""
+        self._lower, self._upper = lower, upper
+        s, Hs = self._cauchy()
+        while self.products < self.max_products:
+            free = self._face(s)
+            gradient = self._g + Hs
+            residual = np.where(free, gradient, 0.0)
+            if self._dual_norm(residual) <= forcing * self._dual_norm(np.where(free, self._g, 0.0)):
+                break
+            w = self._conjugate_gradients(residual, free, forcing)
+            moved, H_moved = self._projected_search(s, gradient, w)
+            decrease = -float(gradient @ moved + 0.5 * moved @ H_moved)
+            s, Hs = s + moved, Hs + H_moved
+            if decrease <= WORTHWHILE * self._decrease(s, Hs):
+                break
+        return s, self._decrease(s, Hs)
+
+    def _decrease(self, s: Array, Hs: Array) -> float:
+        return float(-(self._g @ s + 0.5 * s @ Hs))
+
+    def _product(self, d: Array) -> Array:
+        self.products += 1
+        return self._model(d)
+
+    def _dual_norm(self, r: Array) -> float:
+        return float(np.sqrt(np.maximum(r @ self._precondition(r), 0.0)))
+
+    def _precondition(self, r: Array) -> Array:
+        return r / self.scale
+
+    def _face(self, s: Array) -> NDArray[np.bool_]:
+        """The variables that no bound holds at ``s``."""
+        return (s > self._lower) & (s < self._upper)
+
+    def _clip(self, s: Array) -> Array:
+        return np.clip(s, self._lower, self._upper)
+
+    def _cauchy(self) -> tuple[Array, Array]:
+        """Generalised Cauchy point along the projected scaled gradient."""
+        direction = -self._g / self.scale
+        alpha = 1.0
+        s = self._clip(direction)
+        while np.any(s):
+            Hs = self._product(s)
+            if self._g @ s + 0.5 * s @ Hs <= 0.01 * (self._g @ s):
+                return s, Hs
+            alpha *= 0.25
+            s = self._clip(alpha * direction)
+        return s, np.zeros_like(s)
+
+    def _conjugate_gradients(self, residual: Array, free: NDArray[np.bool_], forcing: float) -> Array:
+        """Steps over the free variables, until they converge or lead far out of the box."""
+        far = OVERSHOOT * float(np.max(np.maximum(self._upper, -self._lower)))
+        w, r = np.zeros_like(residual), -residual
+        z = self._precondition(r)
+        p, rz = z.copy(), float(r @ z)
+        target = forcing**2 * rz
+        while self.products < self.max_products:
+            Hp = np.where(free, self._product(p), 0.0)
+            curvature = float(p @ Hp)
+            if curvature <= 0:
+                return w + far / max(float(np.max(np.abs(p))), 1e-300) * p
+            alpha = rz / curvature
+            w, r = w + alpha * p, r - alpha * Hp
+            z = self._precondition(r)
+            rz, old = float(r @ z), rz
+            if rz <= target or np.max(np.abs(w)) > far:
+                break
+            p = z + (rz / old) * p
+        return w
+
+    def _projected_search(self, s: Array, gradient: Array, w: Array) -> tuple[Array, Array]:
+        """A step along the projected path of ``w`` that decreases the model."""
+        beta = 1.0
+        for _ in range(30):
+            moved = self._clip(s + beta * w) - s
+            H_moved = self._product(moved)
+            slope = gradient @ moved
+            if slope + 0.5 * moved @ H_moved <= 0.01 * np.minimum(slope, 0.0):
+                return moved, H_moved
+            beta *= 0.5
+        return np.zeros_like(s), np.zeros_like(s)
+
+
+class WalledStep(BoxStep):
+    """The same where the linearised rows of a wall hold too; conjugate gradients run along active ones."""
+
+    max_products = MAX_PRODUCTS_WALLED
+
+    def __init__(self, model: Model, g: Array, wall: Wall) -> None:
+        super().__init__(model, g)
+        self._wall = wall
+
+    def solve(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
+        """A step within the box and the rows, and the decrease that the model predicts."""
+        room = self._wall.slack - self._wall.floor
+        self._set = Polyhedron(lower, upper, room, self._wall.jacobian, self.scale)
+        return super().solve(lower, upper, forcing)
+
+    def multipliers(self, s: Array) -> Array:
+        """What the rows that hold the step ``s`` pull with, by least squares; not negative."""
+        result, active = np.zeros(self._wall.slack.size), self._set.active(s)
+        if active.size:
+            self._face(s)
+            result[active] = np.maximum(self._along.multipliers(self._g + self._product(s)), 0.0)
+        return result
+
+    def _clip(self, s: Array) -> Array:
+        return self._set.nearest(s)
+
+    def _face(self, s: Array) -> NDArray[np.bool_]:
+        free = super()._face(s)
+        self._along = self._set.face(self._set.active(s), free)
+        return free
+
+    def _precondition(self, r: Array) -> Array:
+        return self._along.precondition(r)

@@ -1,0 +1,33 @@
+"""What a user states: mesh, laws, supports, loads, contact, and how nodes may move."""
+
+from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at
+from rmesh_nlp.problem.contact_problem import ContactProblem
+from rmesh_nlp.problem.laws import Elastic, Laplace, Law, PlaneStrain, PlaneStress
+from rmesh_nlp.problem.motion import Motion, Relative
+from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
+from rmesh_nlp.problem.statement import Dirichlet, ExactSolution, Traction
+
+__all__ = [
+    "NO_CONTACT",
+    "Coefficient",
+    "ContactProblem",
+    "Dirichlet",
+    "Elastic",
+    "ExactSolution",
+    "Laplace",
+    "Law",
+    "Motion",
+    "Obstacle",
+    "PiecewiseLinear",
+    "Place",
+    "PlaneStrain",
+    "PlaneStress",
+    "PositionFunction",
+    "ProblemError",
+    "Relative",
+    "Traction",
+    "at",
+    "signed_areas",
+]

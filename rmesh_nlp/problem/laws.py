@@ -1,0 +1,127 @@
+"""Material laws: a scalar diffusion law and isotropic elasticity in the plane."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.problem.coefficients import Coefficient
+
+
+@dataclass(frozen=True)
+class Laplace:
+    """Scalar problem (3.1): ``-div(conductivity grad u) = source``.
+
+    Energy 1/2 (conductivity grad u, grad u) - (source, u).
+    """
+
+    source: Coefficient = 0.0
+    conductivity: float = 1.0
+    components: ClassVar[int] = 1
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.conductivity) and self.conductivity > 0):
+            raise ValueError(f"the conductivity must be positive, got {self.conductivity}")
+
+    @property
+    def load(self) -> tuple[Coefficient, ...]:
+        """Source, one coefficient per component."""
+        return (self.source,)
+
+
+E = TypeVar("E", bound="Elastic")
+
+
+@dataclass(frozen=True)
+class Elastic(ABC):
+    """Isotropic elasticity (3.7) with Lamé coefficients in N/m^2: the base of the two plane laws.
+
+    ``body_force`` in N/m^3, per component a number or a function of position.
+    """
+
+    lame_lambda: float
+    lame_mu: float
+    body_force: tuple[Coefficient, Coefficient] = (0.0, 0.0)
+    components: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        finite = np.isfinite(self.lame_mu) and np.isfinite(self.lame_lambda)
+        if not (finite and self.lame_mu > 0 and self.in_plane_lambda + self.lame_mu > 0):
+            raise ValueError(
+                f"Lamé coefficients lambda={self.lame_lambda}, mu={self.lame_mu} are not those of an elastic "
+                "solid: mu > 0 and lambda + mu > 0 are needed"
+            )
+        if len(self.body_force) != 2:
+            raise ValueError(f"the body force needs 2 components, got {self.body_force}")
+
+    @classmethod
+    def from_young(
+        cls: type[E], young: float, poisson: float, body_force: tuple[Coefficient, Coefficient] = (0.0, 0.0)
+    ) -> E:
+        """The law with Young's modulus E in N/m^2 and Poisson's ratio nu, -1 < nu < 0.5."""
+        if not (np.isfinite(young) and young > 0):
+            raise ValueError(f"Young's modulus must be positive, got {young}")
+        if not -1 < poisson < 0.5:
+            raise ValueError(f"Poisson's ratio must lie between -1 and 0.5, got {poisson}")
+        mu = young / (2 * (1 + poisson))
+        return cls(2 * mu * poisson / (1 - 2 * poisson), mu, body_force)
+
+    @property
+    def load(self) -> tuple[Coefficient, ...]:
+        """Body force."""
+        return self.body_force
+
+    @property
+    @abstractmethod
+    def in_plane_lambda(self) -> float:
+        """Factor of ``trace(strain) I`` in the in-plane stress."""
+
+    @abstractmethod
+    def out_of_plane_stress(self, trace: Any) -> Any:
+        """sigma_zz for the trace of the in-plane strain."""
+
+
+@dataclass(frozen=True)
+class PlaneStrain(Elastic):
+    """Elasticity of a long body: no strain out of the plane (3.7)."""
+
+    @property
+    def in_plane_lambda(self) -> float:
+        """Lambda itself."""
+        return self.lame_lambda
+
+    def out_of_plane_stress(self, trace: Any) -> Any:
+        """Lambda times the trace."""
+        return self.lame_lambda * trace
+
+
+@dataclass(frozen=True)
+class PlaneStress(Elastic):
+    """Elasticity of a thin plate: no stress out of the plane.
+
+    The condition sigma_zz = 0 replaces lambda by 2 lambda mu / (lambda + 2 mu).
+    """
+
+    @property
+    def in_plane_lambda(self) -> float:
+        """2 lambda mu / (lambda + 2 mu)."""
+        return 2 * self.lame_lambda * self.lame_mu / (self.lame_lambda + 2 * self.lame_mu)
+
+    def out_of_plane_stress(self, trace: Any) -> Any:
+        """Zero."""
+        return 0 * trace
+
+
+Law = Laplace | Elastic
+
+
+def energy_density(law: Law, gradient: Any) -> Any:
+    """Energy per area as a function of the displacement gradient (components, 2)."""
+    if isinstance(law, Laplace):
+        return 0.5 * law.conductivity * ca.sumsqr(gradient)
+    strain = (gradient + gradient.T) / 2
+    return 0.5 * law.in_plane_lambda * ca.trace(strain) ** 2 + law.lame_mu * ca.sumsqr(strain)

@@ -1,0 +1,90 @@
+"""What a user says about the motion of nodes; :mod:`rmesh_nlp.programs.freedoms` turns it into unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any
+
+import numpy as np
+
+Where = str | int
+"""A named boundary (or subdomain interface given by a boundary name), or a node number."""
+
+
+@dataclass(frozen=True)
+class Relative:
+    """A box of half-width ``fraction`` times the shortest edge at the node."""
+
+    fraction: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.fraction) and self.fraction > 0):
+            raise ValueError(f"a relative delta must be positive and finite, got {self.fraction}")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How far nodes may move: the set M of (2.1), (2.2), kept valid.
+
+    Without further rules interior nodes are free, boundary nodes and nodes on interfaces
+    between subdomains slide along their straight piece, and corners, ends of named parts,
+    points where an interface begins or several meet, and nodes held at a value that varies
+    with position do not move.
+
+    Attributes
+    ----------
+    delta : float, (float, float), Relative or None
+        Half-widths of the box around each initial position, in units of length; None for no
+        box, so that only element validity limits the motion.
+    pinned, slides, free : tuples of str or int
+        Names of boundaries, or node numbers. Rules for names apply first, then those for
+        numbers; among equals ``pinned`` beats ``slides`` beats ``free``. A node slides only
+        where its piece is straight. A free node on the outer boundary changes the domain.
+    tied : tuple of (int, int)
+        Pairs (node, leader): the node makes the moves of its leader.
+    min_area_fraction : float
+        Smallest allowed signed area of an element, as a fraction of its initial one.
+    min_angle : float
+        Smallest allowed angle of an element in degrees; 0 for none.
+    """
+
+    delta: float | tuple[float, float] | Relative | None
+    pinned: tuple[Where, ...] = ()
+    min_area_fraction: float = 0.01
+    slides: tuple[Where, ...] = ()
+    free: tuple[Where, ...] = ()
+    tied: tuple[tuple[int, int], ...] = ()
+    min_angle: float = 0.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.delta, Real):
+            object.__setattr__(self, "delta", (float(self.delta), float(self.delta)))
+        if self.delta is not None and not isinstance(self.delta, Relative):
+            pair = self.delta
+            if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+                raise ValueError(f"delta must be a number, two numbers, Relative or None, got {pair!r}")
+            for value in pair:
+                if not (isinstance(value, Real) and np.isfinite(value) and value > 0):
+                    raise ValueError(f"delta must be positive and finite, got {value}")
+        if not 0 < self.min_area_fraction < 1:
+            raise ValueError(f"min_area_fraction must lie between 0 and 1, got {self.min_area_fraction}")
+        if not 0 <= self.min_angle < 60:
+            raise ValueError(f"min_angle must be at least 0 and less than 60 degrees, got {self.min_angle}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All boundary names that the rules mention."""
+        return tuple(w for w in (*self.pinned, *self.slides, *self.free) if isinstance(w, str))
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """All node numbers that the rules mention."""
+        rules = (*self.pinned, *self.slides, *self.free, *(node for pair in self.tied for node in pair))
+        return tuple(w for w in rules if not isinstance(w, str))
+
+    def delta_record(self) -> Any:
+        """The delta as plain JSON values: two numbers, a mapping, or None."""
+        if isinstance(self.delta, Relative):
+            return {"relative": self.delta.fraction}
+        return None if self.delta is None else list(self.delta)  # type: ignore[arg-type]

@@ -1,0 +1,67 @@
+"""Short description of a problem, as (label, value) rows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rmesh_nlp.display import Rows, describe, figure
+from rmesh_nlp.problem.laws import Laplace, Law
+from rmesh_nlp.problem.motion import Motion, Relative
+from rmesh_nlp.problem.obstacle import Place
+from rmesh_nlp.problem.statement import Statement
+
+
+def summary_of_problem(problem: Statement) -> Rows:
+    """Mesh, laws, loads, contact and motion of a problem."""
+    mesh = problem.mesh
+    (x0, y0), (x1, y1) = mesh.p.min(axis=1), mesh.p.max(axis=1)
+    boundaries = [
+        f"{n} ({np.size(f)})" for n, f in (mesh.boundaries or {}).items() if not n.startswith("gmsh:")
+    ]
+    rows = [
+        ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.t.shape[1]} triangles"),
+        ("extent", f"({figure(x0)}, {figure(x1)}) x ({figure(y0)}, {figure(y1)})"),
+        ("boundaries (edges)", ", ".join(boundaries)),
+    ]
+    for law, elements in problem.regions:
+        rows.append((f"law of {elements.size} triangles", _law(law)))
+    for support in problem.supports:
+        rows.append((f"given on {support.boundary}", ", ".join(describe(v) for v in support.value)))
+    for traction in problem.tractions:
+        rows.append((f"traction on {traction.boundary}", ", ".join(describe(v) for v in traction.value)))
+    rows += [("contact", _contact(problem)), ("motion", _motion(problem.motion))]
+    return rows
+
+
+def _law(law: Law) -> str:
+    if isinstance(law, Laplace):
+        return f"Laplace, conductivity {figure(law.conductivity)}, source {describe(law.source)}"
+    force = ", ".join(describe(component) for component in law.body_force)
+    lame = f"lambda {figure(law.lame_lambda)}, mu {figure(law.lame_mu)} N/m^2"
+    return f"{type(law).__name__}, {lame}, body force ({force})"
+
+
+def _contact(problem: Statement) -> str:
+    obstacle, count = problem.obstacle, problem.contact_nodes.size
+    if obstacle.boundary is Place.NOWHERE:
+        return "none"
+    where = "in the interior" if obstacle.boundary is Place.INTERIOR else f"on {obstacle.boundary}"
+    friction = f", friction bound {describe(obstacle.friction)}" if problem.frictional else ", no friction"
+    return f"{count} nodes {where}, normal ({', '.join(figure(v) for v in obstacle.normal)}){friction}"
+
+
+def _motion(motion: Motion) -> str:
+    if isinstance(motion.delta, Relative):
+        text = f"delta {figure(motion.delta.fraction)} of the shortest edge"
+    elif motion.delta is None:
+        text = "no delta"
+    else:
+        text = "delta " + " x ".join(figure(v) for v in motion.delta)  # type: ignore[union-attr]
+    text += f", areas at least {figure(motion.min_area_fraction)} of the initial ones"
+    if motion.min_angle > 0:
+        text += f", angles at least {figure(motion.min_angle)} degrees"
+    for rule in ("pinned", "slides", "free"):
+        places = getattr(motion, rule)
+        if places:
+            text += f"; {rule}: {', '.join(str(place) for place in places)}"
+    return text + (f"; {len(motion.tied)} nodes tied" if motion.tied else "")

@@ -1,0 +1,56 @@
+"""Second derivatives of the energy program at a contact solution, block by block."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy.sparse as sp
+
+from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
+from rmesh_nlp.programs.energy_program import Relocation
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Blocks of the Hessian of ``J - lambda . gap`` in moves q, displacement u and slip s.
+
+    Attributes
+    ----------
+    qq, qu, qs : sparse arrays
+    gap : (contact nodes, n_q) sparse array
+        Derivative of the gaps by the moves.
+    """
+
+    qq: sp.csc_array
+    qu: sp.csc_array
+    qs: sp.csc_array
+    gap: sp.csc_array
+
+
+class SecondDerivatives:
+    """Evaluates the blocks; where they are in the whole is found once.
+
+    Parameters
+    ----------
+    relocation : Relocation
+    """
+
+    def __init__(self, relocation: Relocation) -> None:
+        self._relocation = rel = relocation
+        hessian, jacobian = rel.derivatives.hess_lag, rel.derivatives.jac_g
+        self._hessian, self._jacobian = Evaluator(hessian), Evaluator(jacobian)
+        q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
+        upper = numbered(hessian.sparsity_out(0))
+        self._qq = Symmetric(upper, rel.n_q)
+        self._qu, self._qs = Block(upper, q, u), Block(upper, q, s)
+        self._gap = Block(numbered(jacobian.sparsity_out(1)), rel.gap_rows, q)
+
+    def __call__(self, x: Array, normal_force: Array) -> Blocks:
+        """At unknowns ``x = (q, u, s)`` and contact forces (contact nodes,)."""
+        rows = np.zeros(self._relocation.nlp.n_g)
+        rows[self._relocation.gap_rows] = -normal_force
+        (values,) = self._hessian(x, [], 1.0, rows)
+        _, gap = self._jacobian(x, [])
+        return Blocks(self._qq(values), self._qu(values), self._qs(values), self._gap(gap))

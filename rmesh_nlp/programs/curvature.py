@@ -1,0 +1,64 @@
+"""Second derivatives of the reduced energy L(q), as products with a vector.
+
+With the active set of the contact solution held, and Lambda the Lagrangian of the energy program,
+
+    L'' d = Lambda_qq d + Lambda_qu u' + Lambda_qs s' - gamma_q^T lambda',
+
+where ``u', s', lambda'`` are the first-order changes of displacement, slip and contact force when
+the nodes move along d: one more solve with the factorised stiffness of the contact solve.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rmesh_nlp.contact.sensitivity import tangent_response
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.programs.blocks import Blocks, SecondDerivatives
+from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedPoint
+
+
+class Curvature:
+    """Evaluates L'' at contact solutions of one problem.
+
+    Parameters
+    ----------
+    energy : ReducedEnergy
+    """
+
+    def __init__(self, energy: ReducedEnergy) -> None:
+        self._energy, self._derivatives = energy, SecondDerivatives(energy.relocation)
+
+    def at(self, point: ReducedPoint) -> Hessian:
+        """L'' at a point, ready for products."""
+        x = self._energy.point(point.q, point.equilibrium)
+        return Hessian(point, self._derivatives(x, point.equilibrium.normal_force))
+
+
+class Hessian:
+    """L'' at one point."""
+
+    def __init__(self, point: ReducedPoint, blocks: Blocks) -> None:
+        self.qq = blocks.qq.T  # the same matrix, but by rows: a product takes half the time
+        self._qu, self._qs = blocks.qu, blocks.qs
+        self._uq, self._sq, self._gap, self._gap_q = blocks.qu.T, blocks.qs.T, blocks.gap, blocks.gap.T
+        self._system, self._active = point.system, point.equilibrium.active
+        self._respond = tangent_response(point.system, self._active)
+
+    def diagonal(self) -> Array:
+        """Size of the diagonal of Lambda_qq, kept away from zero."""
+        diagonal = np.abs(self.qq.diagonal())
+        return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
+
+    def __call__(self, d: Array) -> Array:
+        """``L'' d``."""
+        out_of_balance = self._uq @ d
+        frictional = self._system.slip_bound.size > 0
+        if frictional:
+            sliding = self._active.sliding
+            out_of_balance = out_of_balance + self._system.tangents.T @ (sliding * (self._sq @ d))
+        u, force = self._respond(out_of_balance, self._gap @ d)
+        result = self.qq @ d + self._qu @ u - self._gap_q @ force
+        if frictional:
+            result += self._qs @ (sliding * (self._system.tangents @ u))
+        return np.asarray(result)

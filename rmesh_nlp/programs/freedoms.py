@@ -1,0 +1,265 @@
+"""The admissible set M: which nodes move, in which direction, how far, and element validity."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from enum import IntEnum
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field
+from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem.lines import sliding_directions
+from rmesh_nlp.problem.motion import Relative, Where
+
+
+class Mobility(IntEnum):
+    """How a node may move."""
+
+    PINNED = 0
+    SLIDING = 1
+    FREE = 2
+    TIED = 3
+
+
+@dataclass(frozen=True)
+class Freedoms:
+    """The moves of all nodes as a few unknowns q: X = X0 + P q.
+
+    q is measured in units of the node's own box, so that its bounds are -1 <= q <= 1; without
+    a box it is measured in units of the shortest edge at the node and unbounded.
+
+    Attributes
+    ----------
+    mobility : (nodes,) array of Mobility
+    positions : Field
+        (2, nodes), the positions as a function of q.
+    n : int
+        Length of q.
+    bound : (n,) array
+        ``-bound <= q <= bound``; 1, or infinity without a box.
+    """
+
+    mobility: NDArray[np.int64]
+    positions: Field
+    n: int
+    bound: Array
+
+    def q_of(self, nodes: Array) -> Array:
+        """The unknowns q that give these positions (2, nodes), in the least-squares sense."""
+        index, scale = self.positions.index, self.positions.scale
+        moving = index != CONSTANT
+        shift = (nodes - self.positions.offset)[moving] * scale[moving]
+        weight = scale[moving] ** 2
+        q = np.bincount(index[moving], shift, self.n) / np.bincount(index[moving], weight, self.n)
+        return np.asarray(q)
+
+
+def freedoms(problem: ContactProblem) -> Freedoms:
+    """Classify every node and number its moves.
+
+    Raises
+    ------
+    ValueError
+        If a rule of the motion cannot be obeyed: a node is to slide where its piece is not
+        straight, or is tied to a node that is tied itself or cannot make its moves.
+    """
+    mesh = problem.mesh
+    n_nodes = mesh.p.shape[1]
+    mobility, tangent = _mobility(problem)
+    unit = _units(problem)
+    index = np.full((2, n_nodes), CONSTANT)
+    scale = np.ones((2, n_nodes))
+    count = np.where(mobility == Mobility.FREE, 2, np.where(mobility == Mobility.SLIDING, 1, 0))
+    first = np.concatenate([[0], np.cumsum(count)])
+    free, sliding = mobility == Mobility.FREE, mobility == Mobility.SLIDING
+    index[:, free] = first[:-1][free] + np.array([[0], [1]])
+    scale[:, free] = unit[:, free]
+    with np.errstate(divide="ignore"):
+        reach = np.min(unit[:, sliding] / np.abs(tangent[:, sliding]), axis=0)
+    step = reach * tangent[:, sliding]
+    index[:, sliding] = np.where(step != 0, first[:-1][sliding], CONSTANT)
+    scale[:, sliding] = np.where(step != 0, step, 1.0)
+    for node, leader in problem.motion.tied:
+        index[:, node], scale[:, node] = index[:, leader], scale[:, leader]
+    bound = np.full(int(first[-1]), np.inf if problem.motion.delta is None else 1.0)
+    positions = Field(index, scale, np.array(mesh.p, dtype=float))
+    return Freedoms(mobility, positions, int(first[-1]), bound)
+
+
+def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
+    """Mobility of every node and unit tangent (2, nodes) of those that may slide."""
+    mesh, motion = problem.mesh, problem.motion
+    on_line, tangent = sliding_directions(problem)
+    any_tangent = sliding_directions(problem, geometry_only=True)[1]
+    mobility = np.full(mesh.p.shape[1], int(Mobility.FREE))
+    mobility[on_line] = Mobility.PINNED
+    mobility[np.any(tangent != 0, axis=0)] = Mobility.SLIDING
+    varying = [d.boundary for d in problem.supports if any(callable(value) for value in d.value)]
+    mobility[problem.boundary_nodes(tuple(varying))] = Mobility.PINNED
+    mobility[np.setdiff1d(np.arange(mobility.size), mesh.t)] = Mobility.PINNED
+    contact = problem.contact_nodes
+    at_kink = np.isclose(mesh.p[0, contact, None], np.array(problem.obstacle.kinks)).any(axis=1)
+    mobility[contact[at_kink]] = Mobility.PINNED
+    rules = (
+        (motion.free, Mobility.FREE),
+        (motion.slides, Mobility.SLIDING),
+        (motion.pinned, Mobility.PINNED),
+    )
+    for kind in (str, int):
+        for places, move in rules:
+            for place in places:
+                if isinstance(place, kind):
+                    mobility[_nodes_at(problem, place)] = move
+    _check_still(problem, mobility, problem.boundary_nodes(tuple(varying)))
+    forced = (mobility == Mobility.SLIDING) & ~np.any(tangent != 0, axis=0)
+    if np.any(forced & ~np.any(any_tangent != 0, axis=0)):
+        node = int(np.flatnonzero(forced & ~np.any(any_tangent != 0, axis=0))[0])
+        x, y = mesh.p[:, node]
+        raise ValueError(
+            f"node {node} at ({x:.6g}, {y:.6g}) is to slide, but it is on no straight piece of boundary "
+            "or interface"
+        )
+    tangent = np.where(forced, any_tangent, tangent)
+    for node, leader in motion.tied:
+        _check_tie(problem, mobility, tangent, node, leader)
+    for node, _ in motion.tied:
+        mobility[node] = Mobility.TIED
+    return mobility, tangent
+
+
+def _check_still(problem: ContactProblem, mobility: NDArray, nodes: NDArray) -> None:
+    """No rule may move a node that is held at a function of position: its value would not follow."""
+    tied = {node for node, _ in problem.motion.tied}
+    moved = [int(node) for node in nodes if mobility[node] != Mobility.PINNED or int(node) in tied]
+    if moved:
+        raise ValueError(f"node {moved[0]} is held at a function of position and cannot move")
+
+
+def _nodes_at(problem: ContactProblem, place: Where) -> NDArray[np.int64]:
+    if isinstance(place, str):
+        return problem.boundary_nodes((place,))
+    return np.array([place])
+
+
+def _check_tie(problem: ContactProblem, mobility: NDArray, tangent: Array, node: int, leader: int) -> None:
+    """A tied node must be able to make the moves of its leader."""
+    if node == leader or leader in {n for n, _ in problem.motion.tied}:
+        raise ValueError(f"node {node} cannot be tied to node {leader}, which is tied itself")
+    if mobility[leader] == Mobility.PINNED or mobility[node] == Mobility.FREE:
+        return
+    one, two = tangent[:, node], tangent[:, leader]
+    parallel = mobility[node] == mobility[leader] == Mobility.SLIDING
+    if not (parallel and abs(one[0] * two[1] - one[1] * two[0]) < 1e-8):
+        raise ValueError(
+            f"node {node} cannot be tied to node {leader}: it cannot make the moves of that node"
+        )
+
+
+def _units(problem: ContactProblem) -> Array:
+    """Half-widths (2, nodes) of the boxes, or the shortest edge at each node where there is none."""
+    delta, mesh = problem.motion.delta, problem.mesh
+    if delta is not None and not isinstance(delta, Relative):
+        return np.broadcast_to(np.asarray(delta, dtype=float)[:, None], mesh.p.shape)
+    a, b = mesh.facets
+    length = np.linalg.norm(mesh.p[:, a] - mesh.p[:, b], axis=0)
+    shortest = np.full(mesh.p.shape[1], np.inf)
+    np.minimum.at(shortest, a, length)
+    np.minimum.at(shortest, b, length)
+    fraction = delta.fraction if isinstance(delta, Relative) else 1.0
+    return np.vstack([fraction * shortest] * 2)
+
+
+def validity_group(problem: ContactProblem, free: Freedoms, first_row: int = 0) -> tuple[ElementGroup, Array]:
+    """Constraints on the elements that the boxes alone do not keep valid.
+
+    ``signed area >= bound`` for each, and with a least angle theta also, at each vertex,
+    ``cross(a, b) cos(theta) - dot(a, b) sin(theta) >= 0`` for its edges a and b, which is
+    |a| |b| sin(angle - theta). All rows are in units of the initial area.
+
+    The signed area is affine in each coordinate by itself, so its least value over the
+    boxes is at one of their corners; elements that cannot fail there need no constraint.
+
+    Returns
+    -------
+    group : ElementGroup
+        One row per constrained element (four with a least angle), numbered from ``first_row``
+        element by element.
+    bounds : (rows,) array
+        Lower bounds of the rows.
+    """
+    triangles, motion = problem.triangles, problem.motion
+    at_risk = constrained_elements(problem, free)
+    initial = signed_areas(problem.mesh.p, triangles)
+    function = _validity(np.deg2rad(motion.min_angle))
+    scale = Field(np.full((1, at_risk.size), CONSTANT), np.ones((1, at_risk.size)), initial[at_risk][None, :])
+    per_element = function.size1_out(1)
+    rows = first_row + np.arange(per_element * at_risk.size).reshape(-1, per_element).T
+    group = ElementGroup(function, (free.positions.at(triangles[:, at_risk]), scale), rows)
+    bounds = np.zeros((at_risk.size, per_element))
+    bounds[:, 0] = motion.min_area_fraction
+    if motion.min_angle > 0:
+        _check_initial_angles(problem)
+    return group, bounds.ravel()
+
+
+def constrained_elements(problem: ContactProblem, free: Freedoms) -> NDArray[np.int64]:
+    """Numbers of the elements that have rows in :func:`validity_group`, in their order."""
+    triangles = problem.triangles
+    if problem.motion.min_angle > 0:
+        return np.flatnonzero(np.any(free.positions.index[:, triangles] != CONSTANT, axis=(0, 1)))
+    initial = signed_areas(problem.mesh.p, triangles)
+    return np.flatnonzero(_least_areas(free, triangles) < problem.motion.min_area_fraction * initial)
+
+
+def _validity(angle: float) -> ca.Function:
+    X, area0 = ca.SX.sym("X", 2, 3), ca.SX.sym("area0")
+
+    def cross_and_dot(i: int) -> tuple[ca.SX, ca.SX]:
+        a, b = X[:, (i + 1) % 3] - X[:, i], X[:, (i + 2) % 3] - X[:, i]
+        return a[0] * b[1] - a[1] * b[0], ca.dot(a, b)
+
+    rows = [cross_and_dot(0)[0] / (2 * area0)]
+    if angle > 0:
+        for i in range(3):
+            cross, dot = cross_and_dot(i)
+            rows.append((cross * np.cos(angle) - dot * np.sin(angle)) / (2 * area0))
+    return ca.Function("validity", [ca.vec(X), area0], [0, ca.vertcat(*rows)])
+
+
+def least_angles(nodes: Array, triangles: NDArray) -> Array:
+    """Smallest angle of each triangle in degrees."""
+    p = nodes[:, triangles]
+    angles = []
+    for i in range(3):
+        a, b = p[:, (i + 1) % 3] - p[:, i], p[:, (i + 2) % 3] - p[:, i]
+        angles.append(np.arctan2(np.abs(a[0] * b[1] - a[1] * b[0]), np.sum(a * b, axis=0)))
+    return np.rad2deg(np.min(angles, axis=0))
+
+
+def _check_initial_angles(problem: ContactProblem) -> None:
+    angle = least_angles(problem.mesh.p, problem.triangles)
+    if np.min(angle) < problem.motion.min_angle:
+        raise ValueError(
+            f"min_angle is {problem.motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
+            f"initial mesh has an angle of {np.min(angle):.4g}"
+        )
+
+
+def _least_areas(free: Freedoms, triangles: NDArray) -> Array:
+    """Least signed area of each element over the boxes; -infinity where a vertex has no box."""
+    index = free.positions.index
+    bound = np.append(free.bound, 0.0)[index]  # CONSTANT is -1, the appended zero
+    boundless = np.any(np.isinf(bound[:, triangles]), axis=(0, 1))
+    reach = np.where(np.isinf(bound), 0.0, bound) * np.abs(free.positions.scale)
+    least = np.full(triangles.shape[1], np.inf)
+    for signs in itertools.product((-1.0, 1.0), repeat=6):
+        corner = np.reshape(signs, (2, 3, 1))
+        local = free.positions.offset[:, triangles] + corner * reach[:, triangles]
+        a, b, c = local[:, 0], local[:, 1], local[:, 2]
+        least = np.minimum(least, 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])))
+    return np.where(boundless, -np.inf, least)

@@ -1,0 +1,277 @@
+"""Outer solvers of the nested strategy, by name.
+
+All but "newton" and "newton-pair" take any outer objective; these two use the second derivative
+of the reduced energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import Bounds, NonlinearConstraint, minimize
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.assembly import assemble
+from rmesh_nlp.optimize.callbacks import Monitor
+from rmesh_nlp.optimize.newton import Evaluation
+from rmesh_nlp.optimize.newton import minimise as newton
+from rmesh_nlp.optimize.nlp import NLP, Derivatives, Solver, Status
+from rmesh_nlp.programs.alternating import alternated
+from rmesh_nlp.programs.curvature import Curvature
+from rmesh_nlp.programs.energy_program import Relocation
+from rmesh_nlp.programs.recombination import Recombination
+from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedObjective
+
+NAN = float("nan")
+
+Reduced = ReducedEnergy | ReducedObjective
+
+IPOPT_OPTIONS: Mapping[str, Any] = {
+    "hessian_approximation": "limited-memory",
+    "limited_memory_max_history": 50,
+    # after two skipped updates in a row Ipopt forgets the memory, and then crawls
+    "limited_memory_max_skipping": 1_000_000,
+    "tol": 1e-6,
+    "max_iter": 500,
+}
+"""A long memory: the flat directions of the mesh make short ones stall."""
+
+BOXED_CURVATURE = 1e-2
+"""Curvature before any update where every node has a box. Moves are then in units of boxes and the
+objective in units of its first value, and Ipopt's 1 would make the first steps tiny, or all of them
+where the function is concave and no update is taken."""
+
+ALTERNATING = 0.1
+"""Length of the alternating moves that one descent of "newton-pair" starts with, in boxes."""
+
+STATIONARY = 1e-6
+"""Newton-CG ends with a first-order residual of at most this, relative to the objective, ..."""
+
+TIGHT = 1e-4
+"""... and where the model predicts less than this part of the gain so far."""
+
+LOOSE = 1.5e-3
+"""The two descents of "newton-pair" end where the model predicts less than this part, stationary or not."""
+
+BLOCKS = (16, 8)
+"""Nodes across the blocks that are recombined, one size after the other."""
+
+SCIPY_TOLERANCE = 1e-8
+SCIPY_MAX_ITERATIONS = 500
+
+
+@dataclass(frozen=True)
+class ReducedProgram:
+    """The outer problem: its NLP in the moves q and the function behind its objective.
+
+    ``oracle`` must live as long as the NLP: CasADi does not own Python callbacks.
+    """
+
+    nlp: NLP
+    function: Reduced
+    areas: ca.Function
+    oracle: ca.Callback
+    is_valid: Callable[[Array], bool]
+
+
+@dataclass(frozen=True)
+class OuterResult:
+    """Where an outer solver stopped."""
+
+    q: Array
+    status: Status
+    iterations: int
+
+
+def reduced_nlp(rel: Relocation, function: Reduced, is_valid: Callable[[Array], bool]) -> ReducedProgram:
+    """The NLP ``min F(q)`` over boxes and element areas; its objective is a contact solve."""
+    q, p = ca.MX.sym("q", rel.n_q), ca.MX(0, 1)
+    bound = rel.nlp.lbg[rel.validity_rows]
+    areas = assemble([rel.validity], q, p, bound.size)
+    oracle = _Oracle(function, rel.n_q)
+    value, gradient = oracle(q)
+    nlp = NLP(
+        x=q,
+        p=p,
+        f=value,
+        g=areas.g,
+        lbx=-rel.freedoms.bound,
+        ubx=rel.freedoms.bound,
+        lbg=bound,
+        ubg=np.full(bound.size, np.inf),
+        derivatives=Derivatives(
+            grad_f=ca.Function("nlp_grad_f", [q, p], [value, gradient]),
+            jac_g=areas.jac_g,
+            hess_lag=None,
+            kernels=areas.kernels,
+        ),
+    )
+    return ReducedProgram(nlp, function, areas.jac_g, oracle, is_valid)
+
+
+class _Oracle(ca.Callback):
+    """F(q) and its gradient as a CasADi Function, in units of ``|F(0)|``: a squared error may be small."""
+
+    def __init__(self, function: Reduced, n: int) -> None:
+        super().__init__()
+        self._function, self._n = function, n
+        self._scale = scale_of(function, n)
+        self.construct("reduced_energy", {})
+
+    def get_n_in(self) -> int:
+        return 1
+
+    def get_n_out(self) -> int:
+        return 2
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._n)
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._n if i else 1)
+
+    def eval(self, arg: list[ca.DM]) -> list[Any]:
+        point = self._function(arg[0].full().ravel())
+        return [point.value / self._scale, point.gradient / self._scale]
+
+
+def scale_of(function: Reduced, n: int) -> float:
+    """Size of the objective on the initial mesh, the unit in which it is minimised."""
+    return abs(function(np.zeros(n)).value) or 1.0
+
+
+def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
+    options = dict(IPOPT_OPTIONS)
+    if np.all(np.isfinite(program.nlp.ubx)):
+        options["limited_memory_init_val"] = BOXED_CURVATURE
+    result = Solver(program.nlp, options=options, monitor=monitor)(start)
+    status = Status.CONVERGED if result.converged else result.status
+    return OuterResult(result.x, status, result.iterations)
+
+
+def _newton(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
+    """Projected trust-region Newton-CG; the elements that the boxes do not keep valid are its walls."""
+    return _Descent(program, monitor)(start, stationary=STATIONARY, gain=TIGHT)
+
+
+def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
+    """Newton-CG from alternating moves and from the start, the better blocks of both, and on from there."""
+    descent = _Descent(program, monitor)
+    relocation = descent.energy.relocation
+    here = descent.energy(start)
+    starts = (alternated(relocation, start, here.gradient, ALTERNATING, descent.is_valid), start)
+    points = [
+        descent.energy(descent(q, stationary=np.inf, gain=LOOSE, reference=here.value).q) for q in starts
+    ]
+    if points[1].value < points[0].value:
+        points.reverse()
+    x, other = (descent.energy.point(point.q, point.equilibrium) for point in points)
+    recombine = Recombination(relocation)
+    for number, across in enumerate(BLOCKS):
+        x = recombine(x, other, across, shift=number / len(BLOCKS))
+    q = x[: relocation.n_q]
+    if not descent.is_valid(q) or descent.energy(q).value > points[0].value:
+        q = points[0].q
+    return descent(q, stationary=STATIONARY, gain=TIGHT, reference=here.value)
+
+
+class _Descent:
+    """Newton-CG on the reduced energy from any start; iterations are counted over all of them."""
+
+    def __init__(self, program: ReducedProgram, monitor: Monitor) -> None:
+        if not isinstance(program.function, ReducedEnergy):
+            raise ValueError("the outer solver newton needs the energy as objective: choose ipopt")
+        self.energy = program.function
+        self._program, self._monitor = program, monitor
+        self._curvature = Curvature(self.energy)
+        self._walls = self.energy.validity if program.nlp.n_g else None
+        self._iterations = 0
+
+    def __call__(
+        self, start: Array, *, stationary: float, gain: float, reference: float | None = None
+    ) -> OuterResult:
+        """Descend from ``start`` with the tolerances and the reference of :func:`newton.minimise`."""
+        nlp, before = self._program.nlp, self._iterations
+        result = newton(
+            self._evaluate,
+            start,
+            nlp.lbx,
+            nlp.ubx,
+            tolerance=stationary,
+            gain_tolerance=gain,
+            reference=reference,
+            walls=self._walls,
+            on_step=lambda iteration, q, here: self._monitor(before + iteration, q, here.value),
+        )
+        self._iterations += result.iterations
+        return OuterResult(result.x, result.status, self._iterations)
+
+    def is_valid(self, q: Array) -> bool:
+        """Whether the elements that the boxes do not keep valid are."""
+        return self._program.nlp.n_g == 0 or self._program.is_valid(q)
+
+    def _evaluate(self, q: Array) -> Evaluation | None:
+        if not self.is_valid(q):
+            return None
+        point = self.energy(q)
+        return Evaluation(point.value, point.gradient, lambda: self._curvature.at(point))
+
+
+def _scipy(method: str) -> Callable[[ReducedProgram, Array, Monitor], OuterResult]:
+    """An outer solver of scipy.optimize with our gradient."""
+
+    def run(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
+        nlp, function = program.nlp, program.function
+        constraints, scale = [], scale_of(function, nlp.n_x)
+        if nlp.n_g:
+            if method == "L-BFGS-B":
+                raise ValueError(
+                    f"l-bfgs-b knows boxes only, but with these boxes {nlp.n_g} elements could be inverted: "
+                    "choose ipopt, slsqp or trust-constr, or a smaller delta"
+                )
+            constraints.append(
+                NonlinearConstraint(
+                    lambda q: program.areas(q, [])[0].full().ravel(),
+                    nlp.lbg,
+                    np.inf,
+                    jac=lambda q: program.areas(q, [])[1].full(),
+                )
+            )
+        count = 0
+
+        def callback(q: Array, *_: Any) -> None:
+            nonlocal count
+            count += 1
+            monitor(count, np.clip(q, nlp.lbx, nlp.ubx), NAN)
+
+        result = minimize(
+            lambda q: function(q).value / scale,
+            start,
+            jac=lambda q: function(q).gradient / scale,
+            method=method,
+            bounds=Bounds(nlp.lbx, nlp.ubx),
+            constraints=constraints,
+            callback=callback,
+            tol=SCIPY_TOLERANCE,
+            options={"maxiter": SCIPY_MAX_ITERATIONS},
+        )
+        status = Status.CONVERGED if result.success else Status.STALLED
+        if count >= SCIPY_MAX_ITERATIONS:
+            status = Status.ITERATION_LIMIT
+        return OuterResult(np.clip(result.x, nlp.lbx, nlp.ubx), status, count)
+
+    return run
+
+
+OUTER_SOLVERS: dict[str, Callable[[ReducedProgram, Array, Monitor], OuterResult]] = {
+    "ipopt": _ipopt,
+    "newton": _newton,
+    "newton-pair": _newton_pair,
+    "slsqp": _scipy("SLSQP"),
+    "trust-constr": _scipy("trust-constr"),
+    "l-bfgs-b": _scipy("L-BFGS-B"),
+}

@@ -1,0 +1,147 @@
+"""The reduced energy L(q) = min_u J(u; X(q)) with its gradient: the outer function of ``nested``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.contact.model import ContactModel, solve
+from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.fem.assembly import assemble
+from rmesh_nlp.fem.objectives import Objective
+from rmesh_nlp.optimize.smooth_constraints import is_inside
+from rmesh_nlp.programs.blocks import SecondDerivatives
+from rmesh_nlp.programs.energy_program import Relocation
+from rmesh_nlp.programs.validity import Validity
+
+
+@dataclass(frozen=True)
+class ReducedPoint:
+    """An outer objective, its gradient with respect to the moves q, and the contact solution behind it."""
+
+    q: Array
+    value: float
+    gradient: Array
+    system: ContactSystem
+    equilibrium: Equilibrium
+
+    @property
+    def weak(self) -> NDArray[np.bool_]:
+        """Contact nodes where strict complementarity fails.
+
+        There the gradient of an objective other than the energy is only one element of a
+        generalised gradient.
+        """
+        return weakly_active(self.system, self.equilibrium)
+
+
+class ReducedEnergy:
+    """Evaluates L(q) by one contact solve, warm-started from the last active set.
+
+    The gradient is (5.7), (5.11): the partial derivative of the Lagrangian of the inner
+    problem with respect to the positions, at fixed displacement and multipliers. It includes
+    the motion of the gap and of the friction weights.
+
+    Attributes
+    ----------
+    contact_solves : int
+        Number of contact solves so far.
+    """
+
+    def __init__(self, relocation: Relocation, model: ContactModel | None = None) -> None:
+        self.relocation = relocation
+        self.model = model or ContactModel(relocation.problem)
+        self.contact_solves = 0
+        self._active: ActiveSet | None = None
+        self._last: ReducedPoint | None = None
+        nlp = relocation.nlp
+        lam = ca.MX.sym("lam", relocation.n_contact)
+        gap_jacobian = relocation.derivatives.jac_g(nlp.x, nlp.p)[1][relocation.gap_rows, : relocation.n_q]
+        energy_gradient = relocation.derivatives.grad_f(nlp.x, nlp.p)[1][: relocation.n_q]
+        gradient = energy_gradient - gap_jacobian.T @ lam
+        self._gradient = Evaluator(ca.Function("reduced_gradient", [nlp.x, lam], [ca.densify(gradient)]))
+
+    @cached_property
+    def validity(self) -> Validity:
+        """Element validity as a function of the moves."""
+        return Validity(self.relocation)
+
+    def __call__(self, q: Array) -> ReducedPoint:
+        """Evaluate at moves ``q``; the last point is remembered."""
+        if self._last is not None and np.array_equal(self._last.q, q):
+            return self._last
+        system = self.model.system(self.relocation.nodes(q))
+        equilibrium = solve(system, self._active)
+        self.contact_solves += 1
+        self._active = equilibrium.active
+        x = self.point(q, equilibrium)
+        (gradient,) = self._gradient(x, equilibrium.normal_force)
+        self._last = ReducedPoint(np.array(q), equilibrium.energy, gradient, system, equilibrium)
+        return self._last
+
+    def point(self, q: Array, equilibrium: Equilibrium) -> Array:
+        """The unknowns ``(q, u, s)`` of the energy program at a contact solution."""
+        slip = np.abs(self.model.tangents @ equilibrium.u) if self.relocation.n_s else np.zeros(0)
+        return np.concatenate([q, equilibrium.u, slip])
+
+    def stationarity_residual(self, point: ReducedPoint) -> float:
+        """How far q is from a first-order point of L over the admissible set, relative to the objective.
+
+        The natural residual ``max |q - clip(q - r / scale, -bound, bound)|``, r the gradient less the
+        pull of active element areas, whose non-negative multipliers are fitted by least
+        squares. The moves are in units of their boxes, so r has the unit of the objective.
+        """
+        scale, box = max(abs(point.value), 1e-300), self.relocation.freedoms.bound
+        r = point.gradient
+        if self.relocation.n_valid:
+            wall = self.validity.at(point.q)
+            r = r - wall.jacobian.T @ wall.fitted(r, is_inside(point.q, -box, box))
+        return float(np.max(np.abs(point.q - np.clip(point.q - r / scale, -box, box)), initial=0.0))
+
+
+class ReducedObjective:
+    """Any outer objective F(X, u(X)) with its gradient by the adjoint.
+
+    With the active set held, ``dF/dq = F_q - R_q^T p - gamma_q^T r``, where K p = F_u on the
+    displacements that are free, R is the out-of-balance force and r the adjoint reaction at
+    touching nodes (:func:`rmesh_nlp.contact.model.adjoint`). That is the gradient wherever
+    strict complementarity holds.
+    """
+
+    def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
+        self.energy = energy
+        rel = energy.relocation
+        nlp = rel.nlp
+        fields = (rel.freedoms.positions, rel.displacement, rel.slip)
+        outer = assemble(objective.groups(rel.problem, *fields), nlp.x, nlp.p, 0)
+        self._kernels = outer.kernels
+        self._outer = Evaluator(outer.grad_f)
+        self._derivatives = SecondDerivatives(rel)
+
+    @property
+    def contact_solves(self) -> int:
+        """Number of contact solves so far."""
+        return self.energy.contact_solves
+
+    def __call__(self, q: Array) -> ReducedPoint:
+        """Evaluate at moves ``q``."""
+        rel, inner = self.energy.relocation, self.energy(q)
+        system, state = inner.system, inner.equilibrium
+        x = self.energy.point(q, state)
+        value, gradient = self._outer(x, [])
+        f_q, f_u, f_s = np.split(gradient, [rel.n_q, rel.n_q + rel.n_u])
+        direction = np.sign(system.tangents @ state.u) if rel.n_s else np.zeros(0)
+        if rel.n_s:
+            f_u = f_u + system.tangents.T @ (direction * f_s)
+        p, reaction = adjoint(system, state.active, f_u)
+        blocks = self._derivatives(x, state.normal_force)
+        total = f_q - blocks.qu @ p - blocks.gap.T @ reaction
+        if rel.n_s:
+            total -= blocks.qs @ (state.active.sliding * (system.tangents @ p))
+        return ReducedPoint(np.array(q), float(value[0]), total, system, state)

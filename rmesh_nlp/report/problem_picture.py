@@ -1,0 +1,84 @@
+"""A picture of a problem before it is solved: the mesh, the roles of its boundaries, how nodes move."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.lines import element_zones
+from rmesh_nlp.programs.freedoms import Freedoms, Mobility, freedoms
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Okabe and Ito's palette."""
+
+WIDTH = 8.0
+"""Inches; the height follows the extent of the mesh."""
+
+MARKERS = {
+    Mobility.PINNED: ("s", "pinned"),
+    Mobility.SLIDING: ("|", "slides"),
+    Mobility.FREE: (".", "free"),
+    Mobility.TIED: ("D", "tied"),
+}
+
+
+def draw_problem(problem: ContactProblem, path: Path) -> None:
+    """Draw to a file (PNG, PDF, SVG by suffix).
+
+    Boundaries that are given, loaded or in contact have their own colours and a legend; each node
+    has a marker for its mobility, and sliding ones a short line along which they slide.
+    """
+    p, free = problem.mesh.p, freedoms(problem)
+    extent = np.ptp(p, axis=1)
+    figure = Figure(figsize=(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0)), layout="constrained")
+    axis = figure.add_subplot()
+    zone = element_zones(problem)
+    # one zone has one colour, the lightest
+    axis.tripcolor(
+        p[0], p[1], problem.triangles.T, facecolors=zone.astype(float), cmap="Pastel2", vmin=0, vmax=8
+    )
+    axis.triplot(p[0], p[1], problem.triangles.T, color="0.6", linewidth=0.4)
+    for (label, facets), colour in zip(_roles(problem), COLOURS * 5, strict=False):
+        ends = p[:, problem.mesh.facets[:, facets]]
+        axis.add_collection(
+            LineCollection(list(ends.transpose(2, 1, 0)), color=colour, linewidth=3, label=label)
+        )
+    _draw_moves(axis, problem, free)
+    unit = " [m]" if problem.components == 2 else ""
+    axis.set(aspect="equal", xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
+    axis.set_title(f"{problem.name}: {p.shape[1]} nodes, {free.n} moves")
+    figure.legend(loc="outside lower center", ncols=3, fontsize="small")
+    figure.savefig(path, dpi=150, bbox_inches="tight")
+
+
+def _draw_moves(axis: Axes, problem: ContactProblem, free: Freedoms) -> None:
+    p, size = problem.mesh.p, 2000 / max(problem.mesh.p.shape[1], 100)
+    for kind, (marker, label) in MARKERS.items():
+        nodes = free.mobility == kind
+        if not np.any(nodes):
+            continue
+        if kind is Mobility.SLIDING:
+            step = np.where(free.positions.index[:, nodes] >= 0, free.positions.scale[:, nodes], 0.0)
+            ends = np.stack([p[:, nodes] - step, p[:, nodes] + step])
+            axis.add_collection(
+                LineCollection(list(ends.transpose(2, 0, 1)), color="black", linewidth=1.5, label=label)
+            )
+        else:
+            axis.scatter(
+                p[0, nodes], p[1, nodes], s=size, marker=marker, color="black", label=label, zorder=3
+            )
+
+
+def _roles(problem: ContactProblem) -> list[tuple[str, np.ndarray]]:
+    """Label and facets of every boundary that has a role."""
+    boundaries = problem.mesh.boundaries
+    roles = [(f"given: {d.boundary}", boundaries[d.boundary]) for d in problem.supports]
+    roles += [(f"load: {t.boundary}", boundaries[t.boundary]) for t in problem.tractions]
+    if isinstance(problem.obstacle.boundary, str):
+        roles.append((f"contact: {problem.obstacle.boundary}", boundaries[problem.obstacle.boundary]))
+    return roles

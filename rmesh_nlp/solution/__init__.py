@@ -1,0 +1,1 @@
+"""What every strategy returns, and the referee that judges it."""

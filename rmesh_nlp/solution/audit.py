@@ -1,0 +1,126 @@
+"""The referee: what a mesh and a displacement are worth, measured on the source problem.
+
+No number here comes from an optimiser. The optimiser exploits quadrature (nodes move to
+where a low-order rule is wrong), so the energy is computed once more by a contact solve with
+a rule of high degree on the final mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.system import ContactSystem
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.energy import contact_edges
+from rmesh_nlp.problem import ContactProblem, Place, signed_areas
+from rmesh_nlp.problem.coefficients import on_points
+
+AUDIT_DEGREE = 20
+"""Degree of the quadrature rule of the audit."""
+
+_FRACTIONS = np.arange(1, 8) / 8
+BETWEEN_EDGE = np.vstack([1 - _FRACTIONS, _FRACTIONS])
+"""Barycentric coordinates (2, points) of the points on an edge where penetration is looked for."""
+
+BETWEEN_TRIANGLE = np.array([[3, 3, 0, 2], [3, 0, 3, 2], [0, 3, 3, 2]]) / 6
+"""The same in a triangle: the midpoints of its edges, and its centre."""
+
+TOLERANCE = 1e-6
+"""Largest scaled residual of a solution that may be called a success."""
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Measured properties of a solution.
+
+    Attributes
+    ----------
+    energy_audited : float
+        Energy of the contact problem re-solved on the same mesh with a rule of degree 20.
+    equilibrium_residual : float
+        Largest out-of-balance nodal force, relative to the largest applied one.
+    complementarity_residual : float
+        Largest natural residual of contact and friction laws, see :func:`law_residual`.
+    min_area_ratio : float
+        Least signed element area over its initial one; not positive if inverted.
+    penetration : float
+        Deepest penetration between contact nodes, in units of length. The gap is imposed at
+        nodes only; where the foundation is curved the optimiser may move nodes to where that
+        hurts least, and this is by how much it cheated.
+    """
+
+    energy_audited: float
+    equilibrium_residual: float
+    complementarity_residual: float
+    min_area_ratio: float
+    penetration: float = float("nan")
+
+
+class Auditor:
+    """Audits solutions of one problem; the accurate contact model is built once."""
+
+    def __init__(self, problem: ContactProblem, model: ContactModel) -> None:
+        self.problem, self.model = problem, model
+        self._accurate = ContactModel(replace(problem, quadrature=AUDIT_DEGREE))
+        self._initial_areas = signed_areas(problem.mesh.p, problem.triangles)
+
+    def energy(self, nodes: Array) -> float:
+        """Audited energy of the mesh with these node positions (2, nodes)."""
+        return self._accurate.solve(nodes).energy
+
+    def __call__(self, nodes: Array, u: Array, normal_force: Array, tangential_force: Array) -> Audit:
+        """Audit displacement unknowns and nodal contact forces on a mesh."""
+        system = self.model.system(nodes)
+        ratio = signed_areas(nodes, self.problem.triangles) / self._initial_areas
+        valid = float(np.min(ratio)) > 0
+        return Audit(
+            energy_audited=self.energy(nodes) if valid else float("nan"),
+            equilibrium_residual=equilibrium_residual(system, u, normal_force, tangential_force),
+            complementarity_residual=law_residual(system, u, normal_force, tangential_force),
+            min_area_ratio=float(np.min(ratio)),
+            penetration=penetration(self.problem, nodes, self.model.displacement.values(u)),
+        )
+
+
+def penetration(problem: ContactProblem, nodes: Array, displacement: Array) -> float:
+    """Largest negative gap at points between the contact nodes, as a positive length; 0 without."""
+    obstacle = problem.obstacle
+    if obstacle.boundary is Place.INTERIOR:
+        cells, points = problem.triangles, BETWEEN_TRIANGLE
+    else:
+        cells, points = contact_edges(problem), BETWEEN_EDGE
+    where = np.einsum("cve,vk->cek", nodes[:, cells], points).reshape(2, -1)
+    u = np.einsum("cve,vk->cek", displacement[:, cells], points).reshape(displacement.shape[0], -1)
+    if where.shape[1] == 0:
+        return 0.0
+    gap = np.array(obstacle.normal) @ u + on_points(obstacle.offset, where)
+    return float(max(0.0, -np.min(gap)))
+
+
+def equilibrium_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:
+    """``max |K u - F - N^T lambda - T^T tau|`` over the largest applied nodal force."""
+    residual = system.stiffness @ u - system.load - system.normals.T @ normal
+    if system.slip_bound.size:
+        residual = residual - system.tangents.T @ tangential
+    return float(np.max(np.abs(residual)) / system.force_scale)
+
+
+def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:
+    """Violation of the contact and friction laws (3.10) at the nodes, dimensionless.
+
+    ``max |min(gap / U, lambda / F)|`` and ``max |tau + proj(slip F / U - tau)| / F``, the
+    projection on [-b, b]; U the largest displacement and F the largest applied nodal force.
+    Both vanish exactly where the laws hold, and count penetration and tension as well.
+    """
+    length = max(float(np.max(np.abs(u), initial=0.0)), 1e-300)
+    force = system.force_scale
+    gap = system.normals @ u + system.offset
+    worst = float(np.max(np.abs(np.minimum(gap / length, normal / force)), initial=0.0))
+    if system.slip_bound.size:
+        slip = (system.tangents @ u) * force / length
+        friction = tangential + np.clip(slip - tangential, -system.slip_bound, system.slip_bound)
+        worst = max(worst, float(np.max(np.abs(friction), initial=0.0)) / force)
+    return worst

@@ -1,0 +1,242 @@
+"""From the last node positions of a strategy to a judged Solution; the same for all strategies."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from skfem import MeshTri
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.system import Equilibrium
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.energy import contact_edges
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.problem import ContactProblem, Place, signed_areas
+from rmesh_nlp.programs.energy_program import Relocation, relocation
+from rmesh_nlp.programs.freedoms import least_angles
+from rmesh_nlp.programs.multipliers import multipliers
+from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedPoint
+from rmesh_nlp.solution.audit import Audit, Auditor
+from rmesh_nlp.solution.solution import Solution, Step, is_success
+
+OnStep = Callable[[Step], None]
+"""Called after each iteration of a strategy, for progress."""
+
+ENERGY_AGREEMENT = 1e-6
+"""Largest relative difference between a solver's energy and the exact contact solve."""
+
+TIMING_SECONDS = 0.05
+"""Time spent on measuring the unit of cost, if one contact solve takes less."""
+
+ROUNDING = 1e-9
+"""Part of its initial area, and radians, by which an element may fall short: a solution that has elements at
+their bounds is valid to start from."""
+
+KKT_TOLERANCE = 1e-6
+"""Largest first-order residual of the outer problem that earns the label "KKT"."""
+
+
+class Referee:
+    """Holds what every strategy shares for one problem, and judges what it ends with.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+    model : ContactModel
+        Contact solves with the problem's own quadrature.
+    relocation : Relocation
+    reduced : ReducedEnergy
+    initial : Equilibrium
+        Contact solution on the initial mesh.
+    """
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self.problem = problem
+        self.model = ContactModel(problem)
+        self.relocation: Relocation = relocation(problem)
+        self.reduced = ReducedEnergy(self.relocation, self.model)
+        self._auditor = Auditor(problem, self.model)
+        self.initial, self._contact_time = _timed_contact_solve(self.model)
+
+    def start(self, seed: int | None, positions: Array | None = None) -> Array:
+        """Moves to start from: none, or drawn uniformly from the boxes with a seed.
+
+        With ``positions`` (2, nodes), say prolonged from a coarser mesh, the moves that lead
+        there, cut to the boxes; a seed then has no effect. Without boxes a draw moves nodes by
+        up to their shortest edge. Moves that break element validity are halved until they do not.
+        """
+        free = self.relocation.freedoms
+        if positions is not None:
+            q = np.clip(free.q_of(positions), -free.bound, free.bound)
+        elif seed is not None:
+            q = np.random.default_rng(seed).uniform(-1, 1, free.n)
+        else:
+            return np.zeros(free.n)
+        while not self.is_valid(q):
+            q = q / 2
+        return q
+
+    def is_valid(self, q: Array) -> bool:
+        """Whether all elements keep the least area and angle that the motion asks for, up to ``ROUNDING``."""
+        motion = self.problem.motion
+        if self.least_area_ratio(q) < motion.min_area_fraction - ROUNDING:
+            return False
+        if motion.min_angle == 0:
+            return True
+        angle = least_angles(self.relocation.nodes(q), self.problem.triangles)
+        return bool(np.min(angle) >= motion.min_angle - np.rad2deg(ROUNDING))
+
+    def least_area_ratio(self, q: Array) -> float:
+        """Least signed element area over its initial value."""
+        triangles = self.problem.triangles
+        areas = signed_areas(self.relocation.nodes(q), triangles)
+        return float(np.min(areas / signed_areas(self.problem.mesh.p, triangles)))
+
+    def judge(
+        self,
+        formulation: str,
+        q: Array,
+        *,
+        status: Status,
+        history: list[Step],
+        iterations: int,
+        contact_solves: int,
+        wall_time_s: float,
+        objective: str = "energy",
+        claimed_energy: float | None = None,
+        equilibrium: Equilibrium | None = None,
+        stationarity: str | None = None,
+        seed: int | None = None,
+        extra: dict[str, Any] | None = None,
+        outer_gradient: Array | None = None,
+    ) -> Solution:
+        """Solve the contact problem at ``q``, audit it, and decide on success.
+
+        Parameters
+        ----------
+        claimed_energy : float, optional
+            What the strategy says the energy is; a disagreement with the contact solve by
+            more than 1e-6 relative makes the status INACCURATE.
+        equilibrium : Equilibrium, optional
+            The strategy's own displacement and forces, which are then what is audited and
+            returned, instead of the contact solve.
+        outer_gradient : array, optional
+            Gradient of the outer objective at ``q``, for the multipliers; by default that of the
+            energy, if it is the objective.
+        stationarity : str, optional
+            Label computed by the strategy; by default "KKT" if the measured residual allows.
+        """
+        nodes = self.relocation.nodes(q)
+        common: dict[str, Any] = {
+            "problem": self.problem,
+            "formulation": formulation,
+            "objective": objective,
+            "mesh": relocated_mesh(self.problem.mesh, nodes),
+            "energy_initial": self.initial.energy,
+            "energy_initial_audited": self._auditor.energy(self.problem.mesh.p),
+            "history": tuple(history),
+            "iterations": iterations,
+            "contact_solves": contact_solves,
+            "wall_time_s": wall_time_s,
+            "contact_time_s": self._contact_time,
+            "seed": seed,
+            "extra": extra or {},
+        }
+        ratio = self.least_area_ratio(q)
+        if not ratio > 0:
+            return _without_solution(common, self.problem, ratio)
+        exact = self.reduced(q)
+        found = equilibrium or exact.equilibrium
+        audit = self._auditor(nodes, found.u, found.normal_force, found.tangential_force)
+        status = _checked(status, exact, claimed_energy if equilibrium is None else found.energy)
+        success = is_success(status, audit)
+        if status is Status.CONVERGED and not success:
+            status = Status.INACCURATE
+        residual = float("nan")
+        if objective == "energy":
+            outer_gradient = exact.gradient
+            residual = self.reduced.stationarity_residual(exact)
+            if stationarity is None:
+                stationarity = "KKT" if residual <= KKT_TOLERANCE else ""
+        weights = nodal_weights(self.problem, nodes)
+        return Solution(
+            **common,
+            displacement=self.model.displacement.values(found.u),
+            pressure=self._stress(found.normal_force, weights),
+            tangential_stress=self._stress(found.tangential_force, weights),
+            energy=found.energy,
+            audit=audit,
+            status=status,
+            success=success,
+            stationarity=stationarity or "",
+            stationarity_residual=residual,
+            multipliers=None if outer_gradient is None else multipliers(self.relocation, q, outer_gradient),
+        )
+
+    def _stress(self, force: Array, weights: Array) -> Array:
+        stress = np.zeros(self.problem.mesh.p.shape[1])
+        if force.size:
+            stress[self.model.contact_nodes] = force / weights
+        return stress
+
+
+def _timed_contact_solve(model: ContactModel) -> tuple[Equilibrium, float]:
+    """A cold contact solve on the initial mesh and its time, the median of a few where it is short."""
+    seconds: list[float] = []
+    while len(seconds) < 5 and sum(seconds) < TIMING_SECONDS:
+        began = time.perf_counter()
+        equilibrium = model.solve(model.problem.mesh.p)
+        seconds.append(time.perf_counter() - began)
+    return equilibrium, statistics.median(seconds)
+
+
+def _checked(status: Status, exact: ReducedPoint, claimed: float | None) -> Status:
+    if exact.equilibrium.status is not Status.CONVERGED:
+        return exact.equilibrium.status
+    if claimed is not None and status is Status.CONVERGED:
+        wrong = abs(claimed - exact.value) > ENERGY_AGREEMENT * max(abs(exact.value), 1e-300)
+        return Status.INACCURATE if wrong else status
+    return status
+
+
+def _without_solution(common: dict[str, Any], problem: ContactProblem, ratio: float) -> Solution:
+    """A row for a mesh on which the contact problem cannot be solved."""
+    nan = float("nan")
+    n_nodes = problem.mesh.p.shape[1]
+    return Solution(
+        **common,
+        displacement=np.full((problem.components, n_nodes), nan),
+        pressure=np.full(n_nodes, nan),
+        tangential_stress=np.full(n_nodes, nan),
+        energy=nan,
+        audit=Audit(nan, nan, nan, ratio),
+        status=Status.INVALID_MESH,
+        success=False,
+        stationarity="",
+        stationarity_residual=nan,
+    )
+
+
+def relocated_mesh(mesh: MeshTri, nodes: Array) -> MeshTri:
+    """The mesh with its nodes at ``nodes`` (2, nodes), names kept."""
+    return replace(mesh, doflocs=np.ascontiguousarray(nodes))
+
+
+def nodal_weights(problem: ContactProblem, nodes: Array) -> Array:
+    """omega_i of (5.9): half the length of the contact edges at each contact node.
+
+    For an obstacle in the interior: a third of the area of the elements at the node.
+    """
+    if problem.obstacle.boundary is Place.INTERIOR:
+        areas = np.tile(signed_areas(nodes, problem.triangles) / 3, 3)
+        shares = np.bincount(problem.triangles.ravel(), areas, nodes.shape[1])
+        return np.asarray(shares[problem.contact_nodes])
+    edges = contact_edges(problem)
+    length = np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
+    weight = np.bincount(edges.ravel(), np.tile(length / 2, 2), nodes.shape[1])
+    return np.asarray(weight[problem.contact_nodes])

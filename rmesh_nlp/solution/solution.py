@@ -1,0 +1,213 @@
+"""What every strategy returns, and the record of it that tables and figures are made from."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from skfem import MeshTri
+
+from rmesh_nlp.display import Rows, figure, html_table, rich_table
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.multipliers import Multipliers
+from rmesh_nlp.solution.audit import TOLERANCE, Audit
+
+
+@dataclass(frozen=True)
+class Step:
+    """One line of a history.
+
+    Attributes
+    ----------
+    iteration : int
+    energy : float
+        Objective energy at the iterate; meaningful as J only where ``primal_residual`` is small.
+    t : float
+        Relaxation or barrier parameter, NaN where there is none.
+    primal_residual, dual_residual : float
+        Constraint violation and dual infeasibility as the solver scales them.
+    contact_solves : int
+        Contact solves so far; 0 for the all-at-once strategies.
+    seconds : float
+        Wall time since the start.
+    q : array or None
+        The moves, only in the steps that ``on_step`` receives: a history would be too large.
+    """
+
+    iteration: int
+    energy: float
+    t: float
+    primal_residual: float
+    dual_residual: float
+    contact_solves: int
+    seconds: float
+    q: Array | None = field(default=None, repr=False, compare=False)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A relocated mesh with its contact solution.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+    formulation, objective : str
+    mesh : skfem.MeshTri
+        The relocated mesh, boundaries named as before.
+    displacement : (components, nodes) array
+        In units of length.
+    pressure : (nodes,) array
+        Contact pressure in N/m^2, >= 0, zero off the contact boundary: nodal force over omega_i.
+    tangential_stress : (nodes,) array
+        Friction on the body in N/m^2, along the tangent; zero without friction.
+    energy : float
+        J(u) on the relocated mesh with the problem's own quadrature.
+    energy_initial : float
+        The same on the initial mesh.
+    energy_initial_audited : float
+        The same with the rule of the audit.
+    audit : Audit
+    status : Status
+    success : bool
+        Residuals at most 1e-6 in scaled units, a valid mesh, and a solver that converged.
+    stationarity : str
+        "KKT" or an MPCC label (W, C, M, S, B) where it was computed, else "".
+    stationarity_residual : float
+        First-order residual of the outer problem, measured with the energy gradient (5.11);
+        NaN for other objectives.
+    history : tuple of Step
+    iterations, contact_solves : int
+    wall_time_s : float
+        Build and solve, without the audit.
+    contact_time_s : float
+        One cold contact solve on the initial mesh, the unit of cost.
+    seed : int or None
+    extra : dict
+        Further entries of the record.
+    multipliers : Multipliers or None
+        Of boxes, areas and angles; where they are large, position or connectivity is the limit.
+    """
+
+    problem: ContactProblem
+    formulation: str
+    objective: str
+    mesh: MeshTri
+    displacement: Array
+    pressure: Array
+    tangential_stress: Array
+    energy: float
+    energy_initial: float
+    energy_initial_audited: float
+    audit: Audit
+    status: Status
+    success: bool
+    stationarity: str
+    stationarity_residual: float
+    history: tuple[Step, ...]
+    iterations: int
+    contact_solves: int
+    wall_time_s: float
+    contact_time_s: float
+    seed: int | None = None
+    extra: dict[str, Any] = field(default_factory=dict)
+    multipliers: Multipliers | None = None
+
+    def record(self) -> dict[str, Any]:
+        """Everything a table needs, as plain JSON values. NaN becomes None."""
+        row = {
+            "example": self.problem.name,
+            "formulation": self.formulation,
+            "objective": self.objective,
+            "n": self.problem.size,
+            "delta": self.problem.motion.delta_record(),
+            "status": self.status.value,
+            "success": self.success,
+            "energy_initial": self.energy_initial,
+            "energy": self.energy,
+            "energy_initial_audited": self.energy_initial_audited,
+            "energy_audited": self.audit.energy_audited,
+            "gain": self.energy_initial - self.energy,
+            "gain_audited": self.energy_initial_audited - self.audit.energy_audited,
+            "u_min": float(self.displacement.min()),
+            "u_max": float(self.displacement.max()),
+            "min_area_ratio": self.audit.min_area_ratio,
+            "iterations": self.iterations,
+            "contact_solves": self.contact_solves,
+            "wall_time_s": self.wall_time_s,
+            "contact_time_s": self.contact_time_s,
+            "equilibrium_residual": self.audit.equilibrium_residual,
+            "complementarity_residual": self.audit.complementarity_residual,
+            "penetration": self.audit.penetration,
+            "stationarity": self.stationarity,
+            "stationarity_residual": self.stationarity_residual,
+            "nodes": int(self.mesh.p.shape[1]),
+            "triangles": int(self.mesh.t.shape[1]),
+            "quadrature": self.problem.quadrature,
+            "versions": versions(),
+            "seed": self.seed,
+            **self.extra,
+        }
+        return {key: _plain(value) for key, value in row.items()}
+
+    def summary(self) -> Rows:
+        """Status, energies and measured residuals, as (label, value) rows for people."""
+        audit, motion = self.audit, np.linalg.norm(self.mesh.p - self.problem.mesh.p, axis=0)
+        rows = [
+            ("status", f"{self.status.value}: {self.status.message}"),
+            ("success", "yes" if self.success else "no"),
+            ("energy on the initial mesh", figure(self.energy_initial)),
+            ("energy", figure(self.energy)),
+            ("audited energy", figure(audit.energy_audited)),
+            ("least area ratio", figure(audit.min_area_ratio)),
+            ("largest motion", figure(float(motion.max()))),
+            ("equilibrium residual", f"{audit.equilibrium_residual:.1e}"),
+            ("complementarity residual", f"{audit.complementarity_residual:.1e}"),
+            ("penetration between nodes", figure(audit.penetration)),
+            ("iterations, contact solves", f"{self.iterations}, {self.contact_solves}"),
+            ("seconds", f"{self.wall_time_s:.3g}"),
+        ]
+        if self.multipliers is not None:
+            box, area = self.multipliers.box, self.multipliers.area
+            rows.append(("limited by boxes", f"{np.sum(box > 0)} nodes, largest {figure(box.max())}"))
+            rows.append(("limited by areas", f"{np.sum(area > 0)} elements, largest {figure(area.max())}"))
+        return rows
+
+    def __rich__(self) -> Any:
+        return rich_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
+
+    def _repr_html_(self) -> str:
+        return html_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
+
+    def history_rows(self) -> list[dict[str, Any]]:
+        """The history as a list of plain dictionaries (for JSON or pandas)."""
+        rows = [asdict(replace(step, q=None)) for step in self.history]
+        return [{key: _plain(value) for key, value in row.items() if key != "q"} for row in rows]
+
+
+def is_success(status: Status, audit: Audit) -> bool:
+    """Whether residuals and mesh allow the solution to be called a success."""
+    return (
+        status is Status.CONVERGED
+        and audit.equilibrium_residual <= TOLERANCE
+        and audit.complementarity_residual <= TOLERANCE
+        and audit.min_area_ratio > 0
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that decide the figures."""
+    packages = ("rmesh-nlp", "casadi", "numpy", "scipy", "scikit-fem")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (np.generic,)):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

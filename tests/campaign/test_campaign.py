@@ -1,0 +1,148 @@
+"""A campaign leaves a row for each solve, whatever happens to it, and resumes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rmesh_nlp.campaign import run as campaign
+from rmesh_nlp.campaign import strategies
+from rmesh_nlp.campaign.cases import Case, make_cases
+from rmesh_nlp.campaign.run import run, solve
+from rmesh_nlp.campaign.strategies import accepted
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.results import REQUIRED, Results, read_results, to_json
+from rmesh_nlp.io.vtu import fields_of, read_vtu
+
+
+@pytest.fixture
+def plant(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Adds a strategy of the test's own, as an entry point would."""
+    load = strategies.load
+
+    def add(name: str, function: Any) -> None:
+        before = strategies.load
+        monkeypatch.setattr(strategies, "load", lambda wanted: function if wanted == name else before(wanted))
+
+    assert load("fixed") is not None
+    return add
+
+
+def explode(problem: Any) -> None:
+    raise RuntimeError("the\nfactor was singular")
+
+
+def test_a_solve_that_raises_is_a_row_and_the_next_one_runs(
+    tmp_path: Path, plant: Callable[..., None]
+) -> None:
+    plant("explode", explode)
+    cases = make_cases(["6.1"], ["explode", "fixed"], n=3)
+    bad, good = run(cases, Results(tmp_path))
+    assert (bad["status"], bad["success"]) == ("failed", False)
+    assert bad["message"] == "RuntimeError: the factor was singular"
+    assert set(REQUIRED) <= set(bad)
+    assert bad["delta"] == good["delta"]
+    assert good["success"]
+    assert [result.record for result in read_results(tmp_path)] == [bad, json.loads(to_json(good))]
+
+
+def test_records_are_on_the_disk_when_they_are_yielded(tmp_path: Path) -> None:
+    rows = run(make_cases(["6.1"], ["fixed", "joint"], n=3), Results(tmp_path))
+    for count, _ in enumerate(rows, 1):
+        found = read_results(tmp_path)
+        assert len(found) == count
+        assert all(result.vtu.exists() and result.history.exists() for result in found)
+
+
+def test_resume_solves_only_what_is_missing_or_failed(tmp_path: Path, plant: Callable[..., None]) -> None:
+    plant("flaky", explode)
+    cases = make_cases(["6.1"], ["fixed", "flaky"], n=3)
+    list(run(cases, Results(tmp_path)))
+    plant("flaky", strategies.load("fixed"))
+    started: list[str] = []
+    rows = list(
+        run(cases, Results(tmp_path), resume=True, on_start=lambda case: started.append(case.formulation))
+    )
+    assert started == ["flaky"]
+    assert [row["success"] for row in rows] == [True, True]
+    assert [result.record["success"] for result in read_results(tmp_path)] == [True, True]
+
+
+def test_resume_refuses_rows_of_other_settings(tmp_path: Path) -> None:
+    list(run(make_cases(["6.1"], ["fixed"], n=3), Results(tmp_path)))
+    other = make_cases(["6.1"], ["fixed"], n=3, delta=0.01)
+    with pytest.raises(BadInputError, match=r"delta \[0\.07.*, 0\.07.*\], not \[0\.01, 0\.01\]"):
+        list(run(other, Results(tmp_path), resume=True))
+
+
+def test_a_fresh_run_sets_the_old_one_aside_when_its_first_solve_has_ended(tmp_path: Path) -> None:
+    list(run(make_cases(["6.1"], ["fixed", "joint"], n=3), Results(tmp_path)))
+    old = (tmp_path / "records.jsonl").read_text()
+    rows = run(
+        make_cases(["6.1"], ["fixed"], n=4),
+        Results(tmp_path),
+        on_start=lambda case: (tmp_path / "seen").write_text((tmp_path / "records.jsonl").read_text()),
+    )
+    assert next(rows)["n"] == "4"
+    assert (tmp_path / "seen").read_text() == old
+    assert (tmp_path / "previous" / "records.jsonl").read_text() == old
+    assert [result.record["n"] for result in read_results(tmp_path)] == ["4"]
+
+
+def test_cases_of_one_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match=r"6\.1-3-fixed"):
+        list(run(make_cases(["6.1", "6.1"], ["fixed"], n=3), Results(tmp_path)))
+
+
+def test_a_line_cut_off_by_a_power_cut_is_passed_over(tmp_path: Path) -> None:
+    list(run(make_cases(["6.1"], ["fixed"], n=3), Results(tmp_path)))
+    with (tmp_path / "records.jsonl").open("a") as file:
+        file.write('{"example": "6.1", "formu')
+    assert len(read_results(tmp_path)) == 1
+
+
+def test_keys_tell_solves_apart_and_suit_file_names() -> None:
+    (case,) = make_cases(["6.1"], ["mpcc"], options={"seed": 3, "objective": "error-l2 + 0.01*quality"})
+    assert case.key == "6.1-8-mpcc-error-l2_+_0.01_quality-seed3"
+
+
+def test_options_that_no_strategy_takes_are_refused() -> None:
+    with pytest.raises(BadInputError, match="--relaxation scholtes: not an option of fixed, joint"):
+        make_cases(["6.1"], ["fixed", "joint"], n=3, options={"relaxation": "scholtes"})
+
+
+def test_which_keywords_a_function_takes() -> None:
+    assert accepted(lambda problem, seed=None: None, ("seed", "objective")) == {"seed"}
+    assert accepted(lambda problem, **rest: None, ("seed", "objective")) == {"seed", "objective"}
+
+
+def test_json_is_strict() -> None:
+    row = {"a": float("nan"), "b": [1.0, float("inf")], "c": {"d": float("nan")}}
+    assert json.loads(to_json(row)) == {"a": None, "b": [1.0, None], "c": {"d": None}}
+
+
+def test_fields_survive_the_file(tmp_path: Path) -> None:
+    (case,) = make_cases(["6.3"], ["fixed"], n=(4, 2))
+    outcome = solve(case)
+    assert outcome.solution is not None
+    places = Results(tmp_path).result(outcome.record)
+    campaign.save(outcome, places)
+    written, read = fields_of(outcome.solution), read_vtu(places.vtu)
+    for name in ("nodes", "initial", "triangles", "displacement", "pressure", "friction_bound", "contact"):
+        assert (getattr(read, name) == getattr(written, name)).all(), name
+    assert read.friction_bound[read.contact].min() == 10
+    assert (read.foundation[1, read.contact] == 0).all()
+    assert len(places.steps()) == 1
+
+
+def test_a_problem_of_one_s_own(tmp_path: Path) -> None:
+    (case,) = make_cases(["6.1"], ["fixed"], n=3)
+    own = Case(replace(case.problem, name="own", size=""), "fixed")
+    (row,) = run([own], Results(tmp_path))
+    assert row["success"]
+    assert row["key"] == "own-fixed"

@@ -1,0 +1,88 @@
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+from support.problems import sloped_block
+
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.energy import triangle_rule
+from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.energy_program import relocation
+
+
+def automatic(nlp: NLP, x: np.ndarray, lam_g: np.ndarray) -> list[np.ndarray]:
+    """Gradient, Jacobian and Hessian by CasADi from the same expressions."""
+    lam = ca.MX.sym("lam", nlp.n_g)
+    lagrangian = nlp.f * 0.7 + ca.dot(lam, nlp.g)
+    function = ca.Function(
+        "ad",
+        [nlp.x, lam],
+        [ca.gradient(nlp.f, nlp.x), ca.jacobian(nlp.g, nlp.x), ca.triu(ca.hessian(lagrangian, nlp.x)[0])],
+    )
+    return [value.full() for value in function(x, lam_g)]
+
+
+def check(problem: ContactProblem, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    nlp = relocation(problem).nlp
+    x, lam_g = 0.5 * rng.uniform(-1, 1, nlp.n_x), rng.standard_normal(nlp.n_g)
+    assert nlp.derivatives is not None
+    gradient, jacobian, hessian = automatic(nlp, x, lam_g)
+    ours = [
+        nlp.derivatives.grad_f(x, [])[1],
+        nlp.derivatives.jac_g(x, [])[1],
+        nlp.derivatives.hess_lag(x, [], 0.7, lam_g),
+    ]
+    for found, expected in zip(ours, (gradient, jacobian, hessian), strict=True):
+        np.testing.assert_allclose(found.full(), expected, atol=1e-12 * max(1, np.abs(expected).max()))
+
+
+def test_scalar_derivatives_are_those_of_automatic_differentiation() -> None:
+    check(replace(EXAMPLES["6.1"](4, 0.1), quadrature=4), seed=1)
+
+
+def test_elastic_derivatives_are_those_of_automatic_differentiation() -> None:
+    check(EXAMPLES["6.3"]((4, 2)), seed=2)
+
+
+def test_derivatives_with_sloped_contact_and_varying_loads() -> None:
+    check(sloped_block(), seed=3)
+
+
+def test_an_extended_program_keeps_the_assembled_derivatives() -> None:
+    nlp = relocation(EXAMPLES["6.3"]((4, 2))).nlp
+    y = ca.MX.sym("y", 2)
+    wider = nlp.extended(
+        x=y, f=ca.sumsqr(y - nlp.x[:2]), g=ca.sin(y[0]) * nlp.x[5], lbx=[0, 0], ubx=[1, 1], lbg=[0], ubg=[1]
+    )
+    rng = np.random.default_rng(4)
+    x, lam_g = 0.5 * rng.uniform(-1, 1, wider.n_x), rng.standard_normal(wider.n_g)
+    gradient, jacobian, hessian = automatic(wider, x, lam_g)
+    assert wider.derivatives is not None
+    np.testing.assert_allclose(wider.derivatives.grad_f(x, [])[1].full(), gradient, atol=1e-9)
+    np.testing.assert_allclose(wider.derivatives.jac_g(x, [])[1].full(), jacobian, atol=1e-9)
+    np.testing.assert_allclose(wider.derivatives.hess_lag(x, [], 0.7, lam_g).full(), hessian, atol=1e-7)
+
+
+def test_nothing_is_unrolled_over_the_mesh() -> None:
+    # the expression graph of the assembled functions must not grow with the mesh
+    def nodes(n: int) -> int:
+        derivatives = relocation(EXAMPLES["6.1"](n)).nlp.derivatives
+        assert derivatives is not None
+        return sum(f.n_instructions() for f in (derivatives.grad_f, derivatives.jac_g, derivatives.hess_lag))
+
+    assert nodes(4) == nodes(8)
+
+
+def test_quadrature_rules_integrate_their_degree_exactly() -> None:
+    from math import factorial
+
+    for quadrature, degree in [("midpoint", 2), (3, 3), (10, 10), (19, 19), (20, 20), (25, 25)]:
+        points, weights = triangle_rule(quadrature)
+        for a in range(degree + 1):
+            for b in range(degree + 1 - a):
+                c = degree - a - b
+                exact = 2 * factorial(a) * factorial(b) * factorial(c) / factorial(degree + 2)
+                value = weights @ (points[0] ** a * points[1] ** b * points[2] ** c)
+                assert abs(value - exact) < 1e-12 * max(exact, 1e-3), (quadrature, a, b, c)

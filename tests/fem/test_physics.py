@@ -1,0 +1,235 @@
+"""Laws per subdomain, given displacements, obstacles: against closed forms."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from formulations import fixed, joint, mpcc, nested
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Laplace,
+    Motion,
+    Obstacle,
+    PiecewiseLinear,
+    PlaneStrain,
+    PlaneStress,
+    Relative,
+    Traction,
+)
+
+
+def bar(law: object, **kwargs: object) -> ContactProblem:
+    """A bar (0,2) x (0,1) on rollers, stretched by 0.01 at its right end."""
+    return ContactProblem(
+        rectangle(6, 3, x=(0, 2)),
+        law,
+        (Dirichlet("left", (0.0, None)), Dirichlet("bottom", (None, 0.0)), Dirichlet("right", (0.01, None))),
+        motion=Motion(0.05),
+        **kwargs,
+    )
+
+
+def test_uniaxial_tension_has_the_energy_of_youngs_modulus() -> None:
+    E, nu, strain = 210.0, 0.3, 0.005
+    stress = fixed.solve(bar(PlaneStress.from_young(E, nu)))
+    strain_ = fixed.solve(bar(PlaneStrain.from_young(E, nu)))
+    assert stress.energy == pytest.approx(0.5 * E * strain**2 * 2, rel=1e-12)
+    assert strain_.energy == pytest.approx(0.5 * E / (1 - nu**2) * strain**2 * 2, rel=1e-12)
+    np.testing.assert_allclose(
+        stress.displacement[1], -nu * strain * stress.mesh.p[1], atol=1e-15
+    )  # lateral contraction
+
+
+def test_two_materials_in_series_share_the_stretch() -> None:
+    mesh = rectangle(4, 2).with_subdomains({"soft": lambda x: x[0] < 0.5, "hard": lambda x: x[0] > 0.5})
+    problem = ContactProblem(
+        mesh,
+        {"soft": Laplace(conductivity=1.0), "hard": Laplace(conductivity=3.0)},
+        ("left", Dirichlet("right", (1.0,))),
+        motion=Motion(0.05),
+    )
+    solution = joint.solve(problem)
+    middle = np.isclose(mesh.p[0], 0.5)
+    np.testing.assert_allclose(solution.displacement[0, middle], 0.75, atol=1e-9)  # fluxes 1.5 on both sides
+    assert solution.energy == pytest.approx(0.5 * (0.5 * 1.5**2 + 0.5 * 3 * 0.5**2), rel=1e-10)
+    np.testing.assert_allclose(solution.mesh.p[0, middle], 0.5)  # the interface slides
+
+
+def test_displacements_given_as_a_function_reproduce_a_linear_field() -> None:
+    edges = ("left", "right", "bottom", "top")
+    linear = lambda x, y: 0.3 * x - 0.2 * y + 0.1  # noqa: E731
+    problem = ContactProblem(
+        rectangle(4, 4), Laplace(), tuple(Dirichlet(e, (linear,)) for e in edges), motion=Motion(0.05)
+    )
+    solution = fixed.solve(problem)
+    np.testing.assert_allclose(solution.displacement[0], linear(*problem.mesh.p), atol=1e-14)
+
+
+def pressed_block(obstacle: Obstacle, turn: float = 0.0) -> ContactProblem:
+    """A block pressed onto its lower edge by its upper one, all turned by an angle."""
+    mesh = rectangle(4, 4, diagonal="falling")
+    Q = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    push = tuple(float(v) for v in Q @ [0.001, -0.01])
+    return ContactProblem(
+        replace(mesh, doflocs=Q @ mesh.p),
+        PlaneStrain(100.0, 80.0),
+        (Dirichlet("top", push),),
+        obstacle,
+        Motion(Relative(0.2)),
+    )
+
+
+def test_a_rigid_line_in_any_direction_is_the_flat_one_turned() -> None:
+    flat = fixed.solve(pressed_block(Obstacle.line("bottom", (0, 0), (0, 2.0), friction=0.3)))
+    angle = 0.7
+    normal = (-np.sin(angle), np.cos(angle))
+    turned = fixed.solve(pressed_block(Obstacle.line("bottom", (0, 0), normal, friction=0.3), angle))
+    assert flat.success
+    assert turned.success
+    assert turned.energy == pytest.approx(flat.energy, rel=1e-10)
+    assert np.max(np.abs(flat.tangential_stress)) > 0
+    np.testing.assert_allclose(turned.pressure, flat.pressure, atol=1e-9)
+    np.testing.assert_allclose(np.abs(turned.tangential_stress), np.abs(flat.tangential_stress), atol=1e-9)
+
+
+def test_a_graph_is_met_at_the_nodes_whether_smooth_or_piecewise_linear() -> None:
+    for height in (lambda x, y: -0.02 * (x - 0.5) ** 2, PiecewiseLinear((0, 0.5, 1), (-0.01, 0.0, -0.01))):
+        solution = fixed.solve(pressed_block(Obstacle.graph("bottom", height)))
+        nodes = solution.problem.contact_nodes
+        x, y = solution.mesh.p[:, nodes]
+        foundation = np.array([float(ca.DM(height(a, 0))) for a in x])
+        gap = y + solution.displacement[1, nodes] - foundation
+        touching = solution.pressure[nodes] > 0
+        assert 0 < np.sum(touching) < touching.size
+        np.testing.assert_allclose(gap[touching], 0, atol=1e-15)
+        assert np.all(gap[~touching] > 0)
+
+
+def test_penetration_between_nodes_is_measured() -> None:
+    curved = fixed.solve(pressed_block(Obstacle.graph("bottom", lambda x, y: -0.02 * (x - 0.5) ** 2)))
+    # a parabola rises c h^2 / 4 above its chord; here edges of 1/4 touch with both ends
+    assert curved.audit.penetration == pytest.approx(0.02 / 4**2 / 4, rel=1e-6)
+    flat = fixed.solve(pressed_block(Obstacle.line("bottom", (0, 0), (0, 1))))
+    assert flat.audit.penetration <= 1e-16
+    # a flat obstacle below P1 functions is met everywhere if it is met at the nodes
+    assert fixed.solve(membrane(8)).audit.penetration == 0
+
+
+def test_a_friction_bound_may_vary_with_position() -> None:
+    bound = lambda x, y: 0.1 + 0.2 * x  # noqa: E731
+    solution = fixed.solve(pressed_block(Obstacle.line("bottom", (0, 0), (0, 1), friction=bound)))
+    nodes = solution.problem.contact_nodes
+    x = solution.mesh.p[0, nodes]
+    stress = np.abs(solution.tangential_stress[nodes])
+    # omega_i g(X_i) exactly: the trapezoidal rule takes g at the node
+    assert np.all(stress <= bound(x, 0) + 1e-12)
+    assert np.any(np.isclose(stress, bound(x, 0)))
+
+
+def test_a_held_tangent_at_a_rough_contact_node_transmits_no_friction() -> None:
+    problem = ContactProblem(
+        rectangle(4, 2),
+        PlaneStrain(100.0, 80.0),
+        (Dirichlet("left", (0.0, None)), Dirichlet("top", (None, -0.01))),
+        Obstacle("bottom", friction=0.1),
+        Motion(0.02),
+    )
+    with pytest.raises(ValueError, match="with friction it must be zero"):
+        replace(problem, dirichlet=(Dirichlet("left", (0.001, None)), Dirichlet("top", (None, -0.01))))
+    solution = fixed.solve(problem)
+    corner = np.flatnonzero(np.all(problem.mesh.p == 0, axis=0))
+    assert solution.success
+    assert solution.pressure[corner] > 0
+    assert solution.tangential_stress[corner] == 0
+
+
+def membrane(n: int) -> ContactProblem:
+    """u >= 0 with f = -2 and the radial solution r^2/2 - ln r - 1/2 outside r = 1."""
+
+    def exact(x: object, y: object) -> object:
+        r2 = ca.fmax(x * x + y * y, 1.0)
+        return r2 / 2 - ca.log(r2) / 2 - 0.5
+
+    edges = ("left", "right", "bottom", "top")
+    return ContactProblem(
+        rectangle(n, n, x=(-1.5, 1.5), y=(-1.5, 1.5)),
+        Laplace(-2.0),
+        tuple(Dirichlet(e, (exact,)) for e in edges),
+        Obstacle.interior(0.0),
+        Motion(Relative(0.25)),
+        name="membrane",
+    )
+
+
+def test_an_interior_obstacle_has_its_known_free_boundary() -> None:
+    solution = fixed.solve(membrane(24))
+    touching = solution.pressure > 0
+    r = np.hypot(*solution.mesh.p)
+    assert solution.success
+    assert np.max(r[touching]) < 1.0 + 3 / 24
+    assert np.all(touching[r < 1 - 3 / 24])
+    # the reaction is the load that is not carried: 2 inside the contact set
+    np.testing.assert_allclose(solution.pressure[r < 0.7], 2.0, atol=1e-12)
+
+
+def test_strategies_agree_on_an_interior_obstacle() -> None:
+    problem = membrane(8)
+    solutions = [module.solve(problem) for module in (joint, nested, mpcc)]
+    energies = [s.energy for s in solutions]
+    assert all(s.success for s in solutions)
+    assert max(energies) - min(energies) <= 1e-4 * abs(energies[0])
+    assert energies[0] < solutions[0].energy_initial
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"dirichlet": (Dirichlet("left", (0.0, None)),)}, "can still move as a rigid body"),
+        (
+            {"dirichlet": ("left", Dirichlet("top", (1.0, None)))},
+            r"1 at node \d+, where another boundary gives 0",
+        ),
+        ({"dirichlet": (Dirichlet("left", (0.0,)),)}, "needs 2 values"),
+        ({"dirichlet": ("lft",)}, "no boundary named 'lft'"),
+        ({"dirichlet": (Dirichlet("left", (lambda x, y: 1 / x, 0.0)),)}, "'left' is inf at"),
+        ({"dirichlet": ()}, "at least one boundary must be held"),
+        ({"law": {"body": PlaneStrain(1, 1)}}, "no subdomain named 'body'"),
+        ({"obstacle": Obstacle("bottom", (1.0,))}, "has 1 components"),
+        ({"obstacle": Obstacle("bottom", friction=lambda x, y: x - 0.5)}, "must not be negative, got -0.25"),
+        ({"obstacle": Obstacle("bottom", offset=lambda x, y: ca.sqrt(x - 0.5))}, "the obstacle is nan"),
+        ({"tractions": (Traction("right", (1.0,)),)}, "needs 2 values"),
+        ({"motion": Motion(0.1, pinned=(99,))}, "names node 99"),
+        ({"obstacle": Obstacle("left")}, "no node of the contact set"),
+    ],
+)
+def test_bad_problems_are_named(change: dict, message: str) -> None:
+    good = ContactProblem(rectangle(4, 2), PlaneStrain(1.0, 1.0), ("left",), motion=Motion(0.1))
+    with pytest.raises(ValueError, match=message):
+        replace(good, **change)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: PlaneStrain(-1.0, 0.5), "lambda=-1.0, mu=0.5"),
+        (lambda: PlaneStrain(1.0, float("nan")), "mu=nan"),
+        (lambda: PlaneStress.from_young(-1.0, 0.3), "-1.0"),
+        (lambda: PlaneStrain.from_young(1.0, 0.5), "0.5"),
+        (lambda: Laplace(conductivity=0.0), "conductivity must be positive, got 0"),
+        (lambda: Obstacle.line("b", (0, 0), (0, 0)), "non-zero vector"),
+        (lambda: Obstacle("b", (0.0, 2.0)), "length 2.0"),
+        (lambda: Obstacle("b", friction=-1.0), "got -1.0"),
+        (lambda: PiecewiseLinear((0, 0), (1, 2)), "must increase"),
+        (lambda: Relative(0.0), "relative delta"),
+        (lambda: Motion((0.1, 0.1, 0.1)), "delta must be"),
+        (lambda: Motion("wide"), "delta must be"),
+        (lambda: Motion(0.1, min_angle=60.0), "min_angle"),
+    ],
+)
+def test_bad_values_are_named(make: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()

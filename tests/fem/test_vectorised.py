@@ -1,0 +1,107 @@
+"""Element functions, and sums of their results, in numpy."""
+
+from __future__ import annotations
+
+import gc
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem import assembly, vectorised
+from rmesh_nlp.fem.sums import Summed
+from rmesh_nlp.fem.vectorised import CHUNK, Mapped, Vectorised, columnwise, is_vectorisable
+from rmesh_nlp.programs.energy_program import relocation
+
+
+def every_operation() -> ca.Function:
+    """A Function with all operations that are known, and an argument that it ignores."""
+    x, y, unused = ca.SX.sym("x", 2), ca.SX.sym("y"), ca.SX.sym("unused")
+    a, b = x[0], x[1]
+    results = [
+        -a, a * a, 2 * a, 1 / a, ca.sqrt(a), ca.sin(a), ca.cos(b), ca.tan(y), ca.exp(y), ca.log(a),
+        ca.fabs(y), ca.sign(y), ca.if_else(y < b, a, b), ca.if_else(y <= 0, a, 7), ca.if_else(y == a, 1, 2),
+        ca.logic_not(y < 0), ca.if_else(a != b, y, 0), a + b, a - y, a * b, a / b, a**b, a**1.5,
+        ca.fmin(a, b), ca.fmax(a, y), ca.SX(3.0),
+    ]  # fmt: skip
+    return ca.Function("every", [x, y, unused], [ca.vertcat(*results), ca.SX(0, 1), ca.diag(x)])
+
+
+@pytest.mark.parametrize("n", [1, 3, CHUNK, CHUNK + 5])
+def test_the_same_as_a_map(n: int) -> None:
+    function = every_operation()
+    assert is_vectorisable(function)
+    rng = np.random.default_rng(n)
+    arguments = [rng.uniform(0.1, 2, (2, n)), rng.uniform(-2, 2, (1, n)), rng.uniform(size=(1, n))]
+    given = [a.copy() for a in arguments]
+    results = Vectorised(function, n)(arguments), Mapped(function, n)(arguments)
+    for ours, theirs in zip(*results, strict=True):
+        assert ours.shape == theirs.shape
+        np.testing.assert_allclose(ours, theirs, rtol=1e-14, atol=0)
+    for before, after in zip(given, arguments, strict=True):
+        np.testing.assert_array_equal(before, after)
+
+
+def test_an_argument_may_be_left_out() -> None:
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
+    function = ca.Function("f", [x, y], [x * y, ca.cos(y)])
+    for kernel in (Vectorised(function, 3), Mapped(function, 3)):
+        product, cosine = kernel([np.ones((2, 3)), None])
+        assert not product.any()
+        np.testing.assert_array_equal(cosine, np.ones((1, 3)))
+
+
+def test_what_numpy_cannot_do_is_mapped() -> None:
+    x = ca.SX.sym("x")
+    kernel = columnwise(ca.Function("f", [x], [ca.erf(x)]), vectorised.WORTHWHILE)
+    assert isinstance(kernel, Mapped)
+    assert kernel([np.zeros((1, vectorised.WORTHWHILE))])[0].shape == (1, vectorised.WORTHWHILE)
+
+
+def test_an_unknown_operation_is_noticed() -> None:
+    x = ca.SX.sym("x")
+    assert not is_vectorisable(ca.Function("f", [x], [ca.erf(x)]))
+    assert not is_vectorisable(ca.Function("f", [x], [ca.sinh(x)]).wrap())
+
+
+@pytest.mark.parametrize(("name", "size"), [("6.1", 24), ("6.3", (32, 18))])
+def test_derivatives_of_a_large_mesh_do_not_depend_on_it(name, size, monkeypatch) -> None:
+    problem = EXAMPLES[name](size)
+    assert problem.triangles.shape[1] >= vectorised.WORTHWHILE
+    fast = relocation(problem)
+    monkeypatch.setattr(assembly, "WORTHWHILE", 10**9)
+    slow = relocation(problem)
+    assert all(isinstance(kernel, Summed) for kernel in fast.derivatives.kernels)
+    assert fast.derivatives.kernels
+    assert not slow.derivatives.kernels
+    rng = np.random.default_rng(0)
+    x, lam = rng.uniform(-0.5, 0.5, fast.nlp.n_x), rng.uniform(size=fast.nlp.n_g)
+    for which, arguments in (("grad_f", (x, [])), ("jac_g", (x, [])), ("hess_lag", (x, [], 0.7, lam))):
+        ours, theirs = (getattr(r.derivatives, which)(*arguments) for r in (fast, slow))
+        ours, theirs = (r if isinstance(r, tuple) else (r,) for r in (ours, theirs))
+        for a, b in zip(ours, theirs, strict=True):
+            assert a.sparsity() == b.sparsity()
+            scale = np.max(np.abs(b.full()))
+            np.testing.assert_allclose(a.full(), b.full(), rtol=0, atol=1e-13 * scale)
+
+
+def test_an_interruption_comes_through_casadi(monkeypatch) -> None:
+    model = ContactModel(EXAMPLES["6.1"](24))
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Vectorised, "_run", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            model.solve(model.problem.mesh.p)
+    assert model.solve(model.problem.mesh.p).energy < 0
+
+
+def test_what_is_kept_outlives_what_made_it() -> None:
+    # CasADi does not own Python callbacks: a kernel that nobody keeps cannot be called
+    model = ContactModel(EXAMPLES["6.1"](24))
+    gc.collect()
+    assert model.solve(model.problem.mesh.p).energy < 0

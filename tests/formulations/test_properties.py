@@ -1,0 +1,120 @@
+"""Properties of every problem: random meshes, materials, loads, obstacles and motions.
+
+Frame invariance, derivatives, contact law, validity, and energies that never rise.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from formulations import joint, nested
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.examples.random_problems import Frame, random_problem
+from rmesh_nlp.meshes import from_arrays
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.problem import (
+    NO_CONTACT,
+    signed_areas,
+)
+from rmesh_nlp.programs.freedoms import least_angles
+from rmesh_nlp.solution.audit import equilibrium_residual, law_residual
+from rmesh_nlp.solution.referee import Referee
+
+SEEDS = st.integers(0, 10**6)
+FEW = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+@FEW
+@given(SEEDS, st.floats(0, 6.3), st.floats(-5, 5), st.floats(-5, 5))
+def test_energy_does_not_depend_on_the_frame(seed: int, angle: float, a: float, b: float) -> None:
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    here, there = random_problem(seed), random_problem(seed, Frame(turn, np.array([a, b])))
+    one, two = (ContactModel(p).solve(p.mesh.p) for p in (here, there))
+    assert two.energy == pytest.approx(one.energy, rel=1e-8, abs=1e-10)
+    np.testing.assert_allclose(two.normal_force, one.normal_force, atol=1e-7)
+    np.testing.assert_allclose(two.tangential_force, one.tangential_force, atol=1e-7)
+
+
+@FEW
+@given(SEEDS)
+def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
+    problem, rng = random_problem(seed), np.random.default_rng(seed)
+    mesh = problem.mesh
+    new, order = rng.permutation(mesh.p.shape[1]), rng.permutation(mesh.t.shape[1])
+    nodes = np.empty_like(mesh.p)
+    nodes[:, new] = mesh.p
+    turned = np.array([np.roll(t, rng.integers(3)) for t in new[problem.triangles.T[order]]])
+    place = np.argsort(order)
+    renumbered = from_arrays(
+        nodes.T,
+        turned,
+        {name: new[mesh.facets[:, facets]].T for name, facets in mesh.boundaries.items()},
+        {name: place[elements] for name, elements in (mesh.subdomains or {}).items()},
+    )
+    other = replace(problem, mesh=renumbered)
+    one, two = ContactModel(problem).solve(mesh.p), ContactModel(other).solve(renumbered.p)
+    assert two.energy == pytest.approx(one.energy, rel=1e-10, abs=1e-12)
+    np.testing.assert_allclose(
+        ContactModel(other).displacement.values(two.u)[:, new],
+        ContactModel(problem).displacement.values(one.u),
+        atol=1e-10,
+    )
+
+
+@FEW
+@given(SEEDS)
+def test_contact_law_and_equilibrium_hold_on_any_moved_mesh(seed: int) -> None:
+    referee = Referee(random_problem(seed))
+    nodes = referee.relocation.nodes(referee.start(seed))
+    system, state = referee.model.system(nodes), referee.model.solve(nodes)
+    assert state.status is Status.CONVERGED
+    assert equilibrium_residual(system, state.u, state.normal_force, state.tangential_force) < 1e-9
+    assert law_residual(system, state.u, state.normal_force, state.tangential_force) < 1e-9
+
+
+@FEW
+@given(SEEDS)
+def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
+    referee, rng = Referee(random_problem(seed)), np.random.default_rng(seed)
+    q = 0.5 * referee.start(seed)
+    d = rng.uniform(-1, 1, q.size)
+    here = referee.reduced(q)
+    steps = 1e-3 * 0.5 ** np.arange(4)
+    rest = np.array(
+        [abs(referee.reduced(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]
+    )
+    # at rounding there is no rate to see
+    if rest[-1] > 1e-11 * max(1.0, abs(here.value)):
+        assert np.log2(rest[0] / rest[-1]) / 3 >= 1.9
+    else:
+        assert rest[0] <= 1e-7 * max(1.0, abs(here.value))
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(SEEDS, st.sampled_from([joint, nested]))
+def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, strategy: Any) -> None:
+    problem = random_problem(seed)
+    solution = strategy.solve(problem)
+    assert solution.success, solution.status
+    assert solution.energy <= solution.energy_initial + 1e-9 * abs(solution.energy_initial)
+    areas = signed_areas(solution.mesh.p, problem.triangles)
+    ratio = areas / signed_areas(problem.mesh.p, problem.triangles)
+    assert np.min(ratio) >= problem.motion.min_area_fraction * (1 - 1e-6)
+    delta = problem.motion.delta
+    if isinstance(delta, tuple):
+        assert np.all(np.abs(solution.mesh.p - problem.mesh.p) <= np.array(delta)[:, None] * (1 + 1e-9))
+
+
+@FEW
+@given(SEEDS, st.floats(1, 25))
+def test_random_starts_keep_areas_and_angles(seed: int, angle: float) -> None:
+    problem = random_problem(seed)
+    angle = min(angle, 0.9 * float(np.min(least_angles(problem.mesh.p, problem.triangles))))
+    referee = Referee(replace(problem, motion=replace(problem.motion, min_angle=angle), obstacle=NO_CONTACT))
+    nodes = referee.relocation.nodes(referee.start(seed))
+    assert np.min(least_angles(nodes, problem.triangles)) >= angle
+    assert np.any(nodes != problem.mesh.p)

@@ -1,0 +1,158 @@
+"""Results out: every field where it belongs, series, tables, displays; starts and levels."""
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from rich.console import Console
+
+from formulations import fixed, joint, nested
+from rmesh_nlp.io.export import Series, element_table, node_table, write_solution
+from rmesh_nlp.io.vtu import read_vtu
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Motion,
+    Obstacle,
+    PlaneStrain,
+    PlaneStress,
+    Relative,
+    Traction,
+)
+from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.starts import multilevel, multistart, prolong, refine
+
+
+@pytest.fixture(scope="module")
+def problem() -> ContactProblem:
+    return ContactProblem(
+        rectangle(6, 3, x=(0, 2), diagonal="falling"),
+        PlaneStrain(100.0, 80.0),
+        ("left",),
+        Obstacle.graph("bottom", -0.02, friction=0.5),
+        Motion(Relative(0.3)),
+        (Traction("top", (0.5, -4.0)),),
+        name="small <&>",
+    )
+
+
+@pytest.fixture(scope="module")
+def solution(problem: ContactProblem) -> Solution:
+    return joint.solve(problem)
+
+
+def test_all_fields_are_in_the_file(solution: Solution, tmp_path: Path) -> None:
+    path = tmp_path / "s.vtu"
+    write_solution(solution, path)
+    file = meshio.read(path)
+    nodes, cells = file.point_data, {name: data[0] for name, data in file.cell_data.items()}
+    assert {"displacement", "gap", "pressure", "tangential_stress", "motion", "initial_position"} <= set(
+        nodes
+    )
+    assert {"stress", "von_mises", "area_ratio", "least_angle", "area_multiplier"} <= set(cells)
+    contact = solution.problem.contact_nodes
+    np.testing.assert_allclose(nodes["initial_position"] + nodes["motion"], file.points, atol=1e-15)
+    touching = nodes["pressure"] > 0
+    assert np.any(touching)
+    np.testing.assert_allclose(nodes["gap"][touching], 0, atol=1e-15)
+    assert np.all(np.isnan(np.delete(nodes["gap"], contact)))
+    np.testing.assert_array_equal(
+        read_vtu(path).displacement, solution.displacement
+    )  # rmesh figures reads it
+
+
+def test_stress_of_plane_laws_under_tension() -> None:
+    E, nu = 100.0, 0.25
+    for law in (PlaneStrain, PlaneStress):
+        pulled = ContactProblem(
+            rectangle(3, 2),
+            law.from_young(E, nu),
+            (
+                Dirichlet("left", (0.0, None)),
+                Dirichlet("bottom", (None, 0.0)),
+                Dirichlet("right", (0.01, None)),
+            ),
+            motion=Motion(0.05),
+        )
+        table = element_table(fixed.solve(pulled))
+        modulus = E if law is PlaneStress else E / (1 - nu**2)
+        xx, zz = 0.01 * modulus, (0.0 if law is PlaneStress else nu * 0.01 * modulus)
+        np.testing.assert_allclose(table["stress_xx"], xx, rtol=1e-12)
+        np.testing.assert_allclose(table[["stress_yy", "stress_xy"]], 0, atol=1e-12)
+        np.testing.assert_allclose(table["stress_zz"], zz, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(table["von_mises"], np.sqrt(xx**2 - xx * zz + zz**2), rtol=1e-12)
+
+
+@pytest.mark.parametrize("module", [joint, nested])
+def test_a_series_plays_the_iterates(problem: ContactProblem, tmp_path: Path, module: object) -> None:
+    series = Series(problem, every=5)
+    final = module.solve(problem, on_step=series)
+    root = ET.parse(series.write(tmp_path)).getroot()
+    frames = [element.attrib["file"] for element in root.iter("DataSet")]
+    assert len(frames) >= 3
+    first, last = (meshio.read(tmp_path / frame) for frame in (frames[0], frames[-1]))
+    np.testing.assert_allclose(first.points[:, :2].T, problem.mesh.p, atol=0.02)
+    np.testing.assert_allclose(last.points[:, :2].T, final.mesh.p, atol=1e-6)
+    np.testing.assert_allclose(last.point_data["displacement"][:, :2].T, final.displacement, atol=1e-6)
+
+
+def test_tables_of_pandas(solution: Solution) -> None:
+    nodes = node_table(solution)
+    assert len(nodes) == solution.mesh.p.shape[1]
+    np.testing.assert_array_equal(nodes["displacement_y"], solution.displacement[1])
+    np.testing.assert_array_equal(nodes["motion_x"], solution.mesh.p[0] - solution.problem.mesh.p[0])
+
+
+def test_displays_escape_and_tell(problem: ContactProblem, solution: Solution) -> None:
+    html = solution._repr_html_() + problem._repr_html_()
+    assert "small &lt;&amp;&gt;" in html
+    assert f"{solution.energy:.6g}" in html
+    console = Console(width=100, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console.print(problem, solution)
+    text = console.export_text()
+    assert "PlaneStrain" in text
+    assert "converged" in text
+
+
+def test_starts_are_seeded_and_their_spread_is_reported(problem: ContactProblem) -> None:
+    several = multistart(nested.solve, problem, 2)
+    assert [s.seed for s in several.solutions] == [None, 1, 2]
+    energies = several.energies
+    assert several.best.audit.energy_audited == energies.min()
+    assert several.spread == pytest.approx(np.ptp(energies))
+    assert several.reported().record()["start_energies"] == energies.tolist()
+    again = multistart(nested.solve, problem, [2])
+    assert again.energies[1] == energies[2]
+
+
+def test_a_failed_start_has_no_energy(solution: Solution) -> None:
+    ends = iter([solution, replace(solution, status=Status.STALLED, success=False)])
+    several = multistart(lambda problem, seed: next(ends), solution.problem, 1)
+    assert np.isnan(several.energies[1])
+    assert several.best is solution
+    assert several.spread == 0
+
+
+def test_levels_refine_and_go_on(problem: ContactProblem) -> None:
+    coarse, fine = multilevel(joint.solve, problem, 1)
+    alone = joint.solve(refine(problem))
+    assert fine.success
+    assert fine.mesh.t.shape[1] == 4 * coarse.mesh.t.shape[1]
+    assert fine.energy == pytest.approx(alone.energy, rel=1e-4)
+    assert set(fine.mesh.boundaries) == set(coarse.mesh.boundaries)
+
+
+def test_a_prolonged_motion_keeps_the_displacement_of_the_coarse_mesh(problem: ContactProblem) -> None:
+    coarse = joint.solve(problem)
+    finer = refine(problem)
+    nodes = prolong(problem, coarse.mesh.p, finer)
+    start = fixed.solve(replace(finer, mesh=replace(finer.mesh, doflocs=nodes)))
+    # the coarse P1 functions are among the fine ones on the prolonged mesh, contact is imposed at more nodes
+    assert start.energy < coarse.energy
+    with pytest.raises(ValueError, match="not the uniform refinement"):
+        prolong(problem, coarse.mesh.p, problem)

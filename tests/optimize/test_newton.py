@@ -1,0 +1,85 @@
+"""Second derivatives of the reduced energy, and the Newton method that uses them."""
+
+import numpy as np
+import pytest
+from support.problems import sloped_block
+from support.quadratics import quadratic
+
+from formulations import nested
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.optimize.newton import Evaluation, minimise
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.programs.curvature import Curvature
+from rmesh_nlp.solution.referee import Referee
+
+PROBLEMS = {
+    "6.1": EXAMPLES["6.1"],
+    "6.2": EXAMPLES["6.2"],
+    "6.3": EXAMPLES["6.3"],
+    "sloped, stick and slip": sloped_block,
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_hessian_products_are_differences_of_gradients(name: str) -> None:
+    referee = Referee(PROBLEMS[name]())
+    rng = np.random.default_rng(1)
+    q, d = 0.5 * rng.uniform(-1, 1, (2, referee.relocation.n_q))
+    hessian = Curvature(referee.reduced).at(referee.reduced(q))
+    h = 1e-5
+    difference = referee.reduced(q + h * d).gradient - referee.reduced(q - h * d).gradient
+    product = hessian(d)
+    # central differences of an exactly solved problem: h^2 and rounding over h
+    np.testing.assert_allclose(difference / (2 * h), product, atol=1e-6 * np.max(np.abs(product)))
+    other = rng.uniform(-1, 1, d.size)
+    assert other @ product == pytest.approx(d @ hessian(other), rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_convex_quadratics_in_a_box_end_at_their_kkt_point(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((12, 12))
+    A, b = root @ root.T + 0.1 * np.eye(12), 5 * rng.standard_normal(12)
+    result = minimise(lambda x: quadratic(A, b, x), np.zeros(12), -np.ones(12), np.ones(12), tolerance=1e-7)
+    assert result.status is Status.CONVERGED
+    g = A @ result.x - b
+    assert np.max(np.abs(result.x - np.clip(result.x - g, -1, 1))) < 1e-5
+    assert np.any(np.abs(result.x) == 1)
+
+
+def test_negative_curvature_leads_to_a_corner() -> None:
+    b = np.array([0.1, -0.2, 0.3])
+    result = minimise(lambda x: quadratic(-np.eye(3), b, x), np.zeros(3), -np.ones(3), np.ones(3))
+    np.testing.assert_array_equal(result.x, [1.0, -1.0, 1.0])
+
+
+def test_points_where_the_function_is_not_defined_are_not_taken() -> None:
+    # the minimum of (x - 2)^2 in [-3, 3] is forbidden beyond 1: the method must stop before it
+    def evaluate(x: np.ndarray) -> Evaluation | None:
+        return None if x[0] > 1 else quadratic(np.array([[2.0]]), np.array([4.0]), x)
+
+    result = minimise(evaluate, np.zeros(1), np.array([-3.0]), np.array([3.0]), max_iterations=30)
+    assert 0.9 < result.x[0] <= 1
+
+
+def test_newton_needs_few_contact_solves() -> None:
+    # prototypes: 99 % of the gain after 10 contact solves at n = 8, 13 at n = 16
+    problem = EXAMPLES["6.1"](16)
+    solution = nested.solve(problem, outer="newton")
+    assert solution.success
+    assert solution.stationarity == "KKT"
+    gain = solution.energy_initial - solution.energy
+    assert gain > 0.99 * (1.795842 - 1.699532)
+    reached = next(s for s in solution.history if solution.energy_initial - s.energy >= 0.99 * gain)
+    assert reached.contact_solves <= 13
+
+
+def test_newton_keeps_elements_valid_in_large_boxes() -> None:
+    solution = nested.solve(EXAMPLES["6.1"](4, 0.9), outer="newton")
+    assert solution.audit.min_area_ratio >= solution.problem.motion.min_area_fraction
+    assert solution.energy < solution.energy_initial
+
+
+def test_newton_refuses_other_objectives() -> None:
+    with pytest.raises(ValueError, match="newton needs the energy"):
+        nested.solve(EXAMPLES["6.1"](4), outer="newton", objective="error-l2")

@@ -1,0 +1,130 @@
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skfem import MeshTri
+
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.assembly import assemble
+from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
+from rmesh_nlp.programs.freedoms import Mobility, freedoms, validity_group
+
+
+def test_the_paper_counts_126_degrees_of_freedom() -> None:
+    assert freedoms(EXAMPLES["6.1"]()).n == 126
+
+
+def test_corners_are_pinned_and_sides_slide() -> None:
+    problem = EXAMPLES["6.1"]()
+    free = freedoms(problem)
+    x, y = problem.mesh.p
+    on_x, on_y = np.isin(x, (0, 1)), np.isin(y, (0, 1))
+    expected = np.where(on_x & on_y, Mobility.PINNED, np.where(on_x | on_y, Mobility.SLIDING, Mobility.FREE))
+    np.testing.assert_array_equal(free.mobility, expected)
+    moved = free.positions.values(np.random.default_rng(0).uniform(-1, 1, free.n))
+    np.testing.assert_array_equal(moved[0, on_x], x[on_x])
+    np.testing.assert_array_equal(moved[1, on_y], y[on_y])
+    assert np.max(np.abs(moved - problem.mesh.p)) <= 0.0275 * (1 + 1e-12)
+
+
+def test_named_boundaries_are_pinned() -> None:
+    problem = EXAMPLES["6.2"]()
+    mobility = freedoms(problem).mobility
+    assert np.all(mobility[problem.boundary_nodes(("top",))] == Mobility.PINNED)
+
+
+def test_ends_of_boundary_parts_are_pinned() -> None:
+    problem = replace(EXAMPLES["6.2"](), motion=Motion((0.1, 0.05)))
+    x, y = problem.mesh.p
+    mobility = freedoms(problem).mobility
+    start_of_load = np.flatnonzero(np.isclose(x, 2) & np.isclose(y, 1))
+    assert mobility[start_of_load] == Mobility.PINNED
+    others = np.flatnonzero(np.isclose(y, 1) & ~np.isin(np.arange(x.size), start_of_load) & (x > 0) & (x < 4))
+    assert np.all(mobility[others] == Mobility.SLIDING)
+
+
+def test_nodes_slide_along_a_slope_and_stay_in_their_box(sloped: ContactProblem) -> None:
+    free = freedoms(sloped)
+    alpha = sloped.obstacle.offset
+    for sign in (-1.0, 1.0):
+        moved = free.positions.values(np.full(free.n, sign))
+        for node in sloped.boundary_nodes(("contact",)):
+            assert moved[1, node] == pytest.approx(float(ca.DM(alpha(moved[0, node]))), abs=1e-12)
+        shift = np.abs(moved - sloped.mesh.p)
+        assert np.all(shift[0] <= 0.1 + 1e-12)
+        assert np.all(shift[1] <= 0.05 + 1e-12)
+        assert np.max(shift[0]) == pytest.approx(0.1)
+
+
+def test_the_kink_of_a_slope_is_pinned(sloped: ContactProblem) -> None:
+    kink = np.flatnonzero(np.isclose(sloped.mesh.p[0], 2) & np.isclose(sloped.mesh.p[1], 0.02))
+    assert freedoms(sloped).mobility[kink] == Mobility.PINNED
+
+
+def test_moves_are_recovered_from_positions(sloped: ContactProblem) -> None:
+    free = freedoms(sloped)
+    q = np.random.default_rng(5).uniform(-1, 1, free.n)
+    np.testing.assert_allclose(free.q_of(free.positions.values(q)), q, atol=1e-12)
+
+
+def test_small_boxes_need_no_validity_rows_and_large_ones_do() -> None:
+    small, large = EXAMPLES["6.1"](), EXAMPLES["6.1"](8, 0.2)
+    assert validity_group(small, freedoms(small))[1].size == 0
+    assert validity_group(large, freedoms(large))[1].size == 128
+
+
+def test_scaled_areas_are_those_of_the_moved_mesh() -> None:
+    problem = EXAMPLES["6.1"](4, 0.6)
+    free = freedoms(problem)
+    group, bounds = validity_group(problem, free)
+    q = ca.MX.sym("q", free.n)
+    rows = assemble([group], q, ca.MX(0, 1), bounds.size).g
+    value = np.random.default_rng(2).uniform(-1, 1, free.n)
+    areas = signed_areas(free.positions.values(value), problem.triangles)
+    ratio = areas / signed_areas(problem.mesh.p, problem.triangles)
+    np.testing.assert_allclose(ca.Function("a", [q], [rows])(value).full().ravel(), ratio, atol=1e-13)
+
+
+def test_inverted_elements_are_counted_by_their_signed_area() -> None:
+    nodes = np.array([[0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0]])
+    triangles = np.array([[0, 1], [1, 3], [2, 2]])
+    assert np.all(signed_areas(nodes, triangles) == 0.5)
+    nodes[:, 3] = (0.2, 0.2)  # across the diagonal: the second triangle turns over
+    assert np.sum(signed_areas(nodes, triangles) < 0) == 1
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.02, 0.5))
+def test_elements_without_a_validity_row_never_fail(seed: int, fraction_of_h: float) -> None:
+    # property: random meshes, random boxes, random corners of the boxes
+    rng = np.random.default_rng(seed)
+    mesh = MeshTri.init_tensor(np.linspace(0, 1, 5), np.linspace(0, 1, 4)).with_boundaries(
+        {"held": lambda x: np.isclose(x[0], 0), "contact": lambda x: np.isclose(x[0], 1)}
+    )
+    inside = mesh.interior_nodes()
+    p = mesh.p.copy()
+    p[:, inside] += rng.uniform(-0.05, 0.05, (2, inside.size))
+    base = EXAMPLES["6.1"](4)
+    problem = replace(
+        base,
+        mesh=replace(mesh, doflocs=p),
+        dirichlet=("held",),
+        motion=Motion((fraction_of_h / 4, fraction_of_h / 3)),
+    )
+    free = freedoms(problem)
+    rows = validity_group(problem, free)[0].size
+    q = np.sign(rng.uniform(-1, 1, free.n))
+    initial = signed_areas(problem.mesh.p, problem.triangles)
+    ratio = signed_areas(free.positions.values(q), problem.triangles) / initial
+    if rows == 0:
+        assert np.min(ratio) >= problem.motion.min_area_fraction
+    assert np.sum(ratio < problem.motion.min_area_fraction) <= rows
+
+
+@pytest.mark.parametrize("delta", [(0.0, 0.1), (-1.0, 0.1), (float("nan"), 0.1), (0.1, float("inf"))])
+def test_bad_boxes_are_refused(delta: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="delta must be positive and finite"):
+        Motion(delta)

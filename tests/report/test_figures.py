@@ -1,0 +1,160 @@
+"""Figures: that they exist, show the data they are made from, and can be read in print."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import matplotlib.text
+import numpy as np
+import pytest
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from rmesh_nlp.campaign.cases import make_cases
+from rmesh_nlp.campaign.run import run
+from rmesh_nlp.io.results import Result, Results, read_results
+from rmesh_nlp.io.vtu import read_vtu
+from rmesh_nlp.report.blocks import blocks
+from rmesh_nlp.report.convergence import curve
+from rmesh_nlp.report.figures import block_figures, write_figures
+from rmesh_nlp.report.style import LOOKS, SETTINGS
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> list[Result]:
+    """Small solves of a scalar example and of one with friction."""
+    folder = tmp_path_factory.mktemp("results")
+    cases = make_cases(["6.1"], ["fixed", "nested", "joint", "mpcc"], n=4)
+    cases += make_cases(["6.3"], ["fixed", "joint"], n=(4, 3))
+    list(run(cases, Results(folder)))
+    return read_results(folder)
+
+
+def figures(results: list[Result], example: str) -> dict[str, Figure]:
+    chosen = [result for result in results if result.record["example"] == example]
+    (block,) = blocks([result.record for result in chosen])
+    return dict(block_figures(block, chosen))
+
+
+def texts(figure: Figure) -> Iterator[matplotlib.text.Text]:
+    return (t for t in figure.findobj(matplotlib.text.Text) if t.get_text() and t.get_visible())
+
+
+def test_every_example_has_its_figures(results: list[Result], tmp_path: Path) -> None:
+    paths = write_figures(results, tmp_path)
+    names = {path.name for path in paths}
+    stems = {
+        "6.1-4-nested-grid",
+        "6.1-4-joint-grid",
+        "6.1-4-mpcc-grid",
+        "6.1-4-stress",
+        "6.1-4-surface",
+        "6.1-4-convergence",
+        "6.3-4x3-joint-grid",
+        "6.3-4x3-stress",
+        "6.3-4x3-convergence",
+    }
+    assert names == {f"{stem}.{kind}" for stem in stems for kind in ("png", "pdf")}
+    for path in paths:
+        head = path.read_bytes()[:5]
+        assert head == (b"\x89PNG\r" if path.suffix == ".png" else b"%PDF-")
+
+
+@pytest.mark.parametrize("example", ["6.1", "6.3"])
+def test_texts_are_legible_and_do_not_overlap(results: list[Result], example: str) -> None:
+    for name, figure in figures(results, example).items():
+        with rc_context(SETTINGS):
+            figure.draw_without_rendering()
+        assert figure.get_size_inches()[0] <= 7.0
+        sizes = [text.get_fontsize() for text in texts(figure)]
+        assert min(sizes) >= 8, name
+        if name.endswith("surface"):
+            continue  # three-dimensional axes keep texts of ticks that they do not draw
+        labels = [axis.xaxis.label for axis in figure.axes] + [axis.title for axis in figure.axes]
+        labels += [axis.yaxis.label for axis in figure.axes]
+        labels += [t for legend in figure.legends for t in legend.get_texts()]
+        boxes = [(t.get_text(), t.get_window_extent()) for t in labels if t.get_text()]
+        frame = figure.bbox.padded(1)
+        for i, (text, box) in enumerate(boxes):
+            assert frame.x0 <= box.x0 <= box.x1 <= frame.x1, (name, text)
+            assert frame.y0 <= box.y0 <= box.y1 <= frame.y1, (name, text)
+            for other_text, other in boxes[i + 1 :]:
+                assert not box.overlaps(other), (name, text, other_text)
+
+
+def test_grids_have_equal_axes_and_show_both_meshes(results: list[Result]) -> None:
+    figure = figures(results, "6.3")["6.3-4x3-joint-grid"]
+    grids = [axis for axis in figure.axes if axis.get_label() != "<colorbar>"]
+    assert [axis.get_aspect() for axis in grids] == [1.0] * 4
+    titles = [axis.get_title() for axis in grids]
+    assert titles[:2] == ["given grid", "relocated by joint"]
+    assert titles[2] == titles[3]
+    magnification = float(titles[2].removeprefix("deformed, displacement × "))
+    joint = next(r for r in results if r.record["example"] == "6.3" and r.record["formulation"] == "joint")
+    fields = read_vtu(joint.vtu)
+    drawn = np.array(grids[3].lines[0].get_xydata())
+    moved = fields.nodes + magnification * fields.displacement
+    for corner in (moved[:, 0], moved[:, -1]):
+        assert np.nanmin(np.linalg.norm(drawn - corner, axis=1)) < 1e-12
+
+
+def test_stresses_are_those_of_the_solution_within_the_bound(results: list[Result]) -> None:
+    figure = figures(results, "6.3")["6.3-4x3-stress"]
+    contact, tangential = figure.axes
+    assert "[N/m²]" in contact.get_ylabel()
+    names = [line.get_label() for line in tangential.lines]
+    assert names[:2] == ["given grid", "joint"]
+    assert "friction bound ±g" in names
+    bound = next(line for line in tangential.lines if line.get_label() == "friction bound ±g")
+    assert set(bound.get_ydata()) == {10.0}
+    joint = next(r for r in results if r.record["example"] == "6.3" and r.record["formulation"] == "joint")
+    fields = read_vtu(joint.vtu)
+    drawn = np.array(contact.lines[1].get_xydata())
+    order = np.argsort(fields.nodes[0, fields.contact])
+    np.testing.assert_allclose(drawn[:, 0], fields.nodes[0, fields.contact][order])
+    np.testing.assert_allclose(drawn[:, 1], fields.pressure[fields.contact][order])
+    assert np.all(np.abs(fields.tangential_stress) <= 10 * (1 + 1e-9))
+
+
+def test_curves_are_told_apart_without_colour(results: list[Result]) -> None:
+    figure = figures(results, "6.1")["6.1-4-stress"]
+    looks = [
+        (line.get_linestyle(), line.get_marker(), line.get_markersize()) for line in figure.axes[0].lines
+    ]
+    assert len(set(looks)) == len(looks) == 4
+    assert len({(one.linestyle, one.marker) for one in LOOKS}) == len(LOOKS)
+
+
+def test_costs_of_all_at_once_strategies_are_time_in_contact_solves(results: list[Result]) -> None:
+    by_name = {r.record["formulation"]: r for r in results if r.record["example"] == "6.1"}
+    assert curve(by_name["fixed"]) is None
+    joint, nested = curve(by_name["joint"]), curve(by_name["nested"])
+    assert joint is not None
+    assert nested is not None
+    last = by_name["joint"].steps()[-1]["seconds"] / by_name["joint"].record["contact_time_s"]
+    assert joint.cost[-1] == pytest.approx(last)
+    assert nested.cost[-1] == by_name["nested"].steps()[-1]["contact_solves"]
+    figure = figures(results, "6.1")["6.1-4-convergence"]
+    assert "wall time" in figure.axes[1].get_xlabel()
+
+
+def test_mpcc_begins_at_the_initial_energy(results: list[Result]) -> None:
+    (result,) = [r for r in results if r.record["formulation"] == "mpcc"]
+    found = curve(result)
+    assert found is not None
+    assert found.iteration[0] == 0
+    assert found.energy[0] == pytest.approx(result.record["energy_initial"], rel=1e-14)
+    assert found.energy[-1] == pytest.approx(result.record["energy"], abs=1e-8)
+
+
+def test_without_fixed_the_given_grid_is_left_out(results: list[Result]) -> None:
+    joint = [r for r in results if r.record["formulation"] == "joint" and r.record["example"] == "6.1"]
+    drawn = figures(joint, "6.1")
+    assert [axis.get_title() for axis in drawn["6.1-4-joint-grid"].axes][:1] == ["relocated by joint"]
+
+
+def test_a_failed_solve_is_not_drawn(results: list[Result]) -> None:
+    failed = Result({**results[0].record, "energy": None, "success": False}, Path("none"), Path("none"))
+    (block,) = blocks([failed.record])
+    assert dict(block_figures(block, [failed])) == {}

@@ -1,0 +1,221 @@
+"""Tables against literal text."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rmesh_nlp.io.results import REQUIRED
+from rmesh_nlp.report.markup import latex_cell, latex_text, markdown_table
+from rmesh_nlp.report.notes import notes
+from rmesh_nlp.report.tables import frame, latex, markdown, write_tables
+
+
+def record(**changes: Any) -> dict[str, Any]:
+    """A row of Example 6.2 by joint with the paper's settings."""
+    row = {
+        **dict.fromkeys(REQUIRED),
+        "key": "6.2-12x6-joint",
+        "example": "6.2",
+        "formulation": "joint",
+        "objective": "energy",
+        "n": "12x6",
+        "delta": [0.15667, 0.07333],
+        "quadrature": "midpoint",
+        "status": "converged",
+        "success": True,
+        "message": "Converged to the tolerance.",
+        "energy_initial": -4.854190196,
+        "energy": -4.910329789,
+        "energy_audited": -4.910329789,
+        "gain": 0.056139593,
+        "u_min": -0.053583,
+        "u_max": 0.0094881,
+        "min_area_ratio": 0.13213,
+        "iterations": 44,
+        "contact_solves": 1,
+        "wall_time_s": 0.083,
+        "contact_time_s": 0.004,
+        "equilibrium_residual": 4.7e-13,
+        "complementarity_residual": 0.0,
+        "stationarity": "KKT",
+        "stationarity_residual": 2.94e-6,
+        "versions": {"python": "3.11"},
+    }
+    return row | changes
+
+
+UNKNOWN = ("stationarity_residual", "contact_time_s")
+MEASURED = [name for name in REQUIRED[REQUIRED.index("energy_initial") :] if name not in ("versions", "seed")]
+FAILED = dict.fromkeys((*MEASURED, *UNKNOWN)) | {"wall_time_s": 0.083}
+ROWS = [
+    record(),
+    record(
+        formulation="mpcc",
+        status="failed",
+        success=False,
+        message="RuntimeError: 100% & more_",
+        **FAILED,
+    ),
+]
+
+MARKDOWN = """\
+# Comparison of strategies
+
+## Example 6.2: n = 12x6, delta = 0.15667 x 0.07333, midpoint rule
+
+| strategy          | J initial |   J final | J audited |     gain |    u min |    u max | least area |
+|:------------------|----------:|----------:|----------:|---------:|---------:|---------:|-----------:|
+| paper, given grid |   -4.8541 |         - |         - |        - |        - |        - |          - |
+| paper, relocated  |   -4.8541 |   -4.9188 |         - |   0.0647 |        - |        - |          - |
+| joint             | -4.854190 | -4.910330 | -4.910330 | 0.056140 | -0.05358 | 0.009488 |      0.132 |
+| mpcc              |         - |         - |         - |        - |        - |        - |          - |
+
+| strategy | iterations | contact solves | time [s] | time [solves] | equilibrium | complementarity | stationarity | label |    status |
+|:---------|-----------:|---------------:|---------:|--------------:|------------:|----------------:|-------------:|------:|----------:|
+| joint    |         44 |              1 |    0.083 |          20.8 |     4.7e-13 |               0 |      2.9e-06 |   KKT | converged |
+| mpcc     |          - |              - |    0.083 |             - |           - |               - |            - |     - |    failed |
+
+## Notes
+"""  # noqa: E501
+
+LATEX_ENERGIES = r"""\begin{tabular}{@{}lrrrrrrr@{}}
+\toprule
+strategy & \shortstack[r]{$J$\\ {initial}} & \shortstack[r]{$J$\\ {final}} & \shortstack[r]{$J$\\ {audited}} & gain & $u_{\min}$ & $u_{\max}$ & \shortstack[r]{least\\ {area}} \\
+\midrule
+\multicolumn{8}{@{}l}{\emph{Example 6.2: $n$ = 12 $\times$ 6, $\delta$ = 0.15667 $\times$ 0.07333, midpoint rule}} \\
+paper, given grid & $-4.8541$ & -- & -- & -- & -- & -- & -- \\
+paper, relocated & $-4.8541$ & $-4.9188$ & -- & $0.0647$ & -- & -- & -- \\
+joint & $-4.854190$ & $-4.910330$ & $-4.910330$ & $0.056140$ & $-0.05358$ & $0.009488$ & $0.132$ \\
+mpcc & -- & -- & -- & -- & -- & -- & -- \\
+\bottomrule
+\end{tabular}
+"""  # noqa: E501
+
+
+def test_markdown_literally() -> None:
+    assert markdown(ROWS).startswith(MARKDOWN)
+
+
+def test_latex_literally() -> None:
+    text = latex(ROWS)
+    assert LATEX_ENERGIES in text
+    assert r"$4.7\cdot 10^{-13}$ & $0$ & $2.9\cdot 10^{-6}$ & KKT & converged \\" in text
+    assert r"RuntimeError: 100\% \& more\_" in text
+
+
+def test_latex_is_well_formed() -> None:
+    text = latex([*ROWS, record(example="6.1", objective="error-l2", objective_value=1e-3)])
+    depth = 0
+    for brace in re.findall(r"(?<!\\)[{}]", text):
+        depth += 1 if brace == "{" else -1
+        assert depth >= 0
+    assert depth == 0
+    assert re.findall(r"\\begin\{(\w+)\}", text).count("table") == 3
+    assert sorted(re.findall(r"\\begin\{(\w+)\}", text)) == sorted(re.findall(r"\\end\{(\w+)\}", text))
+    for columns, body in re.findall(
+        r"\\begin\{tabular\}\{@\{\}(\w+)@\{\}\}(.*?)\\end\{tabular\}", text, re.S
+    ):
+        rows = [line for line in body.splitlines() if line.endswith(r" \\") and "multicolumn" not in line]
+        assert {len(re.findall(r"(?<!\\)&", row)) + 1 for row in rows} == {len(columns)}
+    outside = re.sub(r"\$[^$]*\$", "", text.split("\n", 1)[1])  # without the comment on top
+    assert not re.search(r"(?<!\\)[_^#%]", outside)
+
+
+def test_csv_has_every_scalar_field_and_the_paper_s_values() -> None:
+    text = frame(ROWS).to_csv(index=False)
+    first, second = csv.DictReader(io.StringIO(text))
+    assert first["energy"] == "-4.910329789"
+    assert first["paper_energy_final"] == "-4.9188"
+    assert first["delta"] == "0.15667x0.07333"
+    assert float(first["time_contact_solves"]) == pytest.approx(20.75)
+    assert (second["status"], second["energy"]) == ("failed", "")
+    assert set(REQUIRED) - {"versions"} <= set(first)
+
+
+def test_the_note_says_what_is_not_reached_and_what_failed() -> None:
+    text = notes(ROWS)
+    assert "Example 6.2: printed initial energy -4.8541: met, here -4.854190." in text
+    (final,) = [note for note in text if "printed final energy" in note]
+    assert final.startswith(
+        "Example 6.2: printed final energy -4.9188 is NOT reached: the lowest here is -4.910330 (joint). "
+    )
+    assert "6.2, mpcc: failed: RuntimeError: 100% & more_" in text
+
+
+@pytest.mark.parametrize(
+    ("energy", "said"),
+    [
+        (-4.91879, "is NOT reached"),  # truncated, not rounded, it would be printed as -4.9187
+        (-4.91889, "is met"),
+        (-4.9189, "is passed"),
+    ],
+)
+def test_the_note_follows_the_records_and_truncates(energy: float, said: str) -> None:
+    (final,) = [note for note in notes([record(energy=energy)]) if "printed final energy" in note]
+    assert said in final
+
+
+def test_an_unmet_initial_energy_is_said() -> None:
+    text = notes([record(energy_initial=-4.85409)])
+    assert "Example 6.2: printed initial energy -4.8541: NOT met, here -4.854090." in text
+
+
+@pytest.mark.parametrize(
+    "changes", [{"n": "24x12"}, {"delta": [0.2, 0.07333]}, {"quadrature": 6}, {"example": "mine"}]
+)
+def test_other_settings_are_not_compared(changes: dict[str, Any]) -> None:
+    rows = [record(**changes)]
+    assert any("not the paper's settings" in note for note in notes(rows))
+    assert "paper, given grid" not in markdown(rows)
+
+
+def test_extremes_of_61_are_compared() -> None:
+    common = {"example": "6.1", "n": "8", "delta": [0.0275, 0.0275], "energy_initial": -1.124602}
+    rows = [
+        record(**common, formulation="fixed", energy=-1.124602, u_min=-0.454855, u_max=0.475281),
+        record(**common, energy=-1.475161, u_min=-0.5228, u_max=0.5266),
+    ]
+    text = "\n".join(notes(rows))
+    assert "extremes -0.4549, 0.4753 on the given grid: met, here -0.45486, 0.47528." in text
+    assert "final energy -1.4445 is passed: the lowest here is -1.475161 (joint)." in text
+    assert "here -0.5228, 0.5266 (joint)" in text
+    rows[0]["u_max"] = 0.4755
+    assert "on the given grid: NOT met" in "\n".join(notes(rows))
+
+
+def test_outer_objectives_have_a_table_of_their_own() -> None:
+    row = record(
+        formulation="mpcc",
+        objective="error-l2",
+        relaxation="lin-fukushima",
+        objective_initial=2.929e-3,
+        objective_value=9.08e-4,
+        biactive_nodes=[3, 4],
+    )
+    text = markdown([row])
+    assert "| mpcc, lin-fukushima, error-l2 |  error-l2 | 2.929000e-03 | 9.080000e-04 |        2 |" in text
+    assert "objective" not in markdown(ROWS)
+
+
+def test_seeds_tell_rows_apart() -> None:
+    assert "| joint, seed 7     |" in markdown([record(seed=7)])
+
+
+def test_markup_escapes() -> None:
+    assert latex_text(r"a_b & 5% \x") == r"a\_b \& 5\% \textbackslash{}x"
+    assert latex_cell("1.5e-06") == r"$1.5\cdot 10^{-6}$"
+    assert latex_cell("12x6") == "12x6"
+    assert markdown_table(["a", "b"], [["x|y", "1"]]) == "| a    |   b |\n|:-----|----:|\n| x\\|y |   1 |\n"
+
+
+def test_files(tmp_path: Path) -> None:
+    text = write_tables(ROWS, tmp_path)
+    assert (tmp_path / "table.md").read_text() == text
+    assert (tmp_path / "table.tex").read_text() == latex(ROWS)
+    assert len((tmp_path / "table.csv").read_text().splitlines()) == 3

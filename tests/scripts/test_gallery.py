@@ -1,0 +1,74 @@
+"""Every gallery case small: strategies agree, meshes are valid, and one number is as it should be.
+
+``common.run`` asserts success, validity, no rise of the energy, and joint = nested to 1e-4.
+"""
+
+import importlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+FOLDER = Path(__file__).parents[2] / "scripts" / "gallery"
+
+
+@pytest.fixture
+def load(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], ModuleType]:
+    """Import a script of the gallery as it is when run: its folder first on the path."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+
+    def load(name: str) -> ModuleType:
+        sys.modules.pop("common", None)
+        return importlib.import_module(name)
+
+    return load
+
+
+def needs_gmsh() -> None:
+    try:
+        import gmsh  # noqa: F401
+    except (ImportError, OSError):
+        pytest.skip("gmsh is not installed")
+
+
+def test_l_shape(load: Callable[[str], ModuleType], tmp_path: Path) -> None:
+    needs_gmsh()
+    module = load("l_shape")
+    case = module.main(5)
+    assert case.error_after < 0.75 * case.error_before
+    assert case.error_after > 0  # zero boundary values are met exactly, so J_h cannot fall below J
+    sys.modules["common"].draw(case, tmp_path / "l.png")
+    assert (tmp_path / "l.png").stat().st_size > 10_000
+
+
+def test_plate_with_hole(load: Callable[[str], ModuleType]) -> None:
+    needs_gmsh()
+    case = load("plate_with_hole").main(8)
+    assert case.error_after < 0.7 * case.error_before
+
+
+def test_hertz(load: Callable[[str], ModuleType]) -> None:
+    needs_gmsh()
+    module = load("hertz")
+    case = module.main(8)
+    contact = module.measure(case.after)
+    assert contact.half_width == pytest.approx(1, abs=0.05)
+    assert contact.peak == pytest.approx(1, abs=0.05)
+
+
+def test_wedge(load: Callable[[str], ModuleType]) -> None:
+    case = load("wedge").main(3)
+    assert case.error_after < 0.9 * case.error_before
+
+
+def test_free_boundary(load: Callable[[str], ModuleType]) -> None:
+    module = load("free_boundary")
+    case = module.main(10)
+    assert module.radius(case) == pytest.approx(1, abs=0.05)
+
+
+def test_signorini(load: Callable[[str], ModuleType]) -> None:
+    case = load("signorini").main(5)
+    assert case.error_after < 0.85 * case.error_before
