@@ -37,10 +37,11 @@ class Frame:
 
     def vector(self, f: Callable[[Any, Any], tuple[Any, Any]]) -> tuple[Any, Any]:
         """A turned vector field, component by component."""
-        return tuple(
-            lambda x, y, i=i: sum(self.turn[i, j] * f(*self._back(x, y))[j] for j in range(2))
-            for i in range(2)
-        )
+        return (lambda x, y: self._turned(f, 0, x, y)), (lambda x, y: self._turned(f, 1, x, y))
+
+    def _turned(self, f: Callable[[Any, Any], tuple[Any, Any]], i: int, x: Any, y: Any) -> Any:
+        values = f(*self._back(x, y))
+        return sum(self.turn[i, j] * values[j] for j in range(2))
 
     def _back(self, x: Any, y: Any) -> tuple[Any, Any]:
         a, b = x - self.shift[0], y - self.shift[1]
