@@ -1,7 +1,80 @@
 """Finite-element mesh relocation for contact problems, as a bilevel NLP and MPCC.
 
-The sub-modules are imported by name (``from rmesh_nlp.examples import EXAMPLES``);
-nothing heavy is loaded here, so that the command line starts at once.
+>>> import rmesh_nlp as rm
+>>> problem = rm.EXAMPLES["6.1"](n=8)
+>>> solution = rm.solve(problem, "joint")
+>>> solution.success, round(solution.energy, 3)
+(True, -1.475)
+
+A problem is a :class:`ContactProblem`: a mesh, a law, supports, loads, an :class:`Obstacle` and a
+:class:`Motion` that says how far nodes may move. :func:`solve` relocates its nodes by any
+installed strategy, :func:`compare` by several, :func:`verify_gradient` tests the gradient of an
+outer objective. :class:`MPCC` and :func:`solve_mpcc` are the general solver of programs with
+complementarity constraints, which knows nothing of meshes.
+
+Every name is loaded when it is first used, so that ``rmesh --help`` starts at once.
 """
 
+import importlib
+from typing import Any
+
 __version__ = "0.1.0"
+
+_NAMES = {
+    # stating a problem
+    "ContactProblem": "rmesh_nlp.problem",
+    "Dirichlet": "rmesh_nlp.problem",
+    "ExactSolution": "rmesh_nlp.problem",
+    "Laplace": "rmesh_nlp.problem",
+    "Motion": "rmesh_nlp.problem",
+    "Obstacle": "rmesh_nlp.problem",
+    "PlaneStrain": "rmesh_nlp.problem",
+    "PlaneStress": "rmesh_nlp.problem",
+    "ProblemError": "rmesh_nlp.problem",
+    "Relative": "rmesh_nlp.problem",
+    "Traction": "rmesh_nlp.problem",
+    "EXAMPLES": "rmesh_nlp.examples",
+    "read_mesh": "rmesh_nlp.meshes",
+    "read_problem": "rmesh_nlp.api.files",
+    # solving it
+    "Comparison": "rmesh_nlp.api.comparison",
+    "Solution": "rmesh_nlp.solution.solution",
+    "compare": "rmesh_nlp.api.comparison",
+    "solve": "rmesh_nlp.api.solving",
+    "strategies": "rmesh_nlp.api.solving",
+    "verify_gradient": "rmesh_nlp.solution.verification",
+    # looking at results
+    "plot": "rmesh_nlp.api.pictures",
+    "read_records": "rmesh_nlp.api.files",
+    "write_solution": "rmesh_nlp.io.export",
+    # programs with complementarity constraints
+    "MPCC": "rmesh_nlp.mpcc",
+    "solve_mpcc": "rmesh_nlp.mpcc.solver",
+}
+"""Public name -> the module that has it; ``__init__.pyi`` says the same to type checkers."""
+
+_MODULES = {"mpcc": "rmesh_nlp.mpcc", "shapes": "rmesh_nlp.meshes.shapes"}
+"""Public name -> the module that it is."""
+
+_OTHER_NAMES = {"solve_mpcc": "solve"}
+"""Public name -> its name in its module, where the two differ."""
+
+__all__ = [
+    "__version__",
+    *sorted([*_NAMES, *_MODULES]),
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        value: Any = importlib.import_module(_MODULES[name])
+    elif name in _NAMES:
+        value = getattr(importlib.import_module(_NAMES[name]), _OTHER_NAMES.get(name, name))
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from skfem import MeshTri
@@ -15,7 +15,11 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.multipliers import Multipliers
+from rmesh_nlp.solution import plotting
 from rmesh_nlp.solution.audit import TOLERANCE, Audit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -153,6 +157,23 @@ class Solution:
             **self.extra,
         }
         return {key: _plain(value) for key, value in row.items()}
+
+    def plot(self, what: str = "mesh", axes: Axes | None = None, **style: Any) -> Axes:
+        """Draw a field of the solution on the relocated mesh.
+
+        Parameters
+        ----------
+        what : "mesh", "displacement", "stress" or "pressure"
+            The mesh over the given one; the displacement or its size; von Mises' stress or the
+            size of the flux; the pressure along the contact boundary.
+        axes : matplotlib Axes, optional
+            Where to draw; a new figure by default.
+        style
+            Keywords of matplotlib's function that draws, such as ``cmap`` or ``color``.
+        """
+        nodes = np.asarray(self.mesh.p)
+        drawn = plotting.Drawn(self.problem, nodes, self.displacement, self.pressure)
+        return plotting.plot(drawn, what, axes, **style)
 
     def summary(self) -> Rows:
         """Status, energies and measured residuals, as (label, value) rows for people."""

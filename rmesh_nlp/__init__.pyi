@@ -1,0 +1,32 @@
+"""What type checkers and editors see of the lazy names in ``__init__.py``; a test holds both equal."""
+
+from rmesh_nlp import mpcc as mpcc
+from rmesh_nlp.api.comparison import Comparison as Comparison
+from rmesh_nlp.api.comparison import compare as compare
+from rmesh_nlp.api.files import read_problem as read_problem
+from rmesh_nlp.api.files import read_records as read_records
+from rmesh_nlp.api.pictures import plot as plot
+from rmesh_nlp.api.solving import solve as solve
+from rmesh_nlp.api.solving import strategies as strategies
+from rmesh_nlp.examples import EXAMPLES as EXAMPLES
+from rmesh_nlp.io.export import write_solution as write_solution
+from rmesh_nlp.meshes import read_mesh as read_mesh
+from rmesh_nlp.meshes import shapes as shapes
+from rmesh_nlp.mpcc import MPCC as MPCC
+from rmesh_nlp.problem import ContactProblem as ContactProblem
+from rmesh_nlp.problem import Dirichlet as Dirichlet
+from rmesh_nlp.problem import ExactSolution as ExactSolution
+from rmesh_nlp.problem import Laplace as Laplace
+from rmesh_nlp.problem import Motion as Motion
+from rmesh_nlp.problem import Obstacle as Obstacle
+from rmesh_nlp.problem import PlaneStrain as PlaneStrain
+from rmesh_nlp.problem import PlaneStress as PlaneStress
+from rmesh_nlp.problem import ProblemError as ProblemError
+from rmesh_nlp.problem import Relative as Relative
+from rmesh_nlp.problem import Traction as Traction
+from rmesh_nlp.solution.solution import Solution as Solution
+from rmesh_nlp.solution.verification import verify_gradient as verify_gradient
+
+__version__: str
+
+solve_mpcc = mpcc.solve

@@ -1,0 +1,59 @@
+"""Several solutions side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rmesh_nlp.solution.solution import Solution
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+WIDTH = 5.0
+"""Inches of one panel; its height follows the body."""
+
+BESIDE = 1.5
+"""Inches that title, labels and colour bar take."""
+
+
+def plot(*solutions: Solution, what: str = "mesh", **style: Any) -> list[Axes]:
+    """Draw the same field of one or several solutions, one panel each, on one scale.
+
+    Parameters
+    ----------
+    solutions : Solution
+    what : "mesh", "displacement", "stress" or "pressure"
+    style
+        Keywords of matplotlib's function that draws, such as ``cmap``, ``vmin``, ``vmax``.
+
+    Returns
+    -------
+    list of matplotlib Axes
+        In the order of the solutions; ``axes[0].figure`` is the figure.
+    """
+    from matplotlib import pyplot
+
+    if not solutions:
+        raise ValueError("nothing to draw: give one or several solutions")
+    n, extent = len(solutions), np.ptp(solutions[0].problem.mesh.p, axis=1)
+    height = WIDTH * (0.6 if what == "pressure" else float(np.clip(extent[1] / extent[0], 0.1, 2.0)))
+    _, (row,) = pyplot.subplots(
+        1, n, figsize=(WIDTH * n, height + BESIDE), squeeze=False, sharey=True, layout="constrained"
+    )
+    for solution, axes in zip(solutions, row, strict=True):
+        solution.plot(what, axes, **style)
+        axes.set_title(f"{solution.formulation}: {axes.get_title()}")
+    _share_colours(
+        [painted for axes in row for painted in axes.collections if painted.get_array() is not None]
+    )
+    return list(row)
+
+
+def _share_colours(painted: Sequence[Any]) -> None:
+    """One range of values for all that is painted."""
+    limits = np.array([one.get_clim() for one in painted])
+    for one in painted:
+        one.set_clim(limits[:, 0].min(), limits[:, 1].max())

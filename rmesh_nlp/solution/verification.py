@@ -1,0 +1,130 @@
+"""A Taylor test of the gradient of an outer objective, for problems and objectives of one's own.
+
+If g is the gradient of F, the remainder ``|F(q + h d) - F(q) - h g.d|`` falls like h^2: its order,
+measured for halved h, is 2. With a wrong gradient it falls like h and the order is 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rmesh_nlp.display import Rows, html_table, rich_table
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedObjective
+from rmesh_nlp.solution.referee import Referee
+
+LEAST_ORDER = 1.9
+"""What counts as second order; 1.9 is also what cashocs and dolfin-adjoint ask for."""
+
+FIRST_STEP, HALVINGS = 1e-2, 5
+"""Lengths of the steps, in units of the boxes in which nodes move."""
+
+INSIDE = 0.6
+"""Part of the boxes from which the point is drawn, so that all steps stay inside."""
+
+ROUNDING = 1e-13
+"""Remainders below this part of the objective are rounding and say nothing of the gradient."""
+
+
+@dataclass(frozen=True)
+class TaylorTest:
+    """How the remainder of the linearised objective falls.
+
+    Attributes
+    ----------
+    objective : str
+    value : float
+        The objective at the point.
+    slope : float
+        The directional derivative that the gradient gives.
+    steps, remainders : (n,) arrays
+    orders : (n - 1,) array
+        ``log2`` of the ratio of successive remainders; NaN where both are rounding.
+    """
+
+    objective: str
+    value: float
+    slope: float
+    steps: Array
+    remainders: Array
+    orders: Array
+
+    @property
+    def order(self) -> float:
+        """The order of the smallest steps that rounding does not hide; infinite for a linear objective."""
+        known = self.orders[np.isfinite(self.orders)]
+        return float(known[-1]) if known.size else float("inf")
+
+    @property
+    def passed(self) -> bool:
+        """Whether the remainder is of second order."""
+        return self.order >= LEAST_ORDER
+
+    def __bool__(self) -> bool:
+        return self.passed
+
+    def summary(self) -> Rows:
+        """Steps, remainders and orders as rows for people."""
+        orders = ["", *(f"order {order:.2f}" for order in self.orders)]
+        return [
+            ("directional derivative", f"{self.slope:.6g}"),
+            *(
+                (f"remainder at h = {step:.3g}", f"{remainder:.2e} {order}")
+                for step, remainder, order in zip(self.steps, self.remainders, orders, strict=True)
+            ),
+            ("gradient", f"{'right' if self.passed else 'WRONG'}: order {self.order:.2f}"),
+        ]
+
+    def __rich__(self) -> object:
+        return rich_table(f"Taylor test of {self.objective!r}", self.summary())
+
+    def _repr_html_(self) -> str:
+        return html_table(f"Taylor test of {self.objective!r}", self.summary())
+
+
+def verify_gradient(problem: ContactProblem, objective: str = "energy", *, seed: int = 0) -> TaylorTest:
+    """Test the gradient that ``nested`` uses at a random admissible mesh, in a random direction.
+
+    The gradient of the energy is that of (5.7), (5.11). Other objectives are differentiated with
+    the contact set held: where that set changes between two steps, or strict complementarity
+    fails, the order is below 2 although the gradient is right. Another seed tells.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    objective : str
+        As in ``solve``.
+    seed : int
+        Of the point and the direction.
+
+    Raises
+    ------
+    ValueError
+        If the objective is unknown or does not suit the problem, or no node may move.
+    """
+    referee = Referee(problem)
+    outer = parse_objective(objective)
+    function: ReducedEnergy | ReducedObjective = referee.reduced
+    if not outer.is_energy:
+        function = ReducedObjective(referee.reduced, outer)
+    n = referee.relocation.n_q
+    if n == 0:
+        raise ValueError(f"no node of {problem.name!r} may move: there is no gradient to test")
+    rng = np.random.default_rng(seed)
+    q, direction = INSIDE * referee.start(int(rng.integers(2**31))), rng.uniform(-1, 1, n)
+    while not referee.is_valid(q + FIRST_STEP * direction):
+        direction /= 2
+    here = function(q)
+    slope = float(here.gradient @ direction)
+    steps = np.array([FIRST_STEP * 0.5**k for k in range(HALVINGS)])
+    values = np.array([function(q + step * direction).value for step in steps])
+    remainders = np.abs(values - here.value - steps * slope)
+    known = remainders > ROUNDING * max(abs(here.value), float(np.max(np.abs(values))))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        orders = np.log2(remainders[:-1] / remainders[1:])
+    orders[~(known[:-1] & known[1:])] = np.nan
+    return TaylorTest(objective, here.value, slope, steps, remainders, orders)

@@ -1,0 +1,122 @@
+"""Solving, comparing, drawing and verifying through the public names."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import rmesh_nlp as rm
+from rmesh_nlp.cli.app import run
+from rmesh_nlp.problem import NO_CONTACT
+from rmesh_nlp.programs import reduced
+
+
+@pytest.fixture(scope="module")
+def comparison() -> rm.Comparison:
+    return rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), ["fixed", "joint"])
+
+
+def test_a_strategy_is_found_by_its_name(comparison: rm.Comparison) -> None:
+    solution = rm.solve(rm.EXAMPLES["6.2"](n=(4, 2)), "joint")
+    assert isinstance(solution, rm.Solution)
+    assert solution.formulation == "joint"
+    assert solution.energy == pytest.approx(comparison["joint"].energy, rel=1e-9)
+    assert {"fixed", "joint", "mpcc", "nested"} <= set(rm.strategies())
+
+
+def test_an_unknown_strategy_is_named() -> None:
+    with pytest.raises(ValueError, match="jiont"):
+        rm.solve(rm.EXAMPLES["6.1"](n=3), "jiont")
+
+
+def test_a_comparison_holds_solutions_records_and_tables(comparison: rm.Comparison) -> None:
+    assert comparison.best is comparison["joint"]
+    assert [record["formulation"] for record in comparison.records] == ["fixed", "joint"]
+    summary = comparison.summary()
+    assert summary.loc["joint", "gain_audited"] > summary.loc["fixed", "gain_audited"] == 0
+    assert "joint" in repr(comparison)
+    assert "| joint" in comparison.markdown()
+
+
+def test_options_go_to_those_that_take_them() -> None:
+    problem = rm.EXAMPLES["6.1"](n=3)
+    found = rm.compare(problem, ["fixed", "joint"], seed=4)
+    assert [record["seed"] for record in found.records] == [None, 4]
+    with pytest.raises(ValueError, match="sede"):
+        rm.compare(problem, ["fixed", "joint"], sede=4)
+
+
+def test_a_strategy_that_refuses_leaves_its_record() -> None:
+    found = rm.compare(rm.EXAMPLES["6.1"](n=3), ["joint"], objective="quality")
+    assert found.records[0]["status"] == "refused"
+    assert not found.solutions
+    with pytest.raises(ValueError, match="no strategy succeeded"):
+        found.best  # noqa: B018
+
+
+def test_records_of_a_folder_are_read(tmp_path: Path) -> None:
+    run(["solve", "6.1", "--formulation", "fixed", "--n", "3", "--out", str(tmp_path)])
+    (record,) = rm.read_records(tmp_path)
+    assert record["formulation"] == "fixed"
+
+
+@pytest.mark.parametrize("what", ["mesh", "displacement", "stress", "pressure"])
+def test_every_picture_is_drawn_on_axes_of_ones_own(comparison: rm.Comparison, what: str) -> None:
+    axes = Figure().add_subplot()
+    assert comparison["joint"].plot(what, axes) is axes
+    assert axes.has_data()
+    assert what in axes.get_title()
+
+
+def test_the_pressure_curve_is_the_pressure(comparison: rm.Comparison) -> None:
+    solution = comparison["joint"]
+    (line,) = solution.plot("pressure").lines
+    where = solution.problem.contact_nodes
+    assert np.ptp(np.diff(line.get_xdata())) > 0
+    assert np.all(np.diff(line.get_xdata()) > 0)
+    assert sorted(line.get_ydata()) == sorted(solution.pressure[where])
+
+
+def test_stress_is_drawn_per_element(comparison: rm.Comparison) -> None:
+    (painted,) = comparison["joint"].plot("stress").collections
+    assert painted.get_array().size == comparison["joint"].problem.mesh.t.shape[1]
+
+
+def test_solutions_side_by_side_share_their_scale(comparison: rm.Comparison) -> None:
+    axes = rm.plot(comparison["fixed"], comparison["joint"], what="displacement")
+    assert len(axes) == 2
+    assert all(isinstance(one, Axes) for one in axes)
+    limits = [one.collections[0].get_clim() for one in axes]
+    assert limits[0] == limits[1]
+
+
+def test_an_unknown_picture_and_no_contact_are_said(comparison: rm.Comparison) -> None:
+    with pytest.raises(ValueError, match="strain"):
+        comparison["joint"].plot("strain")
+    free = replace(comparison["joint"].problem, obstacle=NO_CONTACT)
+    with pytest.raises(ValueError, match="no contact"):
+        rm.solve(free, "fixed").plot("pressure")
+
+
+@pytest.mark.parametrize(("name", "objective"), [("6.1", "energy"), ("6.1", "error-l2"), ("6.3", "energy")])
+def test_gradients_pass_their_taylor_test(name: str, objective: str) -> None:
+    n = 4 if name == "6.1" else (6, 3)
+    test = rm.verify_gradient(rm.EXAMPLES[name](n=n), objective)
+    assert test
+    assert test.order == pytest.approx(2, abs=0.1)
+
+
+def test_a_wrong_gradient_is_of_first_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    right = reduced.ReducedEnergy.__call__
+
+    def wrong(self: reduced.ReducedEnergy, q: np.ndarray) -> reduced.ReducedPoint:
+        point = right(self, q)
+        return replace(point, gradient=1.001 * point.gradient)
+
+    monkeypatch.setattr(reduced.ReducedEnergy, "__call__", wrong)
+    test = rm.verify_gradient(rm.EXAMPLES["6.1"](n=4))
+    assert not test
+    assert "WRONG" in dict(test.summary())["gradient"]
