@@ -19,7 +19,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.classify import Verdict, judge
 from rmesh_nlp.mpcc.linearisation import Linearisation, linearisation
 from rmesh_nlp.mpcc.lpec import Direction, nearest_branch
-from rmesh_nlp.mpcc.programs import BoolArray, Log, Programs
+from rmesh_nlp.mpcc.programs import BoolArray
+from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.nlp import NLPResult, Status
 
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|
@@ -65,128 +66,118 @@ class Finish:
         return self.solved, self.verdict is not None, -self.f if np.isfinite(self.f) else -np.inf
 
 
-def finish(programs: Programs, z: Array, p: Array, log: Log, *, search: bool) -> Finish:
-    """Make the pairs of a relaxed point exact and descend to a stationary branch."""
-    lifted, options = programs.lifted, programs.options
+def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -> Finish:
+    """Make the pairs of a relaxed point exact and descend to a stationary branch.
+
+    ``warm`` holds multipliers of the lifted program to start the first branch with; ``search`` looks for
+    another branch if the one next to the point is infeasible.
+    """
+    lifted, options, p = run.programs.lifted, run.programs.options, run.p
     fix_G = z[lifted.first] <= z[lifted.second]
-    result = _solve(programs, log, z, p, fix_G)
-    if search and not exact(programs, result.x, p):
-        result, fix_G = _other_branch(programs, log, z, p, fix_G, result)
-    if not exact(programs, result.x, p):
+    result = run.branch(z, fix_G, warm=warm)
+    if warm is not None and not run.exact(result.x):
+        result = run.branch(z, fix_G)
+    if search and not run.exact(result.x):
+        result, fix_G = _other_branch(run, z, fix_G, result)
+    if not run.exact(result.x):
         status = Status.INACCURATE if result.converged else result.status
         return Finish(result.x, result.f, status)
     lpecs = 0
     for pivots in range(options.max_pivots):
         if result.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
             return Finish(result.x, result.f, Status.UNBOUNDED, pivots=pivots, lpecs=lpecs)
-        result = _tighten(programs, log, result, p, fix_G)
+        result = _tighten(run, result, fix_G)
         lin = linearisation(lifted, result.x, p, options.activity, options.corner)
         verdict = judge(lifted, lin, options.stationarity, (result.lam_g, result.lam_x))
         lpecs += verdict.label.name != "S"
         here = Finish(result.x, result.f, verdict.status, verdict, lin, pivots, lpecs)
         if verdict.direction is None:
             return here
-        better = _descend(programs, log, result, p, verdict.direction)
+        better = _descend(run, result, verdict.direction)
         if better is None:
             return here
         result, fix_G = better, verdict.direction.G_fixed
     return replace(here, status=Status.ITERATION_LIMIT)
 
 
-def _descend(
-    programs: Programs, log: Log, result: NLPResult, p: Array, direction: Direction
-) -> NLPResult | None:
+def _descend(run: Run, result: NLPResult, direction: Direction) -> NLPResult | None:
     """Solve the branch of the direction; near the point if its solution far away is not lower."""
     aim = result.f - _DECREASE * (1 + abs(result.f))
     for reach in _TRUST:
         box = None if reach is None else reach * (1 + np.abs(result.x))
-        better = _solve(programs, log, result.x, p, direction.G_fixed, box)
-        if exact(programs, better.x, p) and better.f < aim:
+        better = run.branch(result.x, direction.G_fixed, box=box)
+        if run.exact(better.x) and better.f < aim:
             return better
     return None
 
 
-def _solve(
-    programs: Programs, log: Log, z: Array, p: Array, fix_G: BoolArray, box: Array | None = None
-) -> NLPResult:
-    result = programs.branch(z, p, fix_G, ~fix_G, box=box)
-    log.add("branch", 0.0, result)
-    return result
-
-
-def _other_branch(
-    programs: Programs, log: Log, z: Array, p: Array, fix_G: BoolArray, result: NLPResult
-) -> tuple[NLPResult, BoolArray]:
+def _other_branch(run: Run, z: Array, fix_G: BoolArray, result: NLPResult) -> tuple[NLPResult, BoolArray]:
     """A feasible branch near the relaxed point: first by signs, which is cheap, then by elastic LPECs."""
-    lifted = programs.lifted
-    by_signs = _follow_signs(programs, log, z, p, fix_G)
+    lifted = run.programs.lifted
+    by_signs = _follow_signs(run, z, fix_G)
     if by_signs is not None:
         return by_signs
     distance = float(np.max(np.minimum(z[lifted.first], z[lifted.second]), initial=0.0))
     for reach in _REACHES:
-        near = nearest_branch(lifted, z, p, reach * max(distance, programs.options.corner))
+        near = nearest_branch(lifted, z, run.p, reach * max(distance, run.programs.options.corner))
         if near is None or np.array_equal(near[1], fix_G):
             continue
         fix_G = near[1]
-        result = _solve(programs, log, near[0], p, fix_G)
-        if exact(programs, result.x, p):
+        result = run.branch(near[0], fix_G)
+        if run.exact(result.x):
             break
     return result, fix_G
 
 
-def _follow_signs(
-    programs: Programs, log: Log, z: Array, p: Array, fix_G: BoolArray
-) -> tuple[NLPResult, BoolArray] | None:
+def _follow_signs(run: Run, z: Array, fix_G: BoolArray) -> tuple[NLPResult, BoolArray] | None:
     """Primal-dual active set: leave the signs free, and switch every pair whose sign comes out wrong.
 
     Where the pairs determine the rest (a lower level with one solution) it moves a contact boundary
     node by node. M. Hintermueller, K. Ito, K. Kunisch, The primal-dual active set strategy as a
     semismooth Newton method, SIAM J. Optim. 13 (2002) 865-888. None if it does not end in an exact point.
     """
-    lifted = programs.lifted
+    lifted = run.programs.lifted
     worst = np.inf
     for _ in range(_SIGN_STEPS):
-        result = programs.branch(z, p, fix_G, ~fix_G, free_signs=True)
-        log.add("signs", 0.0, result)
+        result = run.branch(z, fix_G, phase="signs", free_signs=True)
         z = result.x
         free = np.where(fix_G, z[lifted.second], z[lifted.first])
-        wrong = free < -programs.options.complementarity
+        wrong = free < -run.programs.options.complementarity
         lowest = -float(np.min(free, initial=0.0))
         if not result.converged or lowest > worst:
             return None
         worst = lowest
         if not np.any(wrong):
-            result = _solve(programs, log, z, p, fix_G)
-            return (result, fix_G) if exact(programs, result.x, p) else None
+            result = run.branch(z, fix_G)
+            return (result, fix_G) if run.exact(result.x) else None
         fix_G = fix_G ^ wrong
     return None
 
 
-def _tighten(programs: Programs, log: Log, result: NLPResult, p: Array, fix_G: BoolArray) -> NLPResult:
+def _tighten(run: Run, result: NLPResult, fix_G: BoolArray) -> NLPResult:
     """Put pairs that end next to the corner into it, if that costs nothing.
 
     A weakly active member stops at a distance of the square root of the solver's tolerance from zero:
     too far to be called zero, near enough to hide a biactive pair and with it a descent direction.
     """
-    lifted, options = programs.lifted, programs.options
+    lifted, options = run.programs.lifted, run.programs.options
     free = np.maximum(result.x[lifted.first], result.x[lifted.second])
     near = (free <= _NEAR_BIACTIVE) & (free > options.complementarity)
-    if not np.any(near) or not _can_close(programs, result.x, p, fix_G, near):
+    if not np.any(near) or not _can_close(run, result.x, fix_G, near):
         return result
-    tight = programs.branch(result.x, p, fix_G | near, ~fix_G | near)
-    log.add("tightened", 0.0, tight)
+    tight = run.branch(result.x, fix_G | near, ~fix_G | near, phase="tightened")
     cost = tight.f - result.f
-    return tight if exact(programs, tight.x, p) and cost <= _DECREASE * (1 + abs(result.f)) else result
+    return tight if run.exact(tight.x) and cost <= _DECREASE * (1 + abs(result.f)) else result
 
 
-def _can_close(programs: Programs, z: Array, p: Array, fix_G: BoolArray, near: BoolArray) -> bool:
+def _can_close(run: Run, z: Array, fix_G: BoolArray, near: BoolArray) -> bool:
     """Whether a small step closes the near pairs to first order: spares a hopeless, slow NLP.
 
     The least-norm step that keeps the active rows and the zero members and closes the near pairs, from one
     regularised KKT system; inconsistent demands leave a residual.
     """
-    lifted, options = programs.lifted, programs.options
-    lin = linearisation(lifted, z, p, options.activity, options.corner)
+    lifted, options = run.programs.lifted, run.programs.options
+    lin = linearisation(lifted, z, run.p, options.activity, options.corner)
     eye = sp.identity(z.size, format="csr")
     places = np.unique(np.concatenate([lifted.first[fix_G | near], lifted.second[~fix_G | near]]))
     A = sp.vstack([lin.jacobian[np.flatnonzero(lin.row_lower | lin.row_upper)], eye[places]], format="csr")
@@ -199,8 +190,3 @@ def _can_close(programs: Programs, z: Array, p: Array, fix_G: BoolArray, near: B
     step = spsolve(system, np.concatenate([np.zeros(z.size), aim]))[: z.size]
     gap = float(np.max(np.abs(aim)))
     return bool(np.max(np.abs(A @ step - aim)) <= _CONSISTENT * gap and np.max(np.abs(step)) <= 1e3 * gap)
-
-
-def exact(programs: Programs, z: Array, p: Array) -> bool:
-    """Whether the source problem is feasible and complementary at ``z``, within the scaled tolerances."""
-    return programs.excess(z, p) <= 1.0

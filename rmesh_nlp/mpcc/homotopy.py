@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.finish import Finish, exact, finish
-from rmesh_nlp.mpcc.programs import BoolArray, Log, Programs
+from rmesh_nlp.mpcc.finish import Finish, finish
+from rmesh_nlp.mpcc.programs import BoolArray, Programs
+from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.nlp import NLPResult, Status
 
 _MAX_RETREATS = 3
@@ -17,64 +18,82 @@ _BELOW = 0.1
 _GAP = 0.05  # an early finish further than this (relative) above the relaxed objective is not yet final
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Path:
-    """End of one homotopy: the best finish, the last relaxed result, why the last step failed if it did."""
+    """One homotopy as far as it has come, also if a limit stops it.
 
-    finish: Finish | None
-    relaxed: NLPResult
-    failure: Status | None
+    Attributes
+    ----------
+    finish : Finish or None
+        The best so far.
+    relaxed : NLPResult or None
+        The last relaxed solution, or the failed one if there is none.
+    failure : Status or None
+        Why the last step failed, if it did.
+    """
+
+    finish: Finish | None = None
+    relaxed: NLPResult | None = None
+    failure: Status | None = None
 
 
-def follow(programs: Programs, relaxation: str, z0: Array, p: Array, t0: float, log: Log) -> Path:
-    """Follow the relaxed solutions from ``t0`` to ``t_final`` and finish exactly.
+def follow(
+    run: Run, path: Path, relaxation: str, z0: Array, t0: float, first: NLPResult | None = None
+) -> None:
+    """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep what is found in ``path``.
 
     A step that fails is retried cold (from ``z0``); if that fails too, t retreats half of the way (in
-    its logarithm) and goes down by a smaller factor from there.
+    its logarithm) and goes down by a smaller factor from there. ``first`` holds multipliers of the lifted
+    program for the first step.
     """
-    options = programs.options
+    options = run.programs.options
     t, factor, retreats = t0, options.factor, 0
     last: NLPResult | None = None
     sides: BoolArray | None = None
-    best: Finish | None = None
-    failure: Status | None = None
     while True:
-        result = _step(programs, relaxation, log, z0, last, p, t)
+        result = _step(run, relaxation, z0, last, t, first)
         if result.converged:
-            last, failure = result, None
-            product = log.steps[-1].product
-            before, sides = sides, _sides(programs, result.x)
+            last, path.relaxed, path.failure = result, result, None
+            product = run.steps[-1].product
+            before, sides = sides, _sides(run.programs, result.x)
             settled = before is not None and t <= options.crossover and _settled(before, sides)
-            complementary = exact(programs, result.x, p)
-            final = complementary or t <= options.t_final
+            final = run.exact(result.x) or t <= options.t_final
             if settled or final:
-                best = _better(best, finish(programs, result.x, p, log, search=final))
-                if final or (best.solved and _close(result.f, best.f)):
-                    break
+                path.finish = _better(path.finish, _finish(run, relaxation, result, t, search=final))
+                if final or (path.finish.solved and _close(result.f, path.finish.f)):
+                    return
             # where the products are already smaller than t the relaxation does not act: go below them
             t = max(min(factor * t, _BELOW * product), options.t_final)
         else:
-            failure = result.status
+            path.relaxed, path.failure = last or result, result.status
             retreats += 1
             if last is None or retreats > _MAX_RETREATS:
                 break
             factor = np.sqrt(factor)
             t = t / factor
-    if last is not None and best is None:
-        best = finish(programs, last.x, p, log, search=True)
-    return Path(best, last or result, failure)
+    if last is not None and path.finish is None:
+        path.finish = finish(run, last.x, search=True)
+
+
+def _finish(run: Run, relaxation: str, result: NLPResult, t: float, *, search: bool) -> Finish:
+    """The exact finish from a relaxed solution, with its multipliers if so wished."""
+    warm = (
+        run.programs.without_relaxation(relaxation, result, t) if run.programs.options.warm_finish else None
+    )
+    return finish(run, result.x, search=search, warm=warm)
 
 
 def _step(
-    programs: Programs, relaxation: str, log: Log, z0: Array, last: NLPResult | None, p: Array, t: float
+    run: Run, relaxation: str, z0: Array, last: NLPResult | None, t: float, first: NLPResult | None
 ) -> NLPResult:
     """Solve the relaxation at ``t`` from the last solution, and from the start if that fails."""
-    warm = last if programs.options.warm_duals else None
-    result = programs.relaxed(relaxation, z0 if last is None else last.x, p, t, warm)
-    log.add("relaxed", t, result)
-    if not result.converged and last is not None:
-        cold = programs.relaxed(relaxation, z0, p, t)
-        log.add("relaxed", t, cold)
+    if last is None:
+        return run.relaxed(
+            relaxation, z0, t, None if first is None else run.programs.padded(relaxation, first)
+        )
+    result = run.relaxed(relaxation, last.x, t, last if run.programs.options.warm_duals else None)
+    if not result.converged:
+        cold = run.relaxed(relaxation, z0, t)
         return cold if cold.converged else result
     return result
 

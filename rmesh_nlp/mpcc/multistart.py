@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
-from rmesh_nlp.mpcc.programs import Progress
 from rmesh_nlp.mpcc.result import MPCCResult
+from rmesh_nlp.mpcc.run import Progress
 from rmesh_nlp.mpcc.solver import MPCCSolver
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 _RELAXED: Mapping[str, Any] = {
     "tol": 1e-8,
@@ -35,6 +38,14 @@ _WARM: Mapping[str, Any] = {
 }
 
 
+_WARM_EXACT: Mapping[str, Any] = {
+    **_WARM,
+    **dict.fromkeys([name for name in _WARM if name.endswith(("push", "frac"))], 1e-9),
+    "mu_strategy": "monotone",
+    "mu_init": 1e-9,
+}
+
+
 @dataclass(frozen=True)
 class Options:
     """How an MPCC is solved.
@@ -53,6 +64,17 @@ class Options:
         pairs are those of the step before, and anyway at ``t_final``.
     warm_duals : bool
         Start each relaxation from the multipliers of the one before.
+    warm_finish : bool
+        Start the first branch of the exact finish from the multipliers of the relaxed solution, with a
+        small barrier. If it fails, the branch is solved again from the relaxed point alone.
+    tie_barrier : bool
+        Let Ipopt's barrier parameter begin at t (at most 0.1, at least 1e-9) and solve each relaxation only
+        to a tenth of it: t and the barrier go down together. For ``warm_duals`` and a ``factor`` of 0.1.
+    time_limit_s : float
+        Wall time after which the best point so far is returned, with status ``time_limit``. Nothing
+        else depends on the clock.
+    max_iterations : int, optional
+        The same for Ipopt iterations over all NLPs.
     feasibility : float
         Tolerance of constraints, relative to ``max(1, |bound|, largest term J_ij x_j)`` of the row.
     complementarity : float
@@ -78,6 +100,10 @@ class Options:
     rescue_t0: tuple[float, ...] = (1.0, 1e-3)
     crossover: float = 1e-2
     warm_duals: bool = False
+    warm_finish: bool = False
+    tie_barrier: bool = False
+    time_limit_s: float = math.inf
+    max_iterations: int | None = None
     feasibility: float = 1e-8
     complementarity: float = 1e-9
     activity: float = 1e-5
@@ -95,16 +121,30 @@ class Options:
                 raise ValueError(f"{name} = {value} must be positive and finite")
         if not 0 < self.factor < 1:
             raise ValueError(f"factor = {self.factor} must lie between 0 and 1")
+        if not self.time_limit_s > 0:
+            raise ValueError(f"time_limit_s = {self.time_limit_s} must be positive")
+        if self.max_iterations is not None and self.max_iterations < 1:
+            raise ValueError(f"max_iterations = {self.max_iterations} must be at least 1")
+        if self.max_pivots < 1:
+            raise ValueError(f"max_pivots = {self.max_pivots} must be at least 1")
         if self.t_final > self.t0:
             raise ValueError(f"t_final = {self.t_final} lies above t0 = {self.t0}")
 
-    def relaxed(self, n: int, warm: bool) -> dict[str, Any]:
+    def relaxed(self, n: int, warm: bool, barrier: float | None = None) -> dict[str, Any]:
         """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``."""
-        return {"max_iter": _iterations(n), **_RELAXED, **(_WARM if warm else {}), **self.ipopt_relaxed}
+        options = {"max_iter": _iterations(n), **_RELAXED, **(_WARM if warm else {})}
+        if barrier is not None:
+            options.update(mu_strategy="monotone", mu_init=barrier, tol=max(0.1 * barrier, options["tol"]))
+        return {**options, **self.ipopt_relaxed}
 
-    def exact(self, n: int) -> dict[str, Any]:
-        """Ipopt options of the exact NLP of ``n`` unknowns."""
-        return {"max_iter": _iterations(n), **_EXACT, **self.ipopt_exact}
+    def exact(self, n: int, warm: bool = False) -> dict[str, Any]:
+        """Ipopt options of the exact NLP of ``n`` unknowns, started with multipliers if ``warm``."""
+        options = {"max_iter": _iterations(n), **_EXACT, **(_WARM_EXACT if warm else {})}
+        return {**options, **self.ipopt_exact}
+
+    def barrier_of(self, t: float) -> float:
+        """The barrier parameter that belongs to ``t``: a power of ten, so that solvers can be kept."""
+        return float(10.0 ** np.round(np.clip(np.log10(t), -9.0, -1.0)))
 
 
 def _iterations(n: int) -> int:

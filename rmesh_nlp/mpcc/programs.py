@@ -1,32 +1,32 @@
-"""The compiled NLPs of one MPCC: one per relaxation with t as a parameter, one for every branch."""
+"""The compiled NLPs of one MPCC: one per relaxation with t as a parameter, one for all branches."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.mpcc.lifting import Lifted, lift
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
-from rmesh_nlp.mpcc.result import Residuals, Step, excess, residuals
+from rmesh_nlp.mpcc.result import Residuals, excess, residuals
+from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver
 
-Progress = Callable[[str], None]
 BoolArray = NDArray[np.bool_]
 
 
 class Programs:
-    """Solves relaxations and branches of one MPCC and logs every solve.
+    """Solves relaxations and branches of one MPCC.
 
-    Nothing is rebuilt between solves: t is a parameter, a pair is fixed by a bound.
+    Nothing is rebuilt between solves: t is a parameter, a pair is fixed by a bound. Ipopt's options are
+    fixed when it is made ready, so warm starts, and starts that are watched, have instances of their own.
     """
 
     def __init__(self, mpcc: MPCC, options: Options) -> None:
@@ -34,45 +34,42 @@ class Programs:
         self.options = options
         self.lifted: Lifted = lift(mpcc)
         relaxation(options.relaxation)  # an unknown name is an error now, not at the first solve
-        self._relaxations: dict[tuple[str, bool], _Tolerant] = {}
+        self._relaxations: dict[str, Relaxed] = {}
+        self._solvers: dict[tuple[Any, ...], _Tolerant] = {}
+        self._watch = Watch()
         self.build_seconds = time.perf_counter() - began
 
-    def _relaxed(self, name: str, warm: bool) -> _Tolerant:
-        """The relaxed NLP: the lifted one and the relaxation's rows, t the last parameter.
+    def _relaxed(self, name: str) -> Relaxed:
+        """The relaxed NLP: the lifted one and the relaxation's rows, t the last parameter."""
+        if name not in self._relaxations:
+            self._relaxations[name] = relaxed_program(self.lifted, name)
+        return self._relaxations[name]
 
-        Ipopt's options are fixed when it is built, so a start with multipliers has its own solver.
-        """
-        if (name, warm) in self._relaxations:
-            return self._relaxations[name, warm]
-        lifted = self.lifted
-        nlp = lifted.nlp
-        t = type(nlp.x).sym("t")
-        relaxed = relaxation(name)(nlp.x[lifted.first.tolist()], nlp.x[lifted.second.tolist()], t)
-        n_rows = relaxed.rows.shape[0]
-        if not relaxed.signs:
-            n_x = lifted.source.n_x
-            own = np.concatenate([np.asarray(lifted.source.lbx), np.full(nlp.n_x - n_x, -np.inf)])
-            nlp = replace(nlp, lbx=own)
-        nlp = nlp.extended(
-            p=t, f=relaxed.penalty, g=relaxed.rows, lbg=np.full(n_rows, -np.inf), ubg=np.zeros(n_rows)
-        )
-        self._relaxations[name, warm] = self._timed(nlp, self.options.relaxed(nlp.n_x, warm))
-        return self._relaxations[name, warm]
+    def _solver(self, key: tuple[Any, ...], nlp: NLP, options: dict[str, Any], watched: bool) -> _Tolerant:
+        key = (*key, watched)
+        if key not in self._solvers:
+            began = time.perf_counter()
+            self._solvers[key] = _Tolerant(nlp, options, self._watch if watched else None)
+            self.build_seconds += time.perf_counter() - began
+        return self._solvers[key]
 
-    @cached_property
-    def _exact(self) -> _Tolerant:
-        return self._timed(self.lifted.nlp, self.options.exact(self.lifted.nlp.n_x))
-
-    def _timed(self, nlp: NLP, options: dict[str, Any]) -> _Tolerant:
-        began = time.perf_counter()
-        solver = _Tolerant(nlp, options)
-        self.build_seconds += time.perf_counter() - began
-        return solver
-
-    def relaxed(self, name: str, z: Array, p: Array, t: float, warm: NLPResult | None = None) -> NLPResult:
+    def relaxed(
+        self,
+        name: str,
+        z: Array,
+        p: Array,
+        t: float,
+        warm: NLPResult | None = None,
+        monitor: Monitor | None = None,
+    ) -> NLPResult:
         """Solve the relaxation ``name`` at ``t`` from ``z``; ``warm`` gives multipliers to start from."""
+        self._watch.monitor = monitor
+        nlp = self._relaxed(name).nlp
+        barrier = self.options.barrier_of(t) if self.options.tie_barrier else None
+        options = self.options.relaxed(nlp.n_x, warm is not None, barrier)
+        key = (name, warm is not None, barrier)
         lam = {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        return self._relaxed(name, warm is not None)(z, p=np.append(p, t), **lam)
+        return self._solver(key, nlp, options, monitor is not None)(z, p=np.append(p, t), **lam)
 
     def branch(
         self,
@@ -83,11 +80,15 @@ class Programs:
         *,
         box: Array | None = None,
         free_signs: bool = False,
+        warm: NLPResult | None = None,
+        monitor: Monitor | None = None,
     ) -> NLPResult:
         """Solve the NLP in which the given members are zero, from ``z``.
 
-        ``box`` keeps the unknowns near ``z``; ``free_signs`` lets the other members be negative.
+        ``box`` keeps the unknowns near ``z``; ``free_signs`` lets the other members be negative; ``warm``
+        gives multipliers of the lifted program, see :meth:`without_relaxation`.
         """
+        self._watch.monitor = monitor
         lifted = self.lifted
         lower, upper = lifted.nlp.lbx.copy(), lifted.nlp.ubx.copy()
         if box is not None:
@@ -97,7 +98,29 @@ class Programs:
         for places in (lifted.first[fix_G], lifted.second[fix_H]):
             upper[places] = 0.0
             lower[places] = 0.0
-        return self._exact(np.clip(z, lower, upper), p=p, lbx=lower, ubx=upper)
+        options = self.options.exact(lifted.nlp.n_x, warm is not None)
+        solver = self._solver(("branch", warm is not None), lifted.nlp, options, monitor is not None)
+        lam = {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
+        return solver(np.clip(z, lower, upper), p=p, lbx=lower, ubx=upper, **lam)
+
+    def without_relaxation(self, name: str, result: NLPResult, t: float) -> NLPResult:
+        """The same point with multipliers of the lifted program.
+
+        What the relaxation's rows and penalty exert on a member becomes the multiplier of its bound.
+        """
+        lifted = self.lifted
+        n_rows = lifted.nlp.n_g
+        z = result.x
+        pulls = self._relaxed(name).pull(z[lifted.first], z[lifted.second], t, result.lam_g[n_rows:])
+        lam = result.lam_x.copy()
+        for places, pull in zip((lifted.first, lifted.second), pulls, strict=True):
+            np.add.at(lam, places, pull)
+        return replace(result, lam_x=lam, lam_g=result.lam_g[:n_rows], g=result.g[:n_rows])
+
+    def padded(self, name: str, result: NLPResult) -> NLPResult:
+        """Multipliers of the lifted program as a start of a relaxation: its own rows get zero."""
+        extra = self._relaxed(name).nlp.n_g - self.lifted.nlp.n_g
+        return replace(result, lam_g=np.append(result.lam_g[: self.lifted.nlp.n_g], np.zeros(extra)))
 
     def measure(self, z: Array, p: Array) -> tuple[float, Residuals, tuple[Array, Array, Array]]:
         """Objective, residuals and (g, G, H) of the source problem at a lifted point."""
@@ -133,26 +156,52 @@ class Programs:
         return worst if np.isfinite(worst) and np.isfinite(f[0]) else np.inf
 
 
-class Log:
-    """The table of steps; each new line may be shown at once."""
+class Watch:
+    """The monitor of whichever solve is running: Ipopt takes one callback, when it is made ready."""
 
-    def __init__(self, programs: Programs, p: Array, progress: Progress | None) -> None:
-        self.steps: list[Step] = []
-        self._programs, self._p, self._progress = programs, p, progress
-        if progress is not None:
-            progress(Step.HEADER)
+    def __init__(self) -> None:
+        self.monitor: Monitor | None = None
 
-    def add(self, phase: str, t: float, result: NLPResult) -> Step:
-        """Measure a solve on the source problem and append its line."""
-        f, res, _ = self._programs.measure(result.x, self._p)
-        step = Step(
-            phase, t, f, res.constraint_violation, res.complementarity, res.product,
-            result.iterations, result.status, result.seconds,
-        )  # fmt: skip
-        self.steps.append(step)
-        if self._progress is not None:
-            self._progress(step.line())
-        return step
+    def __call__(self, iteration: int, x: Array, f: float) -> bool | None:
+        """Pass an iteration on."""
+        return None if self.monitor is None else self.monitor(iteration, x, f)
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxed:
+    """A relaxed NLP, and the function that turns multipliers of its rows into forces on the members.
+
+    Attributes
+    ----------
+    nlp : NLP
+    pull : Evaluator
+        ``(a, b, t, multipliers of the rows) -> (force on a, force on b)``: the gradients in the members of
+        the penalty and of the rows times their multipliers.
+    """
+
+    nlp: NLP
+    pull: Evaluator
+
+
+def relaxed_program(lifted: Lifted, name: str) -> Relaxed:
+    """Add the rows and the penalty of a relaxation to the lifted program."""
+    nlp = lifted.nlp
+    t = type(nlp.x).sym("t")
+    relaxed = relaxation(name)(nlp.x[lifted.first.tolist()], nlp.x[lifted.second.tolist()], t)
+    n_rows = relaxed.rows.shape[0]
+    if not relaxed.signs:
+        n_x = lifted.source.n_x
+        own = np.concatenate([np.asarray(lifted.source.lbx), np.full(nlp.n_x - n_x, -np.inf)])
+        nlp = replace(nlp, lbx=own)
+    nlp = nlp.extended(
+        p=t, f=relaxed.penalty, g=relaxed.rows, lbg=np.full(n_rows, -np.inf), ubg=np.zeros(n_rows)
+    )
+    a, b = ca.MX.sym("a", lifted.first.size), ca.MX.sym("b", lifted.first.size)
+    s, lam = ca.MX.sym("s"), ca.MX.sym("lam", n_rows)
+    parts = relaxation(name)(a, b, s)
+    total = parts.penalty + (ca.dot(lam, parts.rows) if n_rows else 0)
+    forces = [ca.densify(ca.gradient(ca.MX(total), member)) for member in (a, b)]
+    return Relaxed(nlp, Evaluator(ca.Function("pull", [a, b, s, lam], forces)))
 
 
 class _Tolerant:
@@ -162,9 +211,9 @@ class _Tolerant:
     added only when a call needs them.
     """
 
-    def __init__(self, nlp: NLP, options: dict[str, Any]) -> None:
-        self.nlp, self._options = nlp, options
-        self._solver = Solver(nlp, options=options)
+    def __init__(self, nlp: NLP, options: dict[str, Any], monitor: Monitor | None = None) -> None:
+        self.nlp, self._options, self._monitor = nlp, options, monitor
+        self._solver = Solver(nlp, options=options, monitor=monitor)
         self._padded: Solver | None = None
 
     def __call__(self, z: Array, **arguments: Any) -> NLPResult:
@@ -180,7 +229,7 @@ class _Tolerant:
             idle = type(self.nlp.x).sym("idle", extra)
             free = np.full(extra, np.inf)
             padded = self.nlp.extended(x=idle, f=0.5 * (idle.T @ idle), lbx=-free, ubx=free)
-            self._padded = Solver(padded, options=self._options)
+            self._padded = Solver(padded, options=self._options, monitor=self._monitor)
         for name, fill in (("lbx", -np.inf), ("ubx", np.inf), ("lam_x0", 0.0)):
             if name in arguments:
                 arguments[name] = np.append(arguments[name], np.full(extra, fill))

@@ -30,6 +30,9 @@ class Step:
     iterations : int
     status : Status
     seconds : float
+    biactive : int
+        Pairs whose larger member is at most ``2 sqrt(t)`` (or ``Options.corner``): in a relaxed solution
+        biactive pairs are found there.
     """
 
     phase: str
@@ -41,6 +44,7 @@ class Step:
     iterations: int
     status: Status
     seconds: float
+    biactive: int = 0
 
     HEADER = (
         f"{'phase':>9} {'t':>8} {'objective':>15} {'violation':>9} {'max min':>8} {'max GH':>8} "
@@ -88,6 +92,16 @@ def excess(value: Array, lower: Array | float, upper: Array | float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
+class Duals:
+    """Multipliers of ``f + lam_x^T x + lam_g^T g + lam_G^T G + lam_H^T H`` to start from."""
+
+    lam_x: Array
+    lam_g: Array
+    lam_G: Array  # noqa: N815 the field's symbol
+    lam_H: Array  # noqa: N815
+
+
+@dataclass(frozen=True, eq=False)
 class MPCCResult:
     """A solution of an MPCC and everything that was measured on it.
 
@@ -120,7 +134,8 @@ class MPCCResult:
     G, H, g : arrays
         Values at ``x``.
     biactive : int array
-        Pairs with ``G = H = 0`` within the activity tolerance.
+        Pairs with ``G = H = 0`` within the activity tolerance; ``n_biactive`` is their number. With none of
+        them S says no more than that the point is a KKT point of the one branch it lies in, see ``label``.
     history : tuple of Step
     counts : mapping
         ``nlp_solves``, ``ipopt_iterations``, ``pivots``, ``lpecs``, ...
@@ -150,6 +165,20 @@ class MPCCResult:
     counts: Mapping[str, int]
     seconds: Mapping[str, float]
 
+    @property
+    def n_biactive(self) -> int:
+        """Number of biactive pairs."""
+        return int(self.biactive.size)
+
+    @property
+    def label(self) -> str:
+        """The stationarity in words: the letter, and what it means here."""
+        if self.stationarity == "S" and self.n_biactive == 0:
+            return "S (no biactive pair: a KKT point)"
+        b_word = {True: "B-stationary", False: "not B-stationary", None: "B not computed"}[self.b_stationary]
+        pairs = f"{self.n_biactive} biactive pair{'' if self.n_biactive == 1 else 's'}"
+        return f"{self.stationarity or 'no label'} ({pairs}, {b_word})"
+
     def table(self) -> str:
         """The history as text, one line per NLP solve."""
         return "\n".join([Step.HEADER, *(step.line() for step in self.history)])
@@ -159,10 +188,7 @@ class MPCCResult:
         return {f.name: [getattr(step, f.name) for step in self.history] for f in fields(Step)}
 
     def __str__(self) -> str:
-        b_word = {True: "B-stationary", False: "not B-stationary", None: "B not computed"}[self.b_stationary]
-        label = f"{self.stationarity or 'no label'} ({b_word})"
         return (
             f"{self.status.value}: f = {self.f:.10g}, violation {self.constraint_violation:.1e}, "
-            f"complementarity {self.complementarity:.1e}, stationarity {label}, "
-            f"{len(self.biactive)} biactive"
+            f"complementarity {self.complementarity:.1e}, stationarity {self.label}"
         )

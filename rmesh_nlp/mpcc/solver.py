@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,10 +12,12 @@ from numpy.typing import ArrayLike
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path, follow
+from rmesh_nlp.mpcc.lifting import warm_start
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
-from rmesh_nlp.mpcc.programs import Log, Programs, Progress
-from rmesh_nlp.mpcc.result import MPCCResult
+from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.result import Duals, MPCCResult, Step
+from rmesh_nlp.mpcc.run import Iterate, LimitReachedError, Observers, Progress, Run
 from rmesh_nlp.optimize.nlp import Status
 
 _HUGE = 1e15  # |f| or |x| beyond this: the iterates diverge
@@ -35,23 +38,40 @@ class MPCCSolver:
         self.options = replace(options or Options(), **changes)  # type: ignore[arg-type]
         self.programs = Programs(mpcc, self.options)
 
-    def __call__(self, x0: ArrayLike, *, p: ArrayLike = (), progress: Progress | bool = False) -> MPCCResult:
+    def __call__(
+        self,
+        x0: ArrayLike,
+        *,
+        p: ArrayLike = (),
+        start: MPCCResult | Duals | None = None,
+        progress: Progress | bool = False,
+        on_step: Callable[[Step], None] | None = None,
+        on_iteration: Callable[[Iterate], None] | None = None,
+    ) -> MPCCResult:
         """Solve from ``x0`` with parameters ``p``; see :func:`solve`."""
         began = time.perf_counter()
         built = self.programs.build_seconds
         parameters = self.mpcc.parameters(p)
-        z0 = self.programs.lifted.start(self.mpcc.start(x0), parameters)
+        lifted = self.programs.lifted
+        z0 = lifted.start(self.mpcc.start(x0), parameters)
+        first = None if start is None else warm_start(lifted, z0, start)
         show = print if progress is True else (progress or None)
-        log = Log(self.programs, parameters, show)
+        run = Run(self.programs, parameters, Observers(show, on_step, on_iteration))
         paths: list[Path] = []
-        for relaxation, t0 in self._attempts():
-            paths.append(follow(self.programs, relaxation, z0, parameters, t0, log))
-            end = paths[-1].finish
-            if end is not None and (end.solved or end.status is Status.UNBOUNDED):
-                break
+        limit = None
+        try:
+            for relaxation, t0 in self._attempts():
+                path = Path()
+                paths.append(path)
+                follow(run, path, relaxation, z0, t0, first)
+                end = path.finish
+                if end is not None and (end.solved or end.status is Status.UNBOUNDED):
+                    break
+        except LimitReachedError as stop:
+            limit = stop.status
         total = time.perf_counter() - began
         build = self.programs.build_seconds - built
-        return _result(self.programs, paths, parameters, log, build, total)
+        return _result(run, _end(run, paths, z0, limit), build, total, len(paths))
 
     def _attempts(self) -> list[tuple[str, float]]:
         """The homotopy asked for, the same from other t0, and the elastic mode as the last resort."""
@@ -66,8 +86,11 @@ def solve(
     x0: ArrayLike,
     *,
     p: ArrayLike = (),
+    start: MPCCResult | Duals | None = None,
     options: Options | None = None,
     progress: Progress | bool = False,
+    on_step: Callable[[Step], None] | None = None,
+    on_iteration: Callable[[Iterate], None] | None = None,
     **changes: object,
 ) -> MPCCResult:
     """Solve an MPCC locally from ``x0``: homotopy of relaxations, then the exact finish.
@@ -79,9 +102,15 @@ def solve(
         Start; need not be feasible. A scalar fills it.
     p : array_like
         Values of the parameters.
+    start : MPCCResult or Duals, optional
+        Multipliers to start the first relaxation from, say the result of a neighbouring problem.
     options : Options, optional
     progress : bool or callable
         True prints one line per NLP solve; a callable receives the line.
+    on_step : callable, optional
+        Receives the ``Step`` of each NLP: t, residuals, product, number of biactive pairs.
+    on_iteration : callable, optional
+        Receives an ``Iterate`` after each Ipopt iteration; costs an evaluation of the problem each.
     **changes
         Single fields of ``Options`` by name, e.g. ``relaxation="kanzow-schwartz"``.
 
@@ -98,24 +127,47 @@ def solve(
     """
     began = time.perf_counter()
     solver = MPCCSolver(mpcc, options, **changes)
-    result = solver(x0, p=p, progress=progress)
+    result = solver(x0, p=p, start=start, progress=progress, on_step=on_step, on_iteration=on_iteration)
     seconds = {**result.seconds, "build": solver.programs.build_seconds, "total": time.perf_counter() - began}
     return replace(result, seconds=seconds)
 
 
-def _result(
-    programs: Programs, paths: list[Path], p: Array, log: Log, build: float, total: float
-) -> MPCCResult:
-    """Measure the best point on the source problem and say how the solve ended."""
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where the solve ended: a point, the finish it comes from if there is one, and the status."""
+
+    z: Array
+    finish: Finish | None
+    status: Status
+
+
+def _end(run: Run, paths: list[Path], z0: Array, limit: Status | None) -> _End:
+    """The best point of all homotopies, and why the solve stopped there."""
     path = _choose(paths)
-    lifted, mpcc = programs.lifted, programs.lifted.source
-    end = path.finish
-    z = path.relaxed.x if end is None else end.z
-    f, res, (g, G, H) = programs.measure(z, p)
-    status = _status(paths, end, f, z)
+    end = None if path is None else path.finish
+    if end is not None and (limit is None or end.solved):
+        status = end.status
+        if not end.solved and (abs(end.f) > _HUGE or np.max(np.abs(end.z), initial=0.0) > _HUGE):
+            status = Status.UNBOUNDED
+        if end.solved and not run.exact(end.z):
+            status = Status.INACCURATE
+        return _End(end.z, end, status)
+    z = z0 if run.nearest is None else run.nearest[0]
+    if limit is not None:
+        return _End(z, None, limit)
+    last = next((path.relaxed.x for path in paths if path.relaxed is not None), z)
+    if np.max(np.abs(last), initial=0.0) > _HUGE:
+        return _End(last, None, Status.UNBOUNDED)
+    failures = [path.failure for path in paths if path.failure is not None]
+    return _End(last, None, Status.INFEASIBLE if Status.INFEASIBLE in failures else failures[0])
+
+
+def _result(run: Run, reached: _End, build: float, total: float, attempts: int) -> MPCCResult:
+    """Measure the point on the source problem and put everything together."""
+    lifted, mpcc = run.programs.lifted, run.programs.lifted.source
+    end, z, status = reached.finish, reached.z, reached.status
+    f, res, (g, G, H) = run.programs.measure(z, run.p)
     solved = status in (Status.CONVERGED, Status.ACCEPTABLE)
-    if solved and programs.excess(z, p) > 1.0:
-        status, solved = Status.INACCURATE, False
     lin = end.lin if end is not None else None
     verdict = None if end is None else end.verdict
     multipliers = None if verdict is None else verdict.label.multipliers
@@ -127,7 +179,7 @@ def _result(
         plain = np.setdiff1d(np.arange(mpcc.n_g, column.size), lifted.rows)
         column[plain] = np.concatenate([multipliers.G, multipliers.H])[plain - mpcc.n_g]
         lam_x = multipliers.z[: mpcc.n_x]
-    history = tuple(log.steps)
+    history = tuple(run.steps)
     phases = {"homotopy": 0.0, "finish": 0.0}
     for step in history:
         phases["homotopy" if step.phase == "relaxed" else "finish"] += step.seconds
@@ -156,28 +208,18 @@ def _result(
             "ipopt_iterations": sum(step.iterations for step in history),
             "pivots": 0 if end is None else end.pivots,
             "lpecs": 0 if end is None else end.lpecs,
-            "rescues": len(paths) - 1,
+            "rescues": attempts - 1,
         },
         seconds={"build": build, **phases, "total": total},
     )
 
 
-def _choose(paths: list[Path]) -> Path:
+def _choose(paths: list[Path]) -> Path | None:
     """The path with a solved or unbounded finish (it is the last one), else that with the best finish."""
-    end = paths[-1].finish
-    if end is not None and (end.solved or end.status is Status.UNBOUNDED):
-        return paths[-1]
-    worst = (False, False, -np.inf)
-    return max(paths, key=lambda path: worst if path.finish is None else path.finish.rank)
-
-
-def _status(paths: list[Path], end: Finish | None, f: float, z: Array) -> Status:
-    """Name the end: where the finish stopped, or why no relaxation could be solved."""
-    failures = [path.failure for path in paths if path.failure is not None]
-    if end is not None and end.solved:
-        return end.status
-    if abs(f) > _HUGE or np.max(np.abs(z), initial=0.0) > _HUGE:
-        return Status.UNBOUNDED
-    if end is not None:
-        return end.status
-    return Status.INFEASIBLE if Status.INFEASIBLE in failures else failures[0]
+    ended = [path for path in paths if path.finish is not None]
+    if not ended:
+        return None
+    last = ended[-1].finish
+    if last is not None and last.status is Status.UNBOUNDED:
+        return ended[-1]
+    return max(ended, key=lambda path: (False, False, -np.inf) if path.finish is None else path.finish.rank)

@@ -12,8 +12,8 @@ import casadi as ca
 
 from rmesh_nlp.evaluation import Array, flat
 
-Monitor = Callable[[int, Array, float], None]
-"""Called as ``monitor(iteration, x, f)`` after each accepted iteration."""
+Monitor = Callable[[int, Array, float], bool | None]
+"""Called as ``monitor(iteration, x, f)`` after each accepted iteration; True stops the solver."""
 
 
 class SignalWatch:
@@ -83,6 +83,6 @@ class IterationCallback(ca.Callback):
 
     def eval(self, arg: list[ca.DM]) -> list[int]:
         """Pass the iterate on."""
-        self._monitor(self._iteration, flat(arg[0]), float(arg[1]))
+        enough = self._monitor(self._iteration, flat(arg[0]), float(arg[1]))
         self._iteration += 1
-        return [int(self.stop)]
+        return [int(self.stop or bool(enough))]

@@ -205,10 +205,13 @@ class _Descent:
             gain_tolerance=gain,
             reference=reference,
             walls=self._walls,
-            on_step=lambda iteration, q, here: self._monitor(before + iteration, q, here.value),
+            on_step=lambda iteration, q, here: self._report(before + iteration, q, here.value),
         )
         self._iterations += result.iterations
         return OuterResult(result.x, result.status, self._iterations)
+
+    def _report(self, iteration: int, q: Array, value: float) -> None:
+        self._monitor(iteration, q, value)
 
     def is_valid(self, q: Array) -> bool:
         """Whether the elements that the boxes do not keep valid are."""

@@ -10,7 +10,8 @@ import pytest
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCSolver, Options, multistart, solve
 from rmesh_nlp.mpcc.finish import finish
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.programs import Log, Programs
+from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.nlp import Solver, Status
 
 KINDS = [ca.SX, ca.MX]
@@ -168,7 +169,7 @@ def test_a_wrong_branch_is_left_by_the_descent():
     x, y = symbols(ca.SX, "xy")
     programs = Programs(MPCC(ca.vertcat(x, y), (x - 1) ** 2 + (y + 1) ** 2, None, x, y), Options())
     p = np.zeros(0)
-    end = finish(programs, np.array([0.0, 0.5]), p, Log(programs, p, None), search=False)
+    end = finish(Run(programs, p), np.array([0.0, 0.5]), search=False)
     assert end.solved
     assert end.pivots == 1
     assert end.z == pytest.approx([1, 0], abs=1e-8)
@@ -180,8 +181,8 @@ def test_a_feasible_branch_is_found_when_the_sides_are_unclear():
     mpcc = MPCC(ca.vertcat(x, y), (x - y) ** 2 + x, y - x - 1e-3, x, y, lbg=0, ubg=0)
     programs, p = Programs(mpcc, Options()), np.zeros(0)
     z = np.array([2e-3, 1e-3])  # fixes y, which is infeasible
-    assert not finish(programs, z, p, Log(programs, p, None), search=False).solved
-    end = finish(programs, z, p, Log(programs, p, None), search=True)
+    assert not finish(Run(programs, p), z, search=False).solved
+    end = finish(Run(programs, p), z, search=True)
     assert end.solved
     assert end.z == pytest.approx([0, 1e-3], abs=1e-9)
 
@@ -216,8 +217,8 @@ def test_a_failing_step_retreats(monkeypatch):
     """Relaxations that jump further down than a factor 10 fail: t must come down in smaller steps."""
     relaxed, reached = Programs.relaxed, [10.0]
 
-    def shy(self, name, z, p, t, warm=None):
-        result = relaxed(self, name, z, p, t, warm)
+    def shy(self, name, z, p, t, warm=None, monitor=None):
+        result = relaxed(self, name, z, p, t, warm, monitor)
         if t < 0.09 * reached[-1]:
             return replace(result, status=Status.STALLED)
         reached.append(t)
