@@ -40,7 +40,7 @@ class Path:
 def follow(
     run: Run, path: Path, relaxation: str, z0: Array, t0: float, first: NLPResult | None = None
 ) -> None:
-    """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep what is found in ``path``.
+    """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep all in ``path``.
 
     A step that fails is retried cold (from ``z0``); if that fails too, t retreats half of the way (in
     its logarithm) and goes down by a smaller factor from there. ``first`` holds multipliers of the lifted
