@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from rmesh_nlp.io.expressions import Expression
+from rmesh_nlp.expressions import Expression
 
 LARGEST = 1e100
 """Numbers must be smaller than this, so that their squares are finite."""

@@ -10,7 +10,7 @@ from formulations import fixed, joint
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli import problem_commands
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.expressions import Expression
+from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import ProblemFileError, load_problem
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.meshes.shapes import rectangle
