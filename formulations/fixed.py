@@ -28,7 +28,7 @@ def solve(problem: ContactProblem, *, objective: str = "energy", on_step: OnStep
     began = time.perf_counter()
     equilibrium = referee.model.solve(problem.mesh.p)
     seconds = time.perf_counter() - began
-    step = Step(equilibrium.iterations, equilibrium.energy, float("nan"), 0.0, float("nan"), 1, seconds)
+    step = Step(equilibrium.iterations, equilibrium.energy, 0.0, 0.0, float("nan"), 1, seconds)
     if on_step is not None:
         on_step(step)
     return referee.judge(

@@ -20,8 +20,6 @@ from rmesh_nlp.programs.reduced import ReducedObjective
 from rmesh_nlp.solution.referee import OnStep, Referee
 from rmesh_nlp.solution.solution import Solution, Step
 
-NAN = float("nan")
-
 
 def solve(
     problem: ContactProblem,
@@ -113,7 +111,8 @@ class _Recorder:
         move = np.clip(q - point.gradient / scale, -self._bound, self._bound) - q
         residual = float(np.max(np.abs(move), initial=0.0))
         solves, seconds = self._function.contact_solves, time.perf_counter() - self._began
-        step = Step(iteration, point.equilibrium.energy, NAN, 0.0, residual, solves, seconds)
+        energy, objective = point.equilibrium.energy, point.value
+        step = Step(iteration, energy, 0.0, 0.0, residual, solves, seconds, objective=objective)
         self.steps.append(step)
         if self._on_step is not None:
             self._on_step(replace(step, q=q.copy()))

@@ -50,7 +50,10 @@ FIGURES = "figures"
 HISTORY_FIELDS = (
     "iteration",
     "energy",
+    "objective",
     "t",
+    "product",
+    "biactive",
     "primal_residual",
     "dual_residual",
     "contact_solves",

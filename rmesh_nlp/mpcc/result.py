@@ -33,6 +33,8 @@ class Step:
     biactive : int
         Pairs whose larger member is at most ``2 sqrt(t)`` (or ``Options.corner``): in a relaxed solution
         biactive pairs are found there.
+    multiplier : float
+        Largest multiplier of the relaxation's rows: positive where a relaxation with rows acts.
     """
 
     phase: str
@@ -45,6 +47,7 @@ class Step:
     status: Status
     seconds: float
     biactive: int = 0
+    multiplier: float = 0.0
 
     HEADER = (
         f"{'phase':>9} {'t':>8} {'objective':>15} {'violation':>9} {'max min':>8} {'max GH':>8} "

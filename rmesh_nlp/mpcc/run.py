@@ -176,6 +176,7 @@ class Run:
         step = Step(
             phase, t, f, res.constraint_violation, res.complementarity, res.product,
             result.iterations, result.status, result.seconds, self._near_corner(G, H, t),
+            float(np.max(result.lam_g[self.programs.lifted.nlp.n_g :], initial=0.0)) if t > 0 else 0.0,
         )  # fmt: skip
         self.iterations += result.iterations
         self.steps.append(step)

@@ -32,7 +32,9 @@ class Step:
     energy : float
         Objective energy at the iterate; meaningful as J only where ``primal_residual`` is small.
     t : float
-        Relaxation or barrier parameter, NaN where there is none.
+        Relaxation parameter of the complementarity: finite and positive while a relaxation acts, ``inf``
+        where the complementarity is not imposed, 0 where it holds exactly (contact solves, the
+        exact finish of ``mpcc``).
     primal_residual, dual_residual : float
         Constraint violation and dual infeasibility as the solver scales them.
     contact_solves : int
@@ -41,6 +43,13 @@ class Step:
         Wall time since the start.
     q : array or None
         The moves, only in the steps that ``on_step`` receives: a history would be too large.
+    objective : float
+        The outer objective that is minimised; NaN where it is not known.
+    product : float
+        Largest product of the members of a complementarity pair, in the units of ``mpcc``; NaN where
+        there are no pairs.
+    biactive : float
+        Number of pairs with both members at zero; NaN where there are no pairs.
     """
 
     iteration: int
@@ -51,6 +60,9 @@ class Step:
     contact_solves: int
     seconds: float
     q: Array | None = field(default=None, repr=False, compare=False)
+    objective: float = float("nan")
+    product: float = float("nan")
+    biactive: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -205,9 +217,13 @@ class Solution:
         return html_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
 
     def history_rows(self) -> list[dict[str, Any]]:
-        """The history as a list of plain dictionaries (for JSON or pandas)."""
-        rows = [asdict(replace(step, q=None)) for step in self.history]
-        return [{key: _plain(value) for key, value in row.items() if key != "q"} for row in rows]
+        """The history as plain dictionaries, for CSV or pandas: None where unknown, ``t`` may be ``inf``."""
+        return [_step_row(step) for step in self.history]
+
+
+def _step_row(step: Step) -> dict[str, Any]:
+    row = {key: _plain(value) for key, value in asdict(replace(step, q=None)).items() if key != "q"}
+    return {**row, "t": step.t} if np.isinf(step.t) else row
 
 
 def is_success(status: Status, audit: Audit) -> bool:

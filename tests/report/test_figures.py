@@ -144,7 +144,8 @@ def test_mpcc_begins_at_the_initial_energy(results: list[Result]) -> None:
     found = curve(result)
     assert found is not None
     assert found.iteration[0] == 0
-    assert found.energy[0] == pytest.approx(result.record["energy_initial"], rel=1e-14)
+    # Ipopt pushes the contact solution off its bounds, by 1e-6
+    assert found.energy[0] == pytest.approx(result.record["energy_initial"], rel=1e-5)
     assert found.energy[-1] == pytest.approx(result.record["energy"], abs=1e-8)
 
 

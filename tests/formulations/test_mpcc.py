@@ -1,0 +1,168 @@
+"""The homotopy of ``mpcc``: it is one, from the start it is given, whatever the objective."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from formulations import joint, mpcc, mpcc_start, nested
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.mpcc import RELAXATIONS
+from rmesh_nlp.optimize import nlp
+from rmesh_nlp.solution.solution import Solution
+
+SMALL: dict[str, Any] = {"6.1": 4, "6.2": (6, 4), "6.3": (6, 4)}
+
+
+def path(solution: Solution) -> list[tuple[float, float]]:
+    """t and objective at each iterate."""
+    return [(step.t, step.objective) for step in solution.history]
+
+
+@pytest.mark.parametrize("name", ["6.1", "6.3"])
+@pytest.mark.parametrize("relaxation", RELAXATIONS)
+def test_every_relaxation_ends_near_joint_from_the_given_mesh(name: str, relaxation: str) -> None:
+    problem = EXAMPLES[name](SMALL[name])
+    reference, solution = joint.solve(problem), mpcc.solve(problem, relaxation=relaxation)
+    record = solution.record()
+    assert record["success"]
+    assert record["start"] == "given"
+    # a descent may end in another local minimum of these coarse grids, but not in a bad one
+    assert record["gain"] >= 0.95 * reference.record()["gain"]
+    # for the energy the multipliers of the equilibrium vanish
+    assert record["equilibrium_multiplier"] <= 1e-6
+    assert record["stationarity"] == "S"
+    assert record["b_stationary"]
+
+
+@pytest.mark.parametrize("objective", ["energy", "error-l2"])
+def test_the_first_stage_begins_at_the_contact_solution_on_the_given_mesh(objective: str) -> None:
+    problem = EXAMPLES["6.1"](4)
+    seen: list[Any] = []
+    solution = mpcc.solve(problem, objective=objective, on_step=seen.append)
+    first, record = solution.history[0], solution.record()
+    assert first.t == mpcc.OPTIONS["t0"]
+    assert first.objective == pytest.approx(record["objective_initial"], rel=1e-3)
+    np.testing.assert_allclose(seen[0].q, 0.0, atol=1e-5)
+    assert [step.iteration for step in seen] == [step.iteration for step in solution.history]
+
+
+@pytest.mark.parametrize("objective", ["energy", "error-l2"])
+def test_no_other_program_is_solved(objective: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*_: Any, **__: Any) -> None:
+        raise AssertionError("another strategy was asked")
+
+    monkeypatch.setattr(joint, "minimise", forbidden)
+    monkeypatch.setattr(joint, "solve", forbidden)
+    monkeypatch.setattr(nested, "solve", forbidden)
+    monkeypatch.setattr(mpcc_start, "Solver", forbidden)
+    solved: list[nlp.NLP] = []
+    call = nlp.Solver.__call__
+
+    def counted(self: nlp.Solver, *arguments: Any, **keywords: Any) -> nlp.NLPResult:
+        solved.append(self.nlp)
+        return call(self, *arguments, **keywords)
+
+    monkeypatch.setattr(nlp.Solver, "__call__", counted)
+    problem = EXAMPLES["6.1"](4)
+    record = mpcc.solve(problem, objective=objective).record()
+    stages = record["stages"]
+    assert len(solved) == len(stages) == record["nlp_solves"]
+    # every program has the unknowns of the MPCC, the relaxed ones come first and have t as a parameter
+    n_x = mpcc.build(problem, objective).n_x
+    assert all(program.n_x >= n_x for program in solved)
+    relaxed = [stage["phase"] == "relaxed" for stage in stages]
+    assert [int(program.p.shape[0]) for program in solved] == [int(is_relaxed) for is_relaxed in relaxed]
+    assert relaxed[0]
+    assert record["iterations"] == sum(stage["iterations"] for stage in stages)
+
+
+@pytest.mark.parametrize("name", ["6.1", "6.3"])
+@pytest.mark.parametrize("change", [{"t0": 1.0}, {"factor": 1e-4}, {"warm_duals": False}])
+def test_the_options_of_the_homotopy_change_its_path(name: str, change: dict[str, Any]) -> None:
+    problem = EXAMPLES[name](SMALL[name])
+    usual, other = mpcc.solve(problem), mpcc.solve(problem, options=change)
+    assert path(usual) != path(other)
+    assert path(other)[0][0] == change.get("t0", mpcc.OPTIONS["t0"])
+    assert other.success
+
+
+def test_early_stages_relax_a_true_error() -> None:
+    record = mpcc.solve(EXAMPLES["6.1"](), objective="error-l2").record()
+    first, second = record["stages"][:2]
+    for stage in (first, second):
+        assert stage["phase"] == "relaxed"
+        assert stage["product"] >= stage["t"] / 2
+        assert stage["multiplier"] > 1e-3
+    assert first["t"] > second["t"]
+    assert record["stationarity"] == "S"
+
+
+def test_t_goes_down_in_the_history_and_products_follow() -> None:
+    solution = mpcc.solve(EXAMPLES["6.1"](), objective="error-l2")
+    t = np.array([step.t for step in solution.history])
+    assert t[0] == mpcc.OPTIONS["t0"]
+    assert np.all(np.diff(t) <= 0)
+    assert t[-1] == 0
+    ends = np.append(np.flatnonzero(np.diff(t)), t.size - 1)
+    for end in ends:
+        step = solution.history[end]
+        assert step.product <= step.t * (1 + 1e-6) + 1e-12
+        assert step.biactive == 0
+    assert solution.history[-1].objective == pytest.approx(solution.record()["objective_value"], rel=1e-6)
+    rows = solution.history_rows()
+    assert [row["t"] for row in rows] == t.tolist()
+
+
+@pytest.mark.parametrize("start", ["joint", "nested", "without-complementarity"])
+def test_named_starts_are_solved_first_and_named(start: str) -> None:
+    problem = EXAMPLES["6.3"](SMALL["6.3"])
+    solution = mpcc.solve(problem, start=start)
+    record = solution.record()
+    assert record["success"]
+    assert record["start"] == start
+    before = [step for step in solution.history if not 0 < step.t <= 1e-9]
+    assert before[0].t == (0.0 if start == "nested" else np.inf)
+    iterations = [step.iteration for step in solution.history]
+    assert iterations == sorted(iterations)
+    assert iterations[-1] == record["iterations"]
+
+
+def test_a_solution_and_positions_are_starts() -> None:
+    problem = EXAMPLES["6.1"](4)
+    end = joint.solve(problem)
+    again = mpcc.solve(problem, start=end)
+    assert again.record()["start"] == "solution of joint"
+    assert again.energy == pytest.approx(end.energy, rel=1e-6)
+    np.testing.assert_allclose(again.mesh.p, end.mesh.p, atol=1e-4)
+    moved = mpcc.solve(problem, start=np.asarray(end.mesh.p))
+    assert moved.record()["start"] == "positions"
+    assert moved.history[0].t == mpcc.OPTIONS["t0"]
+
+
+def test_starts_that_do_not_fit_are_refused() -> None:
+    problem = EXAMPLES["6.1"](4)
+    with pytest.raises(ValueError, match="unknown start 'fixed': choose from given, joint"):
+        mpcc.solve(problem, start="fixed")
+    with pytest.raises(ValueError, match="start = 'joint' needs the energy"):
+        mpcc.solve(problem, start="joint", objective="error-l2")
+    with pytest.raises(ValueError, match="the start has 25 nodes, the problem 49"):
+        mpcc.solve(EXAMPLES["6.1"](6), start=joint.solve(problem))
+
+
+def test_the_certificate_leaves_a_point_that_is_no_minimum() -> None:
+    # joint stopped early: what follows must not call its end stationary
+    problem = EXAMPLES["6.1"](4)
+    loose = joint.solve(problem, options={"tol": 1e-2})
+    accurate = mpcc.solve(problem, start=loose)
+    assert loose.stationarity_residual > 1e-3
+    assert accurate.stationarity_residual < 1e-6
+    assert accurate.stationarity == "S"
+
+
+def test_ipopts_barrier_is_no_relaxation_parameter() -> None:
+    problem = EXAMPLES["6.1"](4)
+    assert {step.t for step in joint.solve(problem).history} == {np.inf}
+    assert {step.t for step in nested.solve(problem, outer="newton").history} == {0.0}
