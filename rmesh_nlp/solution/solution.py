@@ -49,7 +49,8 @@ class Step:
         Largest product of the members of a complementarity pair, in the units of ``mpcc``; NaN where
         there are no pairs.
     biactive : float
-        Number of pairs with both members at zero; NaN where there are no pairs.
+        Number of pairs at the corner (both members at most ``2 sqrt(t)``, in the same units); NaN
+        where there are no pairs.
     """
 
     iteration: int
