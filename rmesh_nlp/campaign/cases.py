@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,7 +11,8 @@ from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.examples import EXAMPLES, Delta, Size
 from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objectives import parse_objective
-from rmesh_nlp.io.results import Record
+from rmesh_nlp.io.files import safe_name
+from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS
@@ -43,7 +43,7 @@ class Case:
             for name, value in sorted(self.options.items())
         ]
         parts = [self.problem.name, self.problem.size, self.formulation, *options]
-        return re.sub(r"[^\w.+-]+", "_", "-".join(part for part in parts if part))
+        return safe_name("-".join(part for part in parts if part))
 
     @property
     def identity(self) -> Record:

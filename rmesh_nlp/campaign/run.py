@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
-from rmesh_nlp.io.results import HISTORY_FIELDS, REQUIRED, Record, Result, Results, write_history, write_whole
+from rmesh_nlp.io.files import remove_leftovers, write_whole
+from rmesh_nlp.io.record_model import REQUIRED, Record
+from rmesh_nlp.io.results import HISTORY_FIELDS, RECORDS, TABLES, Result, Results, write_history
 from rmesh_nlp.solution.solution import Solution, Step, versions
 
 OnStep = Callable[[Step], None]
@@ -67,35 +70,54 @@ def run(
     results: Results,
     *,
     resume: bool = False,
+    locked: bool = False,
     on_start: Callable[[Case], None] | None = None,
     on_step: OnStep | None = None,
 ) -> Iterator[Record]:
     """Solve the cases one after the other and yield each record once it is on the disk.
 
     What an earlier run left in the folder is set aside when the first solve has ended, not
-    before. With ``resume`` it stays, and cases that succeeded there are not solved again.
+    before. With ``resume`` it stays, and cases that succeeded there are not solved again, unless
+    their fields or history are missing or damaged.
 
     Parameters
     ----------
     cases : sequence of Case
     results : Results
     resume : bool
+    locked : bool
+        The caller holds the lock of the folder; else it is taken here.
     on_start, on_step : callable, optional
         Called before each solve, and after each of its iterations.
 
     Raises
     ------
     BadInputError
-        If two cases have one key, or the rows to be resumed were solved with other settings.
+        If two cases have one key, the rows to be resumed were solved with other settings, another
+        process writes in the folder, or a file of the user's is in the way.
     """
     keys = [case.key for case in cases]
     for key in keys:
         if keys.count(key) > 1:
             raise BadInputError(f"two cases are both called {key!r}")
-    rows = results.read() if resume and (results.folder / "records.jsonl").exists() else []
-    done = _finished(cases, rows)
     results.folder.mkdir(parents=True, exist_ok=True)
-    clean = False
+    with nullcontext() if locked else results.locked():
+        yield from _run(cases, results, resume, on_start, on_step)
+
+
+def _run(
+    cases: Sequence[Case],
+    results: Results,
+    resume: bool,
+    on_start: Callable[[Case], None] | None,
+    on_step: OnStep | None,
+) -> Iterator[Record]:
+    remove_leftovers(results.folder)
+    manifest = results.manifest
+    manifest.check(_names(cases, results))
+    rows = results.repaired() if resume else []
+    done = _finished(cases, rows, results)
+    clean = resume
     for case in cases:
         if case.key in done:
             yield done[case.key]
@@ -104,11 +126,22 @@ def run(
             on_start(case)
         outcome = solve(case, on_step)
         if not clean:
-            _make_room(results, rows, keys, done, resume)
+            results.set_aside()
             clean = True
+        manifest.claim(*results.names(case.key))
         save(outcome, results.result(outcome.record))
-        results.append(outcome.record)
+        if any(row.get("key") == case.key for row in rows):
+            rows = [*(row for row in rows if row.get("key") != case.key), outcome.record]
+            results.replace_all(rows)
+        else:
+            rows.append(outcome.record)
+            results.append(outcome.record)
         yield outcome.record
+
+
+def _names(cases: Sequence[Case], results: Results) -> list[str]:
+    """What will be written for these cases."""
+    return [RECORDS, *TABLES, *(name for case in cases for name in results.names(case.key))]
 
 
 def save(outcome: Outcome, places: Result) -> None:
@@ -123,7 +156,7 @@ def save(outcome: Outcome, places: Result) -> None:
     write_whole(places.history, lambda path: write_history(path, rows))
 
 
-def _finished(cases: Sequence[Case], rows: Sequence[Record]) -> dict[str, Record]:
+def _finished(cases: Sequence[Case], rows: Sequence[Record], results: Results) -> dict[str, Record]:
     """Rows of cases that need not be solved again."""
     by_key = {row.get("key"): row for row in rows if row["success"]}
     done = {}
@@ -136,14 +169,6 @@ def _finished(cases: Sequence[Case], rows: Sequence[Record]) -> dict[str, Record
                 raise BadInputError(
                     f"cannot resume {case.key}: it was solved with {name} {row.get(name)}, not {value}"
                 )
-        done[case.key] = row
+        if results.is_intact(row):
+            done[case.key] = row
     return done
-
-
-def _make_room(
-    results: Results, rows: Sequence[Record], keys: Sequence[str], done: Mapping[str, Record], resume: bool
-) -> None:
-    if not resume:
-        results.set_aside()
-    elif rows:
-        results.replace_all([row for row in rows if row.get("key") in done or row.get("key") not in keys])

@@ -9,27 +9,36 @@ from typing import Any
 
 from rich.console import Console
 
+from rmesh_nlp.campaign import run as campaign
 from rmesh_nlp.campaign import strategies
+from rmesh_nlp.campaign.cases import Case
+from rmesh_nlp.campaign.progress import CampaignProgress
+from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.display import rich_table
-from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.export import Series, write_mesh, write_solution
+from rmesh_nlp.errors import BadInputError, InterruptedSolveError
+from rmesh_nlp.io.export import Series, write_mesh
+from rmesh_nlp.io.files import safe_name, write_new, write_whole
 from rmesh_nlp.io.problem_file import build, read_table
 from rmesh_nlp.io.problem_template import template
-from rmesh_nlp.io.results import to_json, write_history, write_whole
+from rmesh_nlp.io.results import Results, write_single
 from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.freedoms import Mobility, freedoms, validity_group
 from rmesh_nlp.report.problem_picture import draw_problem
+from rmesh_nlp.solution.solution import Step
 
 SUCCESS, NO_SUCCESS = 0, 1
+FILES = ("record.json", "solution.vtu", "history.csv", "mesh.msh")
+"""What a solve writes, the series of its iterates aside."""
 
 
 def new(path: Path) -> int:
     """Write the commented template; an existing file is never replaced."""
     name = "".join(c if c.isalnum() or c in "-_ ." else "-" for c in path.stem) or "problem"
     try:
-        with path.open("x") as file:
-            file.write(template(name, name + path.suffix))
+        if not path.parent.is_dir():
+            raise BadInputError(f"cannot write {path}: there is no folder {str(path.parent)!r}")
+        write_new(path, template(name, name + path.suffix))
     except FileExistsError:
         raise BadInputError(f"{path} exists: choose another name") from None
     except OSError as error:
@@ -83,26 +92,44 @@ def solve(path: Path, formulation: str | None, options: Mapping[str, Any], out: 
         raise BadInputError(f"{path}: the formulation {name!r} takes no {sorted(refused)[0]}")
     series = Series(problem)
     keywords: dict[str, Any] = {key: wanted[key] for key in asked}
-    if not asked & {"starts", "levels"} and strategies.accepted(function, ["on_step"]):
-        keywords["on_step"] = series
-    folder = Path("results") / problem.name if out is None else out
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInputError(f"cannot write to {str(folder)!r}: {error.strerror}") from error
-    try:
-        solution = function(problem, **keywords)
-    except ValueError as error:
-        raise BadInputError(f"{path}: {' '.join(str(error).split())}") from error
-    write_whole(folder / "record.json", lambda p: p.write_text(to_json(solution.record(), indent=2) + "\n"))
-    write_solution(solution, folder / "solution.vtu")
-    write_mesh(solution.mesh, folder / "mesh.msh")
-    write_history(folder / "history.csv", solution.history_rows())
-    if series.frames:
-        series.write(folder / "iterations")
-    Console().print(solution)
-    print(f"wrote {folder}: {', '.join(sorted(p.name for p in folder.iterdir()))}")
-    return SUCCESS if solution.success else NO_SUCCESS
+    case = Case(problem, name, keywords)
+    watched = not asked & {"starts", "levels"}
+    folder = Path("results") / safe_name(problem.name) if out is None else out
+    with writable(folder, FILES) as results:
+        with CampaignProgress(1) as progress:
+            progress.start(case)
+
+            def watch(step: Step) -> None:
+                progress.step(step)
+                series(step)
+
+            try:
+                outcome = campaign.solve(case, watch if watched else progress.step)
+            except KeyboardInterrupt:
+                raise InterruptedSolveError("nothing was written") from None
+        if outcome.record["status"] == "refused":
+            raise BadInputError(f"{path}: {outcome.record['message']}")
+        names = _write(results, outcome, series)
+    if outcome.solution is None:
+        print(f"{problem.name} {name}: {outcome.record['status']}: {outcome.record['message']}")
+    else:
+        Console().print(outcome.solution)
+    print(f"wrote {folder}: {', '.join(names)}")
+    return SUCCESS if outcome.record["success"] else NO_SUCCESS
+
+
+def _write(results: Results, outcome: campaign.Outcome, series: Series) -> list[str]:
+    """Put all files of a solve in place, the record last; what an earlier solve left goes first."""
+    folder, solution, manifest = results.folder, outcome.solution, results.manifest
+    manifest.remove()
+    manifest.claim(*FILES)
+    if solution is not None:
+        write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
+        if series.frames:
+            manifest.claim(*(f"iterations/{name}" for name in series.names()))
+            series.write(folder / "iterations")
+    write_single(folder, outcome.record, lambda places: campaign.save(outcome, places))
+    return [name for name in (*FILES, "iterations") if (folder / name).exists()]
 
 
 def _load(path: Path) -> ContactProblem:

@@ -13,6 +13,7 @@ from skfem import MeshTri
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.stress import stresses, von_mises
+from rmesh_nlp.io.files import write_text, write_whole
 from rmesh_nlp.io.vtu import fields_of, point_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.problem import ContactProblem
@@ -151,33 +152,43 @@ class Series:
         """Number of iterates so far."""
         return len(self._steps)
 
+    def names(self, name: str = "iterations") -> list[str]:
+        """Names of the files that :meth:`write` will write."""
+        return [f"{name}.pvd", *(self._file(step, name) for step in self._chosen())]
+
     def write(self, folder: str | Path, name: str = "iterations") -> Path:
-        """Write ``name.pvd`` and one VTU file per frame; returns the path of the former."""
+        """Write ``name.pvd`` and one VTU file per frame, each whole; returns the path of the former."""
         folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
         model, free = ContactModel(self.problem), freedoms(self.problem)
-        count = len(self._steps)
-        chosen = [s for i, s in enumerate(self._steps) if i % self.every == 0 or i == count - 1]
         entries, active = [], None
-        for step in chosen:
+        for step in self._chosen():
             nodes = free.positions.values(np.asarray(step.q))
             state = model.solve(nodes, active)
             active = state.active
             u = model.displacement.values(state.u)
-            file = f"{name}-{step.iteration:05d}.vtu"
-            meshio.Mesh(
+            file = self._file(step, name)
+            frame = meshio.Mesh(
                 _three(nodes),
                 [("triangle", self.problem.triangles.T)],
                 point_data={
                     "displacement": u[0] if u.shape[0] == 1 else _three(u),
                     "motion": _three(nodes - self.problem.mesh.p),
                 },
-            ).write(folder / file)
+            )
+            write_whole(folder / file, frame.write)
             entries.append(f'    <DataSet timestep="{step.iteration}" file={quoteattr(file)}/>')
         path = folder / f"{name}.pvd"
         lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
-        path.write_text("\n".join([*lines, *entries, "  </Collection>", "</VTKFile>", ""]))
+        write_text(path, "\n".join([*lines, *entries, "  </Collection>", "</VTKFile>", ""]))
         return path
+
+    def _chosen(self) -> list[Step]:
+        last = len(self._steps) - 1
+        return [s for i, s in enumerate(self._steps) if i % self.every == 0 or i == last]
+
+    @staticmethod
+    def _file(step: Step, name: str) -> str:
+        return f"{name}-{step.iteration:05d}.vtu"
 
 
 def node_table(solution: Solution) -> pd.DataFrame:

@@ -6,45 +6,28 @@ import csv
 import json
 import math
 import os
-import shutil
+import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.record_check import fault
+from rmesh_nlp.io.files import append_whole, read_text, safe_name, write_text
+from rmesh_nlp.io.lock import FolderLock
+from rmesh_nlp.io.manifest import Manifest
+from rmesh_nlp.io.record_model import REQUIRED as REQUIRED
+from rmesh_nlp.io.record_model import Record as Record
+from rmesh_nlp.io.record_model import read_record as read_record
+from rmesh_nlp.io.vtu import read_vtu
 
-Record = dict[str, Any]
-"""One solve as plain JSON values, see :meth:`rmesh_nlp.solution.solution.Solution.record`."""
+RECORDS, SOLUTIONS, RECORD = "records.jsonl", "solutions", "record.json"
+DAMAGED = "records-damaged.txt"
+"""Where lines of records go that a full disk or a power cut left half written."""
 
-REQUIRED = (
-    "example",
-    "formulation",
-    "objective",
-    "n",
-    "delta",
-    "status",
-    "success",
-    "energy_initial",
-    "energy",
-    "energy_audited",
-    "gain",
-    "u_min",
-    "u_max",
-    "min_area_ratio",
-    "iterations",
-    "contact_solves",
-    "wall_time_s",
-    "equilibrium_residual",
-    "complementarity_residual",
-    "stationarity",
-    "versions",
-    "seed",
-)
-"""Fields that every record has."""
-
-RECORDS, SOLUTIONS, PREVIOUS = "records.jsonl", "solutions", "previous"
 TABLES = ("table.md", "table.tex", "table.csv")
 FIGURES = "figures"
 HISTORY_FIELDS = (
@@ -61,6 +44,10 @@ HISTORY_FIELDS = (
 )
 
 
+class DamagedRecordsWarning(UserWarning):
+    """A record that was not written to its end is passed over."""
+
+
 @dataclass(frozen=True)
 class Result:
     """A record and where its fields and its history are, if the solve got that far."""
@@ -70,14 +57,32 @@ class Result:
     history: Path
 
     def steps(self) -> list[dict[str, float]]:
-        """The history; values that are not known are NaN."""
+        """The history; values that are not known are NaN.
+
+        Raises
+        ------
+        BadInputError
+            If the file is there and is no history.
+        """
         if not self.history.exists():
             return []
-        with self.history.open(newline="") as file:
-            return [
-                {key: float(value) if value else math.nan for key, value in row.items()}
-                for row in csv.DictReader(file)
-            ]
+        try:
+            with self.history.open(newline="", encoding="utf-8") as file:
+                rows = csv.DictReader(file, strict=True)
+                steps = [{name: _number(text) for name, text in row.items()} for row in rows]
+            missing = sorted(set(HISTORY_FIELDS) - set(rows.fieldnames or ()))
+        except (OSError, ValueError, TypeError, csv.Error) as error:  # of the decoding as well
+            raise BadInputError(f"{self.history} is no history: {error}") from error
+        if missing:
+            raise BadInputError(f"{self.history} is no history: it has no column {missing[0]!r}")
+        return steps
+
+
+def _number(text: Any) -> float:
+    """A cell; rows that are too short or too long give None or a list."""
+    if not isinstance(text, str):
+        raise ValueError("a row has not as many cells as the head")
+    return float(text) if text else math.nan
 
 
 @dataclass(frozen=True)
@@ -91,52 +96,166 @@ class Results:
 
     folder: Path
 
+    @property
+    def manifest(self) -> Manifest:
+        """Own files of the package here; those of a version that kept no list are recognised."""
+        manifest = Manifest(self.folder)
+        if not manifest.exists and self.folder.is_dir():
+            names = _unlisted(self.folder)
+            if names:
+                manifest.adopt(names)
+        return manifest
+
+    def locked(self) -> FolderLock:
+        """The right to write here, one process at a time, as a context."""
+        return FolderLock(self.folder)
+
     def result(self, record: Record) -> Result:
-        """A record with the places of its files."""
-        stem = self.folder / SOLUTIONS / str(record.get("key", ""))
+        """A record with the places of its files, which are inside the folder whatever it says."""
+        stem = self.folder / SOLUTIONS / safe_name(str(record.get("key", "")))
         return Result(record, Path(f"{stem}.vtu"), Path(f"{stem}.csv"))
 
+    def names(self, key: str) -> tuple[str, str]:
+        """Names of the fields and the history of a key, relative to the folder."""
+        stem = f"{SOLUTIONS}/{safe_name(key)}"
+        return f"{stem}.vtu", f"{stem}.csv"
+
     def append(self, record: Record) -> None:
-        """Add a record by one write, forced to the disk: an interruption leaves it whole or out."""
-        line = to_json(record) + "\n"
-        descriptor = os.open(self.folder / RECORDS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-        try:
-            os.write(descriptor, line.encode())
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        """Add a record, forced to the disk: it is there whole, or an error says that it is not.
+
+        A damaged last line is set aside first, lest the record continue it.
+        """
+        self.manifest.claim(RECORDS)
+        self.mend()
+        append_whole(self.folder / RECORDS, to_json(record) + "\n")
 
     def replace_all(self, records: Sequence[Record]) -> None:
         """Write the records anew."""
+        self.manifest.claim(RECORDS)
         write_text(self.folder / RECORDS, "".join(to_json(record) + "\n" for record in records))
 
-    def set_aside(self) -> None:
-        """Move what an earlier run left here to the sub-folder ``previous``, replacing what is there."""
-        names = [name for name in (RECORDS, SOLUTIONS, FIGURES, *TABLES) if (self.folder / name).exists()]
-        if not names:
-            return
-        previous = self.folder / PREVIOUS
-        shutil.rmtree(previous, ignore_errors=True)
-        previous.mkdir()
-        for name in names:
-            os.replace(self.folder / name, previous / name)
+    def set_aside(self) -> Path | None:
+        """Move what an earlier run left here to ``previous``, ``previous-2``, ...; nothing is deleted.
+
+        Files that this package did not write stay where they are.
+        """
+        return self.manifest.set_aside()
+
+    def mend(self) -> None:
+        """Move a damaged last line to ``records-damaged.txt``; for who holds the lock."""
+        path = self.folder / RECORDS
+        kept, damaged = damaged_last_line(path)
+        if damaged:
+            _warn_of(path, damaged, f"is moved to {DAMAGED}")
+            self.manifest.claim(DAMAGED)
+            append_whole(self.folder / DAMAGED, damaged.decode(errors="replace").rstrip("\n") + "\n")
+            with path.open("r+b") as file:
+                file.truncate(kept)
+                os.fsync(file.fileno())
 
     def read(self) -> list[Record]:
-        """The records, oldest first.
+        """The records, oldest first; none if the file is empty or missing.
 
-        A last line without its end, left by a power cut, is passed over.
+        A damaged last line, left by a full disk or a power cut, is passed over with a
+        :class:`DamagedRecordsWarning`.
 
         Raises
         ------
         BadInputError
-            If there are none, or a line is not a record.
+            If a line is not a record.
         """
-        path = self.folder / RECORDS
-        lines = _read_text(path).split("\n")[:-1]
-        records = [read_record(line, f"{path}, line {i}") for i, line in enumerate(lines, 1) if line.strip()]
-        if not records:
-            raise BadInputError(f"{path} holds no records")
-        return records
+        return read_lines(self.folder / RECORDS)
+
+    def is_intact(self, record: Record) -> bool:
+        """Whether fields and history of a record are there, whole, and of its mesh."""
+        places = self.result(record)
+        if not places.vtu.is_file() or not places.history.is_file():
+            return False
+        try:
+            fields, _ = read_vtu(places.vtu), places.steps()
+        except BadInputError:
+            return False
+        nodes = record.get("nodes", fields.nodes.shape[1])
+        return bool(fields.nodes.shape[1] == nodes and np.all(np.isfinite(fields.displacement)))
+
+    def repaired(self) -> list[Record]:
+        """The records with a damaged last line set aside and one row per key; for who holds the lock.
+
+        Of rows with one key the last success is kept, else the last row.
+        """
+        self.mend()
+        rows = self.read()
+        chosen: dict[Any, Record] = {}
+        for position, row in enumerate(rows):
+            key = row.get("key", position)
+            if key not in chosen or row["success"] or not chosen[key]["success"]:
+                chosen[key] = row
+        if len(chosen) < len(rows):
+            self.replace_all(list(chosen.values()))
+        return list(chosen.values())
+
+
+def damaged_last_line(path: Path) -> tuple[int, bytes]:
+    """How many bytes of a file of records are whole lines, and what stands behind them.
+
+    A last line is damaged if it has no end, or if it begins like a record, or with a zero as after
+    a power cut, and is not JSON.
+    """
+    if not path.exists():
+        return 0, b""
+    try:
+        start, line = _last_line(path)
+    except OSError as error:
+        raise BadInputError(f"cannot read {path}: {error.strerror}") from error
+    if line and (not line.endswith(b"\n") or (start and line[:1] in b"{\0" and not _is_json(line))):
+        return start, line
+    return start + len(line), b""
+
+
+def _last_line(path: Path) -> tuple[int, bytes]:
+    """Where the last line begins, and the line; only the end of the file is read."""
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        length = 4096
+        while True:
+            begin = max(0, size - length)
+            file.seek(begin)
+            tail = file.read()
+            start = tail.rfind(b"\n", 0, max(len(tail) - 1, 0)) + 1
+            if start or not begin:
+                return begin + start, tail[start:]
+            length *= 8
+
+
+def _is_json(line: bytes) -> bool:
+    try:
+        json.loads(line)
+    except (json.JSONDecodeError, UnicodeDecodeError):
+        return False
+    except (ValueError, RecursionError):
+        pass  # JSON, if not ours: an error for the reader
+    return True
+
+
+def read_lines(path: Path) -> list[Record]:
+    """The records of one file, see :meth:`Results.read`."""
+    if not path.exists():
+        return []
+    kept, damaged = damaged_last_line(path)
+    if damaged:
+        _warn_of(path, damaged, "is passed over")
+    try:
+        text = path.read_bytes()[:kept].decode()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInputError(f"cannot read {path}: {error}") from error
+    lines = enumerate(text.split("\n"), 1)
+    return [read_record(line, f"{path}, line {i}") for i, line in lines if line.strip()]
+
+
+def _warn_of(path: Path, damaged: bytes, what: str) -> None:
+    shown = damaged[:40].decode(errors="replace").strip()
+    message = f"{path}: the last line was not written to its end and {what}: {shown!r}"
+    warnings.warn(message, DamagedRecordsWarning, stacklevel=3)
 
 
 def read_results(folder: Path) -> list[Result]:
@@ -145,17 +264,16 @@ def read_results(folder: Path) -> list[Result]:
     Raises
     ------
     BadInputError
-        If the folder holds neither.
+        If the folder holds neither, nor a campaign whose first solve has not ended.
     """
     if not folder.is_dir():
         raise BadInputError(f"{str(folder)!r} is not a folder")
-    if (folder / RECORDS).exists():
-        results = Results(folder)
+    results, single = Results(folder), folder / RECORD
+    if (folder / RECORDS).exists() or (RECORDS in Manifest(folder).names() and not single.exists()):
         return [results.result(record) for record in results.read()]
-    single = folder / "record.json"
     if not single.exists():
-        raise BadInputError(f"{str(folder)!r} holds neither {RECORDS} nor record.json")
-    return [single_result(folder, read_record(_read_text(single), str(single)))]
+        raise BadInputError(f"{str(folder)!r} holds neither {RECORDS} nor {RECORD}")
+    return [single_result(folder, read_record(read_text(single), str(single)))]
 
 
 def single_result(folder: Path, record: Record) -> Result:
@@ -163,21 +281,16 @@ def single_result(folder: Path, record: Record) -> Result:
     return Result(record, folder / "solution.vtu", folder / "history.csv")
 
 
-def read_record(text: str, where: str) -> Record:
-    """A record from JSON; an error names ``where`` it was read and what is wrong."""
-    try:
-        record = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise BadInputError(f"{where} is not JSON: {error.msg} at character {error.pos}") from error
-    if not isinstance(record, dict):
-        raise BadInputError(f"{where} is not a record: it holds {type(record).__name__}")
-    missing = [name for name in REQUIRED if name not in record]
-    if missing:
-        raise BadInputError(f"{where} is not a record: it has no {missing[0]!r}")
-    wrong = fault(record)
-    if wrong is not None:
-        raise BadInputError(f"{where} is not a record: {wrong}")
-    return record
+def write_single(folder: Path, record: Record, save: Callable[[Result], object]) -> None:
+    """Put the files of a single solve in place, its record last: what it speaks of is then there.
+
+    Parameters
+    ----------
+    save : callable
+        Writes fields and history to the places that it is given.
+    """
+    save(single_result(folder, record))
+    write_text(folder / RECORD, to_json(record, indent=2) + "\n")
 
 
 def write_history(path: Path, rows: Sequence[dict[str, Any]]) -> None:
@@ -188,24 +301,8 @@ def write_history(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         writer.writerows(rows)
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, then put it in place at once."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        write(temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file whole."""
-    write_whole(path, lambda temporary: temporary.write_text(text))
-
-
 def to_json(record: Record, indent: int | None = None) -> str:
-    """Strict JSON: what is not a finite number becomes null."""
+    """Strict JSON: what is not a finite number becomes null, half a character a question mark."""
     return json.dumps(_plain(record), indent=indent, allow_nan=False)
 
 
@@ -218,11 +315,46 @@ def _plain(value: Any) -> Any:
         return _plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
+    if isinstance(value, str):
+        return value.encode(errors="replace").decode()
     return value
 
 
-def _read_text(path: Path) -> str:
+def _unlisted(folder: Path) -> list[str]:
+    """Files of a version that kept no list, as far as records tell or they say so themselves."""
+    names: list[str] = []
+    rows = _rows(folder / RECORDS)
+    if rows:
+        keys = [str(row["key"]) for row in rows if row.get("key")]
+        names += [RECORDS, *(name for key in keys for name in Results(folder).names(key))]
+        names += [f"{FIGURES}/{key}-grid.{kind}" for key in keys for kind in ("png", "pdf")]
+    if _single(folder / RECORD):
+        names += [RECORD, "solution.vtu", "history.csv"]
+    for name, head in (("table.md", "# Comparison of strategies"), ("table.tex", "% made by rmesh")):
+        if _begins(folder / name, head):
+            names += [name, "table.csv"] if name == "table.md" else [name]
+    return names
+
+
+def _rows(path: Path) -> list[Record]:
+    """The lines of a file that are records."""
+    found = []
+    for line in (path.read_text(errors="replace") if path.is_file() else "").split("\n"):
+        with suppress(BadInputError):
+            found.append(read_record(line, path.name))
+    return found
+
+
+def _single(path: Path) -> bool:
     try:
-        return path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInputError(f"cannot read {path}: {error}") from error
+        return path.is_file() and bool(read_record(read_text(path), path.name))
+    except BadInputError:
+        return False
+
+
+def _begins(path: Path, head: str) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(head)) == head.encode()
+    except OSError:
+        return False

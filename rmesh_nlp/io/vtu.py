@@ -9,6 +9,7 @@ import meshio
 import numpy as np
 from numpy.typing import NDArray
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.solution.solution import Solution
@@ -91,11 +92,19 @@ def read_vtu(path: Path) -> Fields:
 
     Raises
     ------
-    KeyError
-        If an array is missing.
-    meshio.ReadError
-        If the file is not a VTU file.
+    BadInputError
+        If the file is missing or damaged, or is not of a solution.
     """
+    try:
+        fields = _read(path)
+        _check(fields)
+    except Exception as error:  # meshio lets through whatever its parsers meet
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
+        raise BadInputError(f"cannot read the fields of a solution from {path}: {reason}") from error
+    return fields
+
+
+def _read(path: Path) -> Fields:
     mesh = meshio.vtu.read(str(path))  # meshio.read ends the process where it cannot read
     data = mesh.point_data
     return Fields(
@@ -109,6 +118,17 @@ def read_vtu(path: Path) -> Fields:
         contact=data["contact"].astype(bool),
         foundation=data["foundation"][:, :2].T,
     )
+
+
+def _check(fields: Fields) -> None:
+    """Refuse what would only be noticed when it is drawn."""
+    count = fields.nodes.shape[1]
+    for name in ("nodes", "initial", "displacement", "pressure", "foundation"):
+        values = getattr(fields, name)
+        if values.shape[-1] != count or not np.all(np.isfinite(values)):
+            raise ValueError(f"{name} has not a finite value at each of {count} nodes")
+    if fields.triangles.size == 0 or fields.triangles.min() < 0 or fields.triangles.max() >= count:
+        raise ValueError("a triangle has a node that is not there")
 
 
 def _three(points: Array) -> Array:

@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
+from rmesh_nlp.meshes.files import read_file
 from rmesh_nlp.meshes.geometry import counter_clockwise, overlapping, signed_areas
 
 SAME_NODE = 1e-10
@@ -95,14 +95,10 @@ def read_mesh(path: str | Path) -> MeshTri:
     Raises
     ------
     ValueError
-        If the file cannot be read, has other cells than triangles with straight edges (lines
-        and points may come along), or is not plane.
+        If the file cannot be read, or not in time, has other cells than triangles with straight
+        edges (lines and points may come along), or is not plane.
     """
-    try:
-        file = meshio.read(path)
-    except (SystemExit, Exception) as error:  # meshio's readers raise anything, some call sys.exit
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{path}: cannot be read as a mesh: {reason}") from error
+    file = read_file(Path(path))
     if any(key.startswith("skfem:") for key in file.cell_data):
         mesh = MeshTri.load(path)  # scikit-fem's own way to keep names
         edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}

@@ -52,7 +52,8 @@ def curve(result: Result) -> Curve | None:
         return None
     columns = {name: np.array([step[name] for step in steps]) for name in steps[0]}
     counted = columns["contact_solves"].max() > 0
-    cost = columns["contact_solves"] if counted else columns["seconds"] / record["contact_time_s"]
+    unit = record.get("contact_time_s") or np.nan  # a clock too coarse for it: the cost is not known
+    cost = columns["contact_solves"] if counted else columns["seconds"] / unit
     feasible = ~(columns["primal_residual"] > FEASIBLE)
     iteration, energy = columns["iteration"], columns["energy"]
     if iteration[0] > 0:  # a strategy that reports whole solves: begin where it began

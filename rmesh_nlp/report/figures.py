@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from xml.etree.ElementTree import ParseError
 
-import meshio
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.files import safe_name
+from rmesh_nlp.io.manifest import Manifest
 from rmesh_nlp.io.results import Result
-from rmesh_nlp.io.vtu import Fields, read_vtu
+from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, label
 from rmesh_nlp.report.convergence import convergence_figure, curve
 from rmesh_nlp.report.grids import grid_figure, surface_figure
@@ -22,19 +21,30 @@ from rmesh_nlp.report.style import SETTINGS, save
 GIVEN = "given grid"
 
 
-def write_figures(results: Sequence[Result], folder: Path) -> list[Path]:
+FORMATS = ("png", "pdf")
+
+
+def write_figures(results: Sequence[Result], folder: Path, manifest: Manifest | None = None) -> list[Path]:
     """Draw everything that the results hold and return the files.
+
+    Parameters
+    ----------
+    manifest : Manifest, optional
+        Of the folder above: figures are noted there, and no file is replaced that is not.
 
     Raises
     ------
     BadInputError
-        If the fields of a solution cannot be read.
+        If the fields of a solution cannot be read, or a file of the user's is in the way.
     """
     by_record = {id(result.record): result for result in results}
     paths: list[Path] = []
     for block in blocks([result.record for result in results]):
         for name, figure in block_figures(block, [by_record[id(record)] for record in block.records]):
-            paths += save(figure, folder / _unused(name, paths))
+            stem = _unused(safe_name(name), paths)
+            if manifest is not None:
+                manifest.claim(*(f"{folder.name}/{stem}.{kind}" for kind in FORMATS))
+            paths += save(figure, folder / stem, FORMATS)
     return paths
 
 
@@ -44,7 +54,9 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
     Strategies are compared with the solution of ``fixed``; without it, what would show the
     given grid is left out.
     """
-    drawn = [(result.record, _fields(result)) for result in results if result.record["energy"] is not None]
+    drawn = [
+        (result.record, read_vtu(result.vtu)) for result in results if result.record["energy"] is not None
+    ]
     stem = f"{block.example}-{block.records[0]['n']}"
     fixed = [field for record, field in drawn if record["formulation"] == RELOCATING_NOTHING]
     given = {GIVEN: fixed[0]} if fixed else {}
@@ -64,13 +76,6 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
         curves = [one for one in map(curve, results) if one is not None]
         if curves and block.best is not None:
             yield f"{stem}-convergence", convergence_figure(curves, block.best)
-
-
-def _fields(result: Result) -> Fields:
-    try:
-        return read_vtu(result.vtu)
-    except (OSError, KeyError, ParseError, meshio.ReadError) as error:
-        raise BadInputError(f"cannot read the fields of a solution from {result.vtu}: {error}") from error
 
 
 def _unused(name: str, paths: Sequence[Path]) -> str:

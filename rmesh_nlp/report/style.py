@@ -12,7 +12,7 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from rmesh_nlp.io.results import write_whole
+from rmesh_nlp.io.files import write_whole
 
 TWO_COLUMNS = 7.0
 """Width of a printed page's text in inches."""

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from rmesh_nlp.io.results import Record, write_text
+from rmesh_nlp.io.files import write_text
+from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.io.results import TABLES, Results
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.columns import COSTS, ENERGIES, OBJECTIVES, Column, body, contact_units
 from rmesh_nlp.report.markup import latex_list, latex_table, markdown_table
@@ -29,6 +31,8 @@ def markdown(records: Sequence[Record]) -> str:
             markdown_table([column.head for column in columns], body(columns, block))
             for columns in _tables(block.records)
         ]
+    if not records:
+        parts.append("No solve has ended yet.\n")
     parts.append("## Notes\n")
     parts.append("".join(f"- {note}\n" for note in notes(records)))
     return "\n".join(parts)
@@ -60,7 +64,14 @@ def frame(records: Sequence[Record]) -> pd.DataFrame:
 
 
 def write_tables(records: Sequence[Record], folder: Path) -> str:
-    """Write ``table.md``, ``table.tex`` and ``table.csv``; returns the Markdown."""
+    """Write ``table.md``, ``table.tex`` and ``table.csv``; returns the Markdown.
+
+    Raises
+    ------
+    BadInputError
+        If a file of one of these names is there that this package did not write.
+    """
+    Results(folder).manifest.claim(*TABLES)
     text = markdown(records)
     for name, content in (
         ("table.md", text),

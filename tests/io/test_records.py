@@ -1,14 +1,25 @@
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
+import warnings
 
 import numpy as np
 import pytest
 from support.reporting import failed_61, fixed_61, joint_61
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.results import REQUIRED, Results, read_record, read_results, to_json
+from rmesh_nlp.io.record_model import REQUIRED, RecordModel, parse_json, read_record
+from rmesh_nlp.io.results import (
+    HISTORY_FIELDS,
+    DamagedRecordsWarning,
+    Results,
+    damaged_last_line,
+    read_results,
+    to_json,
+)
 
 
 def test_records_come_back_as_they_were_appended(tmp_path):
@@ -28,7 +39,8 @@ def test_a_last_line_cut_off_is_passed_over(tmp_path):
     results.append(fixed_61())
     with (tmp_path / "records.jsonl").open("a") as file:
         file.write('{"example": "6.1", "form')
-    assert results.read() == [fixed_61()]
+    with pytest.warns(DamagedRecordsWarning, match=r"records\.jsonl.*passed over.*form"):
+        assert results.read() == [fixed_61()]
 
 
 @pytest.mark.parametrize(
@@ -95,9 +107,14 @@ def test_a_folder_without_records_is_named(tmp_path):
         read_results(tmp_path)
     with pytest.raises(BadInputError, match="is not a folder"):
         read_results(tmp_path / "nowhere")
-    (tmp_path / "records.jsonl").write_text("")
-    with pytest.raises(BadInputError, match="holds no records"):
-        read_results(tmp_path)
+
+
+@pytest.mark.parametrize("content", ["", "\n", '{"example": "6.1", "form'])
+def test_a_folder_whose_first_solve_has_not_ended_is_an_empty_run(tmp_path, content):
+    (tmp_path / "records.jsonl").write_text(content)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DamagedRecordsWarning)
+        assert read_results(tmp_path) == []
 
 
 def test_an_earlier_run_is_set_aside_not_lost(tmp_path):
@@ -106,3 +123,118 @@ def test_an_earlier_run_is_set_aside_not_lost(tmp_path):
     results.set_aside()
     assert not (tmp_path / "records.jsonl").exists()
     assert Results(tmp_path / "previous").read() == [fixed_61()]
+
+
+HOSTILE = {
+    "a number beyond floats": ('"energy"', "1" + "0" * 400),
+    "a number of 5000 digits": ('"energy"', "7" * 5000),
+    "a float beyond floats": ('"energy"', "1e999"),
+    "not a number": ('"energy"', "NaN"),
+    "half a character": ('"message"', r'"\ud800"'),
+    "half a character in a name": (r'"\ud800"', "1"),
+    "a list for a key": ('"key"', "[1]"),
+    "a key that leads out": ('"key"', '"../../esc"'),
+    "an absolute key": ('"key"', '"/abs"'),
+    "a key with a zero": ('"key"', r'"a\u0000b"'),
+    "a list for a relaxation": ('"relaxation"', "[1]"),
+    "a text for a value": ('"objective_value"', '"<svg>"'),
+    "a number for nodes": ('"biactive_nodes"', "3"),
+    "a list for a rule": ('"quadrature"', "[[]]"),
+    "a time before its beginning": ('"wall_time_s"', "-1"),
+    "depth": ('"deep"', "[" * 100_000 + "]" * 100_000),
+}
+
+
+@pytest.mark.parametrize(("name", "value"), HOSTILE.values(), ids=HOSTILE.keys())
+def test_hostile_entries_are_one_line_not_a_traceback(name, value):
+    text = to_json(fixed_61())[:-1] + f", {name}: {value}}}"
+    with pytest.raises(BadInputError, match="here is not") as caught:
+        read_record(text, "here")
+    assert len(str(caught.value)) < 300
+    assert "\n" not in str(caught.value)
+
+
+def test_entries_of_others_are_let_through():
+    assert read_record(to_json(fixed_61(mine={"a": [1]}, other="x")), "here")["mine"] == {"a": [1]}
+
+
+def test_the_model_is_the_only_list_of_fields():
+    model = set(RecordModel.model_fields)
+    assert set(REQUIRED) <= model
+    assert {"key", "contact_time_s", "quadrature"} <= model - set(REQUIRED)
+
+
+def test_json_of_ours_survives_half_characters():
+    assert parse_json(to_json({"a": "x\ud800y"}), "here") == {"a": "x?y"}
+
+
+HEAD = ",".join(HISTORY_FIELDS) + "\n"
+GARBAGE = {
+    "text for a number": HEAD + "0,abc,,,,,\n",
+    "too few cells": HEAD + "0,1\n",
+    "too many cells": HEAD + "1," * 9 + "\n",
+    "another head": "a,b\n1,2\n",
+    "nothing": "",
+    "zeros": "\0\0\0",
+    "bytes": "\udcff\udcfe",
+}
+
+
+@pytest.mark.parametrize("content", GARBAGE.values(), ids=GARBAGE.keys())
+def test_a_history_that_is_none_is_named(tmp_path, content):
+    results = Results(tmp_path)
+    result = results.result(fixed_61(key="one"))
+    result.history.parent.mkdir()
+    result.history.write_bytes(content.encode(errors="surrogateescape"))
+    with pytest.raises(BadInputError, match=r"one\.csv is no history"):
+        result.steps()
+
+
+def test_a_short_write_is_an_error_and_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+    """A full disk takes some bytes without an error and refuses the next."""
+    results = Results(tmp_path)
+    results.append(fixed_61())
+    before, write, taken = (tmp_path / "records.jsonl").read_bytes(), os.write, []
+
+    def full(descriptor, data):
+        if taken:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        taken.append(write(descriptor, data[:100]))
+        return taken[0]
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(OSError, match="No space left"):
+        results.append(joint_61())
+    monkeypatch.undo()
+    assert taken == [100]
+    assert (tmp_path / "records.jsonl").read_bytes() == before
+    results.append(joint_61())
+    assert results.read() == [fixed_61(), joint_61()]
+
+
+def test_a_damaged_line_is_set_aside_before_the_next_row_is_glued_to_it(tmp_path):
+    results, path = Results(tmp_path), tmp_path / "records.jsonl"
+    results.append(fixed_61())
+    with path.open("a") as file:
+        file.write('{"example": "cut')
+    with pytest.warns(DamagedRecordsWarning):
+        results.append(joint_61())
+    assert results.read() == [fixed_61(), joint_61()]
+    assert (tmp_path / "records-damaged.txt").read_text() == '{"example": "cut\n'
+
+
+@pytest.mark.parametrize("tail", [b'{"example": "6.1", "for\n', b"\0" * 50 + b"\n", b"\0" * 5000])
+def test_the_kinds_of_damage_are_known(tmp_path, tail):
+    path = tmp_path / "records.jsonl"
+    whole = (to_json(fixed_61()) + "\n").encode()
+    path.write_bytes(whole + tail)
+    assert damaged_last_line(path) == (len(whole), tail)
+
+
+def test_rows_of_one_key_become_one_the_last_success(tmp_path):
+    results = Results(tmp_path)
+    rows = [fixed_61(key="a", gain=1.0), failed_61(key="b"), fixed_61(key="a", gain=2.0), failed_61(key="a")]
+    for row in rows:
+        results.append(row)
+    assert results.repaired() == [rows[2], rows[1]]
+    assert results.read() == [rows[2], rows[1]]

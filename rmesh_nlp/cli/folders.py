@@ -1,0 +1,47 @@
+"""The folder that a command writes: checked, locked, and taken away again if nothing came of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.files import remove_leftovers
+from rmesh_nlp.io.results import Results
+
+
+@contextmanager
+def writable(folder: Path, names: Sequence[str] = ()) -> Iterator[Results]:
+    """The folder, made if need be and locked, before time is spent on solving.
+
+    If what happens in this context leaves it empty, what was made is taken away again.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Files that are to be written; none may be there that is not this package's own.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be written, another process writes there, or a file is in the way.
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(f"cannot write to {str(folder)!r}: {error.strerror}") from error
+    try:
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise BadInputError(f"cannot write to {str(folder)!r}: permission denied")
+        results = Results(folder)
+        with results.locked():
+            remove_leftovers(folder)
+            results.manifest.check(names)
+            yield results
+    finally:
+        with suppress(OSError):  # not empty: keep it
+            for path in made:
+                path.rmdir()

@@ -1,0 +1,142 @@
+"""Files that are never half there: written aside and renamed, appended whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from rmesh_nlp.errors import BadInputError
+
+LONGEST_NAME = 150
+"""Bytes of a file name, its suffix and those of figures aside; file systems allow 255."""
+
+TEMPORARY = ".rmesh-writing-"
+"""Head of the folders in which files are written before they are put in place."""
+
+
+def safe_name(text: str) -> str:
+    """The text as the name of one file in the folder where it is put, whatever the text.
+
+    Separators and all else that shells or file systems might read otherwise become ``_``; a long
+    name is cut and ends in a digest of the whole, so that different names stay different.
+    """
+    # only this package's own files begin with a dot; "nul" and its kin are devices on Windows
+    name = re.sub(r"[^\w.+-]+", "_", text.encode(errors="replace").decode())
+    name = re.sub(r"^[.-]+", "_", name) or "_"
+    if len(name.encode()) <= LONGEST_NAME:
+        return name
+    digest = hashlib.sha256(text.encode(errors="replace")).hexdigest()[:12]
+    return name.encode()[: LONGEST_NAME - 13].decode(errors="ignore") + "-" + digest
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` fill a file aside, force it to the disk, then put it in place at once.
+
+    The file is filled in a new folder that only this user can enter, with a name that cannot be
+    foreseen: nobody can put a link in its way. A link at ``path`` itself is replaced, not followed.
+    """
+    with _Aside(path) as aside:
+        write(aside)
+        _to_disk(aside)
+        os.replace(aside, path)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole."""
+    write_whole(path, lambda aside: aside.write_text(text, encoding="utf-8"))
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a text file whole where there is none yet.
+
+    Raises
+    ------
+    FileExistsError
+        If something has this name; it is not touched.
+    """
+    with _Aside(path) as aside:
+        aside.write_text(text, encoding="utf-8")
+        _to_disk(aside)
+        try:
+            os.link(aside, path)  # unlike a rename it never replaces
+        except FileExistsError:
+            raise
+        except OSError as error:  # a file system without links
+            if os.path.lexists(path):
+                raise FileExistsError(f"{path} exists") from error
+            os.replace(aside, path)
+
+
+def append_whole(path: Path, text: str) -> None:
+    """Append a text and force it to the disk; if that fails the file is as it was before.
+
+    A disk that is full takes a part of what it is given without an error: the rest is offered
+    again, and the error that then comes takes the part away. Only one process may append at a time.
+
+    Raises
+    ------
+    OSError
+        If not everything could be written.
+    """
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
+    descriptor = os.open(path, flags, 0o644)
+    try:
+        before, rest = os.fstat(descriptor).st_size, text.encode()
+        try:
+            while rest:
+                rest = rest[os.write(descriptor, rest) :]
+            os.fsync(descriptor)
+        except BaseException:
+            with suppress(OSError):
+                os.ftruncate(descriptor, before)
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def read_text(path: Path) -> str:
+    """The text of a file.
+
+    Raises
+    ------
+    BadInputError
+        If it cannot be read or is not UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInputError(f"cannot read {path}: {error}") from error
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Take away what writers that were killed left aside; only for who holds the folder's lock."""
+    for path in folder.glob(f"{TEMPORARY}*"):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+
+
+class _Aside:
+    """A path of the same name in a new private folder beside the file to be written."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __enter__(self) -> Path:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._folder = Path(tempfile.mkdtemp(prefix=TEMPORARY, dir=self._path.parent))
+        return self._folder / self._path.name
+
+    def __exit__(self, *_: object) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _to_disk(path: Path) -> None:
+    """A renamed file whose content is not yet on the disk is empty after a power cut."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())

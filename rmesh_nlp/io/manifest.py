@@ -1,0 +1,132 @@
+"""Which files in a folder are this package's own: only those are ever replaced or moved."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.files import append_whole, write_text
+
+MANIFEST = ".rmesh-files"
+PREVIOUS = "previous"
+
+HEAD = "# Files that rmesh wrote here, one a line; it replaces and moves no others.\n"
+
+
+class Manifest:
+    """The list of this package's own files in a folder, itself a file there.
+
+    A name is noted before its file is written: a list that names too much is harmless, and one
+    that names too little would make an own file look like a user's.
+
+    Parameters
+    ----------
+    folder : Path
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.path = folder, folder / MANIFEST
+
+    @property
+    def exists(self) -> bool:
+        """Whether this package wrote here."""
+        return self.path.is_file() and not self.path.is_symlink()
+
+    def names(self) -> list[str]:
+        """Names noted so far, relative to the folder; what leads out of it is passed over."""
+        if not self.exists:
+            return []
+        lines = self.path.read_text(encoding="utf-8", errors="replace").splitlines()
+        return list(dict.fromkeys(line for line in lines if line and line[0] != "#" and _stays_inside(line)))
+
+    def check(self, names: Iterable[str]) -> None:
+        """Refuse names that are taken by something which is not this package's.
+
+        Raises
+        ------
+        BadInputError
+            If one is, or the way to it is a link or a file.
+        """
+        own = set(self.names())
+        for name in names:
+            path = self.folder / name
+            for above in list(PurePosixPath(name).parents)[:-1]:
+                self._check_folder(self.folder / above)
+            if os.path.lexists(path) and (name not in own or path.is_dir()):
+                raise BadInputError(
+                    f"{path} exists and rmesh did not write it: move it, or choose another folder"
+                )
+
+    def claim(self, *names: str) -> None:
+        """Check names and note them as this package's own; their files are then written.
+
+        Raises
+        ------
+        BadInputError
+            See :meth:`check`.
+        """
+        self.check(names)
+        fresh = [name for name in names if name not in set(self.names())]
+        if fresh:
+            head = "" if self.exists else HEAD
+            append_whole(self.path, head + "".join(f"{name}\n" for name in fresh))
+
+    def adopt(self, names: Iterable[str]) -> None:
+        """Note files as this package's own that an earlier version wrote without a list."""
+        found = [name for name in names if (self.folder / name).is_file()]
+        write_text(self.path, HEAD + "".join(f"{name}\n" for name in found))
+
+    def set_aside(self) -> Path | None:
+        """Move all own files to the first free of ``previous``, ``previous-2``, ...; nothing is deleted.
+
+        Returns where they are, None if there were none.
+        """
+        present = [name for name in self.names() if os.path.lexists(self.folder / name)]
+        if not present:
+            return None
+        target = self._new_previous()
+        for name in present:
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(self.folder / name, target / name)
+        os.replace(self.path, target / MANIFEST)
+        self._remove_empty(present)
+        return target
+
+    def remove(self) -> None:
+        """Take away all own files that are there, and folders that this leaves empty."""
+        present = self.names()
+        for name in present:
+            with suppress(IsADirectoryError):
+                (self.folder / name).unlink(missing_ok=True)
+        self._remove_empty(present)
+
+    def _remove_empty(self, names: Iterable[str]) -> None:
+        above = {parent for name in names for parent in list(PurePosixPath(name).parents)[:-1]}
+        for parent in sorted(above, key=lambda path: -len(path.parts)):
+            with suppress(OSError):  # not empty: something of the user's is there
+                (self.folder / parent).rmdir()
+
+    def _new_previous(self) -> Path:
+        number = 1
+        while True:
+            target = self.folder / (PREVIOUS if number == 1 else f"{PREVIOUS}-{number}")
+            try:
+                target.mkdir()
+            except FileExistsError:  # an older run, or a file or link of the user's
+                number += 1
+            else:
+                return target
+
+    def _check_folder(self, path: Path) -> None:
+        if path.is_symlink():
+            raise BadInputError(f"{path} is a link: results are written in their own folder only")
+        if path.exists() and not path.is_dir():
+            raise BadInputError(f"{path} is a file, where a folder is to be written")
+
+
+def _stays_inside(name: str) -> bool:
+    path = PurePosixPath(name)
+    return not path.is_absolute() and ".." not in path.parts and path.name != MANIFEST

@@ -1,0 +1,258 @@
+"""What a record is: one pydantic model, which tables, figures and resuming rely on."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.files import safe_name
+
+Record = dict[str, Any]
+"""One solve as plain JSON values, see :meth:`rmesh_nlp.solution.solution.Solution.record`."""
+
+LONGEST_LINE = 10_000_000
+"""Characters that a record may have."""
+
+LARGEST_WHOLE = 2**63
+"""Whole numbers are smaller: what counts something is."""
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"must be a text, not {_shown(value)}")
+    return value
+
+
+def _number(value: Any) -> float | None:
+    if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+        raise ValueError(f"must be a number or null, not {_shown(value)}")
+    return value
+
+
+def _count(value: Any) -> int | None:
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int)):
+        raise ValueError(f"must be a whole number or null, not {_shown(value)}")
+    return value
+
+
+def _seconds(value: Any) -> float | None:
+    number = _number(value)
+    if number is not None and number < 0:
+        raise ValueError(f"must not be negative, but is {_shown(value)}")
+    return number
+
+
+def _truth(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"must be true or false, not {_shown(value)}")
+    return value
+
+
+def _delta(value: Any) -> Any:
+    good = value is None
+    if isinstance(value, list):
+        good = len(value) == 2 and all(_is_number(item) for item in value)
+    elif isinstance(value, dict):
+        good = _is_number(value.get("relative"))
+    if not good:
+        raise ValueError(f"is no half-width: {_shown(value)}")
+    return value
+
+
+def _key(value: Any) -> str:
+    if _text(value) != safe_name(value):
+        raise ValueError(f"is no file name: {_shown(value)}")
+    return str(value)
+
+
+def _rule(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, (str, int)):
+        raise ValueError(f"must be 'midpoint' or a degree, not {_shown(value)}")
+    return value
+
+
+def _nodes(value: Any) -> Any:
+    if value is not None and not isinstance(value, list):
+        raise ValueError(f"must be a list or null, not {_shown(value)}")
+    return value
+
+
+def _optional_text(value: Any) -> str | None:
+    return None if value is None else _text(value)
+
+
+Text = Annotated[str, BeforeValidator(_text)]
+OptionalText = Annotated[str | None, BeforeValidator(_optional_text)]
+Number = Annotated[float | None, BeforeValidator(_number)]
+Count = Annotated[int | None, BeforeValidator(_count)]
+Seconds = Annotated[float | None, BeforeValidator(_seconds)]
+
+
+class RecordModel(BaseModel):
+    """The entries of a record: those without a default are in every one, further ones may come.
+
+    Energies are in the unit of the problem, times in seconds of wall time; ``None`` is what is not
+    known. A row of a success has all of ``MEASURED``.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    example: Text
+    formulation: Text
+    objective: Text
+    n: Text
+    delta: Annotated[Any, BeforeValidator(_delta)]
+    status: Text
+    success: Annotated[bool, BeforeValidator(_truth)]
+    energy_initial: Number
+    energy: Number
+    energy_audited: Number
+    gain: Number
+    u_min: Number
+    u_max: Number
+    min_area_ratio: Number
+    iterations: Count
+    contact_solves: Count
+    wall_time_s: Seconds
+    equilibrium_residual: Number
+    complementarity_residual: Number
+    stationarity: OptionalText
+    versions: Any
+    seed: Count
+
+    key: Annotated[str, BeforeValidator(_key)] = ""
+    quadrature: Annotated[Any, BeforeValidator(_rule)] = "midpoint"
+    message: OptionalText = None
+    relaxation: OptionalText = None
+    start: OptionalText = None
+    contact_time_s: Seconds = None
+    build_time_s: Seconds = None
+    solve_time_s: Seconds = None
+    audit_time_s: Seconds = None
+    stationarity_residual: Number = None
+    energy_initial_audited: Number = None
+    gain_audited: Number = None
+    penetration: Number = None
+    objective_initial: Number = None
+    objective_value: Number = None
+    energy_lower_bound: Number = None
+    energy_upper_bound: Number = None
+    error_bound_initial: Number = None
+    error_bound: Number = None
+    guaranteed_lower: Number = None
+    guaranteed_upper: Number = None
+    nodes: Count = None
+    triangles: Count = None
+    biactive_nodes: Annotated[Any, BeforeValidator(_nodes)] = None
+
+    @model_validator(mode="after")
+    def _success_is_measured(self) -> RecordModel:
+        if self.success:
+            for name in MEASURED:
+                if getattr(self, name) is None:
+                    raise ValueError(f"{name!r} must be a number in a row of a success")
+        return self
+
+
+REQUIRED = tuple(name for name, field in RecordModel.model_fields.items() if field.is_required())
+"""Entries that every record has."""
+
+MEASURED = (
+    "energy_initial",
+    "energy",
+    "energy_audited",
+    "gain",
+    "u_min",
+    "u_max",
+    "min_area_ratio",
+    "iterations",
+    "contact_solves",
+    "wall_time_s",
+    "contact_time_s",
+    "equilibrium_residual",
+    "complementarity_residual",
+)
+"""Entries that are numbers in every row of a success; elsewhere they may be null."""
+
+
+def read_record(text: str, where: str) -> Record:
+    """A record from JSON.
+
+    Raises
+    ------
+    BadInputError
+        Naming ``where`` it was read and what is wrong.
+    """
+    record = parse_json(text, where)
+    if not isinstance(record, dict):
+        raise BadInputError(f"{where} is not a record: it holds {type(record).__name__}")
+    try:
+        RecordModel.model_validate(record)
+    except ValidationError as error:
+        raise BadInputError(f"{where} is not a record: {_first(error)}") from None
+    return record
+
+
+def parse_json(text: str, where: str) -> Any:
+    """Strict JSON of moderate depth, with numbers that are finite and text that can be written.
+
+    Raises
+    ------
+    BadInputError
+        Naming ``where`` it was read and what is wrong.
+    """
+    if len(text) > LONGEST_LINE:
+        raise BadInputError(f"{where} is not JSON of ours: it has {len(text)} characters")
+    try:
+        value = json.loads(text, parse_int=_whole, parse_float=_finite, parse_constant=_no_constant)
+        text.encode()  # what was not UTF-8
+        json.dumps(value, ensure_ascii=False).encode()  # escapes of half a character
+    except json.JSONDecodeError as error:
+        raise BadInputError(f"{where} is not JSON: {error.msg} at character {error.pos}") from error
+    except RecursionError:
+        raise BadInputError(f"{where} is not JSON of ours: it is nested too deeply") from None
+    except UnicodeEncodeError:
+        raise BadInputError(f"{where} is not JSON of ours: it has half a character") from None
+    except ValueError as error:
+        raise BadInputError(f"{where} is not JSON of ours: {error}") from None
+    return value
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > 20 or abs(int(digits)) >= LARGEST_WHOLE:
+        raise ValueError(f"the number {digits[:20]}{'...' * (len(digits) > 20)} is too large")
+    return int(digits)
+
+
+def _finite(digits: str) -> float:
+    number = float(digits)
+    if not math.isfinite(number):
+        raise ValueError(f"the number {digits[:40]} is too large")
+    return number
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _first(error: ValidationError) -> str:
+    """The first thing that is wrong, with the entry's name."""
+    item: Any = error.errors(include_url=False)[0]
+    message = str(item["msg"]).removeprefix("Value error, ")
+    if not item["loc"]:
+        return message
+    name = str(item["loc"][0])
+    return f"it has no {name!r}" if item["type"] == "missing" else f"{name!r} {message}"
+
+
+def _is_number(value: Any) -> bool:
+    return not isinstance(value, bool) and isinstance(value, (int, float))
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,116 @@
+"""Files that meshio reads, whatever is in them: one format, a largest size, a longest time."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import meshio
+
+LARGEST_FILE = 500_000_000
+"""Bytes that a mesh file may have: some five million nodes as text."""
+
+SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
+"""Longest time to read a file: meshio takes about 2e-7 seconds per byte of text."""
+
+
+class _TooLongError(Exception):
+    pass
+
+
+def read_file(path: Path) -> Any:
+    """The ``meshio.Mesh`` of a file, read in the format of its extension and no other.
+
+    Some of meshio's readers never come to the end of a damaged file, so their time is limited.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read, is too large, or takes too long.
+    """
+    kind = _format(path)
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read as a mesh: {error.strerror}") from error
+    if not path.is_file():
+        raise ValueError(f"{path}: cannot be read as a mesh: it is not a file")
+    if size > LARGEST_FILE:
+        raise ValueError(f"{path}: has {size} bytes: of a mesh no more than {LARGEST_FILE} are read")
+    seconds = SECONDS + SECONDS_PER_BYTE * size
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # meshio prints what it dislikes
+            return _limited(lambda: meshio.read(path, kind), seconds)
+    except _TooLongError:
+        raise ValueError(
+            f"{path}: cannot be read as a mesh: the reader of {kind} found no end within {seconds:.0f} s; "
+            "the file may be damaged"
+        ) from None
+    except (SystemExit, Exception) as error:  # meshio's readers raise anything, some call sys.exit
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        if isinstance(error, SystemExit):
+            reason = f"it is not in the format {kind}"
+        raise ValueError(f"{path}: cannot be read as a mesh: {reason}") from error
+
+
+def _format(path: Path) -> str:
+    """The format of the extension; ``.msh`` has two, told apart by their first line."""
+    suffix = path.suffix.lower()
+    kinds = meshio.extension_to_filetypes.get(suffix, [])
+    if not kinds:
+        known = ", ".join(sorted(meshio.extension_to_filetypes))
+        raise ValueError(f"{path}: cannot be read as a mesh: the extension {suffix!r} is none of {known}")
+    if len(kinds) == 1:
+        return str(kinds[0])
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        if file.read(200).lstrip().startswith(b"$"):
+            return "gmsh"
+    return str(kinds[0])
+
+
+def _limited(read: Callable[[], Any], seconds: float) -> Any:
+    """What ``read`` returns, if it does so in time."""
+    if hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread():
+        with _alarm(seconds):
+            return read()
+    return _in_a_thread(read, seconds)
+
+
+@contextlib.contextmanager
+def _alarm(seconds: float) -> Iterator[None]:
+    def ring(*_: Any) -> None:
+        raise _TooLongError
+
+    before = signal.signal(signal.SIGALRM, ring)
+    timer = signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, *timer)
+        signal.signal(signal.SIGALRM, before)
+
+
+def _in_a_thread(read: Callable[[], Any], seconds: float) -> Any:
+    """The same where no signal can interrupt: a reader that hangs is left behind in its thread."""
+    result: list[Any] = []
+
+    def work() -> None:
+        try:
+            result.append((read(), None))
+        except BaseException as error:
+            result.append((None, error))
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    if not result:
+        raise _TooLongError
+    value, error = result[0]
+    if error is not None:
+        raise error
+    return value

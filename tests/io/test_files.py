@@ -1,0 +1,154 @@
+"""Files are whole or not there, and nothing but own files is replaced or moved."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.files import append_whole, safe_name, write_new, write_text, write_whole
+from rmesh_nlp.io.lock import FolderLock
+from rmesh_nlp.io.manifest import MANIFEST, Manifest
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "/abs/path",
+        "../../esc",
+        "..",
+        ".",
+        "",
+        "a/b",
+        "a\\b",
+        "-rf",
+        ".rmesh-files",
+        "a\0b",
+        "x\ud800",
+        "ü" * 400,
+    ],
+)
+def test_any_text_becomes_the_name_of_one_file(tmp_path: Path, name: str) -> None:
+    safe = safe_name(name)
+    (tmp_path / safe).write_text("")
+    assert [path.name for path in tmp_path.iterdir()] == [safe]
+    assert safe[0] not in ".-"
+    assert safe_name(safe) == safe
+
+
+def test_long_names_stay_different() -> None:
+    assert safe_name("x" * 300 + "a") != safe_name("x" * 300 + "b")
+
+
+def test_what_fails_while_it_is_written_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_text("old")
+
+    def half(aside: Path) -> None:
+        aside.write_text("ha")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        write_whole(path, half)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_links_are_replaced_not_followed(tmp_path: Path) -> None:
+    victim, path = tmp_path / "victim", tmp_path / "table.md"
+    victim.write_text("mine")
+    path.symlink_to(victim)
+    write_text(path, "new")
+    assert (victim.read_text(), path.read_text(), path.is_symlink()) == ("mine", "new", False)
+    path.unlink()
+    path.symlink_to(victim)
+    with pytest.raises(OSError, match="table"):
+        append_whole(path, "x")
+    assert victim.read_text() == "mine"
+
+
+def test_nobody_can_foresee_where_a_file_is_written(tmp_path: Path) -> None:
+    places = []
+    for _ in range(2):
+        write_whole(tmp_path / "a", lambda aside: (places.append(aside.parent), aside.write_text("x")))
+    assert places[0] != places[1]
+    assert str(os.getpid()) not in places[0].name
+
+
+def test_a_new_file_never_replaces(tmp_path: Path) -> None:
+    write_new(tmp_path / "a", "one")
+    with pytest.raises(FileExistsError):
+        write_new(tmp_path / "a", "two")
+    assert (tmp_path / "a").read_text() == "one"
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_second_writer_is_refused_in_one_line(tmp_path: Path) -> None:
+    with FolderLock(tmp_path):
+        with (
+            pytest.raises(BadInputError, match="is being written by another rmesh") as caught,
+            FolderLock(tmp_path),
+        ):
+            pass
+        assert str(os.getpid()) in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+    with FolderLock(tmp_path):
+        pass
+
+
+def test_a_writer_that_is_killed_leaves_no_lock(tmp_path: Path) -> None:
+    code = (
+        "import sys, time; from pathlib import Path; from rmesh_nlp.io.lock import FolderLock\n"
+        "with FolderLock(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        with pytest.raises(BadInputError, match=str(process.pid)), FolderLock(tmp_path):
+            pass
+        process.kill()
+    with FolderLock(tmp_path):
+        pass
+
+
+def test_older_runs_are_numbered_and_nothing_of_the_user_is_touched(tmp_path: Path) -> None:
+    mine = {"figures/mine.png": "p", "notes.md": "n", "previous/thesis.txt": "t", "previous-2": "a file"}
+    for name, text in mine.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    for run in ("first", "second", "third"):
+        manifest = Manifest(tmp_path)
+        manifest.set_aside()
+        manifest.claim("table.md", "figures/a.png")
+        for name in ("table.md", "figures/a.png"):
+            (tmp_path / name).write_text(run)
+    assert {name: (tmp_path / name).read_text() for name in mine} == mine
+    for folder, run in (("previous-3", "first"), ("previous-4", "second"), (".", "third")):
+        for name in ("table.md", "figures/a.png"):
+            assert (tmp_path / folder / name).read_text() == run
+
+
+def test_a_file_of_the_user_s_is_not_claimed(tmp_path: Path) -> None:
+    (tmp_path / "table.md").write_text("mine")
+    with pytest.raises(BadInputError, match=r"table\.md exists and rmesh did not write it"):
+        Manifest(tmp_path).claim("table.md")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "solutions").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(BadInputError, match="solutions is a link"):
+        Manifest(tmp_path).claim("solutions/a.vtu")
+
+
+def test_a_list_that_leads_out_of_its_folder_is_not_followed(tmp_path: Path) -> None:
+    inside = tmp_path / "in"
+    inside.mkdir()
+    (tmp_path / "victim").write_text("mine")
+    (inside / MANIFEST).write_text(f"../victim\n{tmp_path / 'victim'}\n")
+    assert Manifest(inside).set_aside() is None
+    Manifest(inside).remove()
+    assert (tmp_path / "victim").read_text() == "mine"
