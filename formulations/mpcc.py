@@ -182,5 +182,6 @@ def _equilibrium(
 
 def _nodes(referee: Referee, two_level: Bilevel, result: MPCCResult) -> list[int]:
     """Mesh nodes of the biactive pairs."""
-    contact = result.biactive % max(two_level.n_contact, 1)
-    return sorted({int(node) for node in referee.model.contact_nodes[contact]})
+    gaps, slips = referee.model.contact_nodes, referee.model.contact_nodes[two_level.friction_rows]
+    of_pair = np.concatenate([gaps, slips, slips])
+    return sorted({int(node) for node in of_pair[result.biactive]})

@@ -34,8 +34,11 @@ FEW = 20
 def first_set(system: ContactSystem) -> ActiveSet:
     """The active set that a cold contact solve begins with.
 
-    With few contact nodes those with an initial gap of zero or less touch, and all stick.
+    With few contact nodes those with an initial gap of zero or less touch, and all stick. Where only
+    contact holds the body all touch.
     """
+    if system.rigid is not None:
+        return ActiveSet(np.ones(system.offset.size, bool), np.zeros(system.slip_bound.size, dtype=np.int8))
     if system.offset.size >= FEW * (4 if system.slip_bound.size else 1):
         return predicted_set(system)
     return ActiveSet(system.offset <= 0, np.zeros(system.slip_bound.size, dtype=np.int8))

@@ -25,13 +25,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.contact.first_guess import first_set
+from rmesh_nlp.contact.floating import check_load, check_unique, holding
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
 from rmesh_nlp.fem.assembly import assemble
-from rmesh_nlp.fem.energy import bulk_groups, displacement_field, friction_group, gap_group
+from rmesh_nlp.fem.energy import bulk_groups, displacement_field, friction_groups, gap_groups
 from rmesh_nlp.fem.fields import unknown_field
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.rigid import rigid_motions
+from rmesh_nlp.problem.statement import NO_NORMAL
 
 MAX_ITERATIONS = 100
 """Factorisations that one contact solve may take."""
@@ -47,12 +50,22 @@ class ContactModel:
     ----------
     problem : ContactProblem
 
+    Raises
+    ------
+    ProblemError
+        If only contact holds the body and the load does not press it on, or not in one place.
+
     Attributes
     ----------
     displacement : Field
         (components, nodes), the displacement as a function of the unknowns u.
     n_u : int
     contact_nodes : int array
+        The node of every gap.
+    frictional : bool array
+        Whether friction may act there.
+    normals, tangents : sparse arrays
+        Those of the contact system on the initial mesh; where no foundation is curved, on every mesh.
     """
 
     def __init__(self, problem: ContactProblem) -> None:
@@ -64,7 +77,7 @@ class ContactModel:
         u, X = ca.MX.sym("u", self.n_u), ca.MX.sym("X", 2 * n_nodes)
         groups = [
             *bulk_groups(problem, positions, self.displacement),
-            gap_group(problem, positions, self.displacement),
+            *gap_groups(problem, positions, self.displacement),
         ]
         inner = assemble(groups, u, X, self.contact_nodes.size)
         zero = ca.MX.zeros(self.n_u)
@@ -75,36 +88,80 @@ class ContactModel:
         self._kernels = inner.kernels
         self._evaluate = Evaluator(ca.Function("contact_system", [X], [hessian, -gradient, value, gap]))
         self._stiffness = Symmetric(numbered(hessian.sparsity()))
-        self.normals = self._unit_rows(problem.obstacle.normal)
+        self._curved = any(part.level is not None for part in problem.obstacles)
+        normals = self._directions(problem.mesh.p)
+        self.normals, self.tangents = self._unit_rows(normals), self._tangents(normals)
+        self.frictional = np.zeros(self.contact_nodes.size, dtype=bool)
+        self.frictional[problem.friction_rows] = True
         self._friction = problem.frictional
-        scalar = problem.components == 1
-        self.tangents = sp.csr_array((0, self.n_u)) if scalar else self._unit_rows(problem.obstacle.tangent)
         if self._friction:
-            slip = ca.MX.sym("s", n_nodes)
-            friction = assemble([friction_group(problem, positions, unknown_field((1, n_nodes)))], slip, X, 0)
-            weights = friction.grad_f(ca.MX.zeros(n_nodes), X)[1]
+            shape = (len(problem.obstacles), n_nodes)
+            slip = ca.MX.sym("s", shape[0] * n_nodes)
+            friction = assemble(friction_groups(problem, positions, unknown_field(shape)), slip, X, 0)
+            weights = friction.grad_f(ca.MX.zeros(slip.shape[0]), X)[1]
             self._kernels += friction.kernels
             self._weights = Evaluator(ca.Function("weights", [X], [weights]))
+            numbers = [np.full(part.nodes.size, part.number) for part in problem.contact_sets]
+            self._weight_of = self.contact_nodes * shape[0] + np.concatenate(numbers)
+        self._floats = rigid_motions(problem).size > 0
+        if self._floats:
+            system = self.system(problem.mesh.p)
+            check_load(system)
+            check_unique(system, solve(system))
 
     def system(self, nodes: Array) -> ContactSystem:
         """The quadratic program at node positions (2, nodes)."""
         hessian, load, constant, offset = self._evaluate(nodes)
         stiffness = self._stiffness(hessian)
-        bound = self._weights(nodes)[0][self.contact_nodes] if self._friction else np.zeros(0)
-        return ContactSystem(stiffness, load, float(constant[0]), self.normals, self.tangents, offset, bound)
+        bound = self._weights(nodes)[0][self._weight_of] if self._friction else np.zeros(0)
+        normals, tangents = self.normals, self.tangents
+        if self._curved:
+            directions = self._directions(nodes)
+            normals, tangents = self._unit_rows(directions), self._tangents(directions)
+        return ContactSystem(
+            stiffness,
+            load,
+            float(constant[0]),
+            normals,
+            tangents,
+            offset,
+            bound,
+            self.frictional,
+            self._rigid(nodes) if self._floats else None,
+        )
 
     def solve(self, nodes: Array, start: ActiveSet | None = None) -> Equilibrium:
         """Contact solve at node positions (2, nodes)."""
         return solve(self.system(nodes), start)
 
-    def _unit_rows(self, vector: tuple[float, ...]) -> sp.csr_array:
+    def _rigid(self, nodes: Array) -> Array:
+        """The rigid motions that only contact prevents, (n_u, motions)."""
+        free = self.displacement.index >= 0
+        result = np.zeros((self.n_u, 0))
+        for motion in rigid_motions(self.problem, nodes):
+            column = np.zeros((self.n_u, 1))
+            column[self.displacement.index[free], 0] = motion[free]
+            result = np.hstack([result, column])
+        return result
+
+    def _directions(self, nodes: Array) -> Array:
+        """Unit normals (components, gaps) at node positions (2, nodes)."""
+        parts = [part.obstacle.normals(nodes[:, part.nodes]) for part in self.problem.contact_sets]
+        return np.hstack([np.zeros((self.problem.components, 0)), *parts])
+
+    def _tangents(self, normals: Array) -> sp.csr_array:
+        if self.problem.components == 1:
+            return sp.csr_array((0, self.n_u))
+        return self._unit_rows(np.stack([normals[1], -normals[0]]))
+
+    def _unit_rows(self, vectors: Array) -> sp.csr_array:
+        """Rows that take the component of the displacement along ``vectors`` (components, gaps)."""
         if self.contact_nodes.size == 0:
             return sp.csr_array((0, self.n_u))
         index = self.displacement.index[:, self.contact_nodes]
-        keep = np.asarray(vector)[:, None] * np.ones(index.shape)
         row = np.broadcast_to(np.arange(index.shape[1]), index.shape)
-        used = (keep != 0) & (index >= 0)
-        return sp.csr_array((keep[used], (row[used], index[used])), shape=(index.shape[1], self.n_u))
+        used = (np.abs(vectors) > NO_NORMAL) & (index >= 0)
+        return sp.csr_array((vectors[used], (row[used], index[used])), shape=(index.shape[1], self.n_u))
 
 
 def solve(
@@ -134,6 +191,7 @@ def solve(
         proposal, violations = _next_set(system, state, active)
         if violations == 0:
             return replace(state, iterations=iteration)
+        proposal = holding(system, active, state, proposal)
         if violations < fewest:
             fewest, patience = violations, PATIENCE
             seen.clear()

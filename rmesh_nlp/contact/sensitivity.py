@@ -73,5 +73,6 @@ def weakly_active(system: ContactSystem, state: Equilibrium, tolerance: float = 
     if system.slip_bound.size:
         slip = np.abs(system.tangents @ state.u) / length
         reserve = np.abs(system.slip_bound - np.abs(state.tangential_force)) / force
-        weak |= np.maximum(slip, reserve) < tolerance
+        acts = True if system.frictional is None else system.frictional
+        weak |= acts & (np.maximum(slip, reserve) < tolerance)
     return np.asarray(weak)

@@ -38,6 +38,10 @@ class ContactSystem:
         gamma, the gap at zero displacement.
     slip_bound : (contact nodes,) array
         b = g omega, the largest tangential force; empty without friction.
+    frictional : (contact nodes,) bool array, optional
+        Where friction may act if there is any; everywhere by default.
+    rigid : (m, motions) array, optional
+        Rigid motions that only contact prevents; none by default.
     """
 
     stiffness: sp.csc_array
@@ -47,6 +51,8 @@ class ContactSystem:
     tangents: sp.csr_array
     offset: Array
     slip_bound: Array
+    frictional: NDArray[np.bool_] | None = None
+    rigid: Array | None = None
 
     def energy(self, u: Array) -> float:
         """J(u), friction included."""
@@ -80,10 +86,16 @@ class ContactSystem:
 
     @property
     def force_scale(self) -> float:
-        """Unit of nodal forces, to make residuals dimensionless."""
-        return float(
-            max(np.max(np.abs(self.load), initial=0.0), np.max(self.slip_bound, initial=0.0), 1e-300)
-        )
+        """Unit of nodal forces, to make residuals dimensionless.
+
+        The largest applied one; where a foundation alone deforms the body, the force that its initial
+        overlap would take.
+        """
+        applied = max(np.max(np.abs(self.load), initial=0.0), np.max(self.slip_bound, initial=0.0))
+        if applied == 0:
+            overlap = -np.min(self.offset, initial=0.0)
+            applied = overlap * np.max(self.stiffness.diagonal(), initial=0.0)
+        return float(max(applied, 1e-300))
 
 
 @dataclass(frozen=True)
@@ -142,6 +154,8 @@ class RotatedSystem:
         basis, self.normal, self.tangent = _contact_basis(system)
         self.basis = basis
         self.slips = self.tangent >= 0  # False where the tangential displacement is given
+        if system.frictional is not None:
+            self.slips = self.slips & system.frictional[: self.slips.size]
         self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
         self.F = system.load if basis is None else basis.T @ system.load
         self._frictional = system.slip_bound.size > 0
@@ -171,17 +185,24 @@ def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, NDArray,
     """Change of unknowns ``u = basis @ w`` after which N u and T u are single entries of w.
 
     Returns the basis (None for the identity) and the entries of w that hold N u and T u; -1 where
-    T u is given.
+    T u is given, or no friction acts.
     """
     N, T = sp.csr_array(system.normals), sp.csr_array(system.tangents)
-    single = np.diff(N.indptr) == 1
-    if np.all(single) and np.all(N.data == 1) and np.all(np.diff(T.indptr) <= 1) and np.all(T.data == 1):
-        tangent = np.full(T.shape[0], -1, np.int64)
-        tangent[np.diff(T.indptr) == 1] = T.indices
+    sticky = np.zeros(N.shape[0], dtype=bool)
+    if system.slip_bound.size:
+        sticky[:] = True if system.frictional is None else system.frictional
+    single = bool(np.all(np.diff(N.indptr) == 1) and np.all(N.data == 1)) and _apart(N)
+    tangent = np.full(N.shape[0], -1, np.int64)
+    if single and not np.any(sticky):
         return None, N.indices.astype(np.int64), tangent
+    if single and np.all(np.diff(T.indptr) <= 1) and np.all(T.data == 1):
+        given = np.diff(T.indptr) == 0
+        tangent[~given] = T.indices
+        return None, N.indices.astype(np.int64), np.where(sticky, tangent, -1)
     basis = sp.lil_array(sp.eye_array(system.load.size))
-    normal, tangent = np.zeros(N.shape[0], np.int64), np.full(T.shape[0], -1, np.int64)
-    for i in range(N.shape[0]):
+    normal = np.zeros(N.shape[0], np.int64)
+    done = _corner_basis(N, basis, normal)
+    for i in np.flatnonzero(~done):
         n_dofs, n_values = _row(N, i)
         normal[i] = n_dofs[np.argmax(np.abs(n_values))]
         if n_dofs.size == 1:
@@ -195,14 +216,42 @@ def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, NDArray,
             basis[normal[i], other], basis[other, other] = sign[normal[i]], sign[other]
             tangent[i] = other
             continue
-        if T.shape[0]:
+        if sticky[i]:
             t_dofs, t_values = _row(T, i)
             if t_dofs.size and t_dofs[0] != normal[i]:
                 tangent[i] = t_dofs[0]
                 basis[tangent[i], tangent[i]] = 1 / t_values[0]
-    return sp.csc_array(basis), normal, tangent
+    return sp.csc_array(basis), normal, np.where(sticky, tangent, -1)
 
 
-def _row(matrix: sp.csr_array, i: int) -> tuple[NDArray, Array]:
+def _shared(N: sp.csr_array) -> sp.coo_array:
+    """Pairs of gaps that depend on one unknown, as entries above the diagonal."""
+    return sp.coo_array(sp.triu(abs(N) @ abs(N).T, k=1))
+
+
+def _apart(N: sp.csr_array) -> bool:
+    """Whether no two gaps, of one entry each, depend on one unknown."""
+    return np.unique(N.indices).size == N.indices.size
+
+
+def _corner_basis(N: sp.csr_array, basis: Any, normal: NDArray) -> NDArray[np.bool_]:
+    """Fills in the basis at nodes that two foundations meet: both gaps are unknowns there.
+
+    Returns which rows it has dealt with.
+    """
+    done = np.zeros(N.shape[0], dtype=bool)
+    shared = _shared(N)
+    for one, two in zip(shared.row, shared.col, strict=True):
+        dofs = np.unique(np.concatenate([_row(N, one)[0], _row(N, two)[0]]))
+        inverse = np.linalg.inv(N[[one, two]][:, dofs].toarray())
+        for i, row in enumerate(dofs):
+            for j, column in enumerate(dofs):
+                basis[row, column] = inverse[i, j]
+        normal[one], normal[two] = dofs
+        done[[one, two]] = True
+    return done
+
+
+def _row(matrix: sp.csr_array, i: Any) -> tuple[NDArray, Array]:
     part = slice(matrix.indptr[i], matrix.indptr[i + 1])
     return matrix.indices[part], matrix.data[part]

@@ -16,7 +16,7 @@ from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.element import PointValues
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, Index, constant_field
-from rmesh_nlp.problem import ContactProblem, Traction
+from rmesh_nlp.problem import ContactProblem, PointLoad, Traction
 from rmesh_nlp.problem.coefficients import Coefficient, at, is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
 from rmesh_nlp.problem.obstacle import Obstacle, Place
@@ -133,6 +133,12 @@ def traction_energy(traction: Traction) -> ca.Function:
     return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, ca.SX(0, 1)])
 
 
+def point_energy(load: PointLoad) -> ca.Function:
+    """``(u_i,) -> (-force . u, empty)`` at one node."""
+    u = ca.SX.sym("u", len(load.force))
+    return ca.Function("point_energy", [u], [-ca.dot(ca.DM(load.force), u), ca.SX(0, 1)])
+
+
 def _work(load: tuple[Coefficient, ...], X: ca.SX, u: ca.SX, barycentric: Array, weights: Array) -> Any:
     """Weighted sum of load . u over the points; the mean over the element."""
     work = ca.SX(0)
@@ -155,19 +161,19 @@ def friction_energy(obstacle: Obstacle) -> ca.Function:
     return ca.Function("friction_energy", [ca.vec(X), s], [length * slip / 2, ca.SX(0, 1)])
 
 
-def gap_function(obstacle: Obstacle) -> ca.Function:
-    """``(X_i, u_i) -> (0, gap)`` of one contact node: normal . u + offset(X)."""
-    X, u = ca.SX.sym("X", 2), ca.SX.sym("u", len(obstacle.normal))
-    gap = ca.dot(ca.DM(obstacle.normal), u) + at(obstacle.offset, X[0], X[1])
+def gap_function(obstacle: Obstacle, components: int) -> ca.Function:
+    """``(X_i, u_i) -> (0, gap)`` of one contact node: normal(X) . u + distance(X)."""
+    X, u = ca.SX.sym("X", 2), ca.SX.sym("u", components)
+    gap = ca.dot(obstacle.direction(X[0], X[1]), u) + obstacle.distance(X[0], X[1])
     return ca.Function("gap", [X, u], [0, gap])
 
 
-def contact_edges(problem: ContactProblem) -> Index:
-    """(2, edges) node numbers of the contact boundary; none for an obstacle in the interior."""
-    if isinstance(problem.obstacle.boundary, Place):
-        return np.zeros((2, 0), dtype=np.int64)
-    facets = problem.mesh.boundaries[problem.obstacle.boundary]
-    return np.asarray(problem.mesh.facets[:, facets], dtype=np.int64)
+def contact_edges(problem: ContactProblem, obstacle: Obstacle | None = None) -> Index:
+    """(2, edges) node numbers of one contact boundary, or of all; none for an obstacle in the interior."""
+    chosen = problem.obstacles if obstacle is None else (obstacle,)
+    names = [part.boundary for part in chosen if not isinstance(part.boundary, Place)]
+    facets = [np.zeros(0, np.int64), *(np.asarray(problem.mesh.boundaries[name]) for name in names)]
+    return np.asarray(problem.mesh.facets[:, np.concatenate(facets)], dtype=np.int64)
 
 
 def bulk_groups(problem: ContactProblem, positions: Field, displacement: Field) -> list[ElementGroup]:
@@ -184,6 +190,8 @@ def bulk_groups(problem: ContactProblem, positions: Field, displacement: Field) 
         edges = np.asarray(problem.mesh.facets[:, problem.mesh.boundaries[traction.boundary]], dtype=np.int64)
         local = (positions.at(edges), displacement.at(edges))
         groups.append(objective_group(traction_energy(traction), local))
+    for load in problem.point_loads:
+        groups.append(objective_group(point_energy(load), (displacement.at(np.array([[load.node]])),)))
     return groups
 
 
@@ -198,19 +206,29 @@ def _load_group(
     return objective_group(function, (positions.at(triangles), displacement.at(triangles)), at_points)
 
 
-def friction_group(problem: ContactProblem, positions: Field, slip: Field) -> ElementGroup:
-    """Friction energy as a function of nodal slip magnitudes (1, nodes)."""
-    edges = contact_edges(problem)
-    return objective_group(friction_energy(problem.obstacle), (positions.at(edges), slip.at(edges)))
+def friction_groups(problem: ContactProblem, positions: Field, slip: Field) -> list[ElementGroup]:
+    """Friction energy as a function of nodal slip magnitudes (obstacles, nodes)."""
+    groups = []
+    for part in problem.contact_sets:
+        if part.obstacle.frictional:
+            edges = contact_edges(problem, part.obstacle)
+            local = (positions.at(edges), slip.component(part.number).at(edges))
+            groups.append(objective_group(friction_energy(part.obstacle), local))
+    return groups
 
 
-def gap_group(
+def gap_groups(
     problem: ContactProblem, positions: Field, displacement: Field, first_row: int = 0
-) -> ElementGroup:
-    """One constraint row per contact node: its gap."""
-    nodes = problem.contact_nodes[None, :]
-    rows = first_row + np.arange(nodes.size)[None, :]
-    return ElementGroup(gap_function(problem.obstacle), (positions.at(nodes), displacement.at(nodes)), rows)
+) -> list[ElementGroup]:
+    """One constraint row per contact node and obstacle: its gap."""
+    return [
+        ElementGroup(
+            gap_function(part.obstacle, problem.components),
+            (positions.at(part.nodes[None, :]), displacement.at(part.nodes[None, :])),
+            first_row + part.rows[None, :],
+        )
+        for part in problem.contact_sets
+    ]
 
 
 def displacement_field(problem: ContactProblem, first: int = 0) -> tuple[Field, int]:

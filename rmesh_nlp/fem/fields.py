@@ -48,6 +48,11 @@ class Field:
 
         return Field(pick(self.index), pick(self.scale), pick(self.offset), self.parameter)
 
+    def component(self, number: int) -> Field:
+        """One component as a field of its own."""
+        part = slice(number, number + 1)
+        return Field(self.index[part], self.scale[part], self.offset[part], self.parameter)
+
     def values(self, w: Array) -> Array:
         """The field itself, (components, nodes), for a numeric vector ``w``."""
         moving = self.index != CONSTANT

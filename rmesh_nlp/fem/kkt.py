@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.fem.element import local_symbols
-from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, Index
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, Index, unknown_field
 from rmesh_nlp.problem import ContactProblem, Obstacle
 
 
@@ -38,42 +38,56 @@ def gradient_group(group: ElementGroup, argument: int, shift: int, unit: float) 
     )
 
 
-def contact_force_group(
-    problem: ContactProblem, rows: Index, normal_force: Field, friction: tuple[Field, Field] | None
-) -> ElementGroup:
+def contact_force_groups(
+    problem: ContactProblem,
+    rows: Index,
+    positions: Field,
+    normal_force: Field,
+    friction: tuple[Field, Field] | None,
+) -> list[ElementGroup]:
     """Rows ``-lambda n + (mu- - mu+) t`` of the equilibrium at contact nodes.
 
-    ``rows`` is (components, nodes): the row of each displacement unknown.
+    ``rows`` is (components, nodes): the row of each displacement unknown; the multipliers are fields
+    (obstacles, nodes).
     """
-    nodes = problem.contact_nodes[None, :]
-    fields = (normal_force, *(friction or ()))
-    return ElementGroup(
-        _contact_force(problem.obstacle, friction is not None),
-        tuple(field.at(nodes) for field in fields),
-        rows[:, nodes[0]],
-    )
+    groups = []
+    for part in problem.contact_sets:
+        nodes = part.nodes[None, :]
+        used = (normal_force, *(friction or ())) if part.obstacle.frictional else (normal_force,)
+        multipliers = tuple(field.component(part.number).at(nodes) for field in used)
+        function = _contact_force(part.obstacle)
+        groups.append(ElementGroup(function, (positions.at(nodes), *multipliers), rows[:, part.nodes]))
+    return groups
 
 
-def _contact_force(obstacle: Obstacle, frictional: bool) -> ca.Function:
+def _contact_force(obstacle: Obstacle) -> ca.Function:
+    """``(X_i, lambda[, mu-, mu+]) -> (0, force)``."""
+    X = ca.SX.sym("X", 2)
     pressure, minus, plus = ca.SX.sym("lambda"), ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
-    force = -pressure * ca.DM(obstacle.normal)
-    if not frictional:
-        return ca.Function("contact_force", [pressure], [0, force])
+    force = -pressure * obstacle.direction(X[0], X[1])
+    if not obstacle.frictional:
+        return ca.Function("contact_force", [X, pressure], [0, force])
     force += (minus - plus) * ca.DM(obstacle.tangent)
-    return ca.Function("contact_force", [pressure, minus, plus], [0, force])
+    return ca.Function("contact_force", [X, pressure, minus, plus], [0, force])
 
 
-def bound_force_group(problem: ContactProblem, rows: Index, friction: tuple[Field, Field]) -> ElementGroup:
+def bound_force_groups(
+    problem: ContactProblem, first_row: int, friction: tuple[Field, Field]
+) -> list[ElementGroup]:
     """Rows ``-mu- - mu+`` of the stationarity with respect to the slip magnitudes."""
-    nodes = problem.contact_nodes[None, :]
     minus, plus = ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
     function = ca.Function("bound_force", [minus, plus], [0, -minus - plus])
-    return ElementGroup(function, tuple(field.at(nodes) for field in friction), rows[None, :])
+    groups = []
+    for part in problem.contact_sets:
+        if part.obstacle.frictional:
+            local = tuple(field.component(part.number).at(part.nodes[None, :]) for field in friction)
+            groups.append(ElementGroup(function, local, first_row + np.arange(part.nodes.size)[None, :]))
+            first_row += part.nodes.size
+    return groups
 
 
-def identity_group(field: Field, nodes: Index, rows: Index) -> ElementGroup:
-    """Rows that repeat the unknowns of a scalar field at ``nodes``."""
+def identity_group(first: int, rows: Index) -> ElementGroup:
+    """Rows that repeat the unknowns numbered from ``first``."""
     value = ca.SX.sym("value")
-    return ElementGroup(
-        ca.Function("identity", [value], [0, value]), (field.at(nodes[None, :]),), rows[None, :]
-    )
+    field = unknown_field((1, rows.size), first)
+    return ElementGroup(ca.Function("identity", [value], [0, value]), (field,), rows[None, :])

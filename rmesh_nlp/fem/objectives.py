@@ -25,12 +25,12 @@ from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.energy import (
     bulk_groups,
     contact_edges,
-    friction_group,
+    friction_groups,
     objective_group,
     triangle_rule,
 )
 from rmesh_nlp.fem.fields import ElementGroup, Field, Index, constant_field
-from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, at, signed_areas
+from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, Obstacle, signed_areas
 from rmesh_nlp.problem.laws import energy_density
 
 ERROR_DEGREE = 10
@@ -44,10 +44,7 @@ Groups = Callable[[ContactProblem, Field, Field, Field], list[ElementGroup]]
 
 def energy(problem: ContactProblem, positions: Field, displacement: Field, slip: Field) -> list[ElementGroup]:
     """The total potential energy (3.3), (3.15)."""
-    groups = bulk_groups(problem, positions, displacement)
-    if problem.frictional:
-        groups.append(friction_group(problem, positions, slip))
-    return groups
+    return [*bulk_groups(problem, positions, displacement), *friction_groups(problem, positions, slip)]
 
 
 def error_energy(
@@ -88,9 +85,18 @@ def contact(
 
     T(u) is the exact traction (the outward normal derivative of a scalar problem).
     """
-    exact, obstacle = _exact(problem, "contact"), problem.obstacle
-    if len(problem.laws) > 1 or not isinstance(obstacle.boundary, str):
+    exact = _exact(problem, "contact")
+    if len(problem.laws) > 1 or any(not isinstance(o.boundary, str) for o in problem.obstacles):
         raise ValueError("the objective 'contact' needs one law and contact on a boundary")
+    return [
+        _contact_work(problem, positions, displacement, exact, obstacle) for obstacle in problem.obstacles
+    ]
+
+
+def _contact_work(
+    problem: ContactProblem, positions: Field, displacement: Field, exact: ExactSolution, obstacle: Obstacle
+) -> ElementGroup:
+    """What one contact boundary adds to :func:`contact`."""
     traction = _traction(problem.laws[0], exact)
     kind, components = exact.symbol, problem.components
     X_column, u_column = kind.sym("X", 4), kind.sym("u", 2 * components)
@@ -101,11 +107,12 @@ def contact(
     points, weights = get_quadrature_line(ERROR_DEGREE)
     for point, weight in zip(np.vstack([1 - points, points]).T, weights, strict=True):
         x, y = ca.vertsplit(X @ point)
-        gap = ca.dot(ca.DM(obstacle.normal), u @ point) + at(obstacle.offset, x, y)
-        total += weight * ca.dot(ca.DM(obstacle.normal), traction(x, y, outward)) * gap
+        normal = obstacle.direction(x, y)
+        gap = ca.dot(normal, u @ point) + obstacle.distance(x, y)
+        total += weight * ca.dot(normal, traction(x, y, outward)) * gap
     function = ca.Function("contact_error", [X_column, u_column], [total, kind(0, 1)])
-    edges = _with_body_on_the_left(problem, contact_edges(problem))
-    return [objective_group(function, (positions.at(edges), displacement.at(edges)))]
+    edges = _with_body_on_the_left(problem, contact_edges(problem, obstacle))
+    return objective_group(function, (positions.at(edges), displacement.at(edges)))
 
 
 def quality(

@@ -17,7 +17,6 @@ from rmesh_nlp.io.files import write_text, write_whole
 from rmesh_nlp.io.vtu import fields_of, point_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.programs.freedoms import freedoms, least_angles
 from rmesh_nlp.solution.solution import Solution, Step
@@ -27,12 +26,15 @@ if TYPE_CHECKING:
 
 
 def gaps(problem: ContactProblem, nodes: Array, displacement: Array) -> Array:
-    """Gap (nodes,) along the contact normal in units of length; NaN off the contact set."""
+    """Gap (nodes,) along the contact normal in units of length; NaN off the contact set.
+
+    At a node that may meet two foundations the smaller one.
+    """
     result = np.full(nodes.shape[1], np.nan)
-    where, obstacle = problem.contact_nodes, problem.obstacle
-    if where.size:
-        offset = on_points(obstacle.offset, nodes[:, where])
-        result[where] = np.array(obstacle.normal) @ displacement[:, where] + offset
+    for part in problem.contact_sets:
+        here = nodes[:, part.nodes]
+        along = np.sum(part.obstacle.normals(here) * displacement[:, part.nodes], axis=0)
+        result[part.nodes] = np.fmin(result[part.nodes], along + part.obstacle.distances(here))
     return result
 
 

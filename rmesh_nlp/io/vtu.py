@@ -48,14 +48,14 @@ class Fields:
 def fields_of(solution: Solution) -> Fields:
     """The fields of a solution."""
     problem, nodes = solution.problem, np.asarray(solution.mesh.p)
-    obstacle, where = problem.obstacle, problem.contact_nodes
     contact = np.zeros(nodes.shape[1], dtype=bool)
-    contact[where] = True
+    contact[problem.contact_nodes] = True
     bound, foundation = np.zeros(nodes.shape[1]), nodes.copy()
-    bound[where] = on_points(obstacle.friction, nodes[:, where])
-    if problem.components == 2:
-        distance = on_points(obstacle.offset, nodes[:, where])
-        foundation[:, where] -= np.outer(obstacle.normal, distance)
+    for part in problem.contact_sets:
+        here = nodes[:, part.nodes]
+        bound[part.nodes] = on_points(part.obstacle.friction, here)
+        if problem.components == 2:
+            foundation[:, part.nodes] = here - part.obstacle.normals(here) * part.obstacle.distances(here)
     return Fields(
         nodes=nodes,
         initial=np.asarray(problem.mesh.p),

@@ -7,12 +7,14 @@ from rmesh_nlp.problem.contact_problem import ContactProblem
 from rmesh_nlp.problem.laws import Elastic, Laplace, Law, PlaneStrain, PlaneStress
 from rmesh_nlp.problem.motion import Motion, Relative
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
-from rmesh_nlp.problem.statement import Dirichlet, ExactSolution, Traction
+from rmesh_nlp.problem.statement import ContactSet, Dirichlet, ExactSolution, PointLoad, Traction
+from rmesh_nlp.problem.units import Units
 
 __all__ = [
     "NO_CONTACT",
     "Coefficient",
     "ContactProblem",
+    "ContactSet",
     "Dirichlet",
     "Elastic",
     "ExactSolution",
@@ -24,10 +26,12 @@ __all__ = [
     "Place",
     "PlaneStrain",
     "PlaneStress",
+    "PointLoad",
     "PositionFunction",
     "ProblemError",
     "Relative",
     "Traction",
+    "Units",
     "at",
     "signed_areas",
 ]

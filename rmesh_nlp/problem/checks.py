@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.geometry import overlapping, signed_areas
 from rmesh_nlp.problem.coefficients import on_points
-from rmesh_nlp.problem.obstacle import Place
-from rmesh_nlp.problem.statement import Statement
+from rmesh_nlp.problem.rigid import NO_MOTION, rigid_motions, seen_by_contact
+from rmesh_nlp.problem.statement import ContactSet, Statement
 
 
 def check(problem: Statement) -> None:
@@ -30,27 +28,60 @@ def check(problem: Statement) -> None:
         held, value = problem.held()
     except ValueError as error:
         raise ProblemError("dirichlet", str(error)) from error
-    _check_held(problem, held)
     _check_friction(problem, held, value)
     _check_obstacle(problem)
+    _check_held(problem)
 
 
 def _check_obstacle(problem: Statement) -> None:
-    nodes, obstacle = problem.contact_nodes, problem.obstacle
-    if obstacle.boundary is Place.NOWHERE:
-        return
+    for contact in problem.contact_sets:
+        _check_contact_set(problem, contact)
+    _check_shared_nodes(problem)
+
+
+def _check_contact_set(problem: Statement, contact: ContactSet) -> None:
+    nodes, obstacle = contact.nodes, contact.obstacle
     if nodes.size == 0:
         raise ProblemError("obstacle", "no node of the contact set is free to move: it is held as a whole")
     where = problem.mesh.p[:, nodes]
-    for part, coefficient in (("obstacle", obstacle.offset), ("friction", obstacle.friction)):
-        what = "the friction bound" if part == "friction" else "the obstacle"
-        try:
-            values = on_points(coefficient, where, what)
-        except ValueError as error:
-            raise ProblemError(part, str(error)) from error
-        if part == "friction" and np.min(values) < 0:
-            node = nodes[np.argmin(values)]
-            raise ProblemError(part, f"{what} must not be negative, got {np.min(values)} at node {node}")
+    try:
+        obstacle.distances(where)
+    except ValueError as error:
+        raise ProblemError("obstacle", str(error)) from error
+    try:
+        values = on_points(obstacle.friction, where, "the friction bound")
+    except ValueError as error:
+        raise ProblemError("friction", str(error)) from error
+    if np.min(values) < 0:
+        node = nodes[np.argmin(values)]
+        raise ProblemError(
+            "friction", f"the friction bound must not be negative, got {np.min(values)} at node {node}"
+        )
+
+
+def _check_shared_nodes(problem: Statement) -> None:
+    """A node may meet two foundations if it can obey both gaps, and without friction."""
+    nodes, count = np.unique(problem.contact_nodes, return_counts=True)
+    shared = nodes[count > 1]
+    if shared.size == 0:
+        return
+    held, _ = problem.held()
+    for node, number in zip(shared, count[count > 1], strict=True):
+        meeting = [part.obstacle for part in problem.contact_sets if node in part.nodes]
+        normals = np.hstack([obstacle.normals(problem.mesh.p[:, [node]]) for obstacle in meeting])
+        free = normals[~held[:, node]]
+        if number > 2 or np.linalg.matrix_rank(free, tol=1e-6) < number:
+            raise ProblemError(
+                "obstacle",
+                f"node {node} belongs to {number} contact boundaries and cannot obey all their gaps: end one "
+                "of them before it",
+            )
+        if any(obstacle.frictional for obstacle in meeting):
+            raise ProblemError(
+                "friction",
+                f"node {node} belongs to {number} contact boundaries, one of them with friction: end one of "
+                "them before it",
+            )
 
 
 def _check_names(problem: Statement) -> None:
@@ -65,7 +96,7 @@ def _check_names(problem: Statement) -> None:
     edge = overlapping(problem.triangles)
     if edge is not None:
         raise ProblemError("mesh", f"the mesh is folded at the edge between nodes {edge[0]} and {edge[1]}")
-    if not problem.dirichlet:
+    if not problem.dirichlet and not problem.obstacles:
         raise ProblemError(
             "dirichlet", "at least one boundary must be held (dirichlet), or the energy has no minimum"
         )
@@ -73,8 +104,7 @@ def _check_names(problem: Statement) -> None:
     used = [("dirichlet", d if isinstance(d, str) else d.boundary) for d in problem.dirichlet]
     used += [("tractions", t.boundary) for t in problem.tractions]
     used += [("motion", name) for name in problem.motion.names]
-    if isinstance(problem.obstacle.boundary, str):
-        used.append(("obstacle", problem.obstacle.boundary))
+    used += [("obstacle", o.boundary) for o in problem.obstacles if isinstance(o.boundary, str)]
     for part, name in used:
         if name not in known:
             has = ", ".join(known) or "none"
@@ -101,13 +131,21 @@ def _check_laws(problem: Statement) -> None:
 
 
 def _check_components(problem: Statement) -> None:
-    n, obstacle = problem.components, problem.obstacle
-    if obstacle.boundary is not Place.NOWHERE and len(obstacle.normal) != n:
-        raise ProblemError(
-            "obstacle",
-            f"the contact normal {obstacle.normal} has {len(obstacle.normal)} components, "
-            f"the displacement has {n}",
-        )
+    n = problem.components
+    for obstacle in problem.obstacles:
+        if len(obstacle.normal) != n:
+            raise ProblemError(
+                "obstacle",
+                f"the contact normal {obstacle.normal} has {len(obstacle.normal)} components, "
+                f"the displacement has {n}",
+            )
+    for load in problem.point_loads:
+        if not 0 <= load.node < problem.mesh.p.shape[1]:
+            raise ProblemError("tractions", f"a point load names node {load.node}, which the mesh has not")
+        if len(load.force) != n or not np.all(np.isfinite(load.force)):
+            raise ProblemError(
+                "tractions", f"the point load {load.force} at node {load.node} needs {n} finite values"
+            )
     for traction in problem.tractions:
         if len(traction.value) != n:
             raise ProblemError(
@@ -125,33 +163,32 @@ def _check_friction(problem: Statement, held: NDArray[np.bool_], value: Array) -
     """With friction a contact node may be held along the tangent at zero, and not otherwise."""
     if not problem.frictional:
         return
-    nodes = problem.contact_nodes
-    oblique = np.all(np.array(problem.obstacle.normal) != 0)
-    bad = nodes[np.any(held[:, nodes] & (oblique | (value[:, nodes] != 0)), axis=0)]
-    if bad.size:
-        raise ProblemError(
-            "friction",
-            f"contact node {bad[0]} has friction and one given displacement component: with friction it must "
-            "be zero and along the tangent",
-        )
-
-
-def _check_held(problem: Statement, held: NDArray[np.bool_]) -> None:
-    """Every connected part of the mesh must be held against all rigid motions."""
-    mesh = problem.mesh
-    n_nodes = mesh.p.shape[1]
-    edges = sp.coo_array((np.ones(mesh.facets.shape[1]), tuple(mesh.facets)), shape=(n_nodes, n_nodes))
-    _, part = connected_components(edges, directed=False)
-    for number in np.unique(part[mesh.t[0]]):
-        nodes = np.flatnonzero(part == number)
-        x, y = mesh.p[:, nodes] - mesh.p[:, nodes].mean(axis=1, keepdims=True)
-        one, zero = np.ones(nodes.size), np.zeros(nodes.size)
-        size = max(float(np.max(np.abs([x, y]))), 1e-300)
-        modes = [[one]] if problem.components == 1 else [[one, zero], [zero, one], [-y / size, x / size]]
-        rows = np.array([np.concatenate(mode)[held[:, nodes].ravel()] for mode in modes])
-        if np.linalg.matrix_rank(rows, tol=1e-9) < len(modes):
+    for part in problem.contact_sets:
+        if not part.obstacle.frictional:
+            continue
+        nodes = part.nodes
+        oblique = np.all(np.array(part.obstacle.normal) != 0)
+        bad = nodes[np.any(held[:, nodes] & (oblique | (value[:, nodes] != 0)), axis=0)]
+        if bad.size:
             raise ProblemError(
-                "dirichlet",
-                f"the part of the mesh with node {nodes[0]} can still move as a rigid body: the given "
-                "displacements must prevent it, contact alone does not",
+                "friction",
+                f"contact node {bad[0]} has friction and one given displacement component: with friction it "
+                "must be zero and along the tangent",
             )
+
+
+def _check_held(problem: Statement) -> None:
+    """Given displacements, or contact with them, must prevent every rigid motion of every part.
+
+    Whether contact does so under the load, and in one place only, is a matter of the forces:
+    :mod:`rmesh_nlp.contact.floating`.
+    """
+    motions = rigid_motions(problem)
+    gaps = seen_by_contact(problem, motions)
+    if np.linalg.matrix_rank(gaps, tol=NO_MOTION) < len(motions):
+        node = int(np.flatnonzero(np.any(motions != 0, axis=(0, 1)))[0])
+        raise ProblemError(
+            "dirichlet",
+            f"the part of the mesh with node {node} can still move as a rigid body: the given "
+            "displacements must prevent it, and contact does not",
+        )

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
+from functools import lru_cache
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, on_points
 
 
 class Place(Enum):
@@ -26,14 +30,19 @@ class Obstacle:
     geometrically linear: the gap is measured along ``normal`` at the place where the node is
     before the displacement.
 
+    A foundation with a ``level`` function phi, positive where the body may be, has a normal of its own
+    at every place: the gap is the linearisation of ``phi(X + u) >= 0`` at the undeformed node,
+    ``(phi(X) + grad phi(X) . u) / |grad phi(X)|``, a distance along the curve's normal there.
+
     Attributes
     ----------
     boundary : str or Place
         Name of the contact boundary; ``Place.INTERIOR`` for all nodes of a scalar problem.
     normal : tuple of float
-        Unit vector, one number for a scalar problem. It points from the foundation to the body.
+        Unit vector, one number for a scalar problem. It points from the foundation to the body. Not used
+        with a ``level`` function.
     offset : float or function of position
-        Initial distance to the foundation, in units of length.
+        Initial distance to the foundation, in units of length. Not used with a ``level`` function.
     friction : float or function of position
         Tresca bound g >= 0 in N/m^2, 0 without friction. It acts along the tangent, ``normal``
         turned by -90 degrees.
@@ -41,6 +50,11 @@ class Obstacle:
         Values of x_1 where the offset has a kink, found for a :class:`PiecewiseLinear` one.
         Contact nodes there do not move: the gap is imposed at nodes, and beside its node a kink
         of the foundation would pass into the body.
+    level : function of position, optional
+        phi, smooth and with a gradient that is not zero near the contact boundary.
+    fixed_in_space : bool
+        Whether the offset is that of a shape in space, so that a rigid motion of the foundation
+        carries it along; else it is the gap of each material point by itself.
     """
 
     boundary: str | Place
@@ -48,6 +62,8 @@ class Obstacle:
     offset: Coefficient = 0.0
     friction: Coefficient = 0.0
     kinks: tuple[float, ...] = ()
+    level: PositionFunction | None = None
+    fixed_in_space: bool = False
 
     def __post_init__(self) -> None:
         if isinstance(self.offset, PiecewiseLinear) and not self.kinks:
@@ -59,6 +75,10 @@ class Obstacle:
             raise ValueError(f"the friction bound must not be negative, got {self.friction}")
         if self.frictional and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
             raise ValueError("friction needs a problem with two displacement components")
+        if self.frictional and self.level is not None:
+            raise ValueError(
+                "friction needs a foundation with one normal: a line, a graph or an offset, not a curve"
+            )
 
     @classmethod
     def line(
@@ -76,7 +96,11 @@ class Obstacle:
         if not (np.isfinite(length) and length > 0):
             raise ValueError(f"the normal of the rigid line must be a non-zero vector, got {normal}")
         n = (normal[0] / length, normal[1] / length)
-        return cls(boundary, n, lambda x, y: n[0] * (x - point[0]) + n[1] * (y - point[1]), friction=friction)
+
+        def distance(x: Any, y: Any) -> Any:
+            return n[0] * (x - point[0]) + n[1] * (y - point[1])
+
+        return cls(boundary, n, distance, friction=friction, fixed_in_space=True)
 
     @classmethod
     def graph(cls, boundary: str, height: PositionFunction | float, friction: Coefficient = 0.0) -> Obstacle:
@@ -86,12 +110,95 @@ class Obstacle:
         height is any smooth function or a :class:`PiecewiseLinear`, called as height(x, y).
         """
         kinks = height.kinks if isinstance(height, PiecewiseLinear) else ()
-        return cls(boundary, (0.0, 1.0), lambda x, y: y - at(height, x, y), friction, kinks)
+
+        def distance(x: Any, y: Any) -> Any:
+            return y - at(height, x, y)
+
+        return cls(boundary, (0.0, 1.0), distance, friction, kinks, fixed_in_space=True)
+
+    @classmethod
+    def curve(cls, boundary: str, level: PositionFunction) -> Obstacle:
+        """A foundation bounded by the curve ``level(x, y) = 0``, with ``level > 0`` where the body may be.
+
+        The gap is measured along the curve's normal at the undeformed node, linearly in the
+        displacement, without friction. Scale and kind of ``level`` do not matter to first order.
+        """
+        return cls(boundary, level=level, fixed_in_space=True)
+
+    @classmethod
+    def circle(
+        cls, boundary: str, centre: tuple[float, float], radius: float, *, inside: bool = False
+    ) -> Obstacle:
+        """A rigid disc that the body touches from outside, or a round hole with the body ``inside``.
+
+        The gap at zero displacement is the distance to the circle, the normal that at the
+        undeformed node; both are exact, the dependence on the displacement is linear.
+        """
+        if not (np.isfinite(radius) and radius > 0):
+            raise ValueError(f"the radius of the circle must be positive, got {radius}")
+        if not np.all(np.isfinite(centre)):
+            raise ValueError(f"the centre of the circle must be finite, got {centre}")
+        sign = -1.0 if inside else 1.0
+
+        def distance(x: Any, y: Any) -> Any:
+            return sign * (ca.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) - radius)
+
+        return cls.curve(boundary, distance)
 
     @classmethod
     def interior(cls, psi: Coefficient) -> Obstacle:
         """The scalar obstacle problem ``u >= psi`` in the whole domain, imposed at the nodes."""
         return cls(Place.INTERIOR, (1.0,), lambda x, y: -at(psi, x, y))
+
+    def moved(self, by: tuple[float, float]) -> Obstacle:
+        """The foundation moved as a rigid body by ``by``.
+
+        A shape in space is carried along; a gap given at material points shrinks by ``normal . by``.
+        """
+        dx, dy = (float(value) for value in by)
+        kinks = tuple(kink + dx for kink in self.kinks)
+        level, offset, n = self.level, self.offset, self.normal
+        if level is not None:
+            return replace(self, level=lambda x, y: level(x - dx, y - dy))
+        if len(n) != 2:
+            raise ValueError("only the foundation of an elastic body can move as a rigid body")
+        if self.fixed_in_space:
+            return replace(self, offset=lambda x, y: at(offset, x - dx, y - dy), kinks=kinks)
+        closer = n[0] * dx + n[1] * dy
+        return replace(self, offset=lambda x, y: at(offset, x, y) - closer, kinks=self.kinks)
+
+    def direction(self, x: Any, y: Any) -> Any:
+        """Unit normal at a point as a CasADi column."""
+        if self.level is None:
+            return ca.DM(self.normal)
+        slope = ca.vertcat(*_gradient(self.level)(x, y))
+        return slope / ca.norm_2(slope)
+
+    def distance(self, x: Any, y: Any) -> Any:
+        """The gap without displacement at a point."""
+        if self.level is None:
+            return at(self.offset, x, y)
+        return self.level(x, y) / ca.norm_2(ca.vertcat(*_gradient(self.level)(x, y)))
+
+    def normals(self, points: Array) -> Array:
+        """Unit normals (components, points) at ``points`` (2, points)."""
+        if self.level is None:
+            return np.outer(self.normal, np.ones(points.shape[1]))
+        if points.shape[1] == 0:
+            return np.zeros((2, 0))
+        slope = _gradient(self.level)(ca.DM(points[0]).T, ca.DM(points[1]).T)
+        normals = np.vstack([part.full() for part in slope])
+        return np.asarray(normals / np.linalg.norm(normals, axis=0))
+
+    def distances(self, points: Array) -> Array:
+        """Gaps (points,) without displacement at ``points`` (2, points).
+
+        Raises
+        ------
+        ValueError
+            If one is not finite.
+        """
+        return on_points(self.offset if self.level is None else self.distance, points, "the obstacle")
 
     @property
     def frictional(self) -> bool:
@@ -104,6 +211,14 @@ class Obstacle:
         if len(self.normal) == 1:
             return ()
         return (self.normal[1], -self.normal[0])
+
+
+@lru_cache(maxsize=32)
+def _gradient(level: PositionFunction) -> ca.Function:
+    """``(x, y) -> (d level / dx, d level / dy)``."""
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    value = ca.SX(level(x, y))
+    return ca.Function("slope", [x, y], [ca.jacobian(value, x), ca.jacobian(value, y)])
 
 
 NO_CONTACT = Obstacle(Place.NOWHERE)

@@ -18,6 +18,10 @@ from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction, on_poi
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.motion import Motion
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
+from rmesh_nlp.problem.units import NO_UNITS, Units
+
+NO_NORMAL = 1e-12
+"""Components of a unit normal below this are none."""
 
 BY_VALIDITY = Motion(delta=None)
 """Motion limited by element validity alone."""
@@ -29,6 +33,33 @@ class Traction:
 
     boundary: str
     value: tuple[Coefficient, ...]
+
+
+@dataclass(frozen=True)
+class PointLoad:
+    """A force per unit thickness at one node, one number per component.
+
+    The node does not move: the load would go with it. In the plane the energy under a point load has
+    no bound as the mesh is refined, so energies of different meshes do not compare.
+
+    Attributes
+    ----------
+    node : int
+    force : tuple of float
+    """
+
+    node: int
+    force: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ContactSet:
+    """The contact nodes of one obstacle and the rows of their gaps among those of all obstacles."""
+
+    number: int
+    obstacle: Obstacle
+    nodes: NDArray[np.int64]
+    rows: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -75,8 +106,8 @@ class Statement:
         A mapping must cover every triangle exactly once.
     dirichlet : tuple of str or Dirichlet
         Where the displacement is given; a plain name holds all components at zero.
-    obstacle : Obstacle
-        ``NO_CONTACT`` by default.
+    obstacle : Obstacle or tuple of Obstacle
+        ``NO_CONTACT`` by default; several for several contact boundaries or foundations.
     motion : Motion
     tractions : tuple of Traction
     quadrature : "midpoint" or int
@@ -84,18 +115,23 @@ class Statement:
     exact : ExactSolution, optional
     name, size : str
         For records and file names.
+    point_loads : tuple of PointLoad
+    units : Units
+        Names of units, only for people: texts and pictures.
     """
 
     mesh: MeshTri
     law: Law | Mapping[str, Law]
     dirichlet: tuple[str | Dirichlet, ...]
-    obstacle: Obstacle = NO_CONTACT
+    obstacle: Obstacle | tuple[Obstacle, ...] = NO_CONTACT
     motion: Motion = BY_VALIDITY
     tractions: tuple[Traction, ...] = ()
     quadrature: str | int = "midpoint"
     exact: ExactSolution | None = None
     name: str = "problem"
     size: str = field(default="")
+    point_loads: tuple[PointLoad, ...] = ()
+    units: Units = NO_UNITS
 
     @property
     def laws(self) -> tuple[Law, ...]:
@@ -115,9 +151,15 @@ class Statement:
         return self.laws[0].components
 
     @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """All obstacles; none for ``NO_CONTACT``."""
+        given = self.obstacle if isinstance(self.obstacle, tuple) else (self.obstacle,)
+        return tuple(obstacle for obstacle in given if obstacle.boundary is not Place.NOWHERE)
+
+    @property
     def frictional(self) -> bool:
-        """Whether contact is with friction."""
-        return self.obstacle.frictional
+        """Whether contact is with friction anywhere."""
+        return any(obstacle.frictional for obstacle in self.obstacles)
 
     @property
     def supports(self) -> tuple[Dirichlet, ...]:
@@ -161,12 +203,26 @@ class Statement:
         return held, value
 
     @property
-    def contact_nodes(self) -> NDArray[np.int64]:
-        """Nodes of the contact set whose gap depends on a displacement that is not given."""
-        place = self.obstacle.boundary
-        if place is Place.NOWHERE:
-            return np.zeros(0, np.int64)
-        nodes = np.unique(self.mesh.t) if isinstance(place, Place) else self.boundary_nodes((place,))
-        normal = np.array(self.obstacle.normal) != 0
+    def contact_sets(self) -> tuple[ContactSet, ...]:
+        """Per obstacle the nodes whose gap depends on a displacement that is not given."""
         held, _ = self.held()
-        return nodes[np.any(~held[:, nodes] & normal[:, None], axis=0)].astype(np.int64)
+        sets, first = [], 0
+        for number, obstacle in enumerate(self.obstacles):
+            place = obstacle.boundary
+            nodes = np.unique(self.mesh.t) if isinstance(place, Place) else self.boundary_nodes((place,))
+            seen = np.abs(obstacle.normals(self.mesh.p[:, nodes])) > NO_NORMAL
+            nodes = nodes[np.any(~held[:, nodes] & seen, axis=0)].astype(np.int64)
+            sets.append(ContactSet(number, obstacle, nodes, first + np.arange(nodes.size)))
+            first += nodes.size
+        return tuple(sets)
+
+    @property
+    def contact_nodes(self) -> NDArray[np.int64]:
+        """The node of every gap, obstacle by obstacle; a node of two obstacles is there twice."""
+        return np.concatenate([np.zeros(0, np.int64), *(part.nodes for part in self.contact_sets)])
+
+    @property
+    def friction_rows(self) -> NDArray[np.int64]:
+        """Numbers of those gaps at which friction may act."""
+        rows = [part.rows for part in self.contact_sets if part.obstacle.frictional]
+        return np.concatenate([np.zeros(0, np.int64), *rows])

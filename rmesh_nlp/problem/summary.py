@@ -8,7 +8,8 @@ from rmesh_nlp.display import Rows, describe, figure
 from rmesh_nlp.problem.laws import Laplace, Law
 from rmesh_nlp.problem.motion import Motion, Relative
 from rmesh_nlp.problem.obstacle import Place
-from rmesh_nlp.problem.statement import Statement
+from rmesh_nlp.problem.statement import ContactSet, Statement
+from rmesh_nlp.problem.units import after
 
 
 def summary_of_problem(problem: Statement) -> Rows:
@@ -24,30 +25,38 @@ def summary_of_problem(problem: Statement) -> Rows:
         ("boundaries (edges)", ", ".join(boundaries)),
     ]
     for law, elements in problem.regions:
-        rows.append((f"law of {elements.size} triangles", _law(law)))
+        rows.append((f"law of {elements.size} triangles", _law(law, after(problem.units.stress))))
     for support in problem.supports:
         rows.append((f"given on {support.boundary}", ", ".join(describe(v) for v in support.value)))
     for traction in problem.tractions:
         rows.append((f"traction on {traction.boundary}", ", ".join(describe(v) for v in traction.value)))
+    for load in problem.point_loads:
+        rows.append((f"force at node {load.node}", ", ".join(figure(v) for v in load.force)))
     rows += [("contact", _contact(problem)), ("motion", _motion(problem.motion))]
     return rows
 
 
-def _law(law: Law) -> str:
+def _law(law: Law, stress: str) -> str:
     if isinstance(law, Laplace):
         return f"Laplace, conductivity {figure(law.conductivity)}, source {describe(law.source)}"
     force = ", ".join(describe(component) for component in law.body_force)
-    lame = f"lambda {figure(law.lame_lambda)}, mu {figure(law.lame_mu)} N/m^2"
+    lame = f"lambda {figure(law.lame_lambda)}, mu {figure(law.lame_mu)}{stress}"
     return f"{type(law).__name__}, {lame}, body force ({force})"
 
 
 def _contact(problem: Statement) -> str:
-    obstacle, count = problem.obstacle, problem.contact_nodes.size
-    if obstacle.boundary is Place.NOWHERE:
-        return "none"
+    return "; ".join(_one_contact(part) for part in problem.contact_sets) or "none"
+
+
+def _one_contact(part: ContactSet) -> str:
+    obstacle = part.obstacle
     where = "in the interior" if obstacle.boundary is Place.INTERIOR else f"on {obstacle.boundary}"
-    friction = f", friction bound {describe(obstacle.friction)}" if problem.frictional else ", no friction"
-    return f"{count} nodes {where}, normal ({', '.join(figure(v) for v in obstacle.normal)}){friction}"
+    if obstacle.level is not None:
+        normal = "the normal of the curve at each undeformed node"
+    else:
+        normal = f"normal ({', '.join(figure(v) for v in obstacle.normal)})"
+    friction = f", friction bound {describe(obstacle.friction)}" if obstacle.frictional else ", no friction"
+    return f"{part.nodes.size} nodes {where}, {normal}{friction}"
 
 
 def _motion(motion: Motion) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 
 from rmesh_nlp.contact.sensitivity import tangent_response
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.programs.blocks import Blocks, SecondDerivatives
 from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedPoint
 
@@ -32,17 +33,20 @@ class Curvature:
     def at(self, point: ReducedPoint) -> Hessian:
         """L'' at a point, ready for products."""
         x = self._energy.point(point.q, point.equilibrium)
-        return Hessian(point, self._derivatives(x, point.equilibrium.normal_force))
+        rows = self._energy.relocation.friction_rows
+        return Hessian(point, self._derivatives(x, point.equilibrium.normal_force), rows)
 
 
 class Hessian:
     """L'' at one point."""
 
-    def __init__(self, point: ReducedPoint, blocks: Blocks) -> None:
+    def __init__(self, point: ReducedPoint, blocks: Blocks, friction_rows: Index) -> None:
         self.qq = blocks.qq.T  # the same matrix, but by rows: a product takes half the time
         self._qu, self._qs = blocks.qu, blocks.qs
         self._uq, self._sq, self._gap, self._gap_q = blocks.qu.T, blocks.qs.T, blocks.gap, blocks.gap.T
-        self._system, self._active = point.system, point.equilibrium.active
+        self._active = point.equilibrium.active
+        self._tangents = point.system.tangents[friction_rows]
+        self._sliding = self._active.sliding[friction_rows] if friction_rows.size else np.zeros(0)
         self._respond = tangent_response(point.system, self._active)
 
     def diagonal(self) -> Array:
@@ -53,12 +57,10 @@ class Hessian:
     def __call__(self, d: Array) -> Array:
         """``L'' d``."""
         out_of_balance = self._uq @ d
-        frictional = self._system.slip_bound.size > 0
-        if frictional:
-            sliding = self._active.sliding
-            out_of_balance = out_of_balance + self._system.tangents.T @ (sliding * (self._sq @ d))
+        if self._sliding.size:
+            out_of_balance = out_of_balance + self._tangents.T @ (self._sliding * (self._sq @ d))
         u, force = self._respond(out_of_balance, self._gap @ d)
         result = self.qq @ d + self._qu @ u - self._gap_q @ force
-        if frictional:
-            result += self._qs @ (sliding * (self._system.tangents @ u))
+        if self._sliding.size:
+            result += self._qs @ (self._sliding * (self._tangents @ u))
         return np.asarray(result)

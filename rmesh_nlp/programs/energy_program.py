@@ -6,21 +6,22 @@ the minimum over both,
     min J(u, s; X)  s.t.  gap(X, u) >= 0,  s - u_t >= 0,  s + u_t >= 0,  area_e(X) >= bound,
 
 in ``x = (q, u, s)``: node moves in units of their boxes, displacement unknowns, and one slip
-magnitude per contact node if there is friction. This program is what ``joint`` solves; its
+magnitude per contact node with friction. This program is what ``joint`` solves; its
 derivatives also give the energy gradient (5.7), (5.11) of ``nested`` and the audit.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import Assembled, assemble
-from rmesh_nlp.fem.energy import bulk_groups, displacement_field, friction_group, gap_group
-from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field
+from rmesh_nlp.fem.energy import bulk_groups, displacement_field, friction_groups, gap_groups
+from rmesh_nlp.fem.fields import ElementGroup, Field, Index, constant_field
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem, Obstacle
 from rmesh_nlp.programs.freedoms import Freedoms, freedoms, validity_group
@@ -39,7 +40,8 @@ class Relocation:
     derivatives : Assembled
         Those of ``nlp``, second ones included.
     displacement, slip : Field
-        (components, nodes) and (1, nodes), functions of the unknowns; slip is zero without friction.
+        (components, nodes) and (obstacles, nodes), functions of the unknowns; slip is zero where there
+        is no friction.
     n_q, n_u, n_s : int
         Numbers of moves, displacement unknowns, slip magnitudes.
     n_contact, n_valid : int
@@ -60,6 +62,11 @@ class Relocation:
     n_contact: int
     n_valid: int
     validity: ElementGroup
+
+    @cached_property
+    def friction_rows(self) -> Index:
+        """(n_s,) numbers of the gaps at which friction may act."""
+        return self.problem.friction_rows
 
     @property
     def gap_rows(self) -> slice:
@@ -86,19 +93,15 @@ def relocation(problem: ContactProblem) -> Relocation:
     free = freedoms(problem)
     displacement, n_u = displacement_field(problem, first=free.n)
     n_contact = problem.contact_nodes.size
-    frictional = problem.frictional
-    n_s = n_contact if frictional else 0
+    n_s = problem.friction_rows.size
+    slip = slip_field(problem, first=free.n + n_u)
     groups = [
         *bulk_groups(problem, free.positions, displacement),
-        gap_group(problem, free.positions, displacement),
+        *gap_groups(problem, free.positions, displacement),
+        *friction_groups(problem, free.positions, slip),
+        *slip_groups(problem, displacement, slip, first_row=n_contact),
     ]
-    n_rows = n_contact
-    slip = constant_field(np.zeros((1, problem.mesh.p.shape[1])))
-    if frictional:
-        slip = slip_field(problem, first=free.n + n_u)
-        groups.append(friction_group(problem, free.positions, slip))
-        groups.append(slip_group(problem, displacement, slip, first_row=n_rows))
-        n_rows += 2 * n_contact
+    n_rows = n_contact + 2 * n_s
     validity, area_bound = validity_group(problem, free)
     groups.append(replace(validity, rows=validity.rows + n_rows))
     n_valid = area_bound.size
@@ -131,18 +134,41 @@ def relocation(problem: ContactProblem) -> Relocation:
     )
 
 
-def slip_field(problem: ContactProblem, first: int) -> Field:
-    """One unknown per contact node, numbered from ``first``; zero at all other nodes."""
-    field = constant_field(np.zeros((1, problem.mesh.p.shape[1])))
-    field.index[0, problem.contact_nodes] = first + np.arange(problem.contact_nodes.size)
+def contact_field(problem: ContactProblem, first: int) -> Field:
+    """One unknown per gap, numbered from ``first``, as a field (obstacles, nodes); zero elsewhere."""
+    field = _no_contact_field(problem)
+    for part in problem.contact_sets:
+        field.index[part.number, part.nodes] = first + part.rows
     return field
 
 
-def slip_group(problem: ContactProblem, displacement: Field, slip: Field, first_row: int) -> ElementGroup:
-    """Rows ``s - u_t >= 0`` of all contact nodes, then ``s + u_t >= 0``."""
-    nodes = problem.contact_nodes[None, :]
-    rows = first_row + np.arange(2 * nodes.size).reshape(2, -1)
-    return ElementGroup(slip_function(problem.obstacle), (displacement.at(nodes), slip.at(nodes)), rows)
+def slip_field(problem: ContactProblem, first: int) -> Field:
+    """One unknown per gap with friction, numbered from ``first``, as a field (obstacles, nodes)."""
+    field = _no_contact_field(problem)
+    for part in problem.contact_sets:
+        if part.obstacle.frictional:
+            field.index[part.number, part.nodes] = first + np.arange(part.nodes.size)
+            first += part.nodes.size
+    return field
+
+
+def _no_contact_field(problem: ContactProblem) -> Field:
+    return constant_field(np.zeros((max(len(problem.obstacles), 1), problem.mesh.p.shape[1])))
+
+
+def slip_groups(
+    problem: ContactProblem, displacement: Field, slip: Field, first_row: int
+) -> list[ElementGroup]:
+    """Rows ``s - u_t >= 0`` of all contact nodes with friction, then ``s + u_t >= 0``."""
+    groups, n_s = [], problem.friction_rows.size
+    for part in problem.contact_sets:
+        if part.obstacle.frictional:
+            nodes = part.nodes[None, :]
+            rows = first_row + np.arange(nodes.size) + np.array([[0], [n_s]])
+            local = (displacement.at(nodes), slip.component(part.number).at(nodes))
+            groups.append(ElementGroup(slip_function(part.obstacle), local, rows))
+            first_row += nodes.size
+    return groups
 
 
 def slip_function(obstacle: Obstacle) -> ca.Function:

@@ -102,9 +102,11 @@ def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
     varying = [d.boundary for d in problem.supports if any(callable(value) for value in d.value)]
     mobility[problem.boundary_nodes(tuple(varying))] = Mobility.PINNED
     mobility[np.setdiff1d(np.arange(mobility.size), mesh.t)] = Mobility.PINNED
-    contact = problem.contact_nodes
-    at_kink = np.isclose(mesh.p[0, contact, None], np.array(problem.obstacle.kinks)).any(axis=1)
-    mobility[contact[at_kink]] = Mobility.PINNED
+    for part in problem.contact_sets:
+        at_kink = np.isclose(mesh.p[0, part.nodes, None], np.array(part.obstacle.kinks)).any(axis=1)
+        mobility[part.nodes[at_kink]] = Mobility.PINNED
+    loaded = [load.node for load in problem.point_loads]
+    mobility[loaded] = Mobility.PINNED
     rules = (
         (motion.free, Mobility.FREE),
         (motion.slides, Mobility.SLIDING),
@@ -115,7 +117,8 @@ def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
             for place in places:
                 if isinstance(place, kind):
                     mobility[_nodes_at(problem, place)] = move
-    _check_still(problem, mobility, problem.boundary_nodes(tuple(varying)))
+    _check_still(problem, mobility, problem.boundary_nodes(tuple(varying)), "held at a function of position")
+    _check_still(problem, mobility, np.array(loaded, dtype=np.int64), "under a point load")
     forced = (mobility == Mobility.SLIDING) & ~np.any(tangent != 0, axis=0)
     if np.any(forced & ~np.any(any_tangent != 0, axis=0)):
         node = int(np.flatnonzero(forced & ~np.any(any_tangent != 0, axis=0))[0])
@@ -132,12 +135,12 @@ def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
     return mobility, tangent
 
 
-def _check_still(problem: ContactProblem, mobility: NDArray, nodes: NDArray) -> None:
-    """No rule may move a node that is held at a function of position: its value would not follow."""
+def _check_still(problem: ContactProblem, mobility: NDArray, nodes: NDArray, what: str) -> None:
+    """No rule may move a node whose given value or load would not follow, or would go along."""
     tied = {node for node, _ in problem.motion.tied}
     moved = [int(node) for node in nodes if mobility[node] != Mobility.PINNED or int(node) in tied]
     if moved:
-        raise ValueError(f"node {moved[0]} is held at a function of position and cannot move")
+        raise ValueError(f"node {moved[0]} is {what} and cannot move")
 
 
 def _nodes_at(problem: ContactProblem, place: Where) -> NDArray[np.int64]:

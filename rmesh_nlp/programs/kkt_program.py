@@ -1,8 +1,8 @@
 """The bilevel problem as one MPCC: outer objective over the KKT conditions of the contact problem.
 
-Unknowns ``x = (q, u, lambda)`` and with friction ``(q, u, lambda, s, mu-, mu+)``: node moves
-in units of their boxes, displacements in units of ``length``, contact forces in units of
-``force``, so that all are of order one. Then
+Unknowns ``x = (q, u, lambda)`` and with friction ``(q, u, lambda, s, mu-, mu+)``, the last three
+where it may act: node moves in units of their boxes, displacements in units of ``length``, contact
+forces in units of ``force``, so that all are of order one. Then
 
     min  F(X, u)
     s.t. equilibrium (and, with friction, mu- + mu+ = g omega),   element areas,
@@ -21,14 +21,14 @@ from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.fem.element import local_symbols
-from rmesh_nlp.fem.energy import bulk_groups, displacement_field, friction_group, gap_group
-from rmesh_nlp.fem.fields import ElementGroup, Field
-from rmesh_nlp.fem.kkt import bound_force_group, contact_force_group, gradient_group, identity_group
+from rmesh_nlp.fem.energy import bulk_groups, displacement_field, friction_groups, gap_groups
+from rmesh_nlp.fem.fields import ElementGroup, Field, Index
+from rmesh_nlp.fem.kkt import bound_force_groups, contact_force_groups, gradient_group, identity_group
 from rmesh_nlp.fem.objectives import ENERGY, Objective, scaled_group
 from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.energy_program import slip_field, slip_group
+from rmesh_nlp.programs.energy_program import contact_field, slip_field, slip_groups
 from rmesh_nlp.programs.freedoms import freedoms, validity_group
 
 
@@ -40,8 +40,9 @@ class Bilevel:
     ----------
     mpcc : MPCC
     n_q, n_u, n_contact : int
-        Numbers of moves, displacement unknowns and contact nodes.
-    frictional : bool
+        Numbers of moves, displacement unknowns and gaps.
+    friction_rows : int array
+        Numbers of those gaps at which friction may act.
     length, force : float
         Units of displacements and of nodal forces in ``x``.
     value : float
@@ -52,7 +53,7 @@ class Bilevel:
     n_q: int
     n_u: int
     n_contact: int
-    frictional: bool
+    friction_rows: Index
     length: float
     force: float
     value: float
@@ -79,19 +80,20 @@ class Bilevel:
 
     def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Moves, displacement unknowns, normal and tangential contact forces (in N/m) of ``x``."""
-        q, u, rest = np.split(x, [self.n_q, self.n_q + self.n_u])
-        parts = rest.reshape(-1, self.n_contact) if self.n_contact else np.zeros((4, 0))
-        tangential = (parts[3] - parts[2]) * self.force if self.frictional else np.zeros(0)
-        return q, u * self.length, parts[0] * self.force, tangential
+        parts = np.cumsum([self.n_q, self.n_u, self.n_contact, *(3 * [self.friction_rows.size])])
+        q, u, normal, _, minus, plus, _ = np.split(x, parts)
+        tangential = np.zeros(self.n_contact if self.friction_rows.size else 0)
+        tangential[self.friction_rows] = (plus - minus) * self.force
+        return q, u * self.length, normal * self.force, tangential
 
     def point(self, q: Array, equilibrium: Equilibrium, system: ContactSystem) -> Array:
         """The unknowns ``x`` of a contact solution at moves ``q``."""
         parts = [q, equilibrium.u / self.length, equilibrium.normal_force / self.force]
-        if self.frictional:
+        if self.friction_rows.size:
             slip = np.abs(system.tangents @ equilibrium.u) / self.length
             minus = (system.slip_bound - equilibrium.tangential_force) / (2 * self.force)
             plus = (system.slip_bound + equilibrium.tangential_force) / (2 * self.force)
-            parts += [slip, minus, plus]
+            parts += [part[self.friction_rows] for part in (slip, minus, plus)]
         return np.concatenate(parts)
 
 
@@ -114,42 +116,36 @@ def bilevel(
         Units of displacement, of nodal force, and of the objective.
     """
     free = freedoms(problem)
-    nodes, n_c = problem.contact_nodes, problem.contact_nodes.size
-    frictional = problem.frictional
+    n_c, n_s = problem.contact_nodes.size, problem.friction_rows.size
     displacement, n_u = displacement_field(problem, first=free.n)
     displacement = _in_units(displacement, length)
     first = free.n + n_u
-    normal_force = slip_field(problem, first)
+    normal_force = contact_field(problem, first)
     slip = _in_units(slip_field(problem, first + n_c), length)
-    friction = (slip_field(problem, first + 2 * n_c), slip_field(problem, first + 3 * n_c))
-    n_x = first + n_c * (4 if frictional else 1)
+    friction = (slip_field(problem, first + n_c + n_s), slip_field(problem, first + n_c + 2 * n_s))
+    n_x = first + n_c + 3 * n_s
 
     # rows of g: equilibrium, slip stationarity, areas; then G: gaps, slips; then H: their forces
     equilibrium_rows = np.where(displacement.index < 0, -1, displacement.index - free.n)
     inner = bulk_groups(problem, free.positions, displacement)
-    groups = [gradient_group(group, 1, -free.n, force) for group in inner]
-    groups.append(
-        contact_force_group(problem, equilibrium_rows, normal_force, friction if frictional else None)
-    )
-    n_g = n_u
-    if frictional:
-        slip_rows = np.arange(n_c) + n_g
-        weights = friction_group(problem, free.positions, slip)
-        groups.append(gradient_group(weights, 1, n_g - (first + n_c), force))
-        groups.append(bound_force_group(problem, slip_rows, friction))
-        n_g += n_c
+    groups = [gradient_group(group, 1 if len(group.arguments) > 1 else 0, -free.n, force) for group in inner]
+    groups += contact_force_groups(problem, equilibrium_rows, free.positions, normal_force, friction)
+    for weights in friction_groups(problem, free.positions, slip):
+        groups.append(gradient_group(weights, 1, n_u - (first + n_c), force))
+    groups += bound_force_groups(problem, n_u, friction)
+    n_g = n_u + n_s
     validity, area_bound = validity_group(problem, free, first_row=n_g)
     groups.append(validity)
     n_equations, n_g = n_g, n_g + area_bound.size
-    groups.append(_in_units_of_rows(gap_group(problem, free.positions, displacement, first_row=n_g), length))
-    n_pairs = n_c
-    if frictional:
-        rows = slip_group(problem, displacement, slip, first_row=n_g + n_c)
-        groups.append(_in_units_of_rows(rows, length))
-        n_pairs += 2 * n_c
+    pairs = [
+        *gap_groups(problem, free.positions, displacement, first_row=n_g),
+        *slip_groups(problem, displacement, slip, first_row=n_g + n_c),
+    ]
+    groups += [_in_units_of_rows(group, length) for group in pairs]
+    n_pairs = n_c + 2 * n_s
     first_h = n_g + n_pairs
-    for number, field in enumerate((normal_force, *friction) if frictional else (normal_force,)):
-        groups.append(identity_group(field, nodes, first_h + number * n_c + np.arange(n_c)))
+    groups.append(identity_group(first, first_h + np.arange(n_c)))
+    groups.append(identity_group(first + n_c + n_s, first_h + n_c + np.arange(2 * n_s)))
     groups += [
         scaled_group(group, 1 / value)
         for group in objective.groups(problem, free.positions, displacement, slip)
@@ -170,7 +166,7 @@ def bilevel(
         ubg=np.concatenate([np.zeros(n_equations), np.full(area_bound.size, np.inf)]),
         derivatives=assembled.derivatives,
     )
-    return Bilevel(mpcc, free.n, n_u, n_c, frictional, length, force, value)
+    return Bilevel(mpcc, free.n, n_u, n_c, problem.friction_rows, length, force, value)
 
 
 def _in_units(field: Field, unit: float) -> Field:

@@ -87,7 +87,7 @@ class ReducedEnergy:
 
     def point(self, q: Array, equilibrium: Equilibrium) -> Array:
         """The unknowns ``(q, u, s)`` of the energy program at a contact solution."""
-        slip = np.abs(self.model.tangents @ equilibrium.u) if self.relocation.n_s else np.zeros(0)
+        slip = np.abs(self.model.tangents @ equilibrium.u)[self.relocation.friction_rows]
         return np.concatenate([q, equilibrium.u, slip])
 
     def stationarity_residual(self, point: ReducedPoint) -> float:
@@ -136,12 +136,13 @@ class ReducedObjective:
         x = self.energy.point(q, state)
         value, gradient = self._outer(x, [])
         f_q, f_u, f_s = np.split(gradient, [rel.n_q, rel.n_q + rel.n_u])
-        direction = np.sign(system.tangents @ state.u) if rel.n_s else np.zeros(0)
+        rows = rel.friction_rows
         if rel.n_s:
-            f_u = f_u + system.tangents.T @ (direction * f_s)
+            tangents = system.tangents[rows]
+            f_u = f_u + tangents.T @ (np.sign(tangents @ state.u) * f_s)
         p, reaction = adjoint(system, state.active, f_u)
         blocks = self._derivatives(x, state.normal_force)
         total = f_q - blocks.qu @ p - blocks.gap.T @ reaction
         if rel.n_s:
-            total -= blocks.qs @ (state.active.sliding * (system.tangents @ p))
+            total -= blocks.qs @ (state.active.sliding[rows] * (tangents @ p))
         return ReducedPoint(np.array(q), float(value[0]), total, system, state)

@@ -79,6 +79,7 @@ def _roles(problem: ContactProblem) -> list[tuple[str, np.ndarray]]:
     boundaries = problem.mesh.boundaries
     roles = [(f"given: {d.boundary}", boundaries[d.boundary]) for d in problem.supports]
     roles += [(f"load: {t.boundary}", boundaries[t.boundary]) for t in problem.tractions]
-    if isinstance(problem.obstacle.boundary, str):
-        roles.append((f"contact: {problem.obstacle.boundary}", boundaries[problem.obstacle.boundary]))
+    for obstacle in problem.obstacles:
+        if isinstance(obstacle.boundary, str):
+            roles.append((f"contact: {obstacle.boundary}", boundaries[obstacle.boundary]))
     return roles

@@ -15,8 +15,7 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import contact_edges
-from rmesh_nlp.problem import ContactProblem, Place, signed_areas
-from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
 
 AUDIT_DEGREE = 20
 """Degree of the quadrature rule of the audit."""
@@ -87,17 +86,20 @@ class Auditor:
 
 def penetration(problem: ContactProblem, nodes: Array, displacement: Array) -> float:
     """Largest negative gap at points between the contact nodes, as a positive length; 0 without."""
-    obstacle = problem.obstacle
+    return max([0.0, *(_deepest(problem, part, nodes, displacement) for part in problem.obstacles)])
+
+
+def _deepest(problem: ContactProblem, obstacle: Obstacle, nodes: Array, displacement: Array) -> float:
     if obstacle.boundary is Place.INTERIOR:
         cells, points = problem.triangles, BETWEEN_TRIANGLE
     else:
-        cells, points = contact_edges(problem), BETWEEN_EDGE
+        cells, points = contact_edges(problem, obstacle), BETWEEN_EDGE
     where = np.einsum("cve,vk->cek", nodes[:, cells], points).reshape(2, -1)
     u = np.einsum("cve,vk->cek", displacement[:, cells], points).reshape(displacement.shape[0], -1)
     if where.shape[1] == 0:
         return 0.0
-    gap = np.array(obstacle.normal) @ u + on_points(obstacle.offset, where)
-    return float(max(0.0, -np.min(gap)))
+    gap = np.sum(obstacle.normals(where) * u, axis=0) + obstacle.distances(where)
+    return float(-np.min(gap))
 
 
 def equilibrium_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:

@@ -181,7 +181,7 @@ class Referee:
     def _stress(self, force: Array, weights: Array) -> Array:
         stress = np.zeros(self.problem.mesh.p.shape[1])
         if force.size:
-            stress[self.model.contact_nodes] = force / weights
+            np.add.at(stress, self.model.contact_nodes, force / weights)  # a node may meet two foundations
         return stress
 
 
@@ -232,11 +232,14 @@ def nodal_weights(problem: ContactProblem, nodes: Array) -> Array:
 
     For an obstacle in the interior: a third of the area of the elements at the node.
     """
-    if problem.obstacle.boundary is Place.INTERIOR:
-        areas = np.tile(signed_areas(nodes, problem.triangles) / 3, 3)
-        shares = np.bincount(problem.triangles.ravel(), areas, nodes.shape[1])
-        return np.asarray(shares[problem.contact_nodes])
-    edges = contact_edges(problem)
-    length = np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
-    weight = np.bincount(edges.ravel(), np.tile(length / 2, 2), nodes.shape[1])
-    return np.asarray(weight[problem.contact_nodes])
+    weights: list[Array] = [np.zeros(0)]
+    for part in problem.contact_sets:
+        if part.obstacle.boundary is Place.INTERIOR:
+            areas = np.tile(signed_areas(nodes, problem.triangles) / 3, 3)
+            weight = np.bincount(problem.triangles.ravel(), areas, nodes.shape[1])
+        else:
+            edges = contact_edges(problem, part.obstacle)
+            length = np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
+            weight = np.bincount(edges.ravel(), np.tile(length / 2, 2), nodes.shape[1])
+        weights.append(np.asarray(weight[part.nodes], dtype=float))
+    return np.concatenate(weights)

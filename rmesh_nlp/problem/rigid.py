@@ -1,0 +1,67 @@
+"""Rigid motions that the given displacements leave a body: what contact alone must prevent."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem.statement import Statement
+
+NO_MOTION = 1e-9
+"""Displacements smaller than this, of motions of unit size, are none."""
+
+
+def rigid_motions(problem: Statement, nodes: Array | None = None) -> Array:
+    """A basis (motions, components, nodes) of the rigid motions that no given displacement prevents.
+
+    Each belongs to one connected part of the mesh and is zero on the others. Empty if the given
+    displacements hold the body.
+
+    Parameters
+    ----------
+    nodes : (2, nodes) array, optional
+        Positions to turn about; those of the mesh by default.
+    """
+    p = problem.mesh.p if nodes is None else nodes
+    held, _ = problem.held()
+    found = []
+    for part in parts(problem):
+        modes = _modes(p, part, problem.components)
+        rows = modes[:, held]
+        basis = scipy.linalg.null_space(rows.T, rcond=NO_MOTION) if rows.size else np.eye(len(modes))
+        found += list(np.einsum("mk,mcn->kcn", basis, modes))
+    return np.array(found).reshape(-1, *held.shape)
+
+
+def parts(problem: Statement) -> list[NDArray[np.int64]]:
+    """Nodes of each connected part of the mesh."""
+    mesh = problem.mesh
+    n_nodes = mesh.p.shape[1]
+    edges = sp.coo_array((np.ones(mesh.facets.shape[1]), tuple(mesh.facets)), shape=(n_nodes, n_nodes))
+    _, part = connected_components(edges, directed=False)
+    return [np.flatnonzero(part == number) for number in np.unique(part[mesh.t[0]])]
+
+
+def _modes(p: Array, part: NDArray, components: int) -> Array:
+    """Translations, and for an elastic body the rotation, of one part: (modes, components, nodes)."""
+    modes = np.zeros((1 if components == 1 else 3, components, p.shape[1]))
+    for k in range(components):
+        modes[k, k, part] = 1.0
+    if components == 2:
+        x, y = p[:, part] - p[:, part].mean(axis=1, keepdims=True)
+        size = max(float(np.max(np.abs([x, y]))), 1e-300)
+        modes[2][:, part] = np.stack([-y, x]) / size
+    return modes
+
+
+def seen_by_contact(problem: Statement, motions: Array) -> Array:
+    """Change of every gap (gaps, motions) by each motion."""
+    rows = [np.zeros((0, len(motions)))]
+    for part in problem.contact_sets:
+        normals = part.obstacle.normals(problem.mesh.p[:, part.nodes])
+        rows.append(np.einsum("cn,mcn->nm", normals, motions[:, :, part.nodes]))
+    return np.vstack(rows)

@@ -1,0 +1,48 @@
+"""Names of units: what a user works in, written beside numbers and axes and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Units:
+    """Names of the units of length and force; empty where nothing is said.
+
+    They name, they do not convert: all numbers of a problem are in one consistent system.
+
+    Attributes
+    ----------
+    length, force : str
+        Such as "mm" and "N"; stresses are then in N/mm^2.
+    """
+
+    length: str = ""
+    force: str = ""
+
+    @property
+    def stress(self) -> str:
+        """Force per area; empty unless both units are named."""
+        if not (self.length and self.force):
+            return ""
+        return {("m", "N"): "Pa", ("mm", "N"): "MPa"}.get((self.length, self.force)) or (
+            f"{self.force}/{self.length}²"
+        )
+
+    @property
+    def energy(self) -> str:
+        """Energy per thickness; empty unless both units are named."""
+        return f"{self.force} {self.length}/{self.length}" if self.length and self.force else ""
+
+
+NO_UNITS = Units()
+
+
+def bracketed(unit: str) -> str:
+    """The unit in brackets after a label, or nothing."""
+    return f" [{unit}]" if unit else ""
+
+
+def after(unit: str) -> str:
+    """The unit after a number, or nothing."""
+    return f" {unit}" if unit else ""

@@ -1,0 +1,239 @@
+"""Several foundations, curves with their own normals, bodies that contact holds, point loads."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from support.contact_geometry import (
+    GEOMETRIES,
+    LAW,
+    block_between_two_foundations,
+    block_in_a_corner,
+    block_on_a_circle,
+    punch_held_by_symmetry,
+)
+
+from formulations import fixed, joint, mpcc, nested
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    ExactSolution,
+    Laplace,
+    Motion,
+    Obstacle,
+    PointLoad,
+    ProblemError,
+    Traction,
+)
+from rmesh_nlp.programs.curvature import Curvature
+from rmesh_nlp.programs.freedoms import Mobility, freedoms
+from rmesh_nlp.programs.reduced import ReducedObjective
+from rmesh_nlp.solution.audit import penetration
+from rmesh_nlp.solution.referee import Referee, nodal_weights
+
+Make = Callable[[], ContactProblem]
+
+
+def rates(remainder: list[float]) -> np.ndarray:
+    return np.log2(np.array(remainder[:-1]) / np.array(remainder[1:]))
+
+
+def away(referee: Referee, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A valid point away from the initial mesh, and a direction."""
+    rng = np.random.default_rng(seed)
+    q = 0.4 * rng.uniform(-1, 1, referee.relocation.n_q)
+    return q, rng.uniform(-1, 1, q.size)
+
+
+@pytest.mark.parametrize("make", GEOMETRIES)
+def test_the_energy_gradient_is_of_second_order(make: Make) -> None:
+    referee = Referee(make())
+    q, d = away(referee, 3)
+    here = referee.reduced(q)
+    steps = 1e-2 * 0.5 ** np.arange(5)
+    left = [abs(referee.reduced(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]
+    assert rates(left)[-1] >= 1.9, rates(left)
+
+
+@pytest.mark.parametrize("make", GEOMETRIES)
+def test_the_curvature_is_the_derivative_of_the_gradient(make: Make) -> None:
+    referee = Referee(make())
+    q, d = away(referee, 5)
+    here = referee.reduced(q)
+    change = Curvature(referee.reduced).at(here)(d)
+    steps = 1e-3 * 0.5 ** np.arange(4)
+    left = [
+        float(np.linalg.norm(referee.reduced(q + h * d).gradient - here.gradient - h * change)) for h in steps
+    ]
+    assert rates(left)[-1] >= 1.9, rates(left)
+
+
+@pytest.mark.parametrize("make", [block_on_a_circle, block_between_two_foundations])
+@pytest.mark.parametrize("objective", ["error-l2", "contact"])
+def test_the_adjoint_gradient_is_of_second_order(make: Make, objective: str) -> None:
+    exact = ExactSolution(lambda x, y: ca.vertcat(-1e-3 * x * y, -1e-2 * x * x), 0.0)
+    referee = Referee(replace(make(), exact=exact))
+    function = ReducedObjective(referee.reduced, parse_objective(objective))
+    q, d = away(referee, 4)
+    here = function(q)
+    steps = 1e-2 * 0.5 ** np.arange(5)
+    left = [abs(function(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]
+    assert rates(left)[-1] >= 1.9, rates(left)
+
+
+@pytest.mark.parametrize("make", GEOMETRIES)
+def test_strategies_agree(make: Make) -> None:
+    problem = make()
+    solutions = [module.solve(problem) for module in (joint, nested, mpcc)]
+    assert all(solution.success for solution in solutions)
+    gain = solutions[0].energy_initial - solutions[0].energy
+    assert gain > 0
+    for other in solutions[1:]:
+        assert other.energy == pytest.approx(solutions[0].energy, abs=1e-3 * gain)
+
+
+def test_the_gap_to_a_circle_is_the_distance_along_its_normal() -> None:
+    outside = Obstacle.circle("arc", (1.0, 2.0), 0.5)
+    inside = Obstacle.circle("arc", (1.0, 2.0), 5.0, inside=True)
+    points = np.array([[4.0, 1.0], [6.0, 0.0]])  # (4, 6) is 5 from the centre, (1, 0) is 2
+    np.testing.assert_allclose(outside.distances(points), [4.5, 1.5])
+    np.testing.assert_allclose(inside.distances(points), [0.0, 3.0], atol=1e-12)
+    np.testing.assert_allclose(outside.normals(points), [[0.6, 0.0], [0.8, -1.0]], atol=1e-12)
+    np.testing.assert_allclose(inside.normals(points), [[-0.6, 0.0], [-0.8, 1.0]], atol=1e-12)
+
+
+def test_the_level_function_of_a_curve_may_have_any_scale() -> None:
+    one = Obstacle.curve("a", lambda x, y: y - 0.1 * x**2)
+    other = Obstacle.curve("a", lambda x, y: 7 * (y - 0.1 * x**2))
+    points = np.array([[0.3, -1.0, 2.0], [0.5, 0.2, 0.4]])
+    np.testing.assert_allclose(one.distances(points), other.distances(points))
+    np.testing.assert_allclose(one.normals(points), other.normals(points))
+    # at the foot of a vertical line the normal is that of the graph
+    np.testing.assert_allclose(one.normals(points)[0, 2] / one.normals(points)[1, 2], -0.4)
+
+
+def test_a_foundation_moves_as_a_rigid_body() -> None:
+    points, by = np.array([[0.3, -1.0], [0.5, 0.2]]), np.array([0.2, -0.1])
+    shapes = [
+        Obstacle.line("a", (0, 0.1), (0.3, 1)),
+        Obstacle.graph("a", lambda x, y: 0.1 * x**2),
+        Obstacle.circle("a", (0, -3), 2.5),
+    ]
+    for shape in shapes:
+        np.testing.assert_allclose(
+            shape.moved((0.2, -0.1)).distances(points), shape.distances(points - by[:, None])
+        )
+    given = Obstacle("a", offset=lambda x, y: 0.05 + x**2)
+    np.testing.assert_allclose(given.moved((0.2, -0.1)).distances(points), given.distances(points) + 0.1)
+
+
+def test_a_compressed_block_between_two_plates_has_its_closed_form() -> None:
+    # plates closer than the block is high: uniform strain, the lateral sides free
+    problem = ContactProblem(
+        mesh=rectangle(4, 4),
+        law=LAW,
+        dirichlet=(Dirichlet("left", (0.0, None)),),
+        obstacle=(Obstacle.line("bottom", (0, 0.01), (0, 1)), Obstacle.line("top", (0, 0.97), (0, -1))),
+        motion=Motion(0.05),
+    )
+    solution = fixed.solve(problem)
+    assert solution.success
+    lam, mu = LAW.lame_lambda, LAW.lame_mu
+    stress = 4 * mu * (lam + mu) / (lam + 2 * mu) * 0.04
+    for name in ("bottom", "top"):
+        nodes = problem.boundary_nodes((name,))
+        np.testing.assert_allclose(solution.pressure[nodes], stress, rtol=1e-9)
+    assert solution.energy == pytest.approx(stress * 0.04 / 2, rel=1e-9)
+    assert penetration(problem, problem.mesh.p, solution.displacement) < 1e-12
+
+
+def test_a_node_of_two_foundations_obeys_both() -> None:
+    problem = block_in_a_corner()
+    solution = fixed.solve(problem)
+    rows = np.flatnonzero(problem.contact_nodes == 0)
+    assert rows.size == 2
+    model = ContactModel(problem)
+    state = model.solve(problem.mesh.p)
+    system = model.system(problem.mesh.p)
+    gap = system.normals @ state.u + system.offset
+    assert np.all(gap > -1e-12)
+    assert np.all(state.normal_force[rows] > 0)
+    np.testing.assert_allclose(gap[rows], 0, atol=1e-14)
+    # the pressure at the node is that of both
+    weights = nodal_weights(problem, problem.mesh.p)
+    assert solution.pressure[0] == pytest.approx(np.sum(state.normal_force[rows] / weights[rows]))
+
+
+def test_contact_forces_balance_the_load_of_a_body_that_only_contact_holds() -> None:
+    problem = punch_held_by_symmetry()
+    state = ContactModel(problem).solve(problem.mesh.p)
+    assert state.normal_force.sum() == pytest.approx(200.0 + 3.0, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"tractions": (Traction("top", (0.0, 200.0)),)}, "does not press it on"),
+        ({"tractions": ()}, "does not press it on"),
+        ({"dirichlet": (), "point_loads": ()}, "can still move as a rigid body"),
+    ],
+)
+def test_a_body_that_contact_does_not_hold_is_refused(change: dict, message: str) -> None:
+    problem = replace(punch_held_by_symmetry(), point_loads=())
+    with pytest.raises(ProblemError, match=message):
+        ContactModel(replace(problem, **change))
+
+
+def test_a_body_that_floats_between_two_foundations_is_refused() -> None:
+    # the gaps hold the block somewhere between the plates, and nothing says where
+    with pytest.raises(ProblemError, match="not in one place"):
+        ContactModel(
+            ContactProblem(
+                mesh=rectangle(4, 4),
+                law=LAW,
+                dirichlet=(Dirichlet("left", (0.0, None)),),
+                obstacle=(Obstacle("bottom", offset=1.0), Obstacle("top", (0.0, -1.0), offset=1.0)),
+                motion=Motion(0.05),
+            )
+        )
+
+
+def test_a_scalar_node_cannot_obey_two_foundations() -> None:
+    with pytest.raises(ProblemError, match="cannot obey all their gaps"):
+        ContactProblem(
+            mesh=rectangle(3, 3),
+            law=Laplace(1.0),
+            dirichlet=("left",),
+            obstacle=(Obstacle("bottom", (1.0,)), Obstacle("right", (1.0,))),
+            motion=Motion(0.05),
+        )
+
+
+def test_friction_on_a_curve_is_refused() -> None:
+    with pytest.raises(ValueError, match="foundation with one normal"):
+        Obstacle("a", friction=1.0, level=lambda x, y: y)
+
+
+def test_a_point_load_pins_its_node_and_does_its_work() -> None:
+    mesh = rectangle(4, 2)
+    node = int(np.argmin(np.linalg.norm(mesh.p - [[0.5], [0.5]], axis=0)))
+    problem = ContactProblem(
+        mesh=mesh,
+        law=LAW,
+        dirichlet=("left",),
+        motion=Motion(0.05),
+        point_loads=(PointLoad(node, (3.0, -7.0)),),
+    )
+    assert freedoms(problem).mobility[node] == Mobility.PINNED
+    solution = fixed.solve(problem)
+    # linear elasticity: the energy is minus half the work of the load (Clapeyron)
+    assert solution.energy == pytest.approx(-0.5 * np.dot((3.0, -7.0), solution.displacement[:, node]))
+    with pytest.raises(ProblemError, match="names node 999"):
+        replace(problem, point_loads=(PointLoad(999, (0.0, 1.0)),))
+    with pytest.raises(ValueError, match="under a point load and cannot move"):
+        freedoms(replace(problem, motion=Motion(0.05, free=(node,))))
