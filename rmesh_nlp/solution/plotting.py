@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.stress import stresses, von_mises
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, Place
 
 if TYPE_CHECKING:  # matplotlib takes a while to load, and most solves draw nothing
     from matplotlib.axes import Axes
@@ -90,16 +89,20 @@ def _stress(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
 
 def _pressure(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
     """Along the contact boundary; over the plane for an obstacle in the interior."""
-    where = drawn.problem.contact_nodes
-    if where.size == 0:
+    sets = drawn.problem.contact_sets
+    if not sets:
         raise ValueError(f"the problem {drawn.problem.name!r} has no contact, and so no pressure")
-    if not isinstance(drawn.problem.obstacle.boundary, str):
+    if any(part.obstacle.boundary is Place.INTERIOR for part in sets):
         _coloured(axes, drawn, drawn.pressure, {"shading": "gouraud", **style}, "contact pressure")
         _in_plane(axes, "contact pressure")
         return
-    direction, order = _along(drawn.nodes[:, where])
-    ordered = where[order]
-    axes.plot(drawn.nodes[direction, ordered], drawn.pressure[ordered], **{"marker": "o", "ms": 3, **style})
+    direction = _along(drawn.nodes[:, drawn.problem.contact_nodes])
+    for part in sets:
+        ordered = part.nodes[np.argsort(drawn.nodes[direction, part.nodes])]
+        look = {"marker": "o", "ms": 3, "label": str(part.obstacle.boundary), **style}
+        axes.plot(drawn.nodes[direction, ordered], drawn.pressure[ordered], **look)
+    if len(sets) > 1:
+        axes.legend()
     axes.set(xlabel=f"$x_{direction + 1}$", ylabel="contact pressure", title="contact pressure")
 
 
@@ -107,10 +110,9 @@ PICTURES = {"mesh": _mesh, "displacement": _displacement, "stress": _stress, "pr
 """What can be drawn, by name."""
 
 
-def _along(points: Array) -> tuple[int, NDArray[np.int64]]:
-    """The coordinate along which the points run, and their order by it."""
-    direction = int(np.argmax(np.ptp(points, axis=1)))
-    return direction, np.argsort(points[direction])
+def _along(points: Array) -> int:
+    """The coordinate along which the points run."""
+    return int(np.argmax(np.ptp(points, axis=1)))
 
 
 def _coloured(axes: Axes, drawn: Drawn, values: Array, style: dict[str, Any], label: str) -> None:
