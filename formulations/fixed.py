@@ -6,14 +6,17 @@ import time
 
 import numpy as np
 
-from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.reduced import ReducedObjective
 from rmesh_nlp.solution.referee import OnStep, Referee
 from rmesh_nlp.solution.solution import Solution, Step
 
 
-def solve(problem: ContactProblem, *, objective: str = "energy", on_step: OnStep | None = None) -> Solution:
+def solve(
+    problem: ContactProblem, *, objective: str | Objective = "energy", on_step: OnStep | None = None
+) -> Solution:
     """Solve the contact problem on the initial mesh.
 
     Parameters
@@ -45,7 +48,7 @@ def solve(problem: ContactProblem, *, objective: str = "energy", on_step: OnStep
     )
 
 
-def _objective_value(referee: Referee, text: str) -> dict[str, float]:
+def _objective_value(referee: Referee, text: str | Objective) -> dict[str, float]:
     objective = parse_objective(text)
     if objective.is_energy:
         return {}

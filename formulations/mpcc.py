@@ -18,7 +18,8 @@ import numpy as np
 from formulations.mpcc_start import Begin, Start, begin
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.mpcc import MPCC, MPCCResult, MPCCSolver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.kkt_program import Bilevel, bilevel
@@ -52,7 +53,7 @@ OPTIONS: Mapping[str, Any] = {
 on the given mesh times its largest nodal load."""
 
 
-def build(problem: ContactProblem, objective: str = "energy") -> MPCC:
+def build(problem: ContactProblem, objective: str | Objective = "energy") -> MPCC:
     """The symbolic MPCC, see :mod:`rmesh_nlp.programs.kkt_program`; in N/m, m and the objective's unit."""
     return bilevel(problem, parse_objective(objective)).mpcc
 
@@ -60,7 +61,7 @@ def build(problem: ContactProblem, objective: str = "energy") -> MPCC:
 def solve(
     problem: ContactProblem,
     *,
-    objective: str = "energy",
+    objective: str | Objective = "energy",
     relaxation: str = "scholtes",
     seed: int | None = None,
     options: Mapping[str, Any] | None = None,
@@ -72,8 +73,9 @@ def solve(
     Parameters
     ----------
     problem : ContactProblem
-    objective : str
-        Terms of :mod:`rmesh_nlp.fem.objectives`, such as "energy" or "error-l2 + 0.01*quality".
+    objective : str or Objective
+        Such as "energy", "error-l2 + 0.01*quality" or "mean(top, -uy)", see
+        :mod:`rmesh_nlp.fem.objective_text`, or an object of :mod:`rmesh_nlp.fem.quantities`.
     relaxation : str
         A name in ``rmesh_nlp.mpcc.RELAXATIONS``.
     seed : int, optional

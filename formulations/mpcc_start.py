@@ -10,7 +10,7 @@ import numpy as np
 
 from formulations import joint, nested
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.objectives import Objective
+from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.nlp import Solver
 from rmesh_nlp.programs.kkt_program import Bilevel
 from rmesh_nlp.programs.reduced import ReducedPoint

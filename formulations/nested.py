@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS, Reduced, reduced_nlp
 from rmesh_nlp.programs.reduced import ReducedObjective
@@ -24,7 +25,7 @@ from rmesh_nlp.solution.solution import Solution, Step
 def solve(
     problem: ContactProblem,
     *,
-    objective: str = "energy",
+    objective: str | Objective = "energy",
     outer: str = "ipopt",
     seed: int | None = None,
     start: Array | None = None,
@@ -39,8 +40,9 @@ def solve(
     Parameters
     ----------
     problem : ContactProblem
-    objective : str
-        Terms of :mod:`rmesh_nlp.fem.objectives`, such as "energy" or "error-l2 + 0.01*quality".
+    objective : str or Objective
+        Such as "energy", "error-l2 + 0.01*quality" or "mean(top, -uy)", see
+        :mod:`rmesh_nlp.fem.objective_text`, or an object of :mod:`rmesh_nlp.fem.quantities`.
     outer : str
         A name in ``rmesh_nlp.programs.outer_solvers.OUTER_SOLVERS``: "ipopt" (limited-memory BFGS), "newton"
         (projected trust-region Newton-CG, the fastest) and "newton-pair" (two such descents,

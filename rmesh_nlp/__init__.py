@@ -8,9 +8,10 @@
 
 A problem is a :class:`ContactProblem`: a mesh, a law, supports, loads, an :class:`Obstacle` and a
 :class:`Motion` that says how far nodes may move. :func:`solve` relocates its nodes by any
-installed strategy, :func:`compare` by several, :func:`verify_gradient` tests the gradient of an
-outer objective. :class:`MPCC` and :func:`solve_mpcc` are the general solver of programs with
-complementarity constraints, which knows nothing of meshes.
+installed strategy, :func:`compare` by several. An outer :func:`objective` is named, written as text,
+or made by :mod:`quantities`; :func:`verify_gradient` tests its gradient. :class:`MPCC` and
+:func:`solve_mpcc` are the general solver of programs with complementarity constraints, which
+knows nothing of meshes.
 
 Every name is loaded when it is first used, so that ``rmesh --help`` starts at once.
 """
@@ -40,6 +41,7 @@ _NAMES = {
     "Comparison": "rmesh_nlp.api.comparison",
     "Solution": "rmesh_nlp.solution.solution",
     "compare": "rmesh_nlp.api.comparison",
+    "objective": "rmesh_nlp.fem.objective_text",
     "solve": "rmesh_nlp.api.solving",
     "strategies": "rmesh_nlp.api.solving",
     "verify_gradient": "rmesh_nlp.solution.verification",
@@ -53,10 +55,14 @@ _NAMES = {
 }
 """Public name -> the module that has it; ``__init__.pyi`` says the same to type checkers."""
 
-_MODULES = {"mpcc": "rmesh_nlp.mpcc", "shapes": "rmesh_nlp.meshes.shapes"}
+_MODULES = {
+    "mpcc": "rmesh_nlp.mpcc",
+    "quantities": "rmesh_nlp.fem.quantities",
+    "shapes": "rmesh_nlp.meshes.shapes",
+}
 """Public name -> the module that it is."""
 
-_OTHER_NAMES = {"solve_mpcc": "solve"}
+_OTHER_NAMES = {"objective": "parse_objective", "solve_mpcc": "solve"}
 """Public name -> its name in its module, where the two differ."""
 
 __all__ = [

@@ -9,6 +9,8 @@ from rmesh_nlp.api.pictures import plot as plot
 from rmesh_nlp.api.solving import solve as solve
 from rmesh_nlp.api.solving import strategies as strategies
 from rmesh_nlp.examples import EXAMPLES as EXAMPLES
+from rmesh_nlp.fem import objective_text
+from rmesh_nlp.fem import quantities as quantities
 from rmesh_nlp.io.export import write_solution as write_solution
 from rmesh_nlp.meshes import read_mesh as read_mesh
 from rmesh_nlp.meshes import shapes as shapes
@@ -29,4 +31,5 @@ from rmesh_nlp.solution.verification import verify_gradient as verify_gradient
 
 __version__: str
 
+objective = objective_text.parse_objective
 solve_mpcc = mpcc.solve

@@ -11,7 +11,7 @@ import ast
 import difflib
 import itertools
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import casadi as ca
@@ -23,8 +23,6 @@ LONGEST = 1000
 
 EQUAL = 1e-9
 """Numbers that differ by no more than this are equal to ``==``."""
-
-NAMES = ("x", "y", "pi")
 
 FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
     "sin": (ca.sin, 1),
@@ -81,14 +79,8 @@ class Expression:
 
     def __init__(self, text: str) -> None:
         self.text = text
-        if len(text) > LONGEST:
-            raise ValueError(f"an expression of {len(text)} characters is too long ({LONGEST} are allowed)")
-        try:
-            tree = ast.parse(text.strip(), mode="eval")
-            x, y = ca.SX.sym("x"), ca.SX.sym("y")
-            value = _walk(tree.body, {"x": x, "y": y, "pi": ca.SX(np.pi)})
-        except (SyntaxError, RecursionError, MemoryError) as error:
-            raise ValueError(f"{text[:60]!r} is not an expression of x and y") from error
+        x, y = ca.SX.sym("x"), ca.SX.sym("y")
+        value = value_of(text, {"x": x, "y": y})
         self._function = ca.Function("expression", [x, y], [value])
         self.is_constant = not bool(ca.depends_on(value, ca.vertcat(x, y)))
 
@@ -113,6 +105,28 @@ class Expression:
         return hash(self.text)
 
 
+def value_of(text: str, names: Mapping[str, Any]) -> Any:
+    """The value of an expression whose names stand for symbols, as a CasADi expression.
+
+    Raises
+    ------
+    ValueError
+        If the text is not one of the expressions allowed; the message says what is not.
+    """
+    if len(text) > LONGEST:
+        raise ValueError(f"an expression of {len(text)} characters is too long ({LONGEST} are allowed)")
+    try:
+        tree = ast.parse(text.strip(), mode="eval")
+        return _walk(tree.body, {**names, "pi": ca.SX(np.pi)})
+    except (SyntaxError, RecursionError, MemoryError) as error:
+        raise ValueError(f"{text[:60]!r} is not an expression of {_listed(names)}") from error
+
+
+def _listed(names: Iterable[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
+
+
 def _walk(node: ast.AST, names: dict[str, Any]) -> Any:
     """Value of a syntax tree as a CasADi expression."""
     if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
@@ -122,7 +136,7 @@ def _walk(node: ast.AST, names: dict[str, Any]) -> Any:
     elif isinstance(node, ast.Name):
         if node.id in names:
             return names[node.id]
-        raise ValueError(f"unknown name {node.id!r}{_nearest(node.id, (*NAMES, *FUNCTIONS))}")
+        raise ValueError(f"unknown name {node.id!r}{_nearest(node.id, (*names, *FUNCTIONS))}")
     elif isinstance(node, (ast.BinOp, ast.UnaryOp)) and type(node.op) in _OPERATORS:
         operands = (node.left, node.right) if isinstance(node, ast.BinOp) else (node.operand,)
         return _OPERATORS[type(node.op)](*(_walk(operand, names) for operand in operands))

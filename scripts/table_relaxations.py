@@ -20,7 +20,7 @@ import pandas as pd
 from formulations import mpcc
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.reference import with_reference
-from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem
 

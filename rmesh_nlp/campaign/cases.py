@@ -10,7 +10,7 @@ from rmesh_nlp.campaign import strategies
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.examples import EXAMPLES, Delta, Size
 from rmesh_nlp.examples.reference import with_reference
-from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.mpcc import RELAXATIONS

@@ -11,9 +11,7 @@ Errors are measured against the problem's exact solution u:
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -21,7 +19,6 @@ import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
-from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.energy import (
     bulk_groups,
     contact_edges,
@@ -30,6 +27,7 @@ from rmesh_nlp.fem.energy import (
     triangle_rule,
 )
 from rmesh_nlp.fem.fields import ElementGroup, Field, Index, constant_field
+from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, Obstacle, signed_areas
 from rmesh_nlp.problem.laws import energy_density
 
@@ -38,8 +36,6 @@ ERROR_DEGREE = 10
 
 SPLINE_DEGREE = 5
 """The same for a reference given by splines, which are dear and smooth on the scale of an element."""
-
-Groups = Callable[[ContactProblem, Field, Field, Field], list[ElementGroup]]
 
 
 def energy(problem: ContactProblem, positions: Field, displacement: Field, slip: Field) -> list[ElementGroup]:
@@ -140,79 +136,17 @@ def quality(
     return [objective_group(function, local)]
 
 
-TERMS: dict[str, Groups] = {
-    "energy": energy,
-    "error-energy": error_energy,
-    "error-l2": error_l2,
-    "error-h1": error_h1,
-    "contact": contact,
-    "quality": quality,
+TERMS: dict[str, Term] = {
+    "energy": Term("energy", energy),
+    "error-energy": Term("error-energy", error_energy, needs_exact=True),
+    "error-l2": Term("error-l2", error_l2, needs_exact=True),
+    "error-h1": Term("error-h1", error_h1, needs_exact=True),
+    "contact": Term("contact", contact, needs_exact=True),
+    "quality": Term("quality", quality, of_positions=True),
 }
+"""The named terms."""
 
-
-NEED_EXACT = ("error-energy", "error-l2", "error-h1", "contact")
-
-
-@dataclass(frozen=True)
-class Objective:
-    """A weighted sum of terms, written like ``error-l2 + 0.01*quality``.
-
-    Attributes
-    ----------
-    text : str
-    terms : tuple of (weight, name)
-    """
-
-    text: str
-    terms: tuple[tuple[float, str], ...]
-
-    @property
-    def is_energy(self) -> bool:
-        """Whether it is a positive multiple of the energy alone."""
-        return [name for _, name in self.terms] == ["energy"]
-
-    @property
-    def needs_exact(self) -> bool:
-        """Whether a term compares with an exact or reference solution."""
-        return any(name in NEED_EXACT for _, name in self.terms)
-
-    def groups(
-        self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
-    ) -> list[ElementGroup]:
-        """Element groups of the sum."""
-        return [
-            scaled_group(group, weight)
-            for weight, name in self.terms
-            for group in TERMS[name](problem, positions, displacement, slip)
-        ]
-
-
-def parse_objective(text: str) -> Objective:
-    """Read an objective such as ``energy`` or ``error-l2 + 0.01*quality``.
-
-    Raises
-    ------
-    ValueError
-        If a term is unknown or a weight is not a positive number.
-    """
-    terms = []
-    # a plus sign inside a number (1e+3) belongs to the number
-    for part in re.split(r"(?<![0-9.][eE])\+", text):
-        weight_text, star, name = part.strip().rpartition("*")
-        name = name.strip()
-        if name not in TERMS:
-            raise ValueError(f"unknown objective {name!r} in {text!r}: choose from {', '.join(TERMS)}")
-        try:
-            weight = float(weight_text) if star else 1.0
-        except ValueError:
-            raise ValueError(f"the weight {weight_text.strip()!r} in {text!r} is not a number") from None
-        if not (np.isfinite(weight) and weight > 0):
-            raise ValueError(f"the weight {weight_text.strip()!r} in {text!r} must be positive and finite")
-        terms.append((weight, name))
-    return Objective(text, tuple(terms))
-
-
-ENERGY = parse_objective("energy")
+ENERGY = Objective(((1.0, TERMS["energy"]),))
 
 
 def _exact(problem: ContactProblem, name: str) -> ExactSolution:
@@ -277,12 +211,3 @@ def _with_body_on_the_left(problem: ContactProblem, edges: Index) -> Index:
     directed = np.hstack([t[[0, 1]], t[[1, 2]], t[[2, 0]]])
     forward = np.isin(edges[0] * n_nodes + edges[1], directed[0] * n_nodes + directed[1])
     return np.where(forward, edges, edges[::-1])
-
-
-def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
-    """The group with its objective multiplied by ``weight``."""
-    if weight == 1.0:
-        return group
-    symbols = local_symbols(group.function)
-    f, g = group.function(*symbols)
-    return replace(group, function=ca.Function(group.function.name(), symbols, [weight * f, g]))

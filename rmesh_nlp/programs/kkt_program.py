@@ -24,7 +24,8 @@ from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.energy import bulk_groups, displacement_field, friction_groups, gap_groups
 from rmesh_nlp.fem.fields import ElementGroup, Field, Index
 from rmesh_nlp.fem.kkt import bound_force_groups, contact_force_groups, gradient_group, identity_group
-from rmesh_nlp.fem.objectives import ENERGY, Objective, scaled_group
+from rmesh_nlp.fem.objective import Objective, scaled_group
+from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem

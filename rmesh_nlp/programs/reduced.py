@@ -14,7 +14,7 @@ from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.fem.assembly import assemble
-from rmesh_nlp.fem.objectives import Objective
+from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.smooth_constraints import is_inside
 from rmesh_nlp.programs.blocks import SecondDerivatives
 from rmesh_nlp.programs.energy_program import Relocation

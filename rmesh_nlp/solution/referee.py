@@ -15,6 +15,7 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import contact_edges
+from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem, Place, signed_areas
 from rmesh_nlp.programs.energy_program import Relocation, relocation
@@ -107,7 +108,7 @@ class Referee:
         iterations: int,
         contact_solves: int,
         wall_time_s: float,
-        objective: str = "energy",
+        objective: str | Objective = "energy",
         claimed_energy: float | None = None,
         equilibrium: Equilibrium | None = None,
         stationarity: str | None = None,
@@ -131,6 +132,7 @@ class Referee:
         stationarity : str, optional
             Label computed by the strategy; by default "KKT" if the measured residual allows.
         """
+        objective = str(objective)
         nodes = self.relocation.nodes(q)
         common: dict[str, Any] = {
             "problem": self.problem,

@@ -12,7 +12,8 @@ import numpy as np
 
 from rmesh_nlp.display import Rows, html_table, rich_table
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedObjective
 from rmesh_nlp.solution.referee import Referee
@@ -86,7 +87,9 @@ class TaylorTest:
         return html_table(f"Taylor test of {self.objective!r}", self.summary())
 
 
-def verify_gradient(problem: ContactProblem, objective: str = "energy", *, seed: int = 0) -> TaylorTest:
+def verify_gradient(
+    problem: ContactProblem, objective: str | Objective = "energy", *, seed: int = 0
+) -> TaylorTest:
     """Test the gradient that ``nested`` uses at a random admissible mesh, in a random direction.
 
     The gradient of the energy is that of (5.7), (5.11). Other objectives are differentiated with
@@ -96,7 +99,7 @@ def verify_gradient(problem: ContactProblem, objective: str = "energy", *, seed:
     Parameters
     ----------
     problem : ContactProblem
-    objective : str
+    objective : str or Objective
         As in ``solve``.
     seed : int
         Of the point and the direction.
@@ -127,4 +130,4 @@ def verify_gradient(problem: ContactProblem, objective: str = "energy", *, seed:
     with np.errstate(divide="ignore", invalid="ignore"):
         orders = np.log2(remainders[:-1] / remainders[1:])
     orders[~(known[:-1] & known[1:])] = np.nan
-    return TaylorTest(objective, here.value, slope, steps, remainders, orders)
+    return TaylorTest(str(outer), here.value, slope, steps, remainders, orders)

@@ -14,7 +14,7 @@ import numpy as np
 from formulations import fixed, joint, nested
 from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.fem.fields import constant_field
-from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solution.solution import Solution

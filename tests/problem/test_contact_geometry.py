@@ -17,7 +17,7 @@ from support.contact_geometry import (
 
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,

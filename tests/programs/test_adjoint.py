@@ -8,7 +8,7 @@ import pytest
 from support.problems import sloped_block
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.objectives import parse_objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem, ExactSolution
 from rmesh_nlp.programs.reduced import ReducedObjective
 from rmesh_nlp.solution.referee import Referee

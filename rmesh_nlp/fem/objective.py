@@ -1,0 +1,116 @@
+"""An outer objective: a weighted sum of terms, each a sum of element functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.fem.element import local_symbols
+from rmesh_nlp.fem.fields import ElementGroup, Field
+from rmesh_nlp.problem import ContactProblem
+
+Groups = Callable[[ContactProblem, Field, Field, Field], list[ElementGroup]]
+"""``(problem, positions, displacement, slip) -> element groups`` whose sum is the value of a term."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One term of an outer objective.
+
+    Attributes
+    ----------
+    name : str
+        For records and messages.
+    groups : function
+        See ``Groups``. It raises ValueError where the term does not suit the problem.
+    needs_exact : bool
+        Whether it compares with the exact or reference solution of the problem.
+    of_positions : bool
+        Whether it depends on the positions alone.
+    """
+
+    name: str
+    groups: Groups
+    needs_exact: bool = False
+    of_positions: bool = False
+
+
+@dataclass(frozen=True)
+class Objective:
+    """A weighted sum of terms, which a strategy minimises.
+
+    Objectives are added and multiplied by numbers. ``str`` gives the text for records.
+
+    Attributes
+    ----------
+    terms : tuple of (weight, Term)
+    """
+
+    terms: tuple[tuple[float, Term], ...]
+
+    @property
+    def text(self) -> str:
+        """The sum as text, such as ``error-l2 + 0.01*quality``."""
+        return " + ".join(t.name if weight == 1 else f"{weight:g}*{t.name}" for weight, t in self.terms)
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def is_energy(self) -> bool:
+        """Whether it is a positive multiple of the energy alone."""
+        return [term.name for _, term in self.terms] == ["energy"]
+
+    @property
+    def of_positions(self) -> bool:
+        """Whether it depends on the positions alone."""
+        return all(term.of_positions for _, term in self.terms)
+
+    @property
+    def needs_exact(self) -> bool:
+        """Whether a term compares with an exact or reference solution."""
+        return any(term.needs_exact for _, term in self.terms)
+
+    def groups(
+        self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+    ) -> list[ElementGroup]:
+        """Element groups of the sum."""
+        return [
+            scaled_group(group, weight)
+            for weight, term in self.terms
+            for group in term.groups(problem, positions, displacement, slip)
+        ]
+
+    def __add__(self, other: Objective) -> Objective:
+        return Objective((*self.terms, *other.terms)) if isinstance(other, Objective) else NotImplemented
+
+    def __mul__(self, factor: float) -> Objective:
+        if not isinstance(factor, (int, float, np.number)):
+            return NotImplemented
+        if not (np.isfinite(factor) and factor != 0):
+            raise ValueError(f"the weight {factor} of {self.text!r} must be finite and not zero")
+        for _, term in self.terms:
+            if factor < 0 and term.name in MINIMISED_ONLY:
+                raise ValueError(f"the weight {factor} of {term.name!r} must be positive and finite")
+        return Objective(tuple((float(factor) * weight, term) for weight, term in self.terms))
+
+    __rmul__ = __mul__
+
+    def __neg__(self) -> Objective:
+        return -1 * self
+
+
+MINIMISED_ONLY = ("energy", "error-energy", "error-l2", "error-h1", "contact", "quality")
+"""Terms that no one wants to be large."""
+
+
+def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
+    """The group with its objective multiplied by ``weight``."""
+    if weight == 1.0:
+        return group
+    symbols = local_symbols(group.function)
+    f, g = group.function(*symbols)
+    return replace(group, function=ca.Function(group.function.name(), symbols, [weight * f, g]))

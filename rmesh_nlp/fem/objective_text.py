@@ -1,0 +1,186 @@
+"""Outer objectives written as text: ``error-l2 + 0.01*quality``, ``mean(top, -uy)``.
+
+Named terms are those of :mod:`rmesh_nlp.fem.objectives`. Quantities of interest are
+
+``body(EXPR)``                  integral over the body
+``boundary(NAME, EXPR)``        integral over a named boundary
+``mean(NAME, EXPR)``            the same over the boundary's length
+``node(X, Y, EXPR)``            value at the node that is at (X, Y) on the given mesh
+``peak-pressure(NAME, P)``      smoothed peak of the pressure on a boundary, P a pressure of its size
+``peak-pressure(NAME, P, K)``   the same with exponent K, by default 8
+
+EXPR is an expression of ``x``, ``y``, the displacement (``u`` of a scalar problem, else ``ux``, ``uy``), its
+derivatives (``u_x``, ``u_y``, or ``ux_x``, ``ux_y``, ``uy_x``, ``uy_y``) in the body, and the outward normal
+(``nx``, ``ny``) on a boundary. It is read by a whitelist and never evaluated as Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.expressions import value_of
+from rmesh_nlp.fem.objective import MINIMISED_ONLY, Objective, Term
+from rmesh_nlp.fem.objectives import TERMS
+from rmesh_nlp.fem.quantities import at_point, body_integral, boundary_integral, peak_pressure
+
+DISPLACEMENTS = {1: ("u",), 2: ("ux", "uy")}
+SLOPES = {1: ("u_x", "u_y"), 2: ("ux_x", "ux_y", "uy_x", "uy_y")}
+NORMAL = ("nx", "ny")
+
+
+def parse_objective(text: str | Objective) -> Objective:
+    """Read an objective; one that is an object already is returned as it is.
+
+    Raises
+    ------
+    ValueError
+        If a term is unknown, or a weight is not a number that suits it.
+    """
+    if isinstance(text, Objective):
+        return text
+    terms: list[tuple[float, Term]] = []
+    for part in _split(text, "+"):
+        weight, objective = _weighted(part, text)
+        if not np.isfinite(weight) or weight == 0 or (weight < 0 and _minimised_only(objective)):
+            raise ValueError(f"the weight {weight:g} in {text!r} must be positive and finite")
+        terms += (weight * objective).terms
+    return Objective(tuple(terms))
+
+
+def _weighted(part: str, whole: str) -> tuple[float, Objective]:
+    """Weight and term of ``0.5*term``, ``-term`` or ``term``."""
+    first, *rest = _split(part, "*")
+    if rest:
+        try:
+            weight = float(first)
+        except ValueError:
+            raise ValueError(f"the weight {first!r} in {whole!r} is not a number") from None
+        return weight, _term("*".join(rest), whole)
+    if part.startswith("-"):
+        return -1.0, _term(part[1:].strip(), whole)
+    return 1.0, _term(part, whole)
+
+
+def _term(text: str, whole: str) -> Objective:
+    if text in TERMS:
+        return Objective(((1.0, TERMS[text]),))
+    kind, bracket, rest = text.partition("(")
+    if bracket and rest.endswith(")") and kind.strip() in QUANTITIES:
+        return QUANTITIES[kind.strip()](text, _split(rest[:-1], ","))
+    known = (*TERMS, *(f"{kind}(...)" for kind in QUANTITIES))
+    raise ValueError(f"unknown objective {text!r} in {whole!r}: choose from {', '.join(known)}")
+
+
+def _minimised_only(objective: Objective) -> bool:
+    return any(term.name in MINIMISED_ONLY for _, term in objective.terms)
+
+
+def _body(text: str, arguments: list[str]) -> Objective:
+    (expression,) = _take(text, arguments, "body(EXPR)")
+    _check(text, expression, *DISPLACEMENTS.values(), *SLOPES.values())
+
+    def density(x: Any, y: Any, u: Any, slope: Any) -> Any:
+        n = int(u.shape[0])
+        entries = [slope[i, j] for i in range(n) for j in range(2)]
+        return _value(text, expression, x, y, u, dict(zip(SLOPES[n], entries, strict=True)))
+
+    return body_integral(density, name=text)
+
+
+def _boundary(text: str, arguments: list[str], *, mean: bool = False) -> Objective:
+    name, expression = _take(text, arguments, f"{'mean' if mean else 'boundary'}(NAME, EXPR)")
+    _check(text, expression, *DISPLACEMENTS.values(), NORMAL)
+
+    def density(x: Any, y: Any, u: Any, n: Any) -> Any:
+        return _value(text, expression, x, y, u, {"nx": n[0], "ny": n[1]})
+
+    return boundary_integral(name, density, name=text, mean=mean)
+
+
+def _mean(text: str, arguments: list[str]) -> Objective:
+    return _boundary(text, arguments, mean=True)
+
+
+def _node(text: str, arguments: list[str]) -> Objective:
+    x, y, expression = _take(text, arguments, "node(X, Y, EXPR)")
+    _check(text, expression, *DISPLACEMENTS.values())
+
+    def function(px: Any, py: Any, u: Any) -> Any:
+        return _value(text, expression, px, py, u, {})
+
+    return at_point((_number(text, x), _number(text, y)), function, name=text)
+
+
+def _peak_pressure(text: str, arguments: list[str]) -> Objective:
+    if len(arguments) == 2:
+        arguments = [*arguments, "8"]
+    name, reference, exponent = _take(text, arguments, "peak-pressure(NAME, P) or peak-pressure(NAME, P, K)")
+    power = _number(text, exponent)
+    if power != int(power):
+        raise ValueError(f"{text}: the exponent must be a whole number, got {exponent}")
+    return peak_pressure(name, _number(text, reference), exponent=int(power), name=text)
+
+
+QUANTITIES: dict[str, Callable[[str, list[str]], Objective]] = {
+    "body": _body,
+    "boundary": _boundary,
+    "mean": _mean,
+    "node": _node,
+    "peak-pressure": _peak_pressure,
+}
+"""Quantities of interest by the word before their bracket."""
+
+
+def _value(text: str, expression: str, x: Any, y: Any, u: Any, more: dict[str, Any]) -> Any:
+    names = {
+        "x": x,
+        "y": y,
+        **dict(zip(DISPLACEMENTS[int(u.shape[0])], ca.vertsplit(u), strict=True)),
+        **more,
+    }
+    try:
+        return value_of(expression, names)
+    except ValueError as error:
+        raise ValueError(f"{text}: {error}") from error
+
+
+def _check(text: str, expression: str, *names: tuple[str, ...]) -> None:
+    """Read the expression once with every name that it may have, whatever the problem."""
+    every = ("x", "y", *(name for group in names for name in group))
+    try:
+        value_of(expression, {name: ca.SX.sym(name) for name in every})
+    except ValueError as error:
+        raise ValueError(f"{text}: {error}") from error
+
+
+def _take(text: str, arguments: list[str], form: str) -> list[str]:
+    if len(arguments) != form.split(" or ")[-1].count(",") + 1 or not all(arguments):
+        raise ValueError(f"{text}: expected {form}")
+    return arguments
+
+
+def _number(text: str, value: str) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        raise ValueError(f"{text}: {value!r} is not a number") from None
+    if not np.isfinite(number):
+        raise ValueError(f"{text}: {value!r} is not a finite number")
+    return number
+
+
+def _split(text: str, separator: str) -> list[str]:
+    """The parts between separators that are outside of all brackets, stripped."""
+    parts, depth, begin = [], 0, 0
+    for place, sign in enumerate(text):
+        depth += (sign == "(") - (sign == ")")
+        # a plus sign inside a number (1e+3) belongs to the number
+        exponent = place >= 2 and text[place - 1] in "eE" and text[place - 2] in ".0123456789"
+        if sign == separator and depth == 0 and not exponent:
+            parts.append(text[begin:place].strip())
+            begin = place + 1
+    return [*parts, text[begin:].strip()]
