@@ -2,20 +2,52 @@
 
 from __future__ import annotations
 
-import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.contact import model
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.reduced import ReducedObjective
-from rmesh_nlp.solution.referee import OnStep, Referee
+from rmesh_nlp.settings import Settings, check_positive
+from rmesh_nlp.solution.beginning import Start
+from rmesh_nlp.solution.history import TIME_LIMIT_S
+from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
+from rmesh_nlp.solution.registry import ignoring
 from rmesh_nlp.solution.solution import Solution, Step
 
 
+@dataclass(frozen=True)
+class FixedSettings(Settings):
+    """Settings of ``fixed``.
+
+    Attributes
+    ----------
+    max_iterations : int
+        Factorisations that the contact solve may take.
+    """
+
+    max_iterations: int = model.MAX_ITERATIONS
+
+    def __post_init__(self) -> None:
+        check_positive(max_iterations=self.max_iterations)
+
+
+@ignoring("start", "seed", "tolerance", "time_limit_s")
 def solve(
-    problem: ContactProblem, *, objective: str | Objective = "energy", on_step: OnStep | None = None
+    problem: ContactProblem,
+    *,
+    objective: str | Objective = "energy",
+    settings: FixedSettings | Mapping[str, Any] | None = None,
+    tolerance: float = STATIONARY,
+    max_iterations: int | None = None,
+    time_limit_s: float = TIME_LIMIT_S,
+    start: Start = None,
+    seed: int | None = None,
+    on_step: OnStep | None = None,
 ) -> Solution:
     """Solve the contact problem on the initial mesh.
 
@@ -24,33 +56,37 @@ def solve(
     problem : ContactProblem
     objective : str
         An outer objective whose value is to be recorded as well.
+    settings : FixedSettings or mapping, optional
+    max_iterations : int, optional
+        In place of that of the settings.
+    tolerance, time_limit_s, start, seed
+        As for the other strategies; nothing moves and one contact solve is finite, so they have no effect.
     on_step : callable, optional
         Called once with the only step.
     """
+    chosen = FixedSettings.of(settings)
+    if max_iterations is not None:
+        chosen = replace(chosen, max_iterations=max_iterations)
     referee = Referee(problem)
-    began = time.perf_counter()
-    equilibrium = referee.model.solve(problem.mesh.p)
-    seconds = time.perf_counter() - began
-    step = Step(equilibrium.iterations, equilibrium.energy, 0.0, 0.0, float("nan"), 1, seconds)
+    q = np.zeros(referee.relocation.n_q)
+    equilibrium = model.solve(referee.model.system(problem.mesh.p), max_iterations=chosen.max_iterations)
+    nan, seconds = float("nan"), referee.clock.elapsed
+    step = Step(equilibrium.iterations, equilibrium.energy, 0.0, 0.0, nan, 1, seconds)
     if on_step is not None:
         on_step(step)
+    extra = {}
+    if not parse_objective(objective).is_energy:
+        value = referee.function(objective)(q).value
+        extra = {"objective_initial": value, "objective_value": value}
     return referee.judge(
         "fixed",
-        np.zeros(referee.relocation.n_q),
+        q,
         status=equilibrium.status,
         history=[step],
         iterations=equilibrium.iterations,
         contact_solves=1,
-        wall_time_s=seconds,
         stationarity="",
         objective=objective,
-        extra=_objective_value(referee, objective),
+        settings=chosen.changed(),
+        extra=extra,
     )
-
-
-def _objective_value(referee: Referee, text: str | Objective) -> dict[str, float]:
-    objective = parse_objective(text)
-    if objective.is_energy:
-        return {}
-    value = ReducedObjective(referee.reduced, objective)(np.zeros(referee.relocation.n_q)).value
-    return {"objective_initial": value, "objective_value": value}

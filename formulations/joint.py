@@ -5,30 +5,28 @@ Outer and inner objective are the same energy, so the bilevel problem collapses 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver, Status
+from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.reduced import ReducedPoint
-from rmesh_nlp.solution.history import Recorder
-from rmesh_nlp.solution.referee import OnStep, Referee
+from rmesh_nlp.settings import Settings, check_positive
+from rmesh_nlp.solution.beginning import Start, beginning
+from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
+from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.solution import Solution
 
-OPTIONS: Mapping[str, Any] = {
-    "max_iter": 3000,
+_BARRIER: Mapping[str, Any] = {
     # Ipopt would add a factor of its own, which depends on the unit of force.
     "nlp_scaling_method": "none",
-    # In units of `pull`. Many boxes are weakly active, and an interior point meets those only to
-    # the square root of its tolerance; where rounding stops it before, 1e-7 will do.
-    "tol": 1e-10,
-    "acceptable_tol": 1e-7,
     # Start in the middle of the boxes and let the moves choose their corners as the barrier
     # falls; with a small barrier they choose too early.
     "mu_init": 2.0,
@@ -39,25 +37,62 @@ OPTIONS: Mapping[str, Any] = {
     "perturb_dec_fact": 0.2,
     "perturb_inc_fact": 1.5,
 }
-"""Ipopt options on top of ``rmesh_nlp.optimize.nlp.IPOPT_OPTIONS``; ``solve`` adds ``obj_scaling_factor``."""
 
-WITH_AREAS: Mapping[str, Any] = {
-    "max_iter": 3000,
-    "nlp_scaling_method": "none",
-    "tol": 1e-12,
-    "compl_inf_tol": 1e-12,
-    "acceptable_tol": 1e-9,
-}
-"""The same where element areas are constraints, in units of `half_energy`: in those of `pull` the rounding of
-the forces can be above every tolerance, and Ipopt's restoration then leaves the minimiser and ends as
-infeasible (6.2 on 36 x 18 squares). docs/speed.md has the remedies that were tried."""
 
-FINE = 3000
-"""Number of moves from which on the start is given alternating moves (:mod:`rmesh_nlp.programs.alternating`):
-the end is then lower by 0.1 to 0.7 % of the gain. On coarser meshes they change nothing but the start."""
+@dataclass(frozen=True)
+class JointSettings(Settings):
+    """Settings of ``joint``; docs/speed.md has the benchmarks that chose them.
 
-ALTERNATING = 0.3
-"""Length of these moves, in boxes."""
+    Attributes
+    ----------
+    max_iterations : int
+        Of Ipopt.
+    tol, acceptable_tol : float
+        Ipopt's tolerances where boxes alone keep the elements valid, in units of `pull`. Many boxes are
+        weakly active, and an interior point meets those only to the square root of its tolerance; where
+        rounding stops it before, the looser one will do.
+    tol_areas, acceptable_tol_areas : float
+        The same where element areas are constraints, in units of `half_energy`: in those of `pull` the
+        rounding of the forces can be above every tolerance, and Ipopt's restoration then leaves the
+        minimiser and ends as infeasible (6.2 on 36 x 18 squares).
+    fine : int
+        Number of moves from which on the start is given alternating moves
+        (:mod:`rmesh_nlp.programs.alternating`): the end is then lower by 0.1 to 0.7 % of the gain (6.1 with
+        32 to 128 squares a side). On coarser meshes they change nothing but the start.
+    alternating : float
+        Length of these moves, in boxes.
+    ipopt : mapping
+        Further Ipopt options, which override all others.
+    """
+
+    max_iterations: int = 3000
+    tol: float = 1e-10
+    acceptable_tol: float = 1e-7
+    tol_areas: float = 1e-12
+    acceptable_tol_areas: float = 1e-9
+    fine: int = 3000
+    alternating: float = 0.3
+    ipopt: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [f.name for f in fields(self) if f.name not in ("ipopt", "max_iterations")]
+        check_positive(**{name: getattr(self, name) for name in names})
+        if not (isinstance(self.max_iterations, int) and self.max_iterations >= 0):
+            raise BadInputError(f"max_iterations must be a number >= 0, got {self.max_iterations!r}")
+
+    def options(self, areas: bool, unit: float) -> dict[str, Any]:
+        """Ipopt's options, the objective in units of ``unit``, ``areas`` as constraints or without."""
+        common = {"max_iter": self.max_iterations, "obj_scaling_factor": 1 / unit}
+        if areas:
+            own = {
+                "nlp_scaling_method": "none",
+                "tol": self.tol_areas,
+                "compl_inf_tol": self.tol_areas,
+                "acceptable_tol": self.acceptable_tol_areas,
+            }
+        else:
+            own = {**_BARRIER, "tol": self.tol, "acceptable_tol": self.acceptable_tol}
+        return {**common, **own, **self.ipopt}
 
 
 def build(problem: ContactProblem) -> NLP:
@@ -73,9 +108,12 @@ def solve(
     problem: ContactProblem,
     *,
     objective: str = "energy",
+    settings: JointSettings | Mapping[str, Any] | None = None,
+    tolerance: float = STATIONARY,
+    max_iterations: int | None = None,
+    time_limit_s: float = TIME_LIMIT_S,
+    start: Start = None,
     seed: int | None = None,
-    options: Mapping[str, Any] | None = None,
-    start: Array | None = None,
     on_step: OnStep | None = None,
 ) -> Solution:
     """Minimise the energy over node positions and displacement together, by Ipopt.
@@ -85,63 +123,73 @@ def solve(
     problem : ContactProblem
     objective : str
         Only "energy": with any other outer objective the levels do not collapse.
+    settings : JointSettings or mapping, optional
+    tolerance : float
+        Largest first-order residual, measured by the referee, of a solution that is called converged.
+    max_iterations : int, optional
+        In place of that of the settings.
+    time_limit_s : float
+        After it, as after Ctrl-C, the best valid mesh so far is the solution.
+    start : positions (2, nodes), "given", name of a strategy, or Solution, optional
+        See :func:`rmesh_nlp.solution.beginning.beginning`.
     seed : int, optional
         Random start; by default the initial mesh.
-    options : mapping, optional
-        Ipopt options.
-    start : (2, nodes) array, optional
-        Node positions to start from, say prolonged from a coarser mesh.
     on_step : callable, optional
         Called after each Ipopt iteration.
 
     Raises
     ------
     ValueError
-        If the objective is not the energy.
+        If the objective is not the energy, or a setting or the start cannot be used.
     """
     if objective != "energy":
         raise ValueError(
             f"joint minimises the energy only, not {objective!r}: with another outer objective the inner "
             "problem must stay a constraint; use mpcc or nested"
         )
+    check_positive(tolerance=tolerance, time_limit_s=time_limit_s)
+    chosen = JointSettings.of(settings)
+    if max_iterations is not None:
+        chosen = replace(chosen, max_iterations=max_iterations)
     referee = Referee(problem)
-    began = time.perf_counter()
-    recorder = Recorder(on_step, referee.relocation.n_q)
-    result = minimise(referee, referee.start(seed, start), recorder, options)
-    seconds = time.perf_counter() - began
-    bound = referee.relocation.freedoms.bound
-    q = np.clip(result.x[: bound.size], -bound, bound)  # Ipopt may leave its bounds by 2e-12
-    status = Status.CONVERGED if result.converged else result.status
+    begin = beginning(referee, start, seed, time_limit_s=time_limit_s)
+    recorder = Recorder(referee, on_step, time_limit_s)
+    result = recorder.run(lambda: minimise(referee, begin.q, recorder, chosen))
+    if result is None or recorder.stopped is not None:
+        q, claimed = recorder.best(referee.reduced, begin.q), None
+    else:
+        bound = referee.relocation.freedoms.bound
+        q, claimed = np.clip(result.x[: bound.size], -bound, bound), result.f  # it may leave them by 2e-12
+    steps = recorder.steps(result)
     return referee.judge(
         "joint",
         q,
-        status=status,
-        history=recorder.steps(result),
-        iterations=result.iterations,
-        contact_solves=1,
-        wall_time_s=seconds,
-        claimed_energy=result.f,
+        status=recorder.status(result),
+        tolerance=tolerance,
+        history=steps,
+        iterations=begin.iterations + max(len(steps) - 1, 0),
+        contact_solves=begin.contact_solves + 1,
+        claimed_energy=claimed,
+        start=begin.name,
         seed=seed,
+        settings=chosen.changed(),
     )
 
 
 def minimise(
-    referee: Referee, q: Array, recorder: Recorder, options: Mapping[str, Any] | None = None
+    referee: Referee, q: Array, recorder: Recorder, settings: JointSettings | None = None
 ) -> NLPResult:
-    """Solve the energy program from moves ``q`` and the contact solution there; see ``FINE``."""
-    contact, relocation = referee.reduced(q), referee.relocation
-    if relocation.n_valid:
-        usual, unit = WITH_AREAS, half_energy(contact)
+    """Solve the energy program from moves ``q`` and the contact solution there."""
+    contact, relocation, settings = referee.reduced(q), referee.relocation, settings or JointSettings()
+    areas = relocation.n_valid > 0
+    if not areas and relocation.n_q >= settings.fine:
+        q = alternated(relocation, q, contact.gradient, settings.alternating, referee.is_valid)
+        unit = pull(contact.gradient)
+        contact = referee.reduced(q)
     else:
-        usual, unit = OPTIONS, pull(contact.gradient)
-        if relocation.n_q >= FINE:
-            q = alternated(relocation, q, contact.gradient, ALTERNATING, referee.is_valid)
-            contact = referee.reduced(q)
-    solver = Solver(
-        build(referee.problem),
-        options={**usual, "obj_scaling_factor": 1 / unit, **(options or {})},
-        monitor=recorder,
-    )
+        unit = half_energy(contact) if areas else pull(contact.gradient)
+    with referee.clock.during("build"):
+        solver = Solver(relocation.nlp, options=settings.options(areas, unit), monitor=recorder)
     return solver(referee.reduced.point(q, contact.equilibrium))
 
 

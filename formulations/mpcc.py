@@ -9,23 +9,24 @@ levels do not collapse.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from formulations.mpcc_start import Begin, Start, begin
+from formulations.mpcc_start import Begin, begin, moves
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.mpcc import MPCC, MPCCResult, MPCCSolver
+from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.kkt_program import Bilevel, bilevel
-from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedObjective
-from rmesh_nlp.solution.history import Recorder
-from rmesh_nlp.solution.referee import OnStep, Referee
+from rmesh_nlp.settings import check_positive
+from rmesh_nlp.solution.beginning import Start
+from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
+from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.solution import Solution
 
 
@@ -53,6 +54,10 @@ OPTIONS: Mapping[str, Any] = {
 on the given mesh times its largest nodal load."""
 
 
+LIMITS = (Status.TIME_LIMIT, Status.ITERATION_LIMIT)
+"""Ends of a homotopy whose last point need not be complementary."""
+
+
 def build(problem: ContactProblem, objective: str | Objective = "energy") -> MPCC:
     """The symbolic MPCC, see :mod:`rmesh_nlp.programs.kkt_program`; in N/m, m and the objective's unit."""
     return bilevel(problem, parse_objective(objective)).mpcc
@@ -63,9 +68,12 @@ def solve(
     *,
     objective: str | Objective = "energy",
     relaxation: str = "scholtes",
-    seed: int | None = None,
-    options: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    tolerance: float = STATIONARY,
+    max_iterations: int | None = None,
+    time_limit_s: float = TIME_LIMIT_S,
     start: Start = None,
+    seed: int | None = None,
     on_step: OnStep | None = None,
 ) -> Solution:
     """Solve the MPCC by a homotopy of relaxations from ``start``, and an exact finish.
@@ -80,8 +88,14 @@ def solve(
         A name in ``rmesh_nlp.mpcc.RELAXATIONS``.
     seed : int, optional
         Random start of the positions; by default the mesh as given.
-    options : mapping, optional
+    settings : mapping, optional
         Fields of :class:`rmesh_nlp.mpcc.Options`, on top of ``OPTIONS``.
+    tolerance : float
+        Largest first-order residual, measured by the referee, of a solution that is called converged.
+    max_iterations : int, optional
+        Ipopt iterations over all relaxations and branches.
+    time_limit_s : float
+        After it, as after Ctrl-C, the best valid mesh so far is the solution.
     start : str, (2, nodes) array or Solution, optional
         "given", the default: the contact solution on the mesh as given, or at the random positions of the
         seed. Node positions: the contact solution there. The other starts solve something else
@@ -98,41 +112,72 @@ def solve(
         If the objective, the relaxation or the start is unknown or does not fit.
     """
     outer = parse_objective(objective)
+    check_positive(tolerance=tolerance, time_limit_s=time_limit_s, max_iterations=max_iterations)
     referee = Referee(problem)
-    began = time.perf_counter()
-    q = referee.start(seed, start if isinstance(start, np.ndarray) else None)
-    contact = referee.reduced(q)
-    function: ReducedEnergy | ReducedObjective = referee.reduced
-    if not outer.is_energy:
-        function = ReducedObjective(referee.reduced, outer)
-    value = function(np.zeros(q.size)).value
-    two_level = bilevel(
-        problem,
-        outer,
-        length=float(np.max(np.abs(contact.equilibrium.u))) or 1.0,
-        force=contact.system.force_scale,
-        value=abs(value) or 1.0,
-    )
-    recorder = Recorder(on_step, q.size, two_level.value, outer.is_energy)
-    where = begin(start, seed, referee, two_level, outer, contact, recorder)
-    recorder.after(where.iterations)
-    settings = {"relaxation": relaxation, **OPTIONS, **where.options, **(options or {})}
-    result = MPCCSolver(two_level.mpcc, **settings)(where.x, on_iteration=recorder.iterate)
-    seconds = time.perf_counter() - began
+    at = moves(start, seed, referee, outer, time_limit_s)
+    contact = referee.reduced(at.q)
+    function = referee.function(objective)
+    value = function(np.zeros(at.q.size)).value
+    with referee.clock.during("build"):
+        two_level = bilevel(
+            problem,
+            outer,
+            length=float(np.max(np.abs(contact.equilibrium.u))) or 1.0,
+            force=contact.system.force_scale,
+            value=abs(value) or 1.0,
+        )
+    recorder = Recorder(referee, on_step, time_limit_s, two_level.value, outer.is_energy)
+    where = Begin(at.name, np.zeros(0))
+
+    def run() -> MPCCResult | None:
+        nonlocal where
+        where = begin(start, referee, two_level, outer, at, recorder)
+        recorder.after(where.iterations)
+        if recorder.stopped is not None:
+            return None
+        limits = {"time_limit_s": max(recorder.remaining, 1e-3), "max_iterations": max_iterations}
+        options = {"relaxation": relaxation, **OPTIONS, **limits, **where.options, **(settings or {})}
+        with referee.clock.during("build"):
+            solver = MPCCSolver(two_level.mpcc, **options)
+        return solver(where.x, on_iteration=recorder.iterate)
+
+    result = recorder.run(run)
+    steps = [*where.steps, *recorder.steps()]
+    common: dict[str, Any] = {
+        "objective": objective,
+        "tolerance": tolerance,
+        "history": steps,
+        "start": where.name,
+        "seed": seed,
+        "settings": dict(settings or {}),
+    }
+    if result is None or result.status in LIMITS:
+        q = recorder.best(function, at.q)
+        return referee.judge(
+            "mpcc",
+            q,
+            status=recorder.stopped or (Status.FAILED if result is None else result.status),
+            iterations=steps[-1].iteration if steps else 0,
+            contact_solves=where.contact_solves,
+            stationarity="",
+            outer_gradient=function(q).gradient,
+            extra={
+                "objective_initial": value,
+                "objective_value": function(q).value,
+                "relaxation": relaxation,
+            },
+            **common,
+        )
     q, u, normal, tangential = two_level.split(result.x)
     inside = np.clip(q, -referee.relocation.freedoms.bound, referee.relocation.freedoms.bound)
     return referee.judge(
         "mpcc",
         inside,
         status=result.status,
-        history=[*where.steps, *recorder.steps()],
         iterations=where.iterations + result.counts["ipopt_iterations"],
         contact_solves=where.contact_solves,
-        wall_time_s=seconds,
-        objective=objective,
         equilibrium=_equilibrium(referee, q, u, normal, tangential, result),
         stationarity=result.stationarity,
-        seed=seed,
         outer_gradient=function(inside).gradient,
         extra={
             "objective_initial": value,
@@ -140,13 +185,13 @@ def solve(
             "relaxation": relaxation,
             **_figures(referee, two_level, where, result),
         },
+        **common,
     )
 
 
 def _figures(referee: Referee, two_level: Bilevel, where: Begin, result: MPCCResult) -> dict[str, Any]:
     """Record entries of the start, the homotopy and the label."""
     return {
-        "start": where.name,
         "stages": [
             {
                 "phase": nlp.phase,

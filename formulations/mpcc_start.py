@@ -6,23 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from formulations import joint, nested
+from formulations import joint
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.nlp import Solver
 from rmesh_nlp.programs.kkt_program import Bilevel
 from rmesh_nlp.programs.reduced import ReducedPoint
+from rmesh_nlp.solution.beginning import Beginning, Start, beginning
 from rmesh_nlp.solution.history import Recorder
 from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.solution import Solution, Step
+from rmesh_nlp.solution.solution import Step
 
-STARTS = ("given", "joint", "nested", "without-complementarity")
-"""Starts that have a name."""
-
-Start = str | Array | Solution | None
-"""A name in ``STARTS``, node positions (2, nodes), a Solution, or None for "given"."""
+DROPPED = "without-complementarity"
+"""A start of ``mpcc`` alone: its program with the products dropped."""
 
 CERTIFY: Mapping[str, Any] = {"t0": 1e-9, "t_final": 1e-9}
 """Options after another program: only the relaxation at the final t, and the exact finish."""
@@ -40,7 +36,7 @@ class Begin:
     Attributes
     ----------
     name : str
-        What the record calls it: a name in ``STARTS``, "random", "positions", or "solution of ...".
+        What the record calls it.
     x : array
         Unknowns of the MPCC.
     options : mapping
@@ -61,53 +57,66 @@ class Begin:
 
 def begin(
     start: Start,
-    seed: int | None,
     referee: Referee,
     two_level: Bilevel,
     outer: Objective,
-    contact: ReducedPoint,
+    where: Beginning,
     recorder: Recorder,
 ) -> Begin:
     """The unknowns of the MPCC to start from.
 
     Parameters
     ----------
-    contact : ReducedPoint
-        Contact solution at the moves that positions or seed ask for.
+    where : Beginning
+        The moves to start from, see :func:`moves`.
+    """
+    contact = referee.reduced(where.q)
+    here = two_level.point(contact.q, contact.equilibrium, contact.system)
+    if isinstance(start, str) and start == "joint":
+        return _joint(referee, two_level, outer, contact, recorder)
+    if isinstance(start, str) and start == DROPPED:
+        program = Solver(two_level.without_complementarity(), options=DROPPED_OPTIONS, monitor=recorder)
+        first = program(here)
+        steps = recorder.steps(first)
+        return Begin(start, first.x, CERTIFY, steps, first.iterations, nlp_solves=1)
+    if where.solution is None:
+        return Begin(where.name, here)
+    before = where.solution if isinstance(start, str) else None
+    return Begin(
+        where.name,
+        here,
+        CERTIFY,
+        [] if before is None else list(before.history),
+        where.iterations,
+        where.contact_solves + 2,
+    )
+
+
+def moves(start: Start, seed: int | None, referee: Referee, outer: Objective, limit: float) -> Beginning:
+    """The moves to start from.
+
+    Those of "joint" and ``DROPPED`` are the given ones: their programs are solved once the MPCC is stated.
 
     Raises
     ------
     ValueError
         If the start is unknown or does not suit the objective or the mesh.
     """
-    here = two_level.point(contact.q, contact.equilibrium, contact.system)
-    if start is None or isinstance(start, np.ndarray):
-        positions = isinstance(start, np.ndarray)
-        return Begin("positions" if positions else "given" if seed is None else "random", here)
-    if isinstance(start, Solution):
-        return _of_solution(start, referee, two_level)
-    if start == "given":
-        return Begin("given" if seed is None else "random", here)
-    if start == "joint":
-        return _joint(referee, two_level, outer, contact, recorder)
-    if start == "nested":
-        return _nested(referee, two_level, outer, contact)
-    if start == "without-complementarity":
-        program = Solver(two_level.without_complementarity(), options=DROPPED_OPTIONS, monitor=recorder)
-        first = program(here)
-        steps = recorder.steps(first)
-        return Begin(start, first.x, CERTIFY, steps, first.iterations, nlp_solves=1)
-    raise ValueError(f"unknown start {start!r}: choose from {', '.join(STARTS)}, positions or a Solution")
+    if isinstance(start, str) and start in ("joint", DROPPED):
+        if start == "joint" and not outer.is_energy:
+            raise ValueError("start = 'joint' needs the energy as objective: there alone the levels collapse")
+        return beginning(referee, None, seed)
+    own: dict[str, Any] = {"outer": "newton" if outer.is_energy else "ipopt"}
+    return beginning(referee, start, seed, known=(DROPPED,), objective=outer, time_limit_s=limit, **own)
 
 
 def _joint(
     referee: Referee, two_level: Bilevel, outer: Objective, contact: ReducedPoint, recorder: Recorder
 ) -> Begin:
     """The minimiser of the energy program, with the forces of the contact problem there."""
-    if not outer.is_energy:
-        raise ValueError("start = 'joint' needs the energy as objective: there alone the levels collapse")
-    energies = Recorder(recorder.on_step, contact.q.size)
+    energies = Recorder(referee, recorder.on_step, recorder.limit)
     first = joint.minimise(referee, contact.q, energies)
+    recorder.stopped = energies.stopped
     q = contact.q.size
     end = referee.reduced(first.x[:q] if first.converged else contact.q)
     x = two_level.point(end.q, end.equilibrium, end.system)
@@ -127,27 +136,7 @@ def _after_energy(scaling: float) -> dict[str, Any]:
         "obj_scaling_factor": scaling,
         "bound_mult_init_method": "mu-based",
         "mu_strategy": "monotone",
-        "mu_init": joint.OPTIONS["tol"],
+        "mu_init": joint.JointSettings.tol,
         **dict.fromkeys(PUSHES, 1e-13),
     }
     return {**CERTIFY, "ipopt_relaxed": ipopt, "ipopt_exact": ipopt}
-
-
-def _nested(referee: Referee, two_level: Bilevel, outer: Objective, contact: ReducedPoint) -> Begin:
-    """The end of the nested strategy from the same moves."""
-    solver = "newton" if outer.is_energy else "ipopt"
-    positions = referee.relocation.nodes(contact.q)
-    first = nested.solve(referee.problem, objective=outer.text, outer=solver, start=positions)
-    begun = _of_solution(first, referee, two_level)
-    return Begin("nested", begun.x, CERTIFY, list(first.history), first.iterations, first.contact_solves)
-
-
-def _of_solution(solution: Solution, referee: Referee, two_level: Bilevel) -> Begin:
-    """The contact solution on the mesh of a Solution."""
-    if solution.mesh.p.shape != referee.problem.mesh.p.shape:
-        raise ValueError(
-            f"the start has {solution.mesh.p.shape[1]} nodes, the problem {referee.problem.mesh.p.shape[1]}"
-        )
-    end = referee.reduced(referee.start(None, np.asarray(solution.mesh.p)))
-    x = two_level.point(end.q, end.equilibrium, end.system)
-    return Begin(f"solution of {solution.formulation}", x, CERTIFY, contact_solves=2)

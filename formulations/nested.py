@@ -6,19 +6,23 @@ drops out. Its second derivative jumps there, so the default outer solver is a q
 
 from __future__ import annotations
 
-import time
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS, Reduced, reduced_nlp
-from rmesh_nlp.programs.reduced import ReducedObjective
-from rmesh_nlp.solution.referee import OnStep, Referee
+from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS, NestedSettings, reduced_nlp
+from rmesh_nlp.programs.reduced import Reduced
+from rmesh_nlp.settings import check_positive
+from rmesh_nlp.solution.beginning import Start, beginning
+from rmesh_nlp.solution.history import TIME_LIMIT_S, Watch
+from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.solution import Solution, Step
 
 
@@ -27,8 +31,12 @@ def solve(
     *,
     objective: str | Objective = "energy",
     outer: str = "ipopt",
+    settings: NestedSettings | Mapping[str, Any] | None = None,
+    tolerance: float = STATIONARY,
+    max_iterations: int | None = None,
+    time_limit_s: float = TIME_LIMIT_S,
+    start: Start = None,
     seed: int | None = None,
-    start: Array | None = None,
     on_step: OnStep | None = None,
 ) -> Solution:
     """Minimise an outer objective with exact contact solves inside.
@@ -48,43 +56,57 @@ def solve(
         (projected trust-region Newton-CG, the fastest) and "newton-pair" (two such descents,
         recombined: for fine meshes), both for the energy only, "slsqp", "trust-constr" or
         "l-bfgs-b".
+    settings : NestedSettings or mapping, optional
+    tolerance : float
+        Largest first-order residual, measured by the referee, of a solution that is called converged.
+    max_iterations : int, optional
+        In place of that of the settings.
+    time_limit_s : float
+        After it, as after Ctrl-C, the best valid mesh so far is the solution.
+    start : positions (2, nodes), "given", name of a strategy, or Solution, optional
+        See :func:`rmesh_nlp.solution.beginning.beginning`.
     seed : int, optional
         Random start; by default the initial mesh.
-    start : (2, nodes) array, optional
-        Node positions to start from, say prolonged from a coarser mesh.
     on_step : callable, optional
         Called after each outer iteration.
 
     Raises
     ------
     ValueError
-        If the objective or the outer solver is unknown, or the solver cannot hold the element
-        areas that need it.
+        If the objective, the outer solver, a setting or the start is unknown, or the solver cannot hold
+        the element areas that need it.
     """
     if outer not in OUTER_SOLVERS:
-        raise ValueError(f"unknown outer solver {outer!r}: choose from {', '.join(OUTER_SOLVERS)}")
+        raise unknown("outer solver", outer, OUTER_SOLVERS)
+    check_positive(tolerance=tolerance, time_limit_s=time_limit_s)
+    chosen = NestedSettings.of(settings)
+    if max_iterations is not None:
+        chosen = replace(chosen, max_iterations=max_iterations)
     referee = Referee(problem)
-    began = time.perf_counter()
-    outer_objective = parse_objective(objective)
-    function: Reduced = referee.reduced
-    if not outer_objective.is_energy:
-        function = ReducedObjective(referee.reduced, outer_objective)
-    recorder = _Recorder(function, referee.relocation.freedoms.bound, on_step, began)
-    program = reduced_nlp(referee.relocation, function, referee.is_valid)
-    finish = OUTER_SOLVERS[outer](program, referee.start(seed, start), recorder)
-    seconds = time.perf_counter() - began
+    function = referee.function(objective)
+    with referee.clock.during("build"):
+        program = reduced_nlp(referee.relocation, function, referee.is_valid)
+    begin = beginning(referee, start, seed, objective=objective, time_limit_s=time_limit_s)
+    recorder = _Recorder(referee, function, on_step, time_limit_s)
+    finish = recorder.run(lambda: OUTER_SOLVERS[outer](program, begin.q, recorder, chosen))
+    if finish is None or recorder.stopped is not None:
+        q, status = recorder.best(function, begin.q), recorder.stopped or Status.FAILED
+    else:
+        q, status = finish.q, finish.status
     return referee.judge(
         "nested",
-        finish.q,
-        status=finish.status,
+        q,
+        status=status,
+        tolerance=tolerance,
         history=recorder.steps,
-        iterations=finish.iterations,
-        contact_solves=referee.reduced.contact_solves,
-        wall_time_s=seconds,
+        iterations=begin.iterations + max((step.iteration for step in recorder.steps), default=0),
+        contact_solves=begin.contact_solves + referee.reduced.contact_solves,
         objective=objective,
+        start=begin.name,
         seed=seed,
-        extra={"outer": outer, **_outer_figures(referee, function, finish.q)},
-        outer_gradient=function(finish.q).gradient,
+        settings=chosen.changed(),
+        extra={"outer": outer, **_outer_figures(referee, function, q)},
+        outer_gradient=function(q).gradient,
     )
 
 
@@ -100,21 +122,23 @@ def _outer_figures(referee: Referee, function: Reduced, q: Array) -> dict[str, A
     }
 
 
-class _Recorder:
+class _Recorder(Watch):
     """Turns the iterates of an outer solver into Steps."""
 
-    def __init__(self, function: Reduced, bound: Array, on_step: OnStep | None, began: float) -> None:
-        self._function, self._bound, self._on_step, self._began = function, bound, on_step, began
+    def __init__(
+        self, referee: Referee, function: Reduced, on_step: OnStep | None, time_limit_s: float
+    ) -> None:
+        super().__init__(referee, on_step, time_limit_s)
+        self._function = function
         self.steps: list[Step] = []
 
-    def __call__(self, iteration: int, q: Array, _: float) -> None:
+    def __call__(self, iteration: int, q: Array, _: float) -> bool:
         point = self._function(q)
-        scale = max(abs(point.value), 1e-300)
-        move = np.clip(q - point.gradient / scale, -self._bound, self._bound) - q
-        residual = float(np.max(np.abs(move), initial=0.0))
-        solves, seconds = self._function.contact_solves, time.perf_counter() - self._began
+        residual = self.referee.reduced.stationarity_residual(point)
+        solves, seconds = self._function.contact_solves, self.referee.clock.elapsed
         energy, objective = point.equilibrium.energy, point.value
         step = Step(iteration, energy, 0.0, 0.0, residual, solves, seconds, objective=objective)
         self.steps.append(step)
-        if self._on_step is not None:
-            self._on_step(replace(step, q=q.copy()))
+        if self.on_step is not None:
+            self.on_step(replace(step, q=q.copy()))
+        return self.note(q, point.value)

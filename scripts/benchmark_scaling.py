@@ -68,7 +68,7 @@ STRATEGIES: dict[str, Callable[[ContactProblem], Solution]] = {
     PAIR: lambda problem: nested.solve(problem, outer="newton-pair"),
     "nested, newton": lambda problem: nested.solve(problem, outer="newton"),
     "nested, ipopt": nested.solve,
-    "joint": lambda problem: joint.solve(problem, options={"max_wall_time": LONGEST}),
+    "joint": lambda problem: joint.solve(problem, time_limit_s=LONGEST),
     "mpcc": mpcc.solve,
 }
 

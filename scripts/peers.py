@@ -114,8 +114,8 @@ class Program:
 
     def ipopt(self, limit: float) -> dict[str, Any]:
         """What ``joint`` gives Ipopt, and so every peer that uses Ipopt on the same program."""
-        own = {"obj_scaling_factor": 1 / self.unit, "max_wall_time": min(limit, 1e6)}
-        return {**IPOPT_OPTIONS, **joint.OPTIONS, **own}
+        own = joint.JointSettings().options(areas=False, unit=self.unit)
+        return {**IPOPT_OPTIONS, **own, "max_wall_time": min(limit, 1e6)}
 
     def nodes(self, x: Sequence[float]) -> Array:
         """Node positions of unknowns cut to their boxes."""
@@ -175,7 +175,7 @@ def energy_61(program: Program, x: Any, sin: Any, choose: Any) -> tuple[Any, lis
 
 def ours_joint(case: Case) -> Finish:
     """Our strategy ``joint``."""
-    solution = joint.solve(case.problem, options={"max_wall_time": min(case.limit, 1e6)})
+    solution = joint.solve(case.problem, time_limit_s=min(case.limit, 1e6))
     return Finish(np.asarray(solution.mesh.p), solution.status.value, solution.wall_time_s)
 
 

@@ -1,32 +1,11 @@
-"""Strategies by name, found through an entry-point group, so that anyone can add one.
-
-A package offers a strategy by one line in its ``pyproject.toml``::
-
-    [project.entry-points."rmesh_nlp.formulations"]
-    mine = "my_package.my_module:solve"
-
-where ``solve(problem, ...)`` returns a :class:`rmesh_nlp.solution.solution.Solution`.
-"""
+"""Strategies as a campaign runs them: by name, with the options ``starts`` and ``levels``."""
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Collection
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
-
-from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.solution.registry import GROUP, Solve, accepted, available, find
 from rmesh_nlp.solution.starts import with_starts
 
-GROUP = "rmesh_nlp.formulations"
-
-Solve = Callable[..., Any]
-"""``solve(problem, *, on_step=None, ...) -> Solution``."""
-
-
-def available() -> dict[str, EntryPoint]:
-    """Installed strategies by name; nothing is imported yet."""
-    return {entry.name: entry for entry in entry_points(group=GROUP)}
+__all__ = ["GROUP", "Solve", "accepted", "available", "load"]
 
 
 def load(name: str) -> Solve:
@@ -37,21 +16,4 @@ def load(name: str) -> Solve:
     BadInputError
         If no strategy has this name, or it cannot be imported.
     """
-    found = available()
-    if name not in found:
-        raise unknown("formulation", name, found)
-    try:
-        solve: Solve = found[name].load()
-    except (ImportError, AttributeError) as error:
-        raise BadInputError(
-            f"formulation {name!r} cannot be loaded from {found[name].value}: {error}"
-        ) from error
-    return with_starts(solve)
-
-
-def accepted(solve: Solve, names: Collection[str]) -> set[str]:
-    """Those of the keyword ``names`` that ``solve`` takes."""
-    parameters = inspect.signature(solve).parameters
-    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values()):
-        return set(names)
-    return set(names) & set(parameters)
+    return with_starts(find(name))

@@ -85,4 +85,5 @@ class IterationCallback(ca.Callback):
         """Pass the iterate on."""
         enough = self._monitor(self._iteration, flat(arg[0]), float(arg[1]))
         self._iteration += 1
-        return [int(self.stop or bool(enough))]
+        self.stop = self.stop or bool(enough)
+        return [int(self.stop)]

@@ -74,7 +74,7 @@ def minimise(
     max_iterations: int = 200,
     forcing: float = 0.1,
     walls: Walls | None = None,
-    on_step: Callable[[int, Array, Evaluation], None] | None = None,
+    on_step: Callable[[int, Array, Evaluation], bool | None] | None = None,
 ) -> NewtonResult:
     """Minimise in the box ``lower <= x <= upper``, and within walls if there are any.
 
@@ -99,7 +99,7 @@ def minimise(
     walls : Walls, optional
         Constraints that ``start`` obeys.
     on_step : callable, optional
-        Called with the iteration, the point and its evaluation.
+        Called with the iteration, the point and its evaluation; the descent stops if it returns True.
     """
     x = np.clip(start, lower, upper)
     here = evaluate(x)
@@ -111,8 +111,8 @@ def minimise(
     domain = _Box(lower, upper) if walls is None else _WalledBox(lower, upper, walls)
     domain.arrive(x)
     for iteration in range(max_iterations + 1):
-        if on_step is not None:
-            on_step(iteration, x, here)
+        if on_step is not None and on_step(iteration, x, here):
+            return NewtonResult(x, here.value, Status.INTERRUPTED, iteration, products)
         g = here.gradient
         unit = max(abs(here.value), 1e-300)
         step_down = np.clip(x - domain.released(g) / unit, lower, upper)

@@ -32,11 +32,16 @@ class Status(str, Enum):
     ACCEPTABLE = "acceptable"
     ITERATION_LIMIT = "iteration_limit"
     TIME_LIMIT = "time_limit"
+    INTERRUPTED = "interrupted"
     INFEASIBLE = "infeasible"
     UNBOUNDED = "unbounded"
     STALLED = "stalled"
     CYCLED = "cycled"
     INACCURATE = "inaccurate"
+    NOT_STATIONARY = "not_stationary"
+    WORSE = "worse"
+    QUADRATURE_EXPLOITED = "quadrature-exploited"
+    PENETRATION = "penetration"
     INVALID_MESH = "invalid_mesh"
     TOO_FEW_FREEDOMS = "too_few_freedoms"
     EVALUATION_ERROR = "evaluation_error"
@@ -53,11 +58,16 @@ _MESSAGES = {
     Status.ACCEPTABLE: "Converged to the looser, acceptable tolerance only.",
     Status.ITERATION_LIMIT: "Stopped at the iteration limit.",
     Status.TIME_LIMIT: "Stopped at the time limit.",
+    Status.INTERRUPTED: "Stopped by the user; the best valid point so far is kept.",
     Status.INFEASIBLE: "Converged to a point of local infeasibility.",
     Status.UNBOUNDED: "The iterates diverge: the problem may be unbounded.",
     Status.STALLED: "No further progress was possible before the tolerance was met.",
     Status.CYCLED: "The active set repeated itself without a solution.",
     Status.INACCURATE: "The solver stopped, but a residual of the source problem is above its tolerance.",
+    Status.NOT_STATIONARY: "The solver met its own test, but not the tolerance of the first-order residual.",
+    Status.WORSE: "The minimised objective, measured accurately, is above its value on the given mesh.",
+    Status.QUADRATURE_EXPLOITED: "The gain is one of the quadrature rule: take a rule of higher degree.",
+    Status.PENETRATION: "Between its nodes the contact boundary penetrates the foundation too far.",
     Status.INVALID_MESH: "An element is inverted or smaller than allowed.",
     Status.TOO_FEW_FREEDOMS: "There are more equations than free unknowns.",
     Status.EVALUATION_ERROR: "A function returned NaN or infinity.",
@@ -71,6 +81,7 @@ _IPOPT_STATUS = {
     "Maximum_Iterations_Exceeded": Status.ITERATION_LIMIT,
     "Maximum_CpuTime_Exceeded": Status.TIME_LIMIT,
     "Maximum_WallTime_Exceeded": Status.TIME_LIMIT,
+    "User_Requested_Stop": Status.INTERRUPTED,
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Diverging_Iterates": Status.UNBOUNDED,
     "Search_Direction_Becomes_Too_Small": Status.STALLED,

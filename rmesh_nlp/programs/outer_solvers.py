@@ -7,13 +7,14 @@ of the reduced energy.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.optimize.callbacks import Monitor
@@ -24,44 +25,77 @@ from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.energy_program import Relocation
 from rmesh_nlp.programs.recombination import Recombination
-from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedObjective
+from rmesh_nlp.programs.reduced import Reduced, ReducedEnergy
+from rmesh_nlp.settings import Settings, check_positive
 
 NAN = float("nan")
 
-Reduced = ReducedEnergy | ReducedObjective
 
-IPOPT_OPTIONS: Mapping[str, Any] = {
-    "hessian_approximation": "limited-memory",
-    "limited_memory_max_history": 50,
-    # after two skipped updates in a row Ipopt forgets the memory, and then crawls
-    "limited_memory_max_skipping": 1_000_000,
-    "tol": 1e-6,
-    "max_iter": 500,
-}
-"""A long memory: the flat directions of the mesh make short ones stall."""
+@dataclass(frozen=True)
+class NestedSettings(Settings):
+    """Settings of the outer solvers; docs/speed.md has the benchmarks that chose them.
 
-BOXED_CURVATURE = 1e-2
-"""Curvature before any update where every node has a box. Moves are then in units of boxes and the
-objective in units of its first value, and Ipopt's 1 would make the first steps tiny, or all of them
-where the function is concave and no update is taken."""
+    Attributes
+    ----------
+    max_iterations : int or None
+        Of the outer solver; by default 500, and 200 for newton and newton-pair.
+    memory : int
+        Updates that Ipopt's limited-memory BFGS keeps: the flat directions of the mesh make short
+        memories stall.
+    tol : float
+        Ipopt's tolerance, in units of the objective on the given mesh.
+    boxed_curvature : float
+        Curvature before any update where every node has a box. Moves are then in units of boxes and
+        the objective in units of its first value, and Ipopt's 1 would make the first steps tiny, or
+        all of them where the function is concave and no update is taken.
+    stationary : float
+        newton ends with a first-order residual of at most this, relative to the objective, ...
+    tight : float
+        ... and where the model predicts less than this part of the gain so far.
+    loose : float
+        The two descents of newton-pair end where the model predicts less than this part, stationary or
+        not.
+    alternating : float
+        Length of the alternating moves that one descent of newton-pair starts with, in boxes.
+    blocks : tuple of int
+        Nodes across the blocks that newton-pair recombines, one size after the other.
+    scipy_tol : float
+        Tolerance of the solvers of scipy.optimize.
+    ipopt : mapping
+        Further Ipopt options, which override all others.
+    """
 
-ALTERNATING = 0.1
-"""Length of the alternating moves that one descent of "newton-pair" starts with, in boxes."""
+    max_iterations: int | None = None
+    memory: int = 50
+    tol: float = 1e-6
+    boxed_curvature: float = 1e-2
+    stationary: float = 1e-6
+    tight: float = 1e-4
+    loose: float = 1.5e-3
+    alternating: float = 0.1
+    blocks: tuple[int, ...] = (16, 8)
+    scipy_tol: float = 1e-8
+    ipopt: Mapping[str, Any] = field(default_factory=dict)
 
-STATIONARY = 1e-6
-"""Newton-CG ends with a first-order residual of at most this, relative to the objective, ..."""
+    def __post_init__(self) -> None:
+        numbers = [f.name for f in fields(self) if f.name not in ("ipopt", "blocks")]
+        check_positive(**{name: getattr(self, name) for name in numbers})
+        if not self.blocks or not all(isinstance(size, int) and size > 0 for size in self.blocks):
+            raise BadInputError(f"blocks must be whole numbers above 0, got {self.blocks!r}")
 
-TIGHT = 1e-4
-"""... and where the model predicts less than this part of the gain so far."""
-
-LOOSE = 1.5e-3
-"""The two descents of "newton-pair" end where the model predicts less than this part, stationary or not."""
-
-BLOCKS = (16, 8)
-"""Nodes across the blocks that are recombined, one size after the other."""
-
-SCIPY_TOLERANCE = 1e-8
-SCIPY_MAX_ITERATIONS = 500
+    def options(self, boxed: bool) -> dict[str, Any]:
+        """Ipopt's options."""
+        found = {
+            "hessian_approximation": "limited-memory",
+            "limited_memory_max_history": self.memory,
+            # after two skipped updates in a row Ipopt forgets the memory, and then crawls
+            "limited_memory_max_skipping": 1_000_000,
+            "tol": self.tol,
+            "max_iter": self.max_iterations or 500,
+        }
+        if boxed:
+            found["limited_memory_init_val"] = self.boxed_curvature
+        return {**found, **self.ipopt}
 
 
 @dataclass(frozen=True)
@@ -85,6 +119,13 @@ class OuterResult:
     q: Array
     status: Status
     iterations: int
+
+
+OuterSolver = Callable[[ReducedProgram, Array, Monitor, NestedSettings], OuterResult]
+
+
+class StoppedError(Exception):
+    """The monitor asked a solver to stop that has no other way to be told."""
 
 
 def reduced_nlp(rel: Relocation, function: Reduced, is_valid: Callable[[Array], bool]) -> ReducedProgram:
@@ -144,55 +185,60 @@ def scale_of(function: Reduced, n: int) -> float:
     return abs(function(np.zeros(n)).value) or 1.0
 
 
-def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
-    options = dict(IPOPT_OPTIONS)
-    if np.all(np.isfinite(program.nlp.ubx)):
-        options["limited_memory_init_val"] = BOXED_CURVATURE
+def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
+    options = settings.options(boxed=bool(np.all(np.isfinite(program.nlp.ubx))))
     result = Solver(program.nlp, options=options, monitor=monitor)(start)
     status = Status.CONVERGED if result.converged else result.status
     return OuterResult(result.x, status, result.iterations)
 
 
-def _newton(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
+def _newton(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
     """Projected trust-region Newton-CG; the elements that the boxes do not keep valid are its walls."""
-    return _Descent(program, monitor)(start, stationary=STATIONARY, gain=TIGHT)
+    return _Descent(program, monitor, settings)(start, gain=settings.tight)
 
 
-def _newton_pair(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
+def _newton_pair(
+    program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings
+) -> OuterResult:
     """Newton-CG from alternating moves and from the start, the better blocks of both, and on from there."""
-    descent = _Descent(program, monitor)
+    descent = _Descent(program, monitor, settings)
     relocation = descent.energy.relocation
     here = descent.energy(start)
-    starts = (alternated(relocation, start, here.gradient, ALTERNATING, descent.is_valid), start)
+    starts = (
+        alternated(relocation, start, here.gradient, settings.alternating, descent.is_valid),
+        start,
+    )
     points = [
-        descent.energy(descent(q, stationary=np.inf, gain=LOOSE, reference=here.value).q) for q in starts
+        descent.energy(descent(q, stationary=np.inf, gain=settings.loose, reference=here.value).q)
+        for q in starts
     ]
     if points[1].value < points[0].value:
         points.reverse()
     x, other = (descent.energy.point(point.q, point.equilibrium) for point in points)
     recombine = Recombination(relocation)
-    for number, across in enumerate(BLOCKS):
-        x = recombine(x, other, across, shift=number / len(BLOCKS))
+    for number, across in enumerate(settings.blocks):
+        x = recombine(x, other, across, shift=number / len(settings.blocks))
     q = x[: relocation.n_q]
     if not descent.is_valid(q) or descent.energy(q).value > points[0].value:
         q = points[0].q
-    return descent(q, stationary=STATIONARY, gain=TIGHT, reference=here.value)
+    return descent(q, gain=settings.tight, reference=here.value)
 
 
 class _Descent:
     """Newton-CG on the reduced energy from any start; iterations are counted over all of them."""
 
-    def __init__(self, program: ReducedProgram, monitor: Monitor) -> None:
+    def __init__(self, program: ReducedProgram, monitor: Monitor, settings: NestedSettings) -> None:
         if not isinstance(program.function, ReducedEnergy):
             raise ValueError("the outer solver newton needs the energy as objective: choose ipopt")
         self.energy = program.function
-        self._program, self._monitor = program, monitor
+        self._program, self._monitor, self._settings = program, monitor, settings
+        self._stopped = False
         self._curvature = Curvature(self.energy)
         self._walls = self.energy.validity if program.nlp.n_g else None
         self._iterations = 0
 
     def __call__(
-        self, start: Array, *, stationary: float, gain: float, reference: float | None = None
+        self, start: Array, *, gain: float, stationary: float | None = None, reference: float | None = None
     ) -> OuterResult:
         """Descend from ``start`` with the tolerances and the reference of :func:`newton.minimise`."""
         nlp, before = self._program.nlp, self._iterations
@@ -201,13 +247,15 @@ class _Descent:
             start,
             nlp.lbx,
             nlp.ubx,
-            tolerance=stationary,
+            tolerance=self._settings.stationary if stationary is None else stationary,
             gain_tolerance=gain,
             reference=reference,
+            max_iterations=0 if self._stopped else self._settings.max_iterations or 200,
             walls=self._walls,
             on_step=lambda iteration, q, here: self._report(before + iteration, q, here.value),
         )
         self._iterations += result.iterations
+        self._stopped = self._stopped or result.status is Status.INTERRUPTED
         return OuterResult(result.x, result.status, self._iterations)
 
     def _report(self, iteration: int, q: Array, value: float) -> None:
@@ -224,10 +272,10 @@ class _Descent:
         return Evaluation(point.value, point.gradient, lambda: self._curvature.at(point))
 
 
-def _scipy(method: str) -> Callable[[ReducedProgram, Array, Monitor], OuterResult]:
+def _scipy(method: str) -> OuterSolver:
     """An outer solver of scipy.optimize with our gradient."""
 
-    def run(program: ReducedProgram, start: Array, monitor: Monitor) -> OuterResult:
+    def run(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
         nlp, function = program.nlp, program.function
         constraints, scale = [], scale_of(function, nlp.n_x)
         if nlp.n_g:
@@ -244,12 +292,13 @@ def _scipy(method: str) -> Callable[[ReducedProgram, Array, Monitor], OuterResul
                     jac=lambda q: program.areas(q, [])[1].full(),
                 )
             )
-        count = 0
+        count, limit = 0, settings.max_iterations or 500
 
         def callback(q: Array, *_: Any) -> None:
             nonlocal count
             count += 1
-            monitor(count, np.clip(q, nlp.lbx, nlp.ubx), NAN)
+            if monitor(count, np.clip(q, nlp.lbx, nlp.ubx), NAN):
+                raise StoppedError
 
         result = minimize(
             lambda q: function(q).value / scale,
@@ -259,18 +308,18 @@ def _scipy(method: str) -> Callable[[ReducedProgram, Array, Monitor], OuterResul
             bounds=Bounds(nlp.lbx, nlp.ubx),
             constraints=constraints,
             callback=callback,
-            tol=SCIPY_TOLERANCE,
-            options={"maxiter": SCIPY_MAX_ITERATIONS},
+            tol=settings.scipy_tol,
+            options={"maxiter": limit},
         )
         status = Status.CONVERGED if result.success else Status.STALLED
-        if count >= SCIPY_MAX_ITERATIONS:
+        if count >= limit:
             status = Status.ITERATION_LIMIT
         return OuterResult(np.clip(result.x, nlp.lbx, nlp.ubx), status, count)
 
     return run
 
 
-OUTER_SOLVERS: dict[str, Callable[[ReducedProgram, Array, Monitor], OuterResult]] = {
+OUTER_SOLVERS: dict[str, OuterSolver] = {
     "ipopt": _ipopt,
     "newton": _newton,
     "newton-pair": _newton_pair,

@@ -146,3 +146,7 @@ class ReducedObjective:
         if rel.n_s:
             total -= blocks.qs @ (state.active.sliding[rows] * (tangents @ p))
         return ReducedPoint(np.array(q), float(value[0]), total, system, state)
+
+
+Reduced = ReducedEnergy | ReducedObjective
+"""An outer objective as a function of the moves alone."""

@@ -1,29 +1,107 @@
-"""Histories of Ipopt runs as Steps."""
+"""What happens while a strategy runs: its history, its time limit, Ctrl-C, and the best valid mesh so far."""
 
 from __future__ import annotations
 
 import math
-import time
+from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc import Iterate
-from rmesh_nlp.optimize.nlp import NLPResult
-from rmesh_nlp.solution.referee import OnStep
+from rmesh_nlp.optimize.nlp import NLPResult, Status
+from rmesh_nlp.programs.outer_solvers import StoppedError
+from rmesh_nlp.programs.reduced import Reduced
+from rmesh_nlp.solution.referee import OnStep, Referee
 from rmesh_nlp.solution.solution import Step
 
 NAN = float("nan")
 
+TIME_LIMIT_S = 600.0
+"""Default of ``time_limit_s``: seconds of build and solve together, looked at after each iteration."""
 
-class Recorder:
-    """A monitor of an NLP solver, or of the homotopy of an MPCC, that notes when each iterate came.
+KEPT = 10
+"""Last iterates of an all-at-once solver among which a valid mesh is looked for."""
+
+T = TypeVar("T")
+
+
+class Watch:
+    """Stops a solve at its time limit or at Ctrl-C, and knows the best valid moves until then.
 
     Parameters
     ----------
+    referee : Referee
     on_step : callable, optional
-        Called with each step as it comes; an NLP's residuals are known only afterwards.
-    n_q : int
-        Number of moves at the head of x, which the steps for ``on_step`` carry.
+        Called with each step.
+    time_limit_s : float
+        Build and solve together.
+
+    Attributes
+    ----------
+    stopped : Status or None
+        TIME_LIMIT or INTERRUPTED, once the solve was stopped from outside.
+    """
+
+    def __init__(
+        self, referee: Referee, on_step: OnStep | None = None, time_limit_s: float = TIME_LIMIT_S
+    ) -> None:
+        self.referee = referee
+        self.stopped: Status | None = None
+        self.on_step, self.limit = on_step, time_limit_s
+        self._recent: deque[Array] = deque(maxlen=KEPT)
+        self._best: tuple[float, Array] | None = None
+
+    @property
+    def remaining(self) -> float:
+        """Seconds that are left, not negative."""
+        return max(0.0, self.limit - self.referee.clock.elapsed)
+
+    def note(self, q: Array, value: float | None = None) -> bool:
+        """Keep moves, with their objective if it is known exactly; True if the solve must stop now."""
+        if value is None:
+            self._recent.append(np.array(q))
+        elif np.isfinite(value) and (self._best is None or value < self._best[0]) and self._is_valid(q):
+            self._best = value, np.array(q)
+        if self.remaining == 0.0:
+            self.stopped = self.stopped or Status.TIME_LIMIT
+        return self.stopped is not None
+
+    def run(self, solve: Callable[[], T]) -> T | None:
+        """The result of ``solve``; None if Ctrl-C or the time limit ended it without one."""
+        try:
+            return solve()
+        except KeyboardInterrupt:
+            self.stopped = Status.INTERRUPTED
+        except StoppedError:
+            self.stopped = self.stopped or Status.TIME_LIMIT
+        return None
+
+    def best(self, function: Reduced, start: Array) -> Array:
+        """The best moves of a stopped solve that give a valid mesh: at worst those it started with."""
+        if self._best is not None:
+            return self._best[1]
+        bound = self.referee.relocation.freedoms.bound
+        for q in reversed(self._recent):
+            inside = np.clip(q, -bound, bound)
+            if np.all(np.isfinite(inside)) and self._is_valid(inside):
+                return inside if function(inside).value < function(start).value else start
+        return start
+
+    def _is_valid(self, q: Array) -> bool:
+        return self.referee.is_valid(q)
+
+
+class Recorder(Watch):
+    """A monitor of an NLP solver, or of the homotopy of an MPCC, whose first unknowns are the moves.
+
+    Parameters
+    ----------
+    referee, on_step, time_limit_s : as for :class:`Watch`
+        An NLP's residuals are known only when its solver has ended.
     unit : float
         Value of the outer objective where the program's is one.
     is_energy : bool
@@ -31,10 +109,15 @@ class Recorder:
     """
 
     def __init__(
-        self, on_step: OnStep | None = None, n_q: int = 0, unit: float = 1.0, is_energy: bool = True
+        self,
+        referee: Referee,
+        on_step: OnStep | None = None,
+        time_limit_s: float = TIME_LIMIT_S,
+        unit: float = 1.0,
+        is_energy: bool = True,
     ) -> None:
-        self.on_step, self._n_q, self._unit, self._is_energy = on_step, n_q, unit, is_energy
-        self._began = time.perf_counter()
+        super().__init__(referee, on_step, time_limit_s)
+        self._unit, self._is_energy = unit, is_energy
         self._before = 0
         self._steps: list[Step] = []
 
@@ -42,9 +125,9 @@ class Recorder:
         """Go on counting after so many iterations of something else."""
         self._before = iterations
 
-    def __call__(self, iteration: int, x: Array, f: float) -> None:
+    def __call__(self, iteration: int, x: Array, f: float) -> bool:
         """Note an iterate of an NLP without complementarity: its relaxation parameter is infinite."""
-        self._note(iteration, x, f, t=math.inf)
+        return self._note(iteration, x, f, t=math.inf)
 
     def iterate(self, one: Iterate) -> None:
         """Note an iterate of a homotopy."""
@@ -68,7 +151,7 @@ class Recorder:
         violation: float = NAN,
         product: float = NAN,
         biactive: float = NAN,
-    ) -> None:
+    ) -> bool:
         objective = f * self._unit
         step = Step(
             iteration=self._before + iteration,
@@ -77,14 +160,22 @@ class Recorder:
             primal_residual=violation,
             dual_residual=NAN,
             contact_solves=0,
-            seconds=time.perf_counter() - self._began,
+            seconds=self.referee.clock.elapsed,
             objective=objective,
             product=product,
             biactive=biactive,
         )
         self._steps.append(step)
+        q = x[: self.referee.relocation.n_q]
         if self.on_step is not None:
-            self.on_step(replace(step, q=x[: self._n_q]))
+            self.on_step(replace(step, q=np.array(q)))
+        return self.note(q)
+
+    def status(self, result: NLPResult | None) -> Status:
+        """How the solve ended, by the word of the solver."""
+        if result is None or self.stopped is not None:
+            return self.stopped or Status.FAILED
+        return Status.CONVERGED if result.converged else result.status
 
     def steps(self, result: NLPResult | None = None) -> list[Step]:
         """The steps since the last call, with the residuals of an NLP solver filled in."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,13 +16,15 @@ from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import contact_edges
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem, Place, signed_areas
 from rmesh_nlp.programs.energy_program import Relocation, relocation
 from rmesh_nlp.programs.freedoms import least_angles
 from rmesh_nlp.programs.multipliers import multipliers
-from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedPoint
+from rmesh_nlp.programs.reduced import Reduced, ReducedEnergy, ReducedObjective, ReducedPoint
 from rmesh_nlp.solution.audit import Audit, Auditor
+from rmesh_nlp.solution.clock import Clock
 from rmesh_nlp.solution.solution import Solution, Step, is_success
 
 OnStep = Callable[[Step], None]
@@ -38,8 +40,8 @@ ROUNDING = 1e-9
 """Part of its initial area, and radians, by which an element may fall short: a solution that has elements at
 their bounds is valid to start from."""
 
-KKT_TOLERANCE = 1e-6
-"""Largest first-order residual of the outer problem that earns the label "KKT"."""
+STATIONARY = 1e-6
+"""Default of ``tolerance`` in every strategy: the largest first-order residual of a stationary point."""
 
 
 class Referee:
@@ -54,15 +56,29 @@ class Referee:
     reduced : ReducedEnergy
     initial : Equilibrium
         Contact solution on the initial mesh.
+    clock : Clock
+        Runs from the making of the referee on; afterwards time counts as spent on solving. A strategy
+        that states programs of its own does it in ``with referee.clock.during("build")``.
     """
 
     def __init__(self, problem: ContactProblem) -> None:
+        self.clock = Clock()
         self.problem = problem
         self.model = ContactModel(problem)
         self.relocation: Relocation = relocation(problem)
         self.reduced = ReducedEnergy(self.relocation, self.model)
-        self._auditor = Auditor(problem, self.model)
-        self.initial, self._contact_time = _timed_contact_solve(self.model)
+        with self.clock.during("audit"):
+            self._auditor = Auditor(problem, self.model)
+            self.initial, self._contact_time = _timed_contact_solve(self.model)
+        self.clock.enter("solve")
+
+    def function(self, objective: str | Objective) -> Reduced:
+        """An outer objective as a function of the moves, each value an exact contact solve."""
+        outer = parse_objective(objective)
+        if outer.is_energy:
+            return self.reduced
+        with self.clock.during("build"):
+            return ReducedObjective(self.reduced, outer)
 
     def start(self, seed: int | None, positions: Array | None = None) -> Array:
         """Moves to start from: none, or drawn uniformly from the boxes with a seed.
@@ -107,8 +123,11 @@ class Referee:
         history: list[Step],
         iterations: int,
         contact_solves: int,
-        wall_time_s: float,
+        wall_time_s: float | None = None,
         objective: str | Objective = "energy",
+        start: str = "given",
+        settings: Mapping[str, Any] | None = None,
+        tolerance: float = STATIONARY,
         claimed_energy: float | None = None,
         equilibrium: Equilibrium | None = None,
         stationarity: str | None = None,
@@ -120,6 +139,14 @@ class Referee:
 
         Parameters
         ----------
+        wall_time_s : float, optional
+            Has no effect: the referee's own clock counts, for all strategies alike.
+        start : str
+            Where the strategy started, for the record.
+        settings : mapping, optional
+            Settings that differ from the defaults, for the record.
+        tolerance : float
+            Largest first-order residual of a point that is called stationary.
         claimed_energy : float, optional
             What the strategy says the energy is; a disagreement with the contact solve by
             more than 1e-6 relative makes the status INACCURATE.
@@ -132,23 +159,56 @@ class Referee:
         stationarity : str, optional
             Label computed by the strategy; by default "KKT" if the measured residual allows.
         """
-        objective = str(objective)
+        with self.clock.during("audit"):
+            draft = self._judged(
+                formulation,
+                q,
+                status=status,
+                objective=str(objective),
+                tolerance=tolerance,
+                claimed_energy=claimed_energy,
+                equilibrium=equilibrium,
+                stationarity=stationarity,
+                outer_gradient=outer_gradient,
+                history=tuple(history),
+                iterations=iterations,
+                contact_solves=contact_solves,
+                start=start,
+                seed=seed,
+                settings=dict(settings or {}),
+                extra=extra or {},
+            )
+        return replace(
+            draft,
+            build_time_s=self.clock.seconds("build"),
+            solve_time_s=self.clock.seconds("solve"),
+            audit_time_s=self.clock.seconds("audit"),
+        )
+
+    def _judged(
+        self,
+        formulation: str,
+        q: Array,
+        *,
+        status: Status,
+        objective: str,
+        tolerance: float,
+        claimed_energy: float | None,
+        equilibrium: Equilibrium | None,
+        stationarity: str | None,
+        outer_gradient: Array | None,
+        **common: Any,
+    ) -> Solution:
         nodes = self.relocation.nodes(q)
-        common: dict[str, Any] = {
-            "problem": self.problem,
-            "formulation": formulation,
-            "objective": objective,
-            "mesh": relocated_mesh(self.problem.mesh, nodes),
-            "energy_initial": self.initial.energy,
-            "energy_initial_audited": self._auditor.energy(self.problem.mesh.p),
-            "history": tuple(history),
-            "iterations": iterations,
-            "contact_solves": contact_solves,
-            "wall_time_s": wall_time_s,
-            "contact_time_s": self._contact_time,
-            "seed": seed,
-            "extra": extra or {},
-        }
+        common.update(
+            problem=self.problem,
+            formulation=formulation,
+            objective=objective,
+            mesh=relocated_mesh(self.problem.mesh, nodes),
+            energy_initial=self.initial.energy,
+            energy_initial_audited=self._auditor.energy(self.problem.mesh.p),
+            contact_time_s=self._contact_time,
+        )
         ratio = self.least_area_ratio(q)
         if not ratio > 0:
             return _without_solution(common, self.problem, ratio)
@@ -164,7 +224,7 @@ class Referee:
             outer_gradient = exact.gradient
             residual = self.reduced.stationarity_residual(exact)
             if stationarity is None:
-                stationarity = "KKT" if residual <= KKT_TOLERANCE else ""
+                stationarity = "KKT" if residual <= tolerance else ""
         weights = nodal_weights(self.problem, nodes)
         return Solution(
             **common,

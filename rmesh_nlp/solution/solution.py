@@ -99,10 +99,14 @@ class Solution:
         NaN for other objectives.
     history : tuple of Step
     iterations, contact_solves : int
-    wall_time_s : float
-        Build and solve, without the audit.
+    build_time_s, solve_time_s, audit_time_s : float
+        Wall time by the one clock of all strategies (:mod:`rmesh_nlp.solution.clock`).
     contact_time_s : float
-        One cold contact solve on the initial mesh, the unit of cost.
+        One cold contact solve on the initial mesh with its assembly, the unit of cost.
+    start : str
+        "given", "random", "positions", or the strategy whose solution was the start.
+    settings : dict
+        Settings that differ from the defaults of the strategy.
     seed : int or None
     extra : dict
         Further entries of the record.
@@ -128,11 +132,20 @@ class Solution:
     history: tuple[Step, ...]
     iterations: int
     contact_solves: int
-    wall_time_s: float
     contact_time_s: float
+    build_time_s: float = 0.0
+    solve_time_s: float = 0.0
+    audit_time_s: float = 0.0
+    start: str = "given"
+    settings: dict[str, Any] = field(default_factory=dict)
     seed: int | None = None
     extra: dict[str, Any] = field(default_factory=dict)
     multipliers: Multipliers | None = None
+
+    @property
+    def wall_time_s(self) -> float:
+        """Build, solve and audit."""
+        return self.build_time_s + self.solve_time_s + self.audit_time_s
 
     def record(self) -> dict[str, Any]:
         """Everything a table needs, as plain JSON values. NaN becomes None."""
@@ -156,6 +169,9 @@ class Solution:
             "iterations": self.iterations,
             "contact_solves": self.contact_solves,
             "wall_time_s": self.wall_time_s,
+            "build_time_s": self.build_time_s,
+            "solve_time_s": self.solve_time_s,
+            "audit_time_s": self.audit_time_s,
             "contact_time_s": self.contact_time_s,
             "equilibrium_residual": self.audit.equilibrium_residual,
             "complementarity_residual": self.audit.complementarity_residual,
@@ -166,6 +182,8 @@ class Solution:
             "triangles": int(self.mesh.t.shape[1]),
             "quadrature": self.problem.quadrature,
             "versions": versions(),
+            "start": self.start,
+            "settings": self.settings,
             "seed": self.seed,
             **self.extra,
         }

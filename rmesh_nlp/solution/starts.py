@@ -16,6 +16,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem, Relative
+from rmesh_nlp.solution.registry import accepted
 from rmesh_nlp.solution.solution import Solution
 
 Solve = Callable[..., Solution]
@@ -132,7 +133,7 @@ def with_starts(solve: Solve) -> Solve:
     solution; ``levels=n`` refines n times and returns the finest. The record tells of the others.
     """
     signature = inspect.signature(solve)
-    if not {"seed", "start"} <= set(signature.parameters):
+    if not {"seed", "start"} <= accepted(solve, ("seed", "start")):
         return solve
 
     @functools.wraps(solve)

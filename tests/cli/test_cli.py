@@ -135,9 +135,7 @@ def test_a_solve_that_raises_is_recorded_and_exit_code_1(
 
 def test_a_solve_that_does_not_converge_is_exit_code_1(monkeypatch: pytest.MonkeyPatch) -> None:
     load = strategies.load("joint")
-    monkeypatch.setattr(
-        strategies, "load", lambda name: lambda problem: load(problem, options={"max_iter": 2})
-    )
+    monkeypatch.setattr(strategies, "load", lambda name: lambda problem: load(problem, max_iterations=2))
     assert run("solve", "6.1", "--n", "3", "--out", "one") == 1
     record = json.loads(Path("one/record.json").read_text())
     assert (record["status"], record["success"]) == ("iteration_limit", False)

@@ -83,7 +83,7 @@ def test_no_other_program_is_solved(objective: str, monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("change", [{"t0": 1.0}, {"factor": 1e-4}, {"warm_duals": False}])
 def test_the_options_of_the_homotopy_change_its_path(name: str, change: dict[str, Any]) -> None:
     problem = EXAMPLES[name](SMALL[name])
-    usual, other = mpcc.solve(problem), mpcc.solve(problem, options=change)
+    usual, other = mpcc.solve(problem), mpcc.solve(problem, settings=change)
     assert path(usual) != path(other)
     assert path(other)[0][0] == change.get("t0", mpcc.OPTIONS["t0"])
     assert other.success
@@ -144,8 +144,8 @@ def test_a_solution_and_positions_are_starts() -> None:
 
 def test_starts_that_do_not_fit_are_refused() -> None:
     problem = EXAMPLES["6.1"](4)
-    with pytest.raises(ValueError, match="unknown start 'fixed': choose from given, joint"):
-        mpcc.solve(problem, start="fixed")
+    with pytest.raises(ValueError, match="unknown start 'zero': choose from given, fixed, joint"):
+        mpcc.solve(problem, start="zero")
     with pytest.raises(ValueError, match="start = 'joint' needs the energy"):
         mpcc.solve(problem, start="joint", objective="error-l2")
     with pytest.raises(ValueError, match="the start has 25 nodes, the problem 49"):
@@ -155,7 +155,7 @@ def test_starts_that_do_not_fit_are_refused() -> None:
 def test_the_certificate_leaves_a_point_that_is_no_minimum() -> None:
     # joint stopped early: what follows must not call its end stationary
     problem = EXAMPLES["6.1"](4)
-    loose = joint.solve(problem, options={"tol": 1e-2})
+    loose = joint.solve(problem, settings={"tol": 1e-2})
     accurate = mpcc.solve(problem, start=loose)
     assert loose.stationarity_residual > 1e-3
     assert accurate.stationarity_residual < 1e-6

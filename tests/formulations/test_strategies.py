@@ -156,7 +156,7 @@ def test_joint_refuses_other_objectives() -> None:
 
 
 def test_an_unconverged_solve_is_a_row_and_no_success() -> None:
-    solution = joint.solve(EXAMPLES["6.1"](4), options={"max_iter": 2})
+    solution = joint.solve(EXAMPLES["6.1"](4), max_iterations=2)
     assert solution.status is Status.ITERATION_LIMIT
     assert not solution.success
     assert np.isfinite(solution.record()["energy_audited"])

@@ -46,14 +46,11 @@ def test_they_are_halved_until_the_mesh_is_valid() -> None:
 @pytest.mark.parametrize(
     ("fine", "name", "added"), [(100, "6.1", True), (1000, "6.1", False), (10, "6.3", False)]
 )
-def test_joint_starts_with_them_on_fine_meshes_without_area_constraints(
-    fine, name, added, monkeypatch
-) -> None:
-    monkeypatch.setattr(joint, "FINE", fine)
+def test_joint_starts_with_them_on_fine_meshes_without_area_constraints(fine, name, added) -> None:
     referee = Referee(EXAMPLES[name]({"6.1": 8, "6.3": (12, 6)}[name]))
     n_q = referee.relocation.n_q
     first: list[np.ndarray] = []
-    recorder = Recorder(lambda step: first.append(step.q), n_q)
-    joint.minimise(referee, np.zeros(n_q), recorder, {"max_iter": 0})
+    recorder = Recorder(referee, lambda step: first.append(step.q))
+    joint.minimise(referee, np.zeros(n_q), recorder, joint.JointSettings(fine=fine, max_iterations=0))
     alternate = alternating(referee.relocation)
     assert (np.max(np.abs(alternate * first[0])) > 0.2) == added

@@ -1,0 +1,50 @@
+"""The one clock of all strategies: wall time by what it was spent on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Literal
+
+Phase = Literal["build", "solve", "audit"]
+
+
+class Clock:
+    """Wall time since it was made, split into phases; at any moment exactly one of them runs.
+
+    ``build``: programs and their derivatives are stated. ``solve``: the strategy runs. ``audit``: the
+    referee measures, the unit of cost included. So their sum is the time from the first line of a
+    strategy to its solution.
+    """
+
+    def __init__(self) -> None:
+        self._seconds: dict[Phase, float] = {"build": 0.0, "solve": 0.0, "audit": 0.0}
+        self._phase: Phase = "build"
+        self._since = time.perf_counter()
+
+    def enter(self, phase: Phase) -> None:
+        """From now on time counts as spent on ``phase``."""
+        now = time.perf_counter()
+        self._seconds[self._phase] += now - self._since
+        self._phase, self._since = phase, now
+
+    @contextmanager
+    def during(self, phase: Phase) -> Iterator[None]:
+        """Time in this context counts as spent on ``phase``, then on what it was before."""
+        before = self._phase
+        self.enter(phase)
+        try:
+            yield
+        finally:
+            self.enter(before)
+
+    def seconds(self, phase: Phase) -> float:
+        """What ``phase`` has taken so far."""
+        self.enter(self._phase)
+        return self._seconds[phase]
+
+    @property
+    def elapsed(self) -> float:
+        """Build and solve so far: what the strategy itself has cost."""
+        return self.seconds("build") + self._seconds["solve"]
