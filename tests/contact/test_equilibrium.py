@@ -106,7 +106,7 @@ def test_gaps_of_touching_nodes_are_exactly_zero(example: ContactProblem) -> Non
     assert np.any(solution.active.touching)
     assert law_residual(system, solution.u, solution.normal_force, solution.tangential_force) == 0
     residual = equilibrium_residual(system, solution.u, solution.normal_force, solution.tangential_force)
-    assert residual < 1e-11
+    assert residual < 1e-9
 
 
 def test_warm_start_at_the_solution_takes_one_factorisation(example: ContactProblem) -> None:
@@ -114,7 +114,7 @@ def test_warm_start_at_the_solution_takes_one_factorisation(example: ContactProb
     cold = model.solve(example.mesh.p)
     warm = model.solve(example.mesh.p, cold.active)
     assert warm.iterations == 1
-    assert warm.energy == cold.energy
+    assert warm.energy == pytest.approx(cold.energy, rel=1e-10)
 
 
 def test_any_warm_start_leads_to_the_same_solution(sloped: ContactProblem) -> None:
@@ -127,7 +127,7 @@ def test_any_warm_start_leads_to_the_same_solution(sloped: ContactProblem) -> No
         start = ActiveSet(rng.random(n) < 0.5, rng.integers(-1, 2, n).astype(np.int8))
         warm = equilibrium.solve(system, start)
         assert warm.status is Status.CONVERGED
-        assert warm.energy == pytest.approx(cold.energy, rel=1e-12)
+        assert warm.energy == pytest.approx(cold.energy, rel=1e-10)
 
 
 def test_random_dense_problems_agree_with_ipopt() -> None:
@@ -172,7 +172,7 @@ def test_the_dual_problem_leaves_at_most_eight_changes_of_the_active_set(name, s
     assert cold.iterations <= 8
     assert cold.iterations < plain.iterations
     assert equilibrium.solve(system).iterations <= 8
-    assert cold.energy == pytest.approx(plain.energy, rel=1e-13)
+    assert cold.energy == pytest.approx(plain.energy, rel=1e-10)
     np.testing.assert_array_equal(cold.active.touching, plain.active.touching)
     np.testing.assert_array_equal(cold.active.sliding, plain.active.sliding)
 

@@ -39,7 +39,7 @@ def test_the_same_as_a_map(n: int) -> None:
     results = Vectorised(function, n)(arguments), Mapped(function, n)(arguments)
     for ours, theirs in zip(*results, strict=True):
         assert ours.shape == theirs.shape
-        np.testing.assert_allclose(ours, theirs, rtol=1e-14, atol=0)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-14)  # libm may differ in the last bits
     for before, after in zip(given, arguments, strict=True):
         np.testing.assert_array_equal(before, after)
 

@@ -91,16 +91,31 @@ def test_fixed_is_the_baseline(name: str) -> None:
 def test_the_reported_energy_and_the_audit_differ_by_quadrature_only() -> None:
     # on 6.2 there is no source, so the audit must repeat the energy; on 6.1 it must not
     same = joint.solve(EXAMPLES["6.2"]())
-    assert same.audit.energy_audited == pytest.approx(same.energy, rel=1e-12)
+    # the same energy by other sums: 1e-9 is far above their rounding, and far below any error of a rule
+    assert same.audit.energy_audited == pytest.approx(same.energy, rel=1e-9)
     other = joint.solve(EXAMPLES["6.1"]())
     assert abs(other.audit.energy_audited - other.energy) > 1e-4
 
 
-def test_no_delta_however_large_inverts_an_element() -> None:
-    solution = joint.solve(EXAMPLES["6.1"](4, 0.9))
+LARGE_BOXES = {
+    # rules of high degree: with the midpoint rule the optimiser would lower the error of the rule instead
+    "6.1": lambda: replace(EXAMPLES["6.1"](3, 0.9), quadrature=10),
+    "6.2": lambda: EXAMPLES["6.2"]((6, 3), (1.0, 0.5)),
+    "6.3": lambda: EXAMPLES["6.3"]((6, 3), (1.0, 0.5)),
+}
+"""Boxes of several edges, in which elements could be turned inside out."""
+
+
+@pytest.mark.parametrize("strategy", [joint.solve, functools.partial(nested.solve, outer="newton")])
+@pytest.mark.parametrize("name", LARGE_BOXES)
+def test_no_delta_however_large_inverts_an_element(name, strategy) -> None:
+    problem = LARGE_BOXES[name]()
+    solution = strategy(problem)
     check_record(solution)
-    assert solution.audit.min_area_ratio >= 0.01 * (1 - 1e-6)
-    assert solution.energy < solution.energy_initial
+    assert solution.stationarity == "KKT"
+    assert solution.audit.energy_audited < solution.energy_initial_audited
+    if problem.exact is not None:  # a conforming method on a fixed domain stays above the exact energy
+        assert solution.audit.energy_audited > problem.exact.energy
 
 
 def test_a_solution_with_elements_at_their_bounds_is_a_start() -> None:
@@ -109,7 +124,7 @@ def test_a_solution_with_elements_at_their_bounds_is_a_start() -> None:
     assert end.audit.min_area_ratio == pytest.approx(problem.motion.min_area_fraction, abs=1e-9)
     referee = Referee(problem)
     q = referee.start(None, np.asarray(end.mesh.p))
-    np.testing.assert_allclose(referee.relocation.nodes(q), end.mesh.p, atol=1e-12)
+    np.testing.assert_allclose(referee.relocation.nodes(q), end.mesh.p, atol=1e-9)
     assert not referee.is_valid(1.01 * q)
 
 

@@ -1,3 +1,4 @@
+import itertools
 from dataclasses import replace
 
 import casadi as ca
@@ -10,7 +11,7 @@ from skfem import MeshTri
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
-from rmesh_nlp.programs.freedoms import Mobility, freedoms, validity_group
+from rmesh_nlp.programs.freedoms import Mobility, constrained_elements, freedoms, validity_group
 
 
 def test_the_paper_counts_126_degrees_of_freedom() -> None:
@@ -72,8 +73,9 @@ def test_moves_are_recovered_from_positions(sloped: ContactProblem) -> None:
 
 def test_small_boxes_need_no_validity_rows_and_large_ones_do() -> None:
     small, large = EXAMPLES["6.1"](), EXAMPLES["6.1"](8, 0.2)
-    assert validity_group(small, freedoms(small))[1].size == 0
-    assert validity_group(large, freedoms(large))[1].size == 128
+    assert constrained_elements(small, freedoms(small)).size == 0
+    # boxes of 1.6 edges: any element can be turned inside out
+    np.testing.assert_array_equal(constrained_elements(large, freedoms(large)), np.arange(128))
 
 
 def test_scaled_areas_are_those_of_the_moved_mesh() -> None:
@@ -115,13 +117,31 @@ def test_elements_without_a_validity_row_never_fail(seed: int, fraction_of_h: fl
         motion=Motion((fraction_of_h / 4, fraction_of_h / 3)),
     )
     free = freedoms(problem)
-    rows = validity_group(problem, free)[0].size
+    watched = constrained_elements(problem, free)
     q = np.sign(rng.uniform(-1, 1, free.n))
     initial = signed_areas(problem.mesh.p, problem.triangles)
     ratio = signed_areas(free.positions.values(q), problem.triangles) / initial
-    if rows == 0:
-        assert np.min(ratio) >= problem.motion.min_area_fraction
-    assert np.sum(ratio < problem.motion.min_area_fraction) <= rows
+    failing = np.flatnonzero(ratio < problem.motion.min_area_fraction * (1 - 1e-9))
+    assert set(failing) <= set(watched)
+
+
+def test_elements_with_a_validity_row_can_fail() -> None:
+    """Each of them does at some corner of its boxes: none is watched for nothing."""
+    problem = EXAMPLES["6.1"](4, 0.11)
+    free = freedoms(problem)
+    watched = constrained_elements(problem, free)
+    assert 0 < watched.size < problem.mesh.t.shape[1]
+    initial = signed_areas(problem.mesh.p, problem.triangles)
+    for element in watched:
+        index = free.positions.index[:, problem.triangles[:, element]]
+        mine = np.unique(index[index >= 0])
+        worst = np.inf
+        for corner in itertools.product((-1.0, 1.0), repeat=mine.size):
+            q = np.zeros(free.n)
+            q[mine] = corner
+            ratio = signed_areas(free.positions.values(q), problem.triangles) / initial
+            worst = min(worst, ratio[element])
+        assert worst < problem.motion.min_area_fraction
 
 
 @pytest.mark.parametrize("delta", [(0.0, 0.1), (-1.0, 0.1), (float("nan"), 0.1), (0.1, float("inf"))])

@@ -49,6 +49,7 @@ def test_elements_stay_valid_where_boxes_are_large() -> None:
     assert ratio.min() >= problem.motion.min_area_fraction
 
 
+@pytest.mark.slow
 def test_a_pair_of_descents_ends_lower_than_either() -> None:
     problem = EXAMPLES["6.1"](48)  # fine enough for domains of patterns
     single = nested.solve(problem, outer="newton")
@@ -60,6 +61,7 @@ def test_a_pair_of_descents_ends_lower_than_either() -> None:
     assert pair.iterations == pair.history[-1].iteration
 
 
+@pytest.mark.slow
 def test_a_pair_of_descents_keeps_elements_valid_in_large_boxes_and_with_a_least_angle() -> None:
     problem = EXAMPLES["6.1"](6, 0.12)
     for motion in (problem.motion, replace(problem.motion, min_angle=12.0)):
