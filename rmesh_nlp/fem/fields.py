@@ -100,3 +100,14 @@ class ElementGroup:
     def size(self) -> int:
         """Number of elements."""
         return int(self.arguments[0].index.shape[1])
+
+
+def without_elements(group: ElementGroup) -> ElementGroup:
+    """The same group of no elements at all."""
+
+    def empty(field: Field) -> Field:
+        return Field(field.index[:, :0], field.scale[:, :0], field.offset[:, :0], field.parameter)
+
+    return ElementGroup(
+        group.function, tuple(empty(field) for field in group.arguments), group.rows[:, :0], group.at_points
+    )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import ElementGroup, Field
 from rmesh_nlp.problem import ContactProblem
@@ -30,12 +31,15 @@ class Term:
         Whether it compares with the exact or reference solution of the problem.
     of_positions : bool
         Whether it depends on the positions alone.
+    barrier : bool
+        Whether it is infinite at the boundary of the valid meshes, and NaN beyond.
     """
 
     name: str
     groups: Groups
     needs_exact: bool = False
     of_positions: bool = False
+    barrier: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,29 @@ class Objective:
     def is_energy(self) -> bool:
         """Whether it is a positive multiple of the energy alone."""
         return [term.name for _, term in self.terms] == ["energy"]
+
+    @property
+    def collapses(self) -> bool:
+        """Whether it is the energy and terms in the positions alone: both levels are then one program."""
+        others = [term for _, term in self.terms if term.name != "energy"]
+        return len(self.terms) == len(others) + 1 and all(term.of_positions for term in others)
+
+    @property
+    def has_barrier(self) -> bool:
+        """Whether a term is infinite at the boundary of the valid meshes."""
+        return any(term.barrier for _, term in self.terms)
+
+    def position_groups(
+        self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+    ) -> list[ElementGroup]:
+        """Element groups of the terms in the positions alone, over the weight of the energy."""
+        unit = {term.name: weight for weight, term in self.terms}.get("energy", 1.0)
+        return [
+            scaled_group(group, weight / unit)
+            for weight, term in self.terms
+            if term.of_positions
+            for group in term.groups(problem, positions, displacement, slip)
+        ]
 
     @property
     def of_positions(self) -> bool:
@@ -103,7 +130,7 @@ class Objective:
         return -1 * self
 
 
-MINIMISED_ONLY = ("energy", "error-energy", "error-l2", "error-h1", "contact", "quality")
+MINIMISED_ONLY = ("energy", "error-energy", "error-l2", "error-h1", "contact", *DISTORTIONS)
 """Terms that no one wants to be large."""
 
 

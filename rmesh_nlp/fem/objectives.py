@@ -6,7 +6,8 @@ Errors are measured against the problem's exact solution u:
 ``error-l2``      squared L2 norm of u_h - u
 ``error-h1``      squared H1 seminorm of u_h - u
 ``contact``       I2 of (4.2), the work of the exact contact stress on the discrete gap
-``quality``       distortion of the elements against the initial mesh
+``quality``, ``shape-size``, ``elastic``
+                  distortion against the initial mesh, see :mod:`rmesh_nlp.fem.distortion`
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
+from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
 from rmesh_nlp.fem.energy import (
     bulk_groups,
     contact_edges,
@@ -26,9 +28,9 @@ from rmesh_nlp.fem.energy import (
     objective_group,
     triangle_rule,
 )
-from rmesh_nlp.fem.fields import ElementGroup, Field, Index, constant_field
+from rmesh_nlp.fem.fields import ElementGroup, Field, Index
 from rmesh_nlp.fem.objective import Objective, Term
-from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, Obstacle, signed_areas
+from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, Obstacle
 from rmesh_nlp.problem.laws import energy_density
 
 ERROR_DEGREE = 10
@@ -111,29 +113,10 @@ def _contact_work(
     return objective_group(function, (positions.at(edges), displacement.at(edges)))
 
 
-def quality(
-    problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+def _distortion(
+    name: str, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
 ) -> list[ElementGroup]:
-    """Mean over the area of ``|A|^2 / (2 det A) - 1``, A the map from the initial element.
-
-    Zero for a mesh that is a rotated and scaled copy of the initial one element by element,
-    infinite as an element degenerates (the inverse mean ratio of Knupp 2001).
-    """
-    triangles, p = problem.triangles, problem.mesh.p
-    X, X0, total = ca.SX.sym("X", 2, 3), ca.SX.sym("X0", 2, 3), ca.SX.sym("total")
-    now, before = (ca.horzcat(Y[:, 1] - Y[:, 0], Y[:, 2] - Y[:, 0]) for Y in (X, X0))
-    det0 = before[0, 0] * before[1, 1] - before[0, 1] * before[1, 0]
-    adjugate = ca.vertcat(ca.horzcat(before[1, 1], -before[0, 1]), ca.horzcat(-before[1, 0], before[0, 0]))
-    A = now @ adjugate / det0
-    det = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
-    value = (ca.sumsqr(A) / (2 * det) - 1) * det0 / (2 * total)
-    function = ca.Function("distortion", [ca.vec(X), ca.vec(X0), total], [value, ca.SX(0, 1)])
-    local = (
-        positions.at(triangles),
-        constant_field(p).at(triangles),
-        constant_field(np.full((1, triangles.shape[1]), signed_areas(p, triangles).sum())),
-    )
-    return [objective_group(function, local)]
+    return [distortion_group(problem, positions, name)]
 
 
 TERMS: dict[str, Term] = {
@@ -142,7 +125,7 @@ TERMS: dict[str, Term] = {
     "error-l2": Term("error-l2", error_l2, needs_exact=True),
     "error-h1": Term("error-h1", error_h1, needs_exact=True),
     "contact": Term("contact", contact, needs_exact=True),
-    "quality": Term("quality", quality, of_positions=True),
+    **{name: Term(name, partial(_distortion, name), of_positions=True, barrier=True) for name in DISTORTIONS},
 }
 """The named terms."""
 

@@ -47,6 +47,11 @@ def sliding_directions(
     return on_line, tangent
 
 
+def line_facets(problem: ContactProblem) -> NDArray[np.int64]:
+    """Numbers of the facets on lines."""
+    return np.flatnonzero(_labels(problem) > 0)
+
+
 def _pairs(ends: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """Nodes with exactly two of these facets, and the numbers of both."""
     node = ends.ravel()

@@ -21,7 +21,9 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import Assembled, assemble
 from rmesh_nlp.fem.energy import bulk_groups, displacement_field, friction_groups, gap_groups
-from rmesh_nlp.fem.fields import ElementGroup, Field, Index, constant_field
+from rmesh_nlp.fem.fields import ElementGroup, Field, Index, constant_field, without_elements
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem, Obstacle
 from rmesh_nlp.programs.freedoms import Freedoms, freedoms, validity_group
@@ -48,6 +50,8 @@ class Relocation:
         Numbers of gap rows and of validity rows.
     validity : ElementGroup
         The validity rows by themselves, numbered from zero, as functions of q.
+    objective : Objective
+        The energy, and terms in the positions alone if there are any.
     """
 
     problem: ContactProblem
@@ -62,6 +66,7 @@ class Relocation:
     n_contact: int
     n_valid: int
     validity: ElementGroup
+    objective: Objective = ENERGY
 
     @cached_property
     def friction_rows(self) -> Index:
@@ -88,8 +93,24 @@ class Relocation:
         return self.freedoms.positions.values(q)
 
 
-def relocation(problem: ContactProblem) -> Relocation:
-    """State the energy program of a problem, with assembled derivatives."""
+def relocation(problem: ContactProblem, objective: Objective = ENERGY) -> Relocation:
+    """State the energy program of a problem, with assembled derivatives.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    objective : Objective
+        The energy, to which terms in the positions alone may be added: the levels collapse with them
+        too. A distortion is infinite where an element degenerates and undefined beyond; it then stands in
+        the place of the element areas, which are constraints only if a least angle is asked for as well.
+
+    Raises
+    ------
+    ValueError
+        If the objective has another term: the inner problem must then stay a constraint.
+    """
+    if not objective.collapses:
+        raise ValueError(f"{objective.text!r} is not the energy with terms in the positions alone")
     free = freedoms(problem)
     displacement, n_u = displacement_field(problem, first=free.n)
     n_contact = problem.contact_nodes.size
@@ -102,7 +123,10 @@ def relocation(problem: ContactProblem) -> Relocation:
         *slip_groups(problem, displacement, slip, first_row=n_contact),
     ]
     n_rows = n_contact + 2 * n_s
+    groups += objective.position_groups(problem, free.positions, displacement, slip)
     validity, area_bound = validity_group(problem, free)
+    if objective.has_barrier and problem.motion.min_angle == 0:
+        validity, area_bound = without_elements(validity), np.zeros(0)
     groups.append(replace(validity, rows=validity.rows + n_rows))
     n_valid = area_bound.size
     x, p = ca.MX.sym("x", free.n + n_u + n_s), ca.MX(0, 1)
@@ -131,6 +155,7 @@ def relocation(problem: ContactProblem) -> Relocation:
         n_contact=n_contact,
         n_valid=n_valid,
         validity=validity,
+        objective=objective,
     )
 
 

@@ -54,7 +54,8 @@ def multipliers(relocation: Relocation, q: Array, gradient: Array) -> Multiplier
     free, problem = relocation.freedoms, relocation.problem
     stopped = np.abs(q) >= free.bound * (1 - ACTIVE)
     rows = _validity_rows(relocation, q)
-    elements = constrained_elements(problem, free)
+    # a barrier may stand in the place of the rows
+    elements = constrained_elements(problem, free) if relocation.n_valid else np.zeros(0, np.int64)
     per_element = relocation.n_valid // elements.size if elements.size else 1
     values = np.zeros(relocation.n_valid)
     rest = gradient

@@ -13,7 +13,7 @@ from rmesh_nlp.contact.model import ContactModel, solve
 from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array, Evaluator
-from rmesh_nlp.fem.assembly import assemble
+from rmesh_nlp.fem.assembly import assemble, element_values
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.smooth_constraints import is_inside
 from rmesh_nlp.programs.blocks import SecondDerivatives
@@ -44,9 +44,10 @@ class ReducedPoint:
 class ReducedEnergy:
     """Evaluates L(q) by one contact solve, warm-started from the last active set.
 
-    The gradient is (5.7), (5.11): the partial derivative of the Lagrangian of the inner
-    problem with respect to the positions, at fixed displacement and multipliers. It includes
-    the motion of the gap and of the friction weights.
+    If the program's objective has terms in the positions alone, such as a distortion, they are part of
+    value and gradient. The gradient of the energy is (5.7), (5.11): the partial derivative of the
+    Lagrangian of the inner problem with respect to the positions, at fixed displacement and multipliers.
+    It includes the motion of the gap and of the friction weights.
 
     Attributes
     ----------
@@ -66,11 +67,20 @@ class ReducedEnergy:
         energy_gradient = relocation.derivatives.grad_f(nlp.x, nlp.p)[1][: relocation.n_q]
         gradient = energy_gradient - gap_jacobian.T @ lam
         self._gradient = Evaluator(ca.Function("reduced_gradient", [nlp.x, lam], [ca.densify(gradient)]))
+        fields = (relocation.freedoms.positions, relocation.displacement, relocation.slip)
+        self._position_terms = element_values(
+            relocation.objective.position_groups(relocation.problem, *fields)
+        )
 
     @cached_property
     def validity(self) -> Validity:
         """Element validity as a function of the moves."""
         return Validity(self.relocation)
+
+    def of_positions(self, q: Array) -> float:
+        """The terms of the objective in the positions alone; NaN where they are not defined."""
+        x = np.concatenate([q, np.zeros(self.relocation.nlp.n_x - q.size)])
+        return float(sum(values.sum() for values in self._position_terms(x)))
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at moves ``q``; the last point is remembered."""
@@ -82,7 +92,8 @@ class ReducedEnergy:
         self._active = equilibrium.active
         x = self.point(q, equilibrium)
         (gradient,) = self._gradient(x, equilibrium.normal_force)
-        self._last = ReducedPoint(np.array(q), equilibrium.energy, gradient, system, equilibrium)
+        value = equilibrium.energy + self.of_positions(q)
+        self._last = ReducedPoint(np.array(q), value, gradient, system, equilibrium)
         return self._last
 
     def point(self, q: Array, equilibrium: Equilibrium) -> Array:

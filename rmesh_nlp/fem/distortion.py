@@ -1,0 +1,66 @@
+"""How far a relocated mesh is from the initial one, element by element: the regularisations of large moves.
+
+With A the affine map from an initial element to the relocated one, each density is zero where A is a
+rotation, infinite as the element degenerates, and not defined for ``det A <= 0``: it is its own barrier,
+and a solver refuses a step there. The regularisation is the mean of the density over the initial area,
+so that a map of the domain has the same value on every mesh up to discretisation.
+
+``quality``
+    ``|A|^2 / (2 det A) - 1``, shape alone: the inverse mean ratio (P. M. Knupp, Algebraic mesh quality
+    metrics, SIAM J. Sci. Comput. 23 (2001) 193-218). Rotated and scaled copies cost nothing.
+``shape-size``
+    The same and ``1/2 (det A + 1 / det A - 2)``: size too, elements grow and shrink alike.
+``elastic``
+    ``1/4 (|A|^2 + |A^-1|^2) - 1``: the symmetric Dirichlet energy of the map, a rubber sheet that resists
+    compression as it resists stretching (J. Schreiner et al., Inter-surface mapping, ACM Trans. Graph. 23
+    (2004)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.fem.energy import objective_group
+from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field
+from rmesh_nlp.problem import ContactProblem, signed_areas
+
+Density = Callable[[Any, Any], Any]
+
+
+def _shape(A: Any, det: Any) -> Any:
+    return ca.sumsqr(A) / (2 * det) - 1
+
+
+def _shape_and_size(A: Any, det: Any) -> Any:
+    return _shape(A, det) + (det + 1 / det - 2) / 2
+
+
+def _elastic(A: Any, det: Any) -> Any:
+    return ca.sumsqr(A) * (1 + 1 / det**2) / 4 - 1
+
+
+DISTORTIONS: dict[str, Density] = {"quality": _shape, "shape-size": _shape_and_size, "elastic": _elastic}
+"""Densities by the name that they have in objectives."""
+
+
+def distortion_group(problem: ContactProblem, positions: Field, name: str) -> ElementGroup:
+    """Mean over the initial area of a density in :data:`DISTORTIONS`; NaN where an element is inverted."""
+    triangles, p = problem.triangles, problem.mesh.p
+    X, X0, total = ca.SX.sym("X", 2, 3), ca.SX.sym("X0", 2, 3), ca.SX.sym("total")
+    now, before = (ca.horzcat(Y[:, 1] - Y[:, 0], Y[:, 2] - Y[:, 0]) for Y in (X, X0))
+    det0 = before[0, 0] * before[1, 1] - before[0, 1] * before[1, 0]
+    adjugate = ca.vertcat(ca.horzcat(before[1, 1], -before[0, 1]), ca.horzcat(-before[1, 0], before[0, 0]))
+    A = now @ adjugate / det0
+    det = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+    value = ca.if_else(det > 0, DISTORTIONS[name](A, det), float("nan")) * det0 / (2 * total)
+    function = ca.Function("distortion", [ca.vec(X), ca.vec(X0), total], [value, ca.SX(0, 1)])
+    local = (
+        positions.at(triangles),
+        constant_field(p).at(triangles),
+        constant_field(np.full((1, triangles.shape[1]), signed_areas(p, triangles).sum())),
+    )
+    return objective_group(function, local)

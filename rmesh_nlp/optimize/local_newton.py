@@ -1,0 +1,145 @@
+"""Newton-CG with a trust region of its own for each variable, for functions that are their own barrier.
+
+The method of :mod:`rmesh_nlp.optimize.newton` with three changes for large moves of a mesh:
+
+- Each variable is trusted within a width of its own, given by the point (for a node: the least
+  height of the elements around it). A uniform radius is held back everywhere by the smallest element;
+  with widths one radius of order one suits them all, and a coarse mesh is as easy as a fine one.
+- A step that leaves the domain of the function is cut at a part of its way to the boundary, as interior
+  points do, and not refused: the cut costs no evaluation.
+- The descent ends where the model sees no decrease worth a step *and* the trust region does not
+  hide it: a small radius makes every decrease small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.newton import SUFFICIENT, Evaluation, NewtonResult
+from rmesh_nlp.optimize.newton_step import BoxStep, Model
+from rmesh_nlp.optimize.nlp import Status
+
+Precondition = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Trust:
+    """The trust region of :func:`descend`.
+
+    Attributes
+    ----------
+    first : float
+        First radius, in widths.
+    least : float
+        Radius at which the descent gives up.
+    shrink, grow : float
+        Factors after a step that the model predicts badly (less than a quarter of the decrease) and well
+        (more than three quarters).
+    hidden : float
+        Part of the variables that may end a step at the edge of the region without its hiding a decrease.
+    """
+
+    first: float = 1.0
+    least: float = 1e-6
+    shrink: float = 0.25
+    grow: float = 2.0
+    hidden: float = 0.05
+
+
+def descend(
+    evaluate: Callable[[Array], Evaluation | None],
+    start: Array,
+    lower: Array,
+    upper: Array,
+    widths: Callable[[Array], Array],
+    longest: Callable[[Array, Array], float],
+    *,
+    gain_tolerance: float,
+    reference: float | None = None,
+    max_iterations: int = 100,
+    forcing: float = 0.1,
+    trust: Trust | None = None,
+    on_step: Callable[[int, Array, Evaluation], bool | None] | None = None,
+) -> NewtonResult:
+    """Minimise in the box ``lower <= x <= upper`` from ``start``, where the function is defined.
+
+    Parameters
+    ----------
+    evaluate : callable
+        Value, gradient and model; None where the function is not defined.
+    start, lower, upper : (n,) arrays
+    widths : callable
+        Positive widths (n,) of the trust region at a point, for radius 1.
+    longest : callable
+        ``(x, step) -> part`` of the step, at most 1, that stays well within the domain.
+    gain_tolerance : float
+        Ends where the model predicts less than this part of the decrease since ``reference``.
+    reference : float, optional
+        By default the value at the start.
+    max_iterations : int
+    forcing : float
+        Conjugate gradients stop at this part of the residual they began with.
+    trust : Trust, optional
+    on_step : callable, optional
+        Called with the iteration, the point and its evaluation; the descent stops if it returns True.
+    """
+    trust = trust or Trust()
+    x = np.clip(start, lower, upper)
+    here = evaluate(x)
+    if here is None:
+        return NewtonResult(x, np.nan, Status.EVALUATION_ERROR, 0, 0)
+    reference, products, radius = here.value if reference is None else reference, 0, trust.first
+    for iteration in range(max_iterations + 1):
+        if on_step is not None and on_step(iteration, x, here):
+            return NewtonResult(x, here.value, Status.ITERATION_LIMIT, iteration, products)
+        if iteration == max_iterations:
+            break
+        model, there = here.model(), None
+        while there is None:
+            width = widths(x)
+            low, high = np.maximum((lower - x) / width, -radius), np.minimum((upper - x) / width, radius)
+            step = BoxStep(_Scaled(model, width), width * here.gradient)
+            y, predicted = step.solve(low, high, forcing)
+            products += step.products
+            hidden = float(np.mean(np.abs(y) >= 0.999 * radius)) if y.size else 0.0
+            floor = 1e-14 * max(abs(here.value), 1e-300)
+            enough = gain_tolerance * (reference - here.value)
+            if predicted <= max(enough, floor) and (hidden <= trust.hidden or predicted <= floor):
+                return NewtonResult(x, here.value, Status.CONVERGED, iteration, products)
+            if radius < trust.least or not np.any(y):
+                return NewtonResult(x, here.value, Status.STALLED, iteration, products)
+            s = width * y
+            part = longest(x, s)
+            if part < 1:
+                s = part * s
+                predicted = -float(here.gradient @ s + 0.5 * s @ model(s))
+                products += 1
+            there = evaluate(np.clip(x + s, lower, upper))
+            ratio = -np.inf if there is None else (here.value - there.value) / max(predicted, 1e-300)
+            if not ratio >= 0.25:
+                radius = trust.shrink * part * float(np.max(np.abs(y)))
+            elif part < 1:
+                radius = max(part * radius, trust.least)
+            elif ratio > 0.75:
+                radius = trust.grow * radius
+            if there is not None and not ratio > SUFFICIENT:
+                there = None
+        x, here = np.clip(x + s, lower, upper), there
+    return NewtonResult(x, here.value, Status.ITERATION_LIMIT, max_iterations, products)
+
+
+class _Scaled:
+    """A model in units of the widths, in which the trust region is a cube."""
+
+    def __init__(self, model: Model, width: Array) -> None:
+        self._model, self._width = model, width
+
+    def __call__(self, d: Array) -> Array:
+        return self._width * self._model(self._width * d)
+
+    def diagonal(self) -> Array:
+        return self._width**2 * self._model.diagonal()

@@ -1,0 +1,164 @@
+"""Coarser meshes, edge flips, and maps between meshes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from skfem import MeshTri
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.meshes import from_arrays, named
+from rmesh_nlp.meshes.decimation import shape_quality
+from rmesh_nlp.meshes.flips import flipped, sum_of_cotangents
+from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.meshes.unrefinement import unrefined
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion
+from rmesh_nlp.problem.lines import sliding_directions
+from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.programs.levels import coarsened, refined
+from rmesh_nlp.programs.prolongation import interpolated, located, prolonged
+
+
+def shuffled(mesh: MeshTri, seed: int) -> MeshTri:
+    """The same mesh with its nodes and triangles in another order."""
+    rng = np.random.default_rng(seed)
+    new, order = rng.permutation(mesh.p.shape[1]), rng.permutation(mesh.t.shape[1])
+    nodes = np.empty_like(mesh.p)
+    nodes[:, new] = mesh.p
+    place = np.argsort(order)
+    return from_arrays(
+        nodes.T,
+        new[counter_clockwise(mesh.p, mesh.t)].T[order],
+        {name: new[mesh.facets[:, facets]].T for name, facets in mesh.boundaries.items()},
+        {name: place[elements] for name, elements in (mesh.subdomains or {}).items()},
+    )
+
+
+def points_of(mesh: MeshTri, name: str) -> set[tuple[float, float]]:
+    """Ends of the edges of a boundary."""
+    return {tuple(np.round(p, 9)) for p in mesh.p[:, np.unique(mesh.facets[:, mesh.boundaries[name]])].T}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_refinement_is_undone_in_any_order(seed: int) -> None:
+    coarse = random_problem(seed).mesh
+    back = unrefined(shuffled(coarse.refined(1), seed))
+    assert back is not None
+    assert back.mesh.t.shape == coarse.t.shape
+    assert {tuple(np.round(p, 9)) for p in back.mesh.p.T} == {tuple(np.round(p, 9)) for p in coarse.p.T}
+    for name in coarse.boundaries:
+        assert points_of(back.mesh, name) == points_of(coarse, name)
+    for name, elements in (coarse.subdomains or {}).items():
+        areas = [np.abs(signed_areas(m.p, m.t))[m.subdomains[name]].sum() for m in (back.mesh, coarse)]
+        assert areas[0] == pytest.approx(areas[1])
+        assert len(back.mesh.subdomains[name]) == len(elements)
+
+
+def test_what_is_no_refinement_is_not_taken_for_one() -> None:
+    mesh = rectangle(5, 4)
+    assert unrefined(mesh) is None
+    moved = rectangle(4, 4)
+    p = moved.p.copy()
+    p[:, moved.interior_nodes()[0]] += 1e-3
+    assert unrefined(replace(moved, doflocs=p)) is None
+    # a name that ends in the middle of a coarse edge
+    assert unrefined(named(rectangle(4, 4), {"part": lambda x: (x[1] == 0) & (x[0] < 0.2)})) is None
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_decimated_problem_keeps_domain_names_and_corners(seed: int) -> None:
+    problem = refined(refined(random_problem(seed)))
+    rng = np.random.default_rng(seed)
+    p = problem.mesh.p.copy()
+    inside = problem.mesh.interior_nodes()
+    on_line, _ = sliding_directions(problem)
+    inside = np.setdiff1d(inside, on_line)
+    p[:, inside] += rng.uniform(-0.01, 0.01, (2, inside.size))  # no refinement any more
+    problem = replace(problem, mesh=replace(problem.mesh, doflocs=p))
+    coarse = coarsened(problem, least=20)
+    assert coarse is not None
+    one, two = problem.mesh, coarse.mesh
+    assert two.p.shape[1] < one.p.shape[1] / 2
+    areas = signed_areas(two.p, coarse.triangles)
+    assert areas.sum() == pytest.approx(signed_areas(one.p, problem.triangles).sum(), rel=1e-12)
+    assert np.min(shape_quality(two.p, coarse.triangles)) > 0.05
+    assert set(two.boundaries) == set(one.boundaries)
+    for name in one.boundaries:
+
+        def length(mesh: MeshTri, name: str = name) -> float:
+            a, b = mesh.facets[:, mesh.boundaries[name]]
+            return float(np.linalg.norm(mesh.p[:, a] - mesh.p[:, b], axis=0).sum())
+
+        assert length(two) == pytest.approx(length(one), rel=1e-12)
+    for name, elements in (one.subdomains or {}).items():
+        fine = np.abs(signed_areas(one.p, one.t))[elements].sum()
+        assert np.abs(signed_areas(two.p, two.t))[two.subdomains[name]].sum() == pytest.approx(fine)
+    # coarser spaces have higher energies, up to quadrature: the problem is the same one
+    assert ContactModel(replace(coarse, quadrature=12)).solve(two.p).status.value == "converged"
+
+
+def test_nodes_named_by_number_stay_and_are_renumbered() -> None:
+    problem = replace(
+        EXAMPLES["6.1"](n=16), motion=Motion(None, pinned=(40,), tied=((100, 120),), slides=("contact",))
+    )
+    coarse = coarsened(problem)
+    assert coarse is not None
+    new = coarse.motion.pinned[0], *coarse.motion.tied[0]
+    np.testing.assert_allclose(coarse.mesh.p[:, new], problem.mesh.p[:, [40, 100, 120]])
+
+
+def test_flips_lower_what_they_are_to_lower_and_keep_fixed_edges() -> None:
+    rng = np.random.default_rng(1)
+    mesh = rectangle(6, 6)
+    p = mesh.p.copy()
+    inside = mesh.interior_nodes()
+    p[:, inside] += rng.uniform(-0.07, 0.07, (2, inside.size))
+    t = counter_clockwise(p, mesh.t)
+    fixed = mesh.facets[:, [10, 20, 30]]
+    before = sum_of_cotangents(p, t).sum()
+    result = flipped(p, t, fixed, lambda triangles, _: sum_of_cotangents(p, triangles))
+    assert result.flips > 0
+    assert sum_of_cotangents(p, result.triangles).sum() == pytest.approx(before - result.gain)
+    areas = signed_areas(p, result.triangles)
+    assert np.all(areas > 0)
+    assert areas.sum() == pytest.approx(1)
+    facets = {tuple(f) for f in np.sort(MeshTri(p, result.triangles).facets, axis=0).T}
+    assert all(tuple(np.sort(edge)) in facets for edge in fixed.T)
+    # nothing is left to gain: the mesh is Delaunay away from the fixed edges
+    assert flipped(p, result.triangles, fixed, lambda t, _: sum_of_cotangents(p, t)).flips == 0
+
+
+def test_interpolation_is_exact_for_linear_fields_also_just_outside() -> None:
+    mesh, rng = rectangle(5, 3), np.random.default_rng(2)
+    t = counter_clockwise(mesh.p, mesh.t)
+    points = rng.uniform(0, 1, (2, 200))
+    values = np.array([2 * mesh.p[0] - mesh.p[1], 1 + mesh.p[1]])
+    found = interpolated(mesh.p, t, values, points)
+    np.testing.assert_allclose(found, [2 * points[0] - points[1], 1 + points[1]], atol=1e-12)
+    vertices, weights = located(mesh.p, t, np.array([[1.001], [0.5]]))
+    assert np.all(weights >= 0)
+    np.testing.assert_allclose(mesh.p[:, vertices[:, 0]] @ weights[:, 0], [1.0, 0.5], atol=2e-3)
+
+
+def test_a_map_is_prolonged_exactly_on_a_uniform_refinement_and_validly_on_any_mesh() -> None:
+    rng = np.random.default_rng(4)
+    coarse = replace(EXAMPLES["6.1"](n=4), motion=Motion(None))
+    rel = relocation(coarse)
+    q = rng.uniform(-0.3, 0.3, rel.n_q)
+    move = rel.nodes(q) - coarse.mesh.p
+    ratio = np.min(
+        signed_areas(rel.nodes(q), coarse.triangles) / signed_areas(coarse.mesh.p, coarse.triangles)
+    )
+    assert ratio > 0
+    fine = relocation(refined(coarse))
+    found = fine.nodes(prolonged(coarse.mesh.p, coarse.triangles, move, fine))
+    n = coarse.mesh.p.shape[1]
+    np.testing.assert_allclose(found[:, :n], rel.nodes(q), atol=1e-12)
+    other = ContactProblem(rectangle(11, 7), Laplace(1.0), (Dirichlet("left", (0.0,)),), motion=Motion(None))
+    unrelated = relocation(other)
+    there = unrelated.nodes(prolonged(coarse.mesh.p, coarse.triangles, move, unrelated))
+    assert np.all(signed_areas(there, other.triangles) > 0)
+    assert np.max(np.abs(there - other.mesh.p)) > 0.3 * np.max(np.abs(move))
