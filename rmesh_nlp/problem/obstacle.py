@@ -200,6 +200,16 @@ class Obstacle:
         """
         return on_points(self.offset if self.level is None else self.distance, points, "the obstacle")
 
+    def feet(self, points: Array) -> Array:
+        """Points (2, points) of the foundation that ``points`` would meet, for pictures.
+
+        Along the contact normal; on a curve as far as its level function says.
+        """
+        feet = points - self.normals(points) * self.distances(points)
+        for _ in range(FOOT_STEPS if self.level is not None else 0):
+            feet = feet - self.normals(feet) * self.distances(feet)
+        return feet
+
     @property
     def frictional(self) -> bool:
         """Whether there is a friction bound at all."""
@@ -211,6 +221,10 @@ class Obstacle:
         if len(self.normal) == 1:
             return ()
         return (self.normal[1], -self.normal[0])
+
+
+FOOT_STEPS = 5
+"""Newton steps from a node to a curved foundation."""
 
 
 @lru_cache(maxsize=32)

@@ -11,7 +11,10 @@ from matplotlib.figure import Figure
 
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
+from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.programs.freedoms import Freedoms, Mobility, freedoms
+from rmesh_nlp.report.foundations import foundations
+from rmesh_nlp.report.style import FOUNDATION
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito's palette."""
@@ -31,10 +34,12 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     """Draw to a file (PNG, PDF, SVG by suffix).
 
     Boundaries that are given, loaded or in contact have their own colours and a legend; each node
-    has a marker for its mobility, and sliding ones a short line along which they slide.
+    has a marker for its mobility, and sliding ones a short line along which they slide. Foundations are
+    drawn with the initial gap of every contact node, in red where they overlap the body.
     """
     p, free = problem.mesh.p, freedoms(problem)
-    extent = np.ptp(p, axis=1)
+    feet = [foundation.feet for foundation in foundations(problem, p) if not foundation.is_far]
+    extent = np.ptp(np.hstack([p, *feet]), axis=1)
     figure = Figure(figsize=(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0)), layout="constrained")
     axis = figure.add_subplot()
     zone = element_zones(problem)
@@ -49,10 +54,13 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
             LineCollection(list(ends.transpose(2, 1, 0)), color=colour, linewidth=3, label=label)
         )
     _draw_moves(axis, problem, free)
-    unit = " [m]" if problem.components == 2 else ""
+    far = _draw_foundations(axis, problem)
+    unit = bracketed(problem.units.length)
     axis.set(aspect="equal", xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
-    axis.set_title(f"{problem.name}: {p.shape[1]} nodes, {free.n} moves")
-    figure.legend(loc="outside lower center", ncols=3, fontsize="small")
+    axis.set_title("\n".join([f"{problem.name}: {p.shape[1]} nodes, {free.n} moves", *far]))
+    handles, labels = axis.get_legend_handles_labels()
+    unique = dict(zip(labels, handles, strict=True))  # several foundations have one entry
+    figure.legend(unique.values(), unique.keys(), loc="outside lower center", ncols=3, fontsize="small")
     figure.savefig(path, dpi=150, bbox_inches="tight")
 
 
@@ -72,6 +80,37 @@ def _draw_moves(axis: Axes, problem: ContactProblem, free: Freedoms) -> None:
             axis.scatter(
                 p[0, nodes], p[1, nodes], s=size, marker=marker, color="black", label=label, zorder=3
             )
+
+
+def _draw_foundations(axis: Axes, problem: ContactProblem) -> list[str]:
+    """Foundations and initial gaps; returns a line for the title about each that is too far off to draw."""
+    far = []
+    for one in foundations(problem, problem.mesh.p):
+        if one.is_far:
+            far.append(f"the foundation of {one.name} is {one.gaps.min():.3g} away, not drawn")
+            continue
+        axis.add_collection(
+            LineCollection(
+                list(one.lines.transpose(1, 2, 0)),
+                color=FOUNDATION,
+                linewidth=3,
+                alpha=0.8,
+                label="rigid foundation",
+                zorder=1.5,
+            )
+        )
+        nodes = problem.mesh.p[:, one.nodes]
+        for chosen, colour, label in (
+            (one.gaps > 0, "0.5", "initial gap"),
+            (one.gaps < -1e-9 * np.ptp(problem.mesh.p), "red", "initial overlap"),
+        ):
+            if np.any(chosen):
+                ends = np.stack([nodes[:, chosen], one.feet[:, chosen]])
+                lines = list(ends.transpose(2, 0, 1))
+                axis.add_collection(LineCollection(lines, color=colour, linewidth=0.8, label=label))
+        axis.update_datalim(one.feet.T)
+    axis.autoscale_view()
+    return far
 
 
 def _roles(problem: ContactProblem) -> list[tuple[str, np.ndarray]]:

@@ -12,20 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.energy import contact_edges
-from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
+from rmesh_nlp.problem import ContactProblem, signed_areas
 
 AUDIT_DEGREE = 20
 """Degree of the quadrature rule of the audit."""
-
-_FRACTIONS = np.arange(1, 8) / 8
-BETWEEN_EDGE = np.vstack([1 - _FRACTIONS, _FRACTIONS])
-"""Barycentric coordinates (2, points) of the points on an edge where penetration is looked for."""
-
-BETWEEN_TRIANGLE = np.array([[3, 3, 0, 2], [3, 0, 3, 2], [0, 3, 3, 2]]) / 6
-"""The same in a triangle: the midpoints of its edges, and its centre."""
 
 TOLERANCE = 1e-6
 """Largest scaled residual of a solution that may be called a success."""
@@ -63,12 +56,12 @@ class Auditor:
 
     def __init__(self, problem: ContactProblem, model: ContactModel) -> None:
         self.problem, self.model = problem, model
-        self._accurate = ContactModel(replace(problem, quadrature=AUDIT_DEGREE))
+        self.accurate = ContactModel(replace(problem, quadrature=AUDIT_DEGREE))
         self._initial_areas = signed_areas(problem.mesh.p, problem.triangles)
 
     def energy(self, nodes: Array) -> float:
         """Audited energy of the mesh with these node positions (2, nodes)."""
-        return self._accurate.solve(nodes).energy
+        return self.accurate.solve(nodes).energy
 
     def __call__(self, nodes: Array, u: Array, normal_force: Array, tangential_force: Array) -> Audit:
         """Audit displacement unknowns and nodal contact forces on a mesh."""
@@ -82,24 +75,6 @@ class Auditor:
             min_area_ratio=float(np.min(ratio)),
             penetration=penetration(self.problem, nodes, self.model.displacement.values(u)),
         )
-
-
-def penetration(problem: ContactProblem, nodes: Array, displacement: Array) -> float:
-    """Largest negative gap at points between the contact nodes, as a positive length; 0 without."""
-    return max([0.0, *(_deepest(problem, part, nodes, displacement) for part in problem.obstacles)])
-
-
-def _deepest(problem: ContactProblem, obstacle: Obstacle, nodes: Array, displacement: Array) -> float:
-    if obstacle.boundary is Place.INTERIOR:
-        cells, points = problem.triangles, BETWEEN_TRIANGLE
-    else:
-        cells, points = contact_edges(problem, obstacle), BETWEEN_EDGE
-    where = np.einsum("cve,vk->cek", nodes[:, cells], points).reshape(2, -1)
-    u = np.einsum("cve,vk->cek", displacement[:, cells], points).reshape(displacement.shape[0], -1)
-    if where.shape[1] == 0:
-        return 0.0
-    gap = np.sum(obstacle.normals(where) * u, axis=0) + obstacle.distances(where)
-    return float(-np.min(gap))
 
 
 def equilibrium_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:

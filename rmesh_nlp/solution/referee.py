@@ -12,6 +12,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import contact_edges
@@ -226,6 +227,7 @@ class Referee:
             if stationarity is None:
                 stationarity = "KKT" if residual <= tolerance else ""
         weights = nodal_weights(self.problem, nodes)
+        common["extra"] = {**common["extra"], "warnings": self._warnings(nodes, found)}
         return Solution(
             **common,
             displacement=self.model.displacement.values(found.u),
@@ -239,6 +241,13 @@ class Referee:
             stationarity_residual=residual,
             multipliers=None if outer_gradient is None else multipliers(self.relocation, q, outer_gradient),
         )
+
+    def _warnings(self, nodes: Array, state: Equilibrium) -> list[str]:
+        """Signs of a wrong set-up, and of foundations that pass into the relocated mesh."""
+        found = setup_warnings(self.problem, self.model, self.initial, self._auditor.accurate)
+        messages = [warning.message for warning in found if warning.kind != "penetration"]
+        after = penetration_warnings(self.problem, nodes, self.model.displacement.values(state.u))
+        return messages + [warning.message for warning in after]
 
     def _stress(self, force: Array, weights: Array) -> Array:
         stress = np.zeros(self.problem.mesh.p.shape[1])
