@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,13 @@ from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.campaign.progress import CampaignProgress
 from rmesh_nlp.cli.folders import writable
+from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.display import rich_table
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.io.export import Series, write_mesh
 from rmesh_nlp.io.files import safe_name, write_new, write_whole
 from rmesh_nlp.io.problem_file import build, read_table
+from rmesh_nlp.io.problem_messages import one_line
 from rmesh_nlp.io.problem_template import template
 from rmesh_nlp.io.results import Results, write_single
 from rmesh_nlp.meshes import MeshRepairWarning
@@ -56,7 +58,14 @@ def check(path: Path, picture: Path | None = None) -> int:
         rows.append((f"nodes {kind.name.lower()}", str(int((free.mobility == kind).sum()))))
     rows.append(("moves", str(free.n)))
     rows.append(("validity constraints", str(validity_group(problem, free)[1].size)))
-    Console().print(rich_table(f"{path}: problem {problem.name!r} is in order", rows))
+    try:
+        found = [warning.message for warning in setup_warnings(problem)]
+    except ValueError as error:
+        raise BadInputError(f"{path}: {one_line(error)}") from error
+    verdict = f"states a problem, with {len(found)} doubts" if found else "is in order"
+    verdict = verdict.removesuffix("s") if len(found) == 1 else verdict
+    Console().print(rich_table(f"{path}: problem {problem.name!r} {verdict}", rows))
+    _warn(found)
     target = path.with_suffix(".png") if picture is None else picture
     try:
         draw_problem(problem, target)
@@ -114,6 +123,7 @@ def solve(path: Path, formulation: str | None, options: Mapping[str, Any], out: 
         print(f"{problem.name} {name}: {outcome.record['status']}: {outcome.record['message']}")
     else:
         Console().print(outcome.solution)
+        _warn(outcome.record.get("warnings") or [])
     print(f"wrote {folder}: {', '.join(names)}")
     return SUCCESS if outcome.record["success"] else NO_SUCCESS
 
@@ -130,6 +140,11 @@ def _write(results: Results, outcome: campaign.Outcome, series: Series) -> list[
             series.write(folder / "iterations")
     write_single(folder, outcome.record, lambda places: campaign.save(outcome, places))
     return [name for name in (*FILES, "iterations") if (folder / name).exists()]
+
+
+def _warn(messages: Sequence[str]) -> None:
+    for message in messages:
+        print(f"warning: {message}")
 
 
 def _load(path: Path) -> ContactProblem:

@@ -15,6 +15,7 @@ from rmesh_nlp.io.problem_messages import (
     ProblemFileError,
     as_text,
     at_key,
+    contact_key,
     error_at,
     nearest,
     one_line,
@@ -23,19 +24,22 @@ from rmesh_nlp.io.problem_messages import (
     value_at,
 )
 from rmesh_nlp.io.problem_schema import ContactTable, MeshTable, MotionTable, ProblemTable
+from rmesh_nlp.io.problem_values import SYMMETRY
 from rmesh_nlp.meshes import named, read_mesh, shapes
 from rmesh_nlp.problem import (
-    NO_CONTACT,
     ContactProblem,
     Dirichlet,
     Motion,
     Obstacle,
     PiecewiseLinear,
+    PointLoad,
     ProblemError,
     Relative,
     Traction,
+    Units,
 )
 from rmesh_nlp.problem.laws import Laplace, Law, PlaneStrain, PlaneStress
+from rmesh_nlp.problem.symmetry import symmetric
 from rmesh_nlp.programs.freedoms import freedoms, validity_group
 
 if sys.version_info >= (3, 11):
@@ -45,6 +49,9 @@ else:
 
 LARGEST_FILE = 1_000_000
 """Bytes that a problem file may have."""
+
+SAME_PLACE = 1e-6
+"""Distance, in units of the extent of the mesh, at which a node is at the place that a load names."""
 
 SHAPES: dict[str, tuple[Callable[..., MeshTri], tuple[str, ...], tuple[str, ...]]] = {
     "rectangle": (shapes.rectangle, ("nx", "ny"), ("x", "y", "diagonal")),
@@ -106,25 +113,34 @@ def build(table: ProblemTable, path: Path) -> ContactProblem:
     n = next(iter(laws.values())).components if laws else law.components  # type: ignore[union-attr]
     for section, entries in (("dirichlet", table.dirichlet), ("tractions", table.tractions)):
         for name, value in entries.items():
-            if len(value) != n:
+            if value != SYMMETRY and len(value) != n:
                 raise error_at(
                     path, f"{section}.{name}", as_text(value), f"expected {n} value{'s' * (n > 1)}"
                 )
-    with at_key(path, "contact", table):
-        obstacle = _obstacle(table.contact, n)
+    obstacles = []
+    for number, contact in enumerate(table.contact):
+        with at_key(path, contact_key(table, number), table):
+            obstacles.append(_obstacle(contact, n))
+    loads = tuple(_point_load(table, number, mesh, n, path) for number in range(len(table.point_loads)))
+    supports = []
+    for name, value in table.dirichlet.items():
+        with at_key(path, f"dirichlet.{name}", table):
+            supports.append(symmetric(mesh, name, n) if value == SYMMETRY else Dirichlet(name, value))
     with at_key(path, "motion", table):
         motion = _motion(table.motion)
     try:
         problem = ContactProblem(
             mesh=mesh,
             law=law,
-            dirichlet=tuple(Dirichlet(name, value) for name, value in table.dirichlet.items()),
-            obstacle=obstacle,
+            dirichlet=tuple(supports),
+            obstacle=obstacles[0] if len(obstacles) == 1 else tuple(obstacles),
             motion=motion,
             tractions=tuple(Traction(name, value) for name, value in table.tractions.items()),
             quadrature=table.quadrature,
             name=table.name or path.stem,
             size=f"{mesh.t.shape[1]} triangles",
+            point_loads=loads,
+            units=Units(table.units.length, table.units.force),
         )
     except ProblemError as error:
         key = "material" if error.part == "law" and table.material else _KEY_OF_PART[error.part]
@@ -190,15 +206,39 @@ def _law(whole: ProblemTable, key: str, path: Path) -> Law:
         raise ValueError("expected either young and poisson, or lame_lambda and lame_mu")
 
 
-def _obstacle(table: ContactTable | None, components: int) -> Obstacle:
-    if table is None:
-        return NO_CONTACT
+def _point_load(table: ProblemTable, number: int, mesh: MeshTri, components: int, path: Path) -> PointLoad:
+    """The load at the node that is where the file says."""
+    load, key = table.point_loads[number], f"point_loads[{number + 1}]"
+    distance = np.linalg.norm(mesh.p - np.array(load.at)[:, None], axis=0)
+    node = int(np.argmin(distance))
+    if distance[node] > SAME_PLACE * float(np.max(np.ptp(mesh.p, axis=1))):
+        x, y = mesh.p[:, node]
+        raise error_at(
+            path, f"{key}.at", as_text(load.at), f"no node is there; the nearest is at [{x:.6g}, {y:.6g}]"
+        )
+    if len(load.force) != components or any(callable(value) for value in load.force):
+        raise error_at(path, f"{key}.force", as_text(load.force), f"expected {components} numbers")
+    return PointLoad(node, tuple(load.force))
+
+
+def _obstacle(table: ContactTable, components: int) -> Obstacle:
     if table.interior is not None:
         if table.friction is not None:
             raise ValueError("friction needs contact on a boundary")
         return Obstacle.interior(table.interior)
     friction = 0.0 if table.friction is None else table.friction
     boundary = str(table.boundary)
+    if table.circle is not None or table.curve is not None:
+        if table.friction is not None:
+            raise ValueError("friction needs a foundation with one normal, not a circle or a curve")
+        if components == 1:
+            raise ValueError("a circle or a curve needs an elastic body")
+        if table.circle is not None:
+            circle = table.circle
+            return Obstacle.circle(boundary, circle.centre, circle.radius, inside=circle.inside)
+        if not callable(table.curve):
+            raise ValueError("expected an expression of x and y that is zero on the curve")
+        return Obstacle.curve(boundary, table.curve)
     if table.line is not None:
         return Obstacle.line(boundary, table.line.point, table.line.normal, friction)
     if table.height is not None:
@@ -236,8 +276,9 @@ def _check_names(table: ProblemTable, mesh: MeshTri, path: Path) -> None:
     used += [(f"tractions.{name}", name) for name in table.tractions]
     for rule in ("pinned", "slides", "free"):
         used += [(f"motion.{rule}", name) for name in getattr(table.motion, rule) if isinstance(name, str)]
-    if table.contact is not None and table.contact.boundary is not None:
-        used.append(("contact.boundary", table.contact.boundary))
+    for number, contact in enumerate(table.contact):
+        if contact.boundary is not None:
+            used.append((f"{contact_key(table, number)}.boundary", contact.boundary))
     for key, name in used:
         if name not in boundaries:
             expected = f"expected a boundary of the mesh{nearest(name, boundaries)}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,13 +13,16 @@ from pydantic import BaseModel
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.problem_schema import (
+    CircleTable,
     ContactTable,
     LineTable,
     MaterialTable,
     MeshTable,
     MotionTable,
+    PointLoadTable,
     ProblemTable,
     SolveTable,
+    UnitsTable,
 )
 
 
@@ -42,11 +46,22 @@ def at_key(path: Path, key: str, table: ProblemTable) -> Iterator[None]:
 
 
 def value_at(table: ProblemTable, key: str) -> Any:
-    """What stands at a dotted key; the last part of the key is a name or a field."""
+    """What stands at a dotted key; the last part of the key is a name or a field.
+
+    ``contact`` is the only contact, ``contact[1]`` the first of several.
+    """
     value: Any = table
     for part in key.split(".", 1):
-        value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
+        name, bracket, number = part.partition("[")
+        value = value.get(part) if isinstance(value, dict) else getattr(value, name, None)
+        if isinstance(value, tuple) and name in LISTS:
+            value = value[int(number.rstrip("]")) - 1] if bracket else value[0]
     return value
+
+
+def contact_key(table: ProblemTable, number: int) -> str:
+    """Key of one contact, counted from 0, for messages."""
+    return "contact" if len(table.contact) == 1 else f"contact[{number + 1}]"
 
 
 def shown(table: ProblemTable, key: str) -> str:
@@ -63,6 +78,10 @@ def error_at(path: Path, key: str, value: str, expected: str) -> ProblemFileErro
 def pydantic_line(path: Path, item: Any, data: dict[str, Any]) -> str:
     """One of pydantic's errors as one line."""
     location = [str(part) for part in item["loc"]]
+    if location[:1] and location[0] in LISTS and len(location) > 1 and location[1].isdigit():
+        number = int(location.pop(1))
+        if isinstance(data[location[0]], list):
+            location[0] = f"{location[0]}[{number + 1}]"
     key = ".".join(location) or "file"
     if item["type"] == "extra_forbidden":
         known = _known_keys(location[:-1])
@@ -79,12 +98,18 @@ def pydantic_line(path: Path, item: Any, data: dict[str, Any]) -> str:
     return f"{path}: {key} = {as_text(item['input'])}: {message}"
 
 
+LISTS = ("contact", "point_loads")
+"""Tables of which a file may have several."""
+
 _TABLES: dict[str, type[BaseModel]] = {
     "mesh": MeshTable,
     "material": MaterialTable,
     "materials": MaterialTable,
     "contact": ContactTable,
     "contact.line": LineTable,
+    "contact.circle": CircleTable,
+    "point_loads": PointLoadTable,
+    "units": UnitsTable,
     "motion": MotionTable,
     "solve": SolveTable,
 }
@@ -92,7 +117,7 @@ _TABLES: dict[str, type[BaseModel]] = {
 
 def _known_keys(location: list[str]) -> list[str]:
     """Keys that the table at this place may have."""
-    place = "materials" if location[:1] == ["materials"] else ".".join(location)
+    place = "materials" if location[:1] == ["materials"] else re.sub(r"\[\d+\]", "", ".".join(location))
     return list(_TABLES.get(place, ProblemTable).model_fields)
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from rmesh_nlp.io.problem_values import (
     Angle,
@@ -12,6 +12,7 @@ from rmesh_nlp.io.problem_values import (
     Count,
     Delta,
     Finite,
+    Flag,
     Fraction,
     Given,
     Levels,
@@ -27,6 +28,11 @@ from rmesh_nlp.io.problem_values import (
     Ties,
     Vector,
 )
+
+
+def _as_list(value: Any) -> Any:
+    """``[contact]`` is one contact, ``[[contact]]`` several."""
+    return [value] if isinstance(value, dict) else value
 
 
 class Table(BaseModel):
@@ -84,13 +90,23 @@ class LineTable(Table):
     normal: Pair
 
 
+class CircleTable(Table):
+    """A rigid disc, or a round hole around the body."""
+
+    centre: Pair
+    radius: Positive
+    inside: Flag = False
+
+
 class ContactTable(Table):
-    """``[contact]``: on a boundary, or above an obstacle in the interior."""
+    """``[contact]`` or each ``[[contact]]``: on a boundary, or above an obstacle in the interior."""
 
     boundary: Text | None = None
     offset: Scalar | None = None
     normal: Pair | None = None
     line: LineTable | None = None
+    circle: CircleTable | None = None
+    curve: Scalar | None = None
     height: Scalar | None = None
     points: Points | None = None
     interior: Scalar | None = None
@@ -100,12 +116,30 @@ class ContactTable(Table):
     def _one_kind(self) -> ContactTable:
         if (self.boundary is None) == (self.interior is None):
             raise ValueError("expected either a boundary or interior")
-        kinds = [k for k in ("offset", "line", "height", "points") if getattr(self, k) is not None]
+        kinds = [
+            k
+            for k in ("offset", "line", "circle", "curve", "height", "points")
+            if getattr(self, k) is not None
+        ]
         if len(kinds) > 1 or (kinds and self.interior is not None):
             raise ValueError(f"expected one way to say where the obstacle is, got {' and '.join(kinds)}")
         if self.normal is not None and kinds not in ([], ["offset"]):
             raise ValueError("expected normal only together with offset")
         return self
+
+
+class PointLoadTable(Table):
+    """One of ``[[point_loads]]``: a force at the node at a place."""
+
+    at: Pair
+    force: Vector
+
+
+class UnitsTable(Table):
+    """``[units]``: names that are written beside numbers and axes; nothing is converted."""
+
+    length: Text = ""
+    force: Text = ""
 
 
 class MotionTable(Table):
@@ -146,9 +180,11 @@ class ProblemTable(Table):
     subdomains: dict[str, Condition] = Field(default_factory=dict)
     material: MaterialTable | None = None
     materials: dict[str, MaterialTable] = Field(default_factory=dict)
-    dirichlet: dict[str, Given]
+    dirichlet: dict[str, Given] = Field(default_factory=dict)
     tractions: dict[str, Vector] = Field(default_factory=dict)
-    contact: ContactTable | None = None
+    point_loads: tuple[PointLoadTable, ...] = ()
+    contact: Annotated[tuple[ContactTable, ...], BeforeValidator(_as_list)] = ()
+    units: UnitsTable = UnitsTable()
     motion: MotionTable = MotionTable()
     solve: SolveTable = SolveTable()
 

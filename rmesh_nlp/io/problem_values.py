@@ -17,6 +17,9 @@ LARGEST = 1e100
 FREE = "free"
 """Written in ``[dirichlet]`` for a component that is not given."""
 
+SYMMETRY = "symmetry"
+"""Written in ``[dirichlet]`` for a straight boundary whose nodes stay on it."""
+
 
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < LARGEST:
@@ -83,7 +86,15 @@ def _vector(value: Any) -> tuple[Any, ...]:
     return tuple(_coefficient(item) for item in items)
 
 
-def _given(value: Any) -> tuple[Any, ...]:
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError("expected true or false")
+    return value
+
+
+def _given(value: Any) -> Any:
+    if value == SYMMETRY:
+        return SYMMETRY
     items = value if isinstance(value, list) else [value]
     if not 1 <= len(items) <= 2:
         raise ValueError("expected one value, or two in a list, one per displacement component")
@@ -169,6 +180,7 @@ def _levels(value: Any) -> int:
     return value
 
 
+Flag = Annotated[Any, BeforeValidator(_flag)]
 Finite = Annotated[Any, BeforeValidator(_number)]
 Positive = Annotated[Any, BeforeValidator(_positive)]
 Poisson = Annotated[Any, BeforeValidator(_poisson)]
