@@ -100,14 +100,14 @@ def _draw_foundations(axis: Axes, problem: ContactProblem) -> list[str]:
             )
         )
         nodes = problem.mesh.p[:, one.nodes]
-        for chosen, colour, label in (
-            (one.gaps > 0, "0.5", "initial gap"),
-            (one.gaps < -1e-9 * np.ptp(problem.mesh.p), "red", "initial overlap"),
+        for chosen, colour, width, label in (
+            (one.gaps > 0, "0.5", 0.8, "initial gap"),
+            (one.gaps < -1e-9 * np.ptp(problem.mesh.p), "red", 2.0, "initial overlap"),
         ):
             if np.any(chosen):
                 ends = np.stack([nodes[:, chosen], one.feet[:, chosen]])
                 lines = list(ends.transpose(2, 0, 1))
-                axis.add_collection(LineCollection(lines, color=colour, linewidth=0.8, label=label))
+                axis.add_collection(LineCollection(lines, color=colour, linewidth=width, label=label))
         axis.update_datalim(one.feet.T)
     axis.autoscale_view()
     return far

@@ -1,0 +1,94 @@
+"""Every sign of a wrong set-up is seen, and a sound problem has none."""
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import pytest
+
+from formulations import fixed
+from rmesh_nlp.contact.setup_warnings import setup_warnings
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.meshes import named
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Laplace,
+    Motion,
+    Obstacle,
+    PlaneStrain,
+    Relative,
+    Traction,
+)
+
+
+def sound(**changes: Any) -> ContactProblem:
+    """A cantilever that is pressed onto a foundation and touches it with half of its lower side."""
+    mesh = named(rectangle(16, 4, x=(0, 4)), {"load": lambda x: (x[1] == 1) & (x[0] > 2)})
+    problem = ContactProblem(
+        mesh=mesh,
+        law=PlaneStrain.from_young(21600.0, 0.3),
+        dirichlet=("left",),
+        obstacle=Obstacle.graph("bottom", -0.05),
+        motion=Motion(Relative(0.3)),
+        tractions=(Traction("load", (0.0, -57.5)),),
+    )
+    return replace(problem, **changes)
+
+
+WRONG = {
+    "overlap": {"obstacle": Obstacle.graph("bottom", 0.01)},
+    "away": {"tractions": (Traction("load", (0.0, 57.5)),)},
+    "open": {"obstacle": Obstacle.graph("bottom", -50.0)},
+    "all-touching": {"dirichlet": (Dirichlet("top", (0.0, -0.1)),)},
+    "unresolved": {"tractions": (Traction("load", (0.0, -25.0)),)},
+    "penetration": {"obstacle": Obstacle.graph("bottom", lambda x, y: -0.05 * ca.cos(8 * ca.pi * x) - 0.1)},
+    "large": {"law": PlaneStrain.from_young(2160.0, 0.3), "obstacle": Obstacle.graph("bottom", -1.0)},
+    "tiny": {"law": PlaneStrain.from_young(2.16e13, 0.3)},
+    "locking": {"law": PlaneStrain.from_young(21600.0, 0.4999)},
+    "load": {"tractions": (Traction("load", (0.0, lambda x, y: ca.if_else(x > 1000, 1, 0))),)},
+}
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_a_wrong_set_up_is_warned_of(kind: str) -> None:
+    problem = sound(**WRONG[kind])
+    found = {warning.kind: warning.message for warning in setup_warnings(problem)}
+    assert kind in found, found
+    recorded = fixed.solve(problem).record()["warnings"]
+    assert found[kind] in recorded
+
+
+def test_a_sound_problem_is_not_warned_of() -> None:
+    assert setup_warnings(sound()) == ()
+    assert fixed.solve(sound()).record()["warnings"] == []
+
+
+@pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
+def test_the_examples_of_the_paper_are_sound(name: str) -> None:
+    assert setup_warnings(EXAMPLES[name]()) == ()
+
+
+def test_units_that_do_not_fit_are_named() -> None:
+    wrong = setup_warnings(sound(law=PlaneStrain.from_young(2.16e13, 0.3)))
+    assert all("check units" in warning.message for warning in wrong)
+    assert {warning.kind for warning in wrong} == {"tiny", "open"}
+
+
+def test_a_load_that_the_rule_does_not_see_is_warned_of() -> None:
+    problem = ContactProblem(
+        mesh=rectangle(4, 4),
+        law=Laplace(lambda x, y: ca.sin(8 * ca.pi * x) ** 2),
+        dirichlet=("left",),
+        motion=Motion(0.05),
+    )
+    assert [warning.kind for warning in setup_warnings(problem)] == ["load"]
+    assert setup_warnings(replace(problem, quadrature=12)) == ()
+
+
+def test_nearly_incompressible_plane_stress_does_not_lock() -> None:
+    from rmesh_nlp.problem import PlaneStress
+
+    problem = sound(law=PlaneStress.from_young(21600.0, 0.4999))
+    assert "locking" not in {warning.kind for warning in setup_warnings(problem)}
