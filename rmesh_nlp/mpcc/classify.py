@@ -37,7 +37,12 @@ class Verdict:
 
     @property
     def status(self) -> Status:
-        """CONVERGED if B-stationary; ACCEPTABLE with a label but B undecided; else STALLED."""
+        """CONVERGED if B-stationary and labelled; ACCEPTABLE with a label but B undecided; else STALLED.
+
+        Without a label (its linear programs failed) nothing is proven, so it is never a success.
+        """
+        if self.label.name == "":
+            return Status.STALLED
         if self.b_stationary:
             return Status.CONVERGED
         undecided = self.b_stationary is None and self.label.multipliers is not None
@@ -45,14 +50,21 @@ class Verdict:
 
 
 def judge(
-    lifted: Lifted, lin: Linearisation, tolerance: float, multipliers: tuple[Array, Array] | None = None
+    lifted: Lifted,
+    lin: Linearisation,
+    tolerance: float,
+    multipliers: tuple[Array, Array] | None = None,
+    seconds: float = np.inf,
 ) -> Verdict:
-    """Label a linearised point; ``multipliers`` of an NLP (rows, z) may save the linear programs."""
+    """Label a linearised point; ``multipliers`` of an NLP (rows, z) may save the linear programs.
+
+    ``seconds`` is what a user's time limit leaves; without one nothing here depends on the clock.
+    """
     found = None if multipliers is None else witness(lifted, lin, *multipliers, tolerance)
-    found = found or label(lifted, lin, tolerance)
+    found = found or label(lifted, lin, tolerance, seconds)
     if found.name == "S":  # S implies B
         return Verdict(found, True, None)
-    direction = descent(lifted, lin)
+    direction = descent(lifted, lin, seconds)
     if direction is None:
         return Verdict(found, None, None)
     if direction.decrease >= -tolerance * lin.scale:
@@ -93,7 +105,9 @@ def classify(
     settings = options or Options()
     programs = Programs(mpcc, settings)
     parameters = mpcc.parameters(p)
-    z = programs.lifted.start(mpcc.start(x), parameters)
+    point = mpcc.start(x)
+    z = programs.lifted.start(point, parameters)
+    parameters = np.append(parameters, programs.lifted.weight(point, parameters))
     if programs.excess(z, parameters) > 1.0:
         return Classification("", None, False, np.zeros(0, dtype=np.int64))
     lin = linearisation(programs.lifted, z, parameters, settings.activity, settings.corner)

@@ -19,6 +19,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.classify import Verdict, judge
 from rmesh_nlp.mpcc.linearisation import Linearisation, linearisation
 from rmesh_nlp.mpcc.lpec import Direction, nearest_branch
+from rmesh_nlp.mpcc.polish import polish, project
 from rmesh_nlp.mpcc.programs import BoolArray
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.nlp import NLPResult, Status
@@ -66,46 +67,96 @@ class Finish:
         return self.solved, self.verdict is not None, -self.f if np.isfinite(self.f) else -np.inf
 
 
+def polished(run: Run, z: Array, warm: NLPResult) -> Finish | None:
+    """The exact point next to a relaxed one by Newton's method, judged; None if there is none.
+
+    ``warm`` holds multipliers of the lifted program.
+    """
+    lifted = run.programs.lifted
+    fix_G = z[lifted.first] <= z[lifted.second]
+    found = polish(run, z, fix_G, warm.lam_g, warm.lam_x)
+    if found is None:
+        return None
+    run.polished(found.z)
+    return _judged(run, found.z, found.f, (found.lam_rows, found.lam_z))
+
+
 def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -> Finish:
     """Make the pairs of a relaxed point exact and descend to a stationary branch.
 
-    ``warm`` holds multipliers of the lifted program to start the first branch with; ``search`` looks for
-    another branch if the one next to the point is infeasible.
+    ``warm`` holds multipliers of the lifted program at ``z``; with them Newton's method is tried
+    before the interior point. ``search`` looks for another branch if the one next to the point is infeasible.
     """
-    lifted, options, p = run.programs.lifted, run.programs.options, run.p
+    lifted = run.programs.lifted
     fix_G = z[lifted.first] <= z[lifted.second]
-    result = run.branch(z, fix_G, warm=warm)
-    if warm is not None and not run.exact(result.x):
-        result = run.branch(z, fix_G)
+    if warm is not None and run.programs.options.warm_finish:
+        near = polished(run, z, warm)
+        if near is not None and near.solved:
+            return near
+        if near is not None and near.verdict is not None and near.verdict.direction is not None:
+            return _pivot(run, near, fix_G)
+    result = run.branch(z, fix_G)
     if search and not run.exact(result.x):
         result, fix_G = _other_branch(run, z, fix_G, result)
-    if not run.exact(result.x):
-        status = Status.INACCURATE if result.converged else result.status
-        return Finish(result.x, result.f, status)
-    lpecs = 0
-    for pivots in range(options.max_pivots):
-        if result.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
-            return Finish(result.x, result.f, Status.UNBOUNDED, pivots=pivots, lpecs=lpecs)
+    if result.status is Status.UNBOUNDED and run.exact(result.x):
+        return Finish(result.x, result.f, Status.UNBOUNDED)
+    if run.exact(result.x):
         result = _tighten(run, result, fix_G)
-        lin = linearisation(lifted, result.x, p, options.activity, options.corner)
-        verdict = judge(lifted, lin, options.stationarity, (result.lam_g, result.lam_x))
-        lpecs += verdict.label.name != "S"
-        here = Finish(result.x, result.f, verdict.status, verdict, lin, pivots, lpecs)
-        if verdict.direction is None:
+        end = _pivot(run, _judged(run, result.x, result.f, (result.lam_g, result.lam_x)), fix_G)
+    else:
+        end = Finish(result.x, result.f, Status.INACCURATE if result.converged else result.status)
+    return end if end.solved or not search else _projected(run, z, end)
+
+
+def _judged(run: Run, z: Array, f: float, multipliers: tuple[Array, Array] | None) -> Finish:
+    """Label an exact point."""
+    options = run.programs.options
+    lin = linearisation(run.programs.lifted, z, run.p, options.activity, options.corner)
+    verdict = judge(run.programs.lifted, lin, options.stationarity, multipliers, run.seconds_left)
+    return Finish(z, f, verdict.status, verdict, lin, 0, int(verdict.label.name != "S"))
+
+
+def _pivot(run: Run, here: Finish, fix_G: BoolArray) -> Finish:
+    """Descend over the branches, from one that is not B-stationary to the one its LPEC names."""
+    lpecs = here.lpecs
+    for pivots in range(run.programs.options.max_pivots):
+        here = replace(here, pivots=pivots, lpecs=lpecs)
+        direction = None if here.verdict is None else here.verdict.direction
+        if direction is None:
             return here
-        better = _descend(run, result, verdict.direction)
+        better = _descend(run, here, direction)
         if better is None:
             return here
-        result, fix_G = better, verdict.direction.G_fixed
-    return replace(here, status=Status.ITERATION_LIMIT)
+        if better.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
+            return Finish(better.x, better.f, Status.UNBOUNDED, pivots=pivots + 1, lpecs=lpecs)
+        better = _tighten(run, better, direction.G_fixed)
+        here = _judged(run, better.x, better.f, (better.lam_g, better.lam_x))
+        lpecs += here.lpecs
+    return replace(here, pivots=run.programs.options.max_pivots, lpecs=lpecs, status=Status.ITERATION_LIMIT)
 
 
-def _descend(run: Run, result: NLPResult, direction: Direction) -> NLPResult | None:
+def _projected(run: Run, z: Array, end: Finish) -> Finish:
+    """The relaxed point itself, put onto its branch: what is left where the interior point fails.
+
+    A branch with more equations than free unknowns (discretised dynamics) has hardly any freedom: the
+    relaxed point is right, and solving for it again only loses it.
+    """
+    lifted = run.programs.lifted
+    near = project(run, z, z[lifted.first] <= z[lifted.second])
+    if near is None:
+        return end
+    run.polished(near)
+    f = float(lifted.value(near, run.p)[0][0])
+    here = _judged(run, near, f, None)
+    return here if here.rank > end.rank else end
+
+
+def _descend(run: Run, here: Finish, direction: Direction) -> NLPResult | None:
     """Solve the branch of the direction; near the point if its solution far away is not lower."""
-    aim = result.f - _DECREASE * (1 + abs(result.f))
+    aim = here.f - _DECREASE * (1 + abs(here.f))
     for reach in _TRUST:
-        box = None if reach is None else reach * (1 + np.abs(result.x))
-        better = run.branch(result.x, direction.G_fixed, box=box)
+        box = None if reach is None else reach * (1 + np.abs(here.z))
+        better = run.branch(here.z, direction.G_fixed, box=box)
         if run.exact(better.x) and better.f < aim:
             return better
     return None
@@ -119,7 +170,9 @@ def _other_branch(run: Run, z: Array, fix_G: BoolArray, result: NLPResult) -> tu
         return by_signs
     distance = float(np.max(np.minimum(z[lifted.first], z[lifted.second]), initial=0.0))
     for reach in _REACHES:
-        near = nearest_branch(lifted, z, run.p, reach * max(distance, run.programs.options.corner))
+        near = nearest_branch(
+            lifted, z, run.p, reach * max(distance, run.programs.options.corner), run.seconds_left
+        )
         if near is None or np.array_equal(near[1], fix_G):
             continue
         fix_G = near[1]

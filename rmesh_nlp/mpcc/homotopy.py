@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.finish import Finish, finish
+from rmesh_nlp.mpcc.finish import Finish, finish, polished
 from rmesh_nlp.mpcc.programs import BoolArray, Programs
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.nlp import NLPResult, Status
@@ -15,7 +15,7 @@ from rmesh_nlp.optimize.nlp import NLPResult, Status
 _MAX_RETREATS = 3
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _BELOW = 0.1
-_GAP = 0.05  # an early finish further than this (relative) above the relaxed objective is not yet final
+_GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
 
 
 @dataclass(eq=False)
@@ -36,6 +36,11 @@ class Path:
     relaxed: NLPResult | None = None
     failure: Status | None = None
 
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more is to be tried: stationary, or unbounded."""
+        return self.finish is not None and (self.finish.solved or self.finish.status is Status.UNBOUNDED)
+
 
 def follow(
     run: Run, path: Path, relaxation: str, z0: Array, t0: float, first: NLPResult | None = None
@@ -54,14 +59,20 @@ def follow(
         result = _step(run, relaxation, z0, last, t, first)
         if result.converged:
             last, path.relaxed, path.failure = result, result, None
-            product = run.steps[-1].product
+            product, objective = run.steps[-1].product, run.steps[-1].objective * run.p[-1]
             before, sides = sides, _sides(run.programs, result.x)
-            settled = before is not None and t <= options.crossover and _settled(before, sides)
             final = run.exact(result.x) or t <= options.t_final
-            if settled or final:
-                path.finish = _better(path.finish, _finish(run, relaxation, result, t, search=final))
-                if final or (path.finish.solved and _close(result.f, path.finish.f)):
-                    return
+            settled = before is not None and t <= options.crossover and _settled(before, sides)
+            warm = run.programs.without_relaxation(relaxation, result, t)
+            if final:
+                path.finish = _better(path.finish, finish(run, result.x, search=True, warm=warm))
+                return
+            if settled:
+                near = polished(run, result.x, warm)
+                if near is not None:
+                    path.finish = _better(path.finish, near)
+                    if near.solved and _at_the_limit(near.f, objective + _outlook(run, warm)):
+                        return
             # where the products are already smaller than t the relaxation does not act: go below them
             t = max(min(factor * t, _BELOW * product), options.t_final)
         else:
@@ -75,32 +86,35 @@ def follow(
         path.finish = finish(run, last.x, search=True)
 
 
-def _finish(run: Run, relaxation: str, result: NLPResult, t: float, *, search: bool) -> Finish:
-    """The exact finish from a relaxed solution, with its multipliers if so wished."""
-    warm = (
-        run.programs.without_relaxation(relaxation, result, t) if run.programs.options.warm_finish else None
-    )
-    return finish(run, result.x, search=search, warm=warm)
-
-
 def _step(
     run: Run, relaxation: str, z0: Array, last: NLPResult | None, t: float, first: NLPResult | None
 ) -> NLPResult:
     """Solve the relaxation at ``t`` from the last solution, and from the start if that fails."""
     if last is None:
-        return run.relaxed(
-            relaxation, z0, t, None if first is None else run.programs.padded(relaxation, first)
-        )
+        warm = None if first is None else run.programs.padded(relaxation, first)
+        return run.relaxed(relaxation, z0, t, warm, first=True)
     result = run.relaxed(relaxation, last.x, t, last if run.programs.options.warm_duals else None)
     if not result.converged:
-        cold = run.relaxed(relaxation, z0, t)
+        cold = run.relaxed(relaxation, z0, t, first=True)
         return cold if cold.converged else result
     return result
 
 
-def _close(relaxed: float, finished: float) -> bool:
-    """The relaxed objective is locally a lower bound: far above it a lower t may show a better branch."""
-    return finished - relaxed <= _GAP * max(abs(finished), abs(relaxed))
+def _outlook(run: Run, warm: NLPResult) -> float:
+    """First-order change of the objective as the smaller members of the pairs go to zero.
+
+    With multipliers nu of the members in the sign of ``f + nu a``, closing a member from a to 0 changes f by
+    nu a.
+    """
+    lifted, z = run.programs.lifted, warm.x
+    on_G = z[lifted.first] <= z[lifted.second]
+    places = np.unique(np.concatenate([lifted.first[on_G], lifted.second[~on_G]]))
+    return float(warm.lam_x[places] @ z[places])
+
+
+def _at_the_limit(finished: float, expected: float) -> bool:
+    """Whether an early finish is where the homotopy was going, or lower: else a smaller t may end better."""
+    return finished - expected <= _GAP * max(abs(finished), abs(expected)) + _GAP_FLOOR
 
 
 def _settled(before: BoolArray, sides: BoolArray) -> bool:

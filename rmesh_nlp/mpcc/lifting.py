@@ -39,8 +39,10 @@ class Lifted:
         places of one.
     rows : int array
         Row of ``vertcat(g, G, H)`` behind each constraint row; the first ``n_g`` are ``g``.
-    value, jacobian : Evaluator
-        ``(z, p) -> (f, gradient)`` and ``(z, p) -> (rows, nonzeros of their Jacobian)``.
+    value, jacobian, hessian : Evaluator
+        ``(z, p) -> (f, gradient)``, ``(z, p) -> (rows, nonzeros of their Jacobian)`` and ``(z, p, lam_f,
+        lam_rows) -> nonzeros of the upper triangle`` of the Lagrangian's Hessian (None: not known). The last
+        parameter is the weight of the objective.
     source_values : Evaluator
         ``(x, p) -> (f, vertcat(g, G, H))`` of the source problem.
     member : bool array
@@ -54,6 +56,7 @@ class Lifted:
     rows: IntArray
     value: Evaluator
     jacobian: Evaluator
+    hessian: Evaluator | None
     source_values: Evaluator
     member: NDArray[np.bool_]
 
@@ -63,10 +66,38 @@ class Lifted:
         rows, columns = self.jacobian.function.sparsity_out(1).get_triplet()
         return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
 
+    def curvature(self, z: Array, p: Array, lam_rows: Array) -> sp.csc_matrix:
+        """Hessian of the Lagrangian; raises AttributeError where ``hessian`` is None."""
+        assert self.hessian is not None
+        (values,) = self.hessian(z, p, 1.0, lam_rows)
+        sparsity = self.hessian.function.sparsity_out(0)
+        upper = sp.csc_matrix((values, sparsity.row(), sparsity.colind()), shape=sparsity.shape)
+        return (upper + sp.triu(upper, 1).T).tocsc()
+
+    def weight(self, x0: Array, p: Array) -> float:
+        """Weight that brings the gradient of a small objective up to 1; 1 for others, and for a constant.
+
+        The largest entry of the gradient at the start and at two random points near it counts: at the start
+        alone it may vanish. Where an objective is of size 1e-6 all multipliers would be lost among
+        tolerances.
+        """
+        random = np.random.default_rng(0)
+        lower, upper = np.asarray(self.source.lbx), np.asarray(self.source.ubx)
+        points = [x0]
+        points += [
+            np.clip(x0 + random.uniform(-0.5, 0.5, x0.size) * (1 + np.abs(x0)), lower, upper) for _ in "ab"
+        ]
+        slopes = []
+        for x in points:
+            z = np.concatenate([x, np.zeros(self.nlp.n_x - x.size)])
+            slopes.append(float(np.max(np.abs(self.value(z, np.append(p, 1.0))[1]), initial=0.0)))
+        largest = max((slope for slope in slopes if np.isfinite(slope)), default=0.0)
+        return 1.0 / largest if 0.0 < largest < 1.0 else 1.0
+
     def start(self, x0: Array, p: Array) -> Array:
-        """Extend a start by slacks that satisfy their rows, as far as the signs allow."""
+        """Extend a start by slacks that satisfy their rows, as far as the signs allow; p without weight."""
         z = np.concatenate([x0, np.zeros(self.nlp.n_x - x0.size)])
-        rows, _ = self.jacobian(z, p)
+        rows, _ = self.jacobian(z, np.append(p, 1.0))
         z[x0.size :] = np.maximum(np.nan_to_num(rows[self.source.n_g :], posinf=0.0, neginf=0.0), 0.0)
         return z
 
@@ -113,21 +144,22 @@ def lift(mpcc: MPCC) -> Lifted:
         rows=rows,
         value=Evaluator(nlp.derivatives.grad_f),
         jacobian=Evaluator(nlp.derivatives.jac_g),
+        hessian=None if nlp.derivatives.hess_lag is None else Evaluator(nlp.derivatives.hess_lag),
         source_values=Evaluator(ca.Function("source", [x, p], [f, column])),
         member=member,
     )
 
 
-def warm_start(lifted: Lifted, z0: Array, known: MPCCResult | Duals) -> NLPResult:
+def warm_start(lifted: Lifted, z0: Array, weight: float, known: MPCCResult | Duals) -> NLPResult:
     """A point and multipliers of the source problem as a start of the lifted one.
 
     A slack ``s = G_i(x)`` inherits the multiplier of its pair; of a member that is itself an unknown the
     multipliers of its bound and of its pair add up. NaN counts as zero.
     """
     source = lifted.source
-    column = np.nan_to_num(np.concatenate([known.lam_g, known.lam_G, known.lam_H]))
+    column = weight * np.nan_to_num(np.concatenate([known.lam_g, known.lam_G, known.lam_H]))
     lam_z = np.zeros(lifted.nlp.n_x)
-    lam_z[: source.n_x] = np.nan_to_num(known.lam_x)
+    lam_z[: source.n_x] = weight * np.nan_to_num(known.lam_x)
     np.add.at(lam_z, np.concatenate([lifted.first, lifted.second]), column[source.n_g :])
     return NLPResult(
         x=z0, f=0.0, g=np.zeros(lifted.nlp.n_g), lam_x=lam_z, lam_g=column[lifted.rows],
@@ -191,32 +223,36 @@ def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int, empty: bool) -
 def _lifted_nlp(
     objective: ca.Function, constraints: ca.Function, base: Derivatives, rows: IntArray, n_g: int, n_s: int
 ) -> NLP:
-    """Select the kept rows of the oracle and subtract the slacks; only constant matrices are added.
+    """Select the kept rows of the oracle, subtract the slacks, weight the objective by a last parameter.
 
     In MX whatever the source is: the oracle stays one call, its graph is not copied.
     """
     n_x, n_rows, kept = objective.numel_in(0), constraints.numel_out(0), rows.tolist()
-    z, p = ca.MX.sym("z", n_x + n_s), ca.MX.sym("p", objective.numel_in(1))
+    n_p = objective.numel_in(1)
+    z, weighted = ca.MX.sym("z", n_x + n_s), ca.MX.sym("p", n_p + 1)
+    p, w = ca.vertsplit(weighted, [0, n_p, n_p + 1])
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(kept))
     x, s = ca.vertsplit(z, [0, n_x, n_x + n_s])
     slack_rows, every = list(range(n_g, n_g + n_s)), list(range(len(kept)))
     shift = ca.MX(ca.DM(ca.Sparsity.triplet(len(kept), n_s, slack_rows, list(range(n_s))), 1.0))
     scatter = ca.MX(ca.DM(ca.Sparsity.triplet(n_rows, len(kept), kept, every), 1.0))
-    f_value, gradient = (ca.densify(part) for part in base.grad_f(x, p))
+    f_value, gradient = (w * ca.densify(part) for part in base.grad_f(x, p))
     g_value, jacobian = base.jac_g(x, p)
     slack = ca.mtimes(shift, s)
     hess_lag = None
     if base.hess_lag is not None:
-        hessian = base.hess_lag(x, p, lam_f, ca.densify(ca.mtimes(scatter, lam_g)))
-        hess_lag = ca.Function("nlp_hess_l", [z, p, lam_f, lam_g], [ca.diagcat(hessian, ca.MX(n_s, n_s))])
+        hessian = base.hess_lag(x, p, w * lam_f, ca.densify(ca.mtimes(scatter, lam_g)))
+        hess_lag = ca.Function(
+            "nlp_hess_l", [z, weighted, lam_f, lam_g], [ca.diagcat(hessian, ca.MX(n_s, n_s))]
+        )
     derivatives = Derivatives(
-        grad_f=ca.Function("nlp_grad_f", [z, p], [f_value, ca.vertcat(gradient, ca.MX.zeros(n_s, 1))]),
+        grad_f=ca.Function("nlp_grad_f", [z, weighted], [f_value, ca.vertcat(gradient, ca.MX.zeros(n_s, 1))]),
         jac_g=ca.Function(
-            "nlp_jac_g", [z, p], [g_value[kept] - slack, ca.horzcat(jacobian[kept, :], -shift)]
+            "nlp_jac_g", [z, weighted], [g_value[kept] - slack, ca.horzcat(jacobian[kept, :], -shift)]
         ),
         hess_lag=hess_lag,
         kernels=base.kernels,
     )
     none = np.zeros(0)
-    f, g = ca.densify(objective(x, p)), constraints(x, p)[kept] - slack
-    return NLP(x=z, p=p, f=f, g=g, lbx=none, ubx=none, lbg=none, ubg=none, derivatives=derivatives)
+    f, g = w * ca.densify(objective(x, p)), constraints(x, p)[kept] - slack
+    return NLP(x=z, p=weighted, f=f, g=g, lbx=none, ubx=none, lbg=none, ubg=none, derivatives=derivatives)

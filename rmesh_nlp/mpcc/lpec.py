@@ -26,7 +26,7 @@ from rmesh_nlp.mpcc.lifting import IntArray, Lifted
 from rmesh_nlp.mpcc.linearisation import Linearisation
 
 _ENUMERATE = 3  # up to 2^3 small linear programs are cheaper than a MILP
-_TIME_LIMIT = 10.0  # seconds; a MILP that needs longer is given up
+_NODES, _LEAST_NODES, _WORK = 5_000, 50, 1_000_000  # branch and bound is given up after so many, by size
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +41,11 @@ class Direction:
     G_fixed: NDArray[np.bool_]
 
 
-def descent(lifted: Lifted, lin: Linearisation) -> Direction | None:
-    """Solve the LPEC at a feasible point; None if it could not be solved within its limits."""
+def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Direction | None:
+    """Solve the LPEC at a feasible point; None if it could not be solved within its limit of nodes.
+
+    ``seconds`` is what a user's time limit leaves.
+    """
     lower, upper = np.full(lifted.nlp.n_x, -1.0), np.ones(lifted.nlp.n_x)
     lower[lin.z_lower] = 0.0
     upper[lin.z_upper] = 0.0
@@ -59,7 +62,7 @@ def descent(lifted: Lifted, lin: Linearisation) -> Direction | None:
     )
     if lin.biactive.size <= _ENUMERATE:
         return _enumerate(lifted, lin, lower, upper, rows)
-    return _mixed_integer(lifted, lin, lower, upper, rows)
+    return _mixed_integer(lifted, lin, lower, upper, rows, seconds)
 
 
 def _enumerate(
@@ -98,10 +101,10 @@ def _split(rows: LinearConstraint) -> dict[str, object]:
 
 
 def _mixed_integer(
-    lifted: Lifted, lin: Linearisation, lower: Array, upper: Array, rows: LinearConstraint
+    lifted: Lifted, lin: Linearisation, lower: Array, upper: Array, rows: LinearConstraint, seconds: float
 ) -> Direction | None:
     """The LPEC as a MILP over the biactive pairs, at the corner of the box."""
-    found = _milp(lin.gradient, rows, lower, upper, lifted, lin.biactive, np.zeros(lifted.nlp.n_x))
+    found = _milp(lin.gradient, rows, lower, upper, lifted, lin.biactive, np.zeros(lifted.nlp.n_x), seconds)
     if found is None:
         return None
     step, on_G, decrease, proven = found
@@ -120,6 +123,7 @@ def _milp(
     lifted: Lifted,
     pairs: IntArray,
     members: Array,
+    seconds: float,
 ) -> tuple[Array, NDArray[np.bool_], float, bool] | None:
     """One binary y per pair: ``m_G + d_G <= (m_G + 1) y`` and ``m_H + d_H <= (m_H + 1) (1 - y)``.
 
@@ -138,12 +142,15 @@ def _milp(
     if rows.A.shape[0]:
         wide = sp.hstack([rows.A, sp.csr_matrix((rows.A.shape[0], k))], format="csr")
         constraints.append(LinearConstraint(wide, rows.lb, rows.ub))
+    options: dict[str, float] = {"node_limit": int(np.clip(_WORK / (n + k + 1), _LEAST_NODES, _NODES))}
+    if np.isfinite(seconds):
+        options["time_limit"] = seconds
     answer = milp(
         np.concatenate([cost, np.zeros(k)]),
         integrality=np.concatenate([np.zeros(n), np.ones(k)]),
         bounds=Bounds(np.concatenate([lower, np.zeros(k)]), np.concatenate([upper, np.ones(k)])),
         constraints=constraints if k else constraints[2:],
-        options={"time_limit": _TIME_LIMIT},
+        options=options,
     )
     if answer.x is None:
         return None
@@ -151,7 +158,7 @@ def _milp(
 
 
 def nearest_branch(
-    lifted: Lifted, z: Array, p: Array, radius: float
+    lifted: Lifted, z: Array, p: Array, radius: float, seconds: float = np.inf
 ) -> tuple[Array, NDArray[np.bool_]] | None:
     """A branch that the linearisation at an inexact point can satisfy: ``(z + step, G_fixed)``.
 
@@ -186,6 +193,7 @@ def nearest_branch(
         lifted,
         open_pairs,
         members,
+        seconds,
     )
     if found is None:
         return None

@@ -15,6 +15,7 @@ _RELAXED: Mapping[str, Any] = {
     "mu_strategy": "adaptive",
     "mu_oracle": "quality-function",
 }
+_FIRST: Mapping[str, Any] = {"mu_strategy": "monotone", "mu_init": 0.1}
 _EXACT: Mapping[str, Any] = {
     "tol": 1e-10,
     "constr_viol_tol": 1e-9,
@@ -94,18 +95,18 @@ class Options:
     """
 
     relaxation: str = "scholtes"
-    t0: float = 10.0
-    factor: float = 1e-3
+    t0: float = 1.0
+    factor: float = 0.1
     t_final: float = 1e-8
-    rescue_t0: tuple[float, ...] = (1.0, 1e-3)
+    rescue_t0: tuple[float, ...] = (100.0, 1e-3)
     crossover: float = 1e-2
     warm_duals: bool = False
-    warm_finish: bool = False
+    warm_finish: bool = True
     tie_barrier: bool = False
     time_limit_s: float = math.inf
     max_iterations: int | None = None
     feasibility: float = 1e-8
-    complementarity: float = 1e-9
+    complementarity: float = 1e-8
     activity: float = 1e-5
     corner: float = 1e-6
     stationarity: float = 1e-6
@@ -130,9 +131,17 @@ class Options:
         if self.t_final > self.t0:
             raise ValueError(f"t_final = {self.t_final} lies above t0 = {self.t0}")
 
-    def relaxed(self, n: int, warm: bool, barrier: float | None = None) -> dict[str, Any]:
-        """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``."""
+    def relaxed(
+        self, n: int, warm: bool, barrier: float | None = None, first: bool = False
+    ) -> dict[str, Any]:
+        """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``.
+
+        The ``first`` relaxation chooses the minimum to go to. A barrier that falls monotonically keeps it
+        longer in the middle, and ends in fewer poor minima; from there on the adaptive one is faster.
+        """
         options = {"max_iter": _iterations(n), **_RELAXED, **(_WARM if warm else {})}
+        if first:
+            options.update(_FIRST)
         if barrier is not None:
             options.update(mu_strategy="monotone", mu_init=barrier, tol=max(0.1 * barrier, options["tol"]))
         return {**options, **self.ipopt_relaxed}

@@ -61,13 +61,18 @@ class Programs:
         t: float,
         warm: NLPResult | None = None,
         monitor: Monitor | None = None,
+        first: bool = False,
     ) -> NLPResult:
-        """Solve the relaxation ``name`` at ``t`` from ``z``; ``warm`` gives multipliers to start from."""
+        """Solve the relaxation ``name`` at ``t`` from ``z``; ``warm`` gives multipliers to start from.
+
+        ``first`` says that ``z`` is a user's start and not another relaxed solution.
+        """
         self._watch.monitor = monitor
         nlp = self._relaxed(name).nlp
         barrier = self.options.barrier_of(t) if self.options.tie_barrier else None
-        options = self.options.relaxed(nlp.n_x, warm is not None, barrier)
-        key = (name, warm is not None, barrier)
+        first = first and warm is None
+        options = self.options.relaxed(nlp.n_x, warm is not None, barrier, first)
+        key = (name, warm is not None, barrier, first)
         lam = {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
         return self._solver(key, nlp, options, monitor is not None)(z, p=np.append(p, t), **lam)
 
@@ -126,7 +131,7 @@ class Programs:
         """Objective, residuals and (g, G, H) of the source problem at a lifted point."""
         source = self.lifted.source
         x = z[: source.n_x]
-        f, column = self.lifted.source_values(x, p)
+        f, column = self.lifted.source_values(x, p[:-1])
         g, G, H = np.split(column, [source.n_g, source.n_g + source.n_pairs])
         return float(f[0]), residuals(source, x, g, G, H), (g, G, H)
 
@@ -143,7 +148,7 @@ class Programs:
         row_of, column_of = lifted.pattern
         scale = np.ones(source.n_g + 2 * source.n_pairs)
         np.maximum.at(scale, lifted.rows[row_of], np.abs(nonzeros * z[column_of]))
-        f, rows = lifted.source_values(x, p)
+        f, rows = lifted.source_values(x, p[:-1])
         zeros, infinite = np.zeros(2 * source.n_pairs), np.full(2 * source.n_pairs, np.inf)
         lower, upper = np.append(source.lbg, zeros), np.append(source.ubg, infinite)
         pairs = np.abs(rows[source.n_g :]) / scale[source.n_g :]

@@ -21,7 +21,8 @@ class Step:
     ----------
     phase : str
         ``relaxed`` (a relaxation solved at ``t``), ``branch`` (each pair fixed on one side),
-        ``tightened`` (pairs next to the corner fixed on both) or ``signs`` (a branch with free signs).
+        ``tightened`` (pairs next to the corner fixed on both), ``signs`` (a branch with free signs) or
+        ``polished`` (Newton steps or a projection onto the branch, no NLP).
     t : float
         Relaxation parameter; 0 in the finish.
     objective, constraint_violation : float

@@ -77,6 +77,8 @@ class Run:
 
     Attributes
     ----------
+    p : array
+        Parameters of the lifted program: those of the source problem and the weight of the objective.
     steps : list of Step
     iterations : int
         Ipopt iterations spent.
@@ -84,8 +86,10 @@ class Run:
         The point with the smallest residuals that any NLP ended at; of exact ones the lowest.
     """
 
-    def __init__(self, programs: Programs, p: Array, observers: Observers | None = None) -> None:
-        self.programs, self.p = programs, p
+    def __init__(
+        self, programs: Programs, p: Array, observers: Observers | None = None, weight: float = 1.0
+    ) -> None:
+        self.programs, self.p = programs, np.append(p, weight)
         self.steps: list[Step] = []
         self.iterations = 0
         self.nearest: tuple[Array, float, float] | None = None
@@ -99,10 +103,15 @@ class Run:
         if self._observers.line is not None:
             self._observers.line(Step.HEADER)
 
-    def relaxed(self, name: str, z: Array, t: float, warm: NLPResult | None = None) -> NLPResult:
-        """Solve the relaxation ``name`` at ``t`` from ``z``; ``warm`` gives multipliers to start from."""
+    def relaxed(
+        self, name: str, z: Array, t: float, warm: NLPResult | None = None, *, first: bool = False
+    ) -> NLPResult:
+        """Solve the relaxation ``name`` at ``t`` from ``z``; ``warm`` gives multipliers to start from.
+
+        ``first`` says that ``z`` is a user's start.
+        """
         monitor = self._monitor("relaxed", t)
-        return self._ended("relaxed", t, self.programs.relaxed(name, z, self.p, t, warm, monitor))
+        return self._ended("relaxed", t, self.programs.relaxed(name, z, self.p, t, warm, monitor, first))
 
     def branch(
         self,
@@ -179,14 +188,28 @@ class Run:
             float(np.max(result.lam_g[self.programs.lifted.nlp.n_g :], initial=0.0)) if t > 0 else 0.0,
         )  # fmt: skip
         self.iterations += result.iterations
-        self.steps.append(step)
+        self._log(step)
         self.keep(result.x, f)
+        self.check()
+        return result
+
+    def polished(self, z: Array) -> None:
+        """Log a point that was found without an NLP."""
+        f, res, (_, G, H) = self.programs.measure(z, self.p)
+        self._log(
+            Step(
+                "polished", 0.0, f, res.constraint_violation, res.complementarity, res.product,
+                0, Status.CONVERGED, 0.0, self._near_corner(G, H, 0.0),
+            )
+        )  # fmt: skip
+        self.keep(z, f)
+
+    def _log(self, step: Step) -> None:
+        self.steps.append(step)
         if self._observers.line is not None:
             self._observers.line(step.line())
         if self._observers.step is not None:
             self._observers.step(step)
-        self.check()
-        return result
 
     def keep(self, z: Array, f: float) -> None:
         """Remember a point if it is better than the one remembered."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.finish import Finish
+from rmesh_nlp.mpcc.finish import Finish, polished
 from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.mpcc.lifting import warm_start
 from rmesh_nlp.mpcc.options import Options
@@ -53,25 +53,28 @@ class MPCCSolver:
         built = self.programs.build_seconds
         parameters = self.mpcc.parameters(p)
         lifted = self.programs.lifted
-        z0 = lifted.start(self.mpcc.start(x0), parameters)
-        first = None if start is None else warm_start(lifted, z0, start)
+        given = self.mpcc.start(x0)
+        z0 = lifted.start(given, parameters)
+        weight = lifted.weight(given, parameters)
+        first = None if start is None else warm_start(lifted, z0, weight, start)
         show = print if progress is True else (progress or None)
-        run = Run(self.programs, parameters, Observers(show, on_step, on_iteration))
+        run = Run(self.programs, parameters, Observers(show, on_step, on_iteration), weight)
         paths: list[Path] = []
         limit = None
         try:
+            if first is not None:
+                paths.append(Path(finish=polished(run, z0, first)))
             for relaxation, t0 in self._attempts():
+                if paths and paths[-1].ended:
+                    break
                 path = Path()
                 paths.append(path)
                 follow(run, path, relaxation, z0, t0, first)
-                end = path.finish
-                if end is not None and (end.solved or end.status is Status.UNBOUNDED):
-                    break
         except LimitReachedError as stop:
             limit = stop.status
         total = time.perf_counter() - began
         build = self.programs.build_seconds - built
-        return _result(run, _end(run, paths, z0, limit), build, total, len(paths))
+        return _result(run, _end(run, paths, z0, limit), build, total, len(paths) - (first is not None))
 
     def _attempts(self) -> list[tuple[str, float]]:
         """The homotopy asked for, the same from other t0, and the elastic mode as the last resort."""
@@ -103,7 +106,9 @@ def solve(
     p : array_like
         Values of the parameters.
     start : MPCCResult or Duals, optional
-        Multipliers to start the first relaxation from, say the result of a neighbouring problem.
+        Multipliers that belong to ``x0``, say the result of a neighbouring problem. Newton's method is tried
+        at once with them, and if it does not end at a stationary point, the first relaxation starts from
+        them.
     options : Options, optional
     progress : bool or callable
         True prints one line per NLP solve; a callable receives the line.
@@ -178,7 +183,8 @@ def _result(run: Run, reached: _End, build: float, total: float, attempts: int) 
         column[lifted.rows] = multipliers.rows
         plain = np.setdiff1d(np.arange(mpcc.n_g, column.size), lifted.rows)
         column[plain] = np.concatenate([multipliers.G, multipliers.H])[plain - mpcc.n_g]
-        lam_x = multipliers.z[: mpcc.n_x]
+        column /= run.p[-1]
+        lam_x = multipliers.z[: mpcc.n_x] / run.p[-1]
     history = tuple(run.steps)
     phases = {"homotopy": 0.0, "finish": 0.0}
     for step in history:
@@ -208,7 +214,7 @@ def _result(run: Run, reached: _End, build: float, total: float, attempts: int) 
             "ipopt_iterations": sum(step.iterations for step in history),
             "pivots": 0 if end is None else end.pivots,
             "lpecs": 0 if end is None else end.lpecs,
-            "rescues": attempts - 1,
+            "rescues": max(attempts - 1, 0),
         },
         seconds={"build": build, **phases, "total": total},
     )

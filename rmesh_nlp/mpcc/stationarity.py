@@ -28,7 +28,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import Lifted
 from rmesh_nlp.mpcc.linearisation import Linearisation, Multipliers, lagrangian_gradient
 
-_NODE_LIMIT = 500
+_NODES, _LEAST_NODES, _WORK = 500, 20, 200_000  # linear programs, of which large ones are dear
 _OPTIMAL, _INFEASIBLE = 0, 2  # words of linprog
 
 
@@ -90,9 +90,10 @@ class _MultiplierProgram:
     a copy for the positive part, which costs 1: the minimum is 0 exactly if the point is S-stationary.
     """
 
-    def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float) -> None:
+    def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, seconds: float) -> None:
         self.lifted, self.lin = lifted, lin
         self.decided = True
+        self.limit = {"time_limit": seconds} if np.isfinite(seconds) else {}
         n = lifted.nlp.n_x
         eye = sp.identity(n, format="csc")
         self.rows = np.flatnonzero(lin.row_lower | lin.row_upper)
@@ -156,6 +157,7 @@ class _MultiplierProgram:
             b_ub=self.right,
             bounds=np.column_stack([lower, upper]),
             method="highs",
+            options=self.limit,
         )
         self.decided &= answer.status in (_OPTIMAL, _INFEASIBLE)
         return (self._multipliers(answer.x), float(answer.fun)) if answer.status == _OPTIMAL else None
@@ -178,14 +180,14 @@ _M_PIECES = ((-1, -1), (0, 2), (2, 0))
 _C_PIECES = ((-1, -1), (1, 1))
 
 
-def label(lifted: Lifted, lin: Linearisation, tolerance: float) -> Label:
+def label(lifted: Lifted, lin: Linearisation, tolerance: float, seconds: float = np.inf) -> Label:
     """Return the strongest of S, M, C, W for which multipliers exist; ``"none"`` if there are none at all.
 
     A linear program that fails numerically decides nothing: the label is then weaker, or empty.
 
     ``tolerance`` is that of the Lagrangian gradient in units of ``max(1, |gradient f|)``.
     """
-    program = _MultiplierProgram(lifted, lin, tolerance)
+    program = _MultiplierProgram(lifted, lin, tolerance, seconds)
     weak = program.solve({})
     if weak is None:
         return Label("none" if program.decided else "", None)
@@ -203,7 +205,7 @@ def _search(
 ) -> Multipliers | None:
     """Depth-first search for multipliers that lie in one of ``pieces`` on every biactive pair."""
     stack: list[dict[int, tuple[int, int]]] = [{}]
-    for _ in range(_NODE_LIMIT):
+    for _ in range(int(np.clip(_WORK / max(program.cost.size, 1), _LEAST_NODES, _NODES))):
         if not stack:
             return None
         node = stack.pop()

@@ -31,11 +31,11 @@ def test_steps_and_iterates_are_shown_as_they_happen():
     # Ipopt shows its start as iteration 0 of each NLP
     assert iterates[-1].iteration == result.counts["ipopt_iterations"]
     assert [i.iteration for i in iterates] == sorted(i.iteration for i in iterates)
-    assert len(iterates) == result.counts["ipopt_iterations"] + result.counts["nlp_solves"]
-    assert {i.t for i in iterates} == {s.t for s in steps}
-    last = iterates[-1]
-    assert last.x == pytest.approx(result.x, abs=1e-6)
-    assert last.product == pytest.approx(steps[-1].product, abs=1e-8)
+    nlps = [s for s in steps if s.phase != "polished"]
+    assert len(iterates) == result.counts["ipopt_iterations"] + len(nlps)
+    assert {(i.phase, i.t) for i in iterates} == {(s.phase, s.t) for s in nlps}
+    assert iterates[-1].product == pytest.approx(nlps[-1].product, rel=1e-3)
+    assert iterates[-1].objective == pytest.approx(nlps[-1].objective, rel=1e-6)
     quiet = solve(obstacle(), 0.1)
     assert quiet.x == pytest.approx(result.x, abs=1e-12)
 
@@ -108,8 +108,8 @@ def test_limits_out_of_range_are_refused(name, value):
 @pytest.mark.parametrize("relaxation", ["scholtes", "fischer-burmeister", "l1-penalty"])
 def test_the_finish_inherits_the_multipliers_of_the_relaxation(relaxation):
     """What the rows ``G H <= t`` exert on a member is the multiplier of its bound in the branch."""
-    programs, p = Programs(obstacle(), Options()), np.zeros(0)
-    z = programs.lifted.start(np.full(81, 0.1), p)
+    programs, p = Programs(obstacle(), Options()), np.ones(1)  # the parameter is the objective's weight
+    z = programs.lifted.start(np.full(81, 0.1), p[:0])
     t = 1e-8
     for earlier in (1.0, 1e-2, 1e-4, 1e-6):
         z = programs.relaxed(relaxation, z, p, earlier).x
@@ -119,22 +119,26 @@ def test_the_finish_inherits_the_multipliers_of_the_relaxation(relaxation):
     assert np.max(np.abs(gradient + jacobian.T @ warm.lam_g + warm.lam_x)) < 1e-6
     lifted = programs.lifted
     fix_G = relaxed.x[lifted.first] <= relaxed.x[lifted.second]
-    cold, hot = (Run(programs, p).branch(relaxed.x, fix_G, warm=w) for w in (None, warm))
+    cold, hot = (Run(programs, p[:0]).branch(relaxed.x, fix_G, warm=w) for w in (None, warm))
     assert hot.converged
     assert hot.x == pytest.approx(cold.x, abs=1e-6)
     assert hot.iterations < cold.iterations
 
 
-def test_a_solve_starts_from_the_multipliers_of_another():
-    """Close to its end the homotopy from known multipliers takes fewer iterations than without them."""
-    solver = MPCCSolver(obstacle(), t0=1e-8, tie_barrier=True)
-    known = solve(obstacle(), 0.1)
-    warm, cold = solver(known.x, start=known), solver(known.x)
+def test_a_neighbouring_problem_is_solved_from_the_multipliers_of_the_first():
+    """The obstacle a little lower: a few Newton steps, where the homotopy takes dozens of iterations."""
+    mpcc = obstacle()
+    depth = ca.SX.sym("depth")
+    solver = MPCCSolver(MPCC(mpcc.x, mpcc.f, mpcc.g, mpcc.G, mpcc.H - 0.05 + depth, lbg=0, ubg=0, p=depth))
+    known = solver(0.1, p=0.05)
     given = Duals(known.lam_x, known.lam_g, known.lam_G, known.lam_H)
+    cold, warm = solver(known.x, p=0.0502), solver(known.x, p=0.0502, start=given)
     assert warm.success
-    assert warm.f == pytest.approx(known.f, rel=1e-8)
-    assert warm.history[0].iterations < cold.history[0].iterations
-    assert solver(known.x, start=given).history[0].iterations == warm.history[0].iterations
+    assert warm.f == pytest.approx(cold.f, rel=1e-7)
+    assert warm.counts["ipopt_iterations"] == 0 < cold.counts["ipopt_iterations"]
+    far = solver(known.x, p=0.2, start=known)  # too far for Newton's method: the homotopy goes on
+    assert far.success
+    assert far.f == pytest.approx(solver(known.x, p=0.2).f, rel=1e-7)
 
 
 @pytest.mark.parametrize("changes", [{"warm_finish": True}, {"tie_barrier": True, "warm_duals": True}])

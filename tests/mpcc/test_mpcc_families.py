@@ -1,0 +1,38 @@
+"""The generated families: the same problem again from the same seed, and solved by what chose no default."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.mpcc import solve
+from rmesh_nlp.mpcc.families import FAMILIES
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_a_seed_makes_the_same_problem_again_and_another_seed_another(name):
+    family = FAMILIES[name]
+    one, again, other = (family.make(family.sizes[0], seed) for seed in (0, 0, 1))
+    assert (one.name, again.name) == (f"{name}-{family.sizes[0]}-0",) * 2
+    x = np.linspace(0.1, 0.9, one.mpcc.n_x)
+
+    def value(instance):
+        mpcc = instance.mpcc
+        column = ca.vertcat(mpcc.f, mpcc.g, mpcc.G, mpcc.H)
+        return ca.Function("value", [mpcc.x], [column])(x).full().ravel()
+
+    assert np.array_equal(value(one), value(again), equal_nan=True)
+    assert not np.array_equal(value(one), value(other))
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_the_smallest_of_each_family_is_solved(name):
+    family = FAMILIES[name]
+    instance = family.make(family.sizes[0], 0)
+    result = solve(instance.mpcc, instance.x0)
+    assert result.success
+    assert result.complementarity <= 1e-8
+    assert result.constraint_violation <= 1e-7
+
+
+def test_some_families_are_held_out():
+    assert 0 < sum(family.chose_defaults for family in FAMILIES.values()) < len(FAMILIES)
