@@ -158,7 +158,7 @@ def _newton(
 
 
 def project(run: Run, z: Array, fix_G: BoolArray) -> Array | None:
-    """The nearest point of a branch by Gauss-Newton steps of least norm; None if it is not near or not exact."""
+    """A point of the branch near ``z`` by Gauss-Newton steps of least norm; None if there is none."""
     lifted = run.programs.lifted
     branch = _Branch(lifted, fix_G)
     origin, room = z, _REACH * (1 + np.abs(z))

@@ -14,7 +14,7 @@ from rmesh_nlp.mpcc.families.instance import Builder, Instance
 
 
 def sliding(size: int, seed: int) -> Instance:
-    """``x' = -a sign(x) + u`` in Stewart's form, ``size`` steps: reach a target and stay, by little effort."""
+    """``x' = -a sign(x) + u`` in Stewart's form, ``size`` steps: reach a target, with little effort."""
     random = np.random.default_rng([4, size, seed])
     h, a = 2.0 / size, random.uniform(0.5, 1.5)
     start, target = random.uniform(-1, 1), random.uniform(-0.5, 0.5)
@@ -75,7 +75,7 @@ def friction(size: int, seed: int) -> Instance:
 
 
 def hysteresis(size: int, seed: int) -> Instance:
-    """Play operator: the output follows the input at a distance of at most r; track a wave, ``size`` steps."""
+    """Play operator: the output follows the input within a distance r; track a wave, ``size`` steps."""
     random = np.random.default_rng([7, size, seed])
     h, r = 2 * np.pi / size, random.uniform(0.1, 0.4)
     phase, scale = random.uniform(0, 6), random.uniform(0.5, 1.5)
@@ -98,8 +98,8 @@ def switch_detection(size: int, seed: int) -> Instance:
 
     Finite elements with switch detection: every ``lambda`` of one step is paired with the ``theta`` of its
     neighbours too, so that theta may only change between steps. In a branch there are then more equations
-    than free unknowns. A. Nurkanovic, M. Sperl, S. Albrecht, M. Diehl, Finite elements with switch detection for
-    direct optimal control of nonsmooth systems, Numer. Math. 156 (2024) 1115-1162. ``size`` control intervals of
+    than free unknowns. A. Nurkanovic, M. Sperl, S. Albrecht, M. Diehl, Finite elements with switch detection
+    for direct optimal control of nonsmooth systems, Numer. Math. 156 (2024) 1115-1162. ``size`` intervals of
     two elements each.
     """
     random = np.random.default_rng([8, size, seed])
