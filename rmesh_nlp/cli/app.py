@@ -83,6 +83,8 @@ Outer = Annotated[
         help="Outer solver of nested: ipopt (default), newton, newton-pair, slsqp, trust-constr or l-bfgs-b.",
     ),
 ]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout instead of text.")]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve or compare wrote.")]
 
 
@@ -94,6 +96,11 @@ def _commands() -> ModuleType:
 def _problem_commands() -> ModuleType:
     """The same for problem files."""
     return importlib.import_module("rmesh_nlp.cli.problem_commands")
+
+
+def _study_commands() -> ModuleType:
+    """The same for studies."""
+    return importlib.import_module("rmesh_nlp.cli.study_commands")
 
 
 def _show_version(wanted: bool) -> None:
@@ -118,6 +125,7 @@ def _rmesh(
     rmesh new my.toml                                 a problem of your own: a commented template
     rmesh check my.toml                               is it in order? with a picture
     rmesh solve my.toml                               solve it
+    rmesh study study.toml --out first --jobs 2       many solves on all cores, resumed at any moment
     rmesh table results                               tables again, without solving
     rmesh figures results                             figures again, without solving
 
@@ -197,21 +205,59 @@ def check(
 ) -> None:
     """Validate a problem file, print what it says, draw its mesh with boundary roles and motion.
 
+    A study file is validated with all problems and strategies that it names.
+
     \b
     rmesh check my.toml
+    rmesh check study.toml
     rmesh check my.toml --picture roles.pdf
     """
     raise typer.Exit(_problem_commands().check(file, picture))
 
 
 @app.command()
-def new(file: Annotated[Path, typer.Argument(metavar="FILE", help="The problem file to write.")]) -> None:
-    """Write a commented template of a problem file; it solves as it is.
+def new(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The file to write.")],
+    study: Annotated[bool, typer.Option("--study", help="A study file instead of a problem file.")] = False,
+) -> None:
+    """Write a commented template of a problem file, or of a study; it solves as it is.
 
     \b
     rmesh new my.toml
+    rmesh new --study study.toml
     """
-    raise typer.Exit(_problem_commands().new(file))
+    raise typer.Exit(_study_commands().new(file) if study else _problem_commands().new(file))
+
+
+@app.command()
+def study(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A study file.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")],
+    jobs: Annotated[
+        int, typer.Option("--jobs", min=1, metavar="N", help="Processes that solve; more than 1 needs dask.")
+    ] = 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", metavar="ADDRESS", help="A running dask scheduler: tcp://host:8786."),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the plan and a guess of its time.")
+    ] = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Solve every problem of a study by every strategy: many solves, one row each.
+
+    Writes rows to DIR/rows, one file per worker, and fields to DIR/solutions. Run the same command
+    again after any end: it goes on where it was. Then rmesh table DIR, figures DIR and report DIR.
+
+    \b
+    rmesh new --study study.toml
+    rmesh study study.toml --out first --dry-run
+    rmesh study study.toml --out first --jobs 2
+    rmesh study study.toml --out first --scheduler tcp://login1:8786
+    """
+    raise typer.Exit(_study_commands().study(file, out, jobs, scheduler, dry_run, json, quiet))
 
 
 @app.command()

@@ -15,6 +15,7 @@ from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.campaign.progress import CampaignProgress
 from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.contact.setup_warnings import setup_warnings
+from rmesh_nlp.cli.study_commands import check as check_study
 from rmesh_nlp.display import rich_table
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.io.export import Series, write_mesh
@@ -28,6 +29,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.freedoms import Mobility, freedoms, validity_group
 from rmesh_nlp.report.problem_picture import draw_problem
 from rmesh_nlp.solution.solution import Step
+from rmesh_nlp.study.study_file import is_study
 
 SUCCESS, NO_SUCCESS = 0, 1
 FILES = ("record.json", "solution.vtu", "history.csv", "mesh.msh")
@@ -50,7 +52,9 @@ def new(path: Path) -> int:
 
 
 def check(path: Path, picture: Path | None = None) -> int:
-    """Validate a problem file, print what it says, draw the mesh with roles and motion."""
+    """Validate a problem file, print what it says, draw the mesh with roles and motion; or a study."""
+    if is_study(path):
+        return check_study(path)
     problem = _load(path)
     free = freedoms(problem)
     rows = problem.summary()

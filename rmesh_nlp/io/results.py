@@ -28,6 +28,9 @@ RECORDS, SOLUTIONS, RECORD = "records.jsonl", "solutions", "record.json"
 DAMAGED = "records-damaged.txt"
 """Where lines of records go that a full disk or a power cut left half written."""
 
+ROWS = "rows"
+"""Sub-folder of a study with one file of records per worker process."""
+
 TABLES = ("table.md", "table.tex", "table.csv")
 FIGURES = "figures"
 HISTORY_FIELDS = (
@@ -258,6 +261,22 @@ def _warn_of(path: Path, damaged: bytes, what: str) -> None:
     warnings.warn(message, DamagedRecordsWarning, stacklevel=3)
 
 
+def row_files(folder: Path) -> list[Path]:
+    """The files of records of a study, one per worker process."""
+    return sorted((folder / ROWS).glob("records*.jsonl"))
+
+
+def read_rows(folder: Path) -> list[Record]:
+    """The rows of a study joined by key: of several with one key the first success, else the first."""
+    chosen: dict[str, Record] = {}
+    for path in row_files(folder):
+        for row in read_lines(path):
+            key = str(row.get("key", ""))
+            if key not in chosen or (row["success"] and not chosen[key]["success"]):
+                chosen[key] = row
+    return list(chosen.values())
+
+
 def read_results(folder: Path) -> list[Result]:
     """The results of a campaign, or the one result of a single solve (``record.json``).
 
@@ -271,6 +290,8 @@ def read_results(folder: Path) -> list[Result]:
     results, single = Results(folder), folder / RECORD
     if (folder / RECORDS).exists() or (RECORDS in Manifest(folder).names() and not single.exists()):
         return [results.result(record) for record in results.read()]
+    if row_files(folder):
+        return [results.result(record) for record in read_rows(folder)]
     if not single.exists():
         raise BadInputError(f"{str(folder)!r} holds neither {RECORDS} nor {RECORD}")
     return [single_result(folder, read_record(read_text(single), str(single)))]

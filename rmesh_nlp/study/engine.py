@@ -1,0 +1,164 @@
+"""Plans to rows: in this process, on a local cluster, or on a cluster that is there (dask.distributed)."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.results import Record
+from rmesh_nlp.study.plan import PlannedSolve
+from rmesh_nlp.study.rows import Keys, RowsFile, wait_for_workers
+from rmesh_nlp.study.runner import failure
+from rmesh_nlp.study.worker import local_worker, perform, travelling, whole_row
+
+AHEAD = 20
+"""Solves per worker that are handed to the scheduler ahead of those that ended."""
+
+WAIT_S = 120.0
+"""Longest wait for workers that outlived an earlier client."""
+
+START_S = 120.0
+"""Longest wait for the workers of a cluster."""
+
+
+def missing(plan: Sequence[PlannedSolve], folder: Path) -> list[PlannedSolve]:
+    """Planned solves without a row."""
+    keys = Keys(folder).now()
+    return [solve for solve in plan if solve.key not in keys]
+
+
+def run(
+    plan: Sequence[PlannedSolve], folder: Path, *, jobs: int = 1, scheduler: str | None = None
+) -> Iterator[Record]:
+    """Perform what has no row yet; yields each row in short as it is written, in any order.
+
+    Call it again after any end: it goes on. The caller holds the lock of the folder.
+
+    Parameters
+    ----------
+    plan : sequence of PlannedSolve
+    folder : Path
+    jobs : int
+        Processes of a local cluster; 1 needs no cluster.
+    scheduler : str, optional
+        Address of a running ``dask scheduler``, such as ``tcp://host:8786``; its workers must see the folder
+        under the same path.
+
+    Raises
+    ------
+    BadInputError
+        If dask.distributed is needed and not installed, the cluster cannot be reached or is lost, or
+        workers of an earlier client are still at work.
+    """
+    wait_for_workers(folder, WAIT_S)
+    todo = missing(plan, folder)
+    if not todo:
+        return
+    if jobs == 1 and scheduler is None:
+        with local_worker(folder) as worker:
+            for solve in todo:
+                yield worker.perform(solve)
+        return
+    rows = RowsFile(folder)
+    for solve, row, error in _distributed(todo, perform, folder, min(jobs, len(todo)), scheduler):
+        if row is None:  # its worker died again and again: that is a row, too
+            row = {**failure(solve, "died", error), "worker": rows.name, "shared": True}
+            with rows.working():
+                rows.append(row)
+        yield row
+
+
+def run_for_client(
+    plan: Sequence[PlannedSolve], folder: Path, jobs: int
+) -> Iterator[tuple[PlannedSolve, Record]]:
+    """Perform a plan on a local cluster and yield whole rows, which the caller writes."""
+    for solve, row, error in _distributed(plan, whole_row, folder, min(jobs, len(plan)), None):
+        yield solve, failure(solve, "died", error) if row is None else row
+
+
+def _distributed(
+    plan: Sequence[PlannedSolve],
+    task: Callable[..., Record],
+    folder: Path,
+    jobs: int,
+    scheduler: str | None,
+) -> Iterator[tuple[PlannedSolve, Record | None, str]]:
+    """Solves with their rows, None where the worker was lost for good."""
+    distributed = _distributed_module()
+    place = str(folder.resolve())
+    with _client(distributed, jobs, scheduler) as client:
+        waiting = iter(plan)
+        of: dict[Any, PlannedSolve] = {}
+
+        def submit(count: int) -> list[Any]:
+            futures = []
+            for solve in _first(waiting, count):
+                future = client.submit(task, travelling(solve), place, key=f"rmesh-{solve.key}", pure=False)
+                of[future] = solve
+                futures.append(future)
+            return futures
+
+        workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+        running = distributed.as_completed(submit(AHEAD * workers), loop=client.loop)
+        for future in running:
+            solve = of.pop(future)
+            if future.status == "finished":
+                yield solve, future.result(), ""
+            elif future.status == "error" and isinstance(future.exception(), distributed.KilledWorker):
+                yield solve, None, "its worker was lost more often than a solve is tried"
+            elif future.status == "error":
+                raise BadInputError(f"a worker cannot work: {' '.join(str(future.exception()).split())}")
+            else:
+                raise BadInputError(
+                    f"the scheduler is lost ({solve.key} {future.status}): run again to go on"
+                )
+            running.update(submit(1))
+
+
+@contextmanager
+def _client(distributed: Any, jobs: int, scheduler: str | None) -> Iterator[Any]:
+    """A client of the cluster; a local one ends with it."""
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    cluster = client = None
+    try:
+        try:
+            if scheduler is None:
+                cluster = distributed.LocalCluster(
+                    n_workers=jobs,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=None,
+                    memory_limit=0,
+                    silence_logs=logging.CRITICAL,
+                )
+            client = distributed.Client(cluster or scheduler, timeout=START_S, set_as_default=False)
+            client.wait_for_workers(1, timeout=START_S)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise BadInputError(f"no cluster at {scheduler or 'this machine'}: {error}") from error
+        yield client
+    finally:
+        for one in (client, cluster):
+            if one is not None:
+                one.close(timeout=10)
+
+
+def _distributed_module() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise BadInputError(
+            "--jobs above 1 and --scheduler need dask.distributed: pip install 'rmesh-nlp[study]'"
+        ) from None
+    return distributed
+
+
+def _first(solves: Iterator[PlannedSolve], count: int) -> Iterator[PlannedSolve]:
+    for _ in range(count):
+        try:
+            yield next(solves)
+        except StopIteration:
+            return

@@ -1,0 +1,116 @@
+"""Rows of a study: one append-only file per worker process, joined by key.
+
+A worker holds a lock on its own file while it solves. Who resumes a study waits for those locks: workers
+that outlive their client finish their row first, so that no solve is done twice.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.files import append_whole, write_text
+from rmesh_nlp.io.results import ROWS, Record, row_files, to_json
+
+try:
+    import fcntl
+except ImportError:  # Windows: no such locks there
+    fcntl = None  # type: ignore[assignment]
+
+HEAD = "records-"
+
+
+class RowsFile:
+    """The rows of one worker process; nobody else writes there.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the study.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.name = f"{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        self.path = folder / ROWS / f"{HEAD}{self.name}.jsonl"
+
+    @contextmanager
+    def working(self) -> Iterator[None]:
+        """While a solve is done and its row is written."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            if fcntl is not None:
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(descriptor)
+
+    def append(self, row: Record) -> None:
+        """Add a row whole, forced to the disk."""
+        append_whole(self.path, to_json(row) + "\n")
+
+    def write_environment(self, text: str) -> None:
+        """Note once where this worker runs."""
+        write_text(self.path.with_name(f"environment-{self.name}.json"), text)
+
+
+class Keys:
+    """Keys of all rows in a folder; only what came since the last look is read.
+
+    Parameters
+    ----------
+    folder : Path
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._read: dict[Path, int] = {}
+        self._keys: set[str] = set()
+
+    def now(self) -> set[str]:
+        """The keys as of now."""
+        for path in row_files(self._folder):
+            with path.open("rb") as file:
+                file.seek(self._read.get(path, 0))
+                text = file.read()
+            end = text.rfind(b"\n") + 1  # what follows is being written, or was cut by a kill
+            self._read[path] = self._read.get(path, 0) + end
+            for line in text[:end].split(b"\n"):
+                with suppress(ValueError, RecursionError):
+                    row = json.loads(line)
+                    if isinstance(row, dict) and isinstance(row.get("key"), str):
+                        self._keys.add(row["key"])
+        return self._keys
+
+
+def wait_for_workers(folder: Path, seconds: float) -> None:
+    """Wait until no worker of an earlier client is solving.
+
+    Raises
+    ------
+    BadInputError
+        If one still is after so many seconds.
+    """
+    if fcntl is None:
+        return
+    end = time.monotonic() + seconds
+    for path in row_files(folder):
+        with path.open("rb") as file:
+            while True:
+                try:
+                    fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                    break
+                except OSError:
+                    if time.monotonic() > end:
+                        raise BadInputError(
+                            f"{path} is still being written by a worker of an earlier run: "
+                            "wait for it, or end it"
+                        ) from None
+                    time.sleep(0.1)

@@ -1,0 +1,120 @@
+"""The keys of a study file and what may stand there."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from rmesh_nlp.io.problem_schema import Table
+from rmesh_nlp.io.problem_values import Count, Positive, Quadrature, Seed, Text
+
+KINDS = ("scalar", "membrane", "elastic", "rough")
+"""Kinds of :func:`rmesh_nlp.examples.random_problems.random_problem`."""
+
+
+def _size(value: Any) -> tuple[int, int] | int:
+    """``8`` or ``"12x6"``."""
+    if isinstance(value, int) and not isinstance(value, bool) and 2 <= value <= 1000:
+        return value
+    if isinstance(value, str) and re.fullmatch(r"[0-9]{1,4}x[0-9]{1,4}", value):
+        nx, ny = map(int, value.split("x"))
+        if min(nx, ny) >= 2:
+            return nx, ny
+    raise ValueError("expected sizes such as 8 or '12x6', of at least 2")
+
+
+def _sizes(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: tuple(_size(item) for item in _items(sizes)) for name, sizes in value.items()}
+    return tuple(_size(item) for item in _items(value))
+
+
+def _items(value: Any) -> list[Any]:
+    if not isinstance(value, list) or not value:
+        raise ValueError("expected a list such as [1, 2]")
+    return value
+
+
+def _seeds(value: Any) -> tuple[int | None, ...]:
+    seeds: list[int | None] = []
+    for item in _items(value):
+        if item == "given":
+            seeds.append(None)
+        elif isinstance(item, int) and not isinstance(item, bool) and item >= 0:
+            seeds.append(item)
+        else:
+            raise ValueError("expected seeds such as ['given', 1, 2]")
+    return tuple(dict.fromkeys(seeds))
+
+
+def _strategies(value: Any) -> Any:
+    """A list of names, or a table of tables."""
+    if isinstance(value, list) and value and all(isinstance(name, str) for name in value):
+        return {name: {} for name in value}
+    if not isinstance(value, dict) or not value:
+        raise ValueError("expected names such as ['fixed', 'joint'], or tables [strategies.<name>]")
+    return value
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(item, str) and item for item in value):
+        raise ValueError("expected a list of texts")
+    return tuple(dict.fromkeys(value))
+
+
+Texts = Annotated[tuple[str, ...], BeforeValidator(_texts)]
+
+
+class RandomTable(Table):
+    """``random``: so many random contact problems, numbered from a seed."""
+
+    seed: Seed = 0
+    count: Count
+    kinds: tuple[Literal["scalar", "membrane", "elastic", "rough"], ...] = KINDS  # type: ignore[assignment]
+
+
+class StrategyTable(BaseModel):
+    """``[strategies.<name>]``: a formulation, by default that of the name, and its keywords."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    formulation: Text | None = None
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Keywords of the formulation's ``solve``."""
+        return dict(self.model_extra or {})
+
+
+class LimitsTable(Table):
+    """``[limits]`` of each solve: seconds, megabytes, iterations."""
+
+    time: Positive = 60.0
+    memory: Positive = 4000.0
+    iterations: Count | None = None
+
+
+class StudyTable(Table):
+    """A whole study file."""
+
+    name: Text | None = None
+    question: str = ""
+    examples: Texts = ()
+    files: Texts = ()
+    random: RandomTable | None = None
+    sizes: Annotated[Any, BeforeValidator(_sizes)] = None
+    quadrature: Quadrature = "midpoint"
+    strategies: Annotated[dict[str, StrategyTable], BeforeValidator(_strategies)]
+    objectives: Texts = ("energy",)
+    seeds: Annotated[Any, BeforeValidator(_seeds)] = (None,)
+    repeats: Count = 1
+    fields: bool = True
+    limits: LimitsTable = Field(default_factory=LimitsTable)
+
+    @model_validator(mode="after")
+    def _something_to_solve(self) -> StudyTable:
+        if not (self.examples or self.files or self.random):
+            raise ValueError("expected examples, files or random: there is nothing to solve")
+        return self

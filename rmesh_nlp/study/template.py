@@ -1,0 +1,39 @@
+"""The commented template that ``rmesh new --study`` writes: a valid study that takes some seconds."""
+
+TEMPLATE = """# A study for rmesh: every problem by every strategy, one row each.
+# Check it:  rmesh check {file}       Plan it:  rmesh study {file} --out {name} --dry-run
+# Run it:    rmesh study {file} --out {name} --jobs 2
+# Run the last command again at any moment: it goes on where it was.
+
+name = "{name}"
+question = "Which strategy lowers the energy most, and at what cost?"
+
+# --- problems -------------------------------------------------------------------------------
+examples = ["6.1"]               # of the paper: "6.1", "6.2", "6.3"
+sizes = [4, 6]                   # squares per side, or "12x6"; or {{ "6.1" = [8], "6.2" = ["12x6"] }}
+# files = ["my.toml"]            # problem files, relative to this one
+random = {{ seed = 0, count = 4 }} # random contact problems, of
+#                                  kinds = ["scalar", "membrane", "elastic", "rough"]
+quadrature = "midpoint"          # of the examples: "midpoint", or a degree such as 6
+
+# --- what is varied -------------------------------------------------------------------------
+strategies = ["fixed", "joint"]
+# or with settings, each under a name of its own:
+#   [strategies.newton]
+#   formulation = "nested"
+#   outer = "newton"
+# objectives = ["energy"]        # outer objectives
+# seeds = ["given", 1, 2]        # starts: the mesh as given, and random ones
+# repeats = 3                    # for times: tables then show medians and ranges
+# fields = true                  # keep meshes and fields of every solve, for figures and the report
+
+[limits]                         # of each solve; a solve that exceeds them is a row with its status
+time = 60.0                      # seconds
+memory = 4000.0                  # megabytes
+# iterations = 500
+"""
+
+
+def template(name: str, file: str) -> str:
+    """The template for a study called ``name`` in ``file``."""
+    return TEMPLATE.format(name=name, file=file)

@@ -1,0 +1,124 @@
+"""What one worker process does with a planned solve: solve it contained, write its row, tell in short."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rmesh_nlp.io.results import ROWS, Record
+from rmesh_nlp.study.contained import Contained
+from rmesh_nlp.study.environment import environment
+from rmesh_nlp.study.plan import PlannedSolve
+from rmesh_nlp.study.rows import Keys, RowsFile
+
+try:
+    import fcntl
+except ImportError:  # Windows: no such locks there
+    fcntl = None  # type: ignore[assignment]
+
+ALONE = 0.9
+"""A solve that got less of its time from the processor shared it with something."""
+
+SHORT = ("key", "example", "strategy", "status", "success", "wall_time_s", "message")
+"""What a client is told of a row."""
+
+
+class Worker:
+    """Performs planned solves of one study in this process.
+
+    If there is one, it takes a core for itself, on which its solves are pinned; rows of solves that had
+    no core alone carry ``shared = true``.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the study.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._core = _own_core(folder / ROWS)
+        self._contained = Contained(None if self._core is None else {self._core[0]})
+        self._rows, self._keys = RowsFile(folder), Keys(folder)
+        self._noted = False
+
+    def perform(self, solve: PlannedSolve) -> Record:
+        """Solve, write the row, return it in short; a solve that has a row already is not done again."""
+        with self._rows.working():
+            if solve.key in self._keys.now():
+                return {"key": solve.key, "found": True}
+            if not self._noted:
+                self._noted = True
+                self._rows.write_environment(json.dumps(environment(), indent=2) + "\n")
+            row = self.row(solve)
+            self._rows.append(row)
+        return {name: row.get(name) for name in SHORT}
+
+    def row(self, solve: PlannedSolve) -> Record:
+        """The row of a solve, not written anywhere."""
+        row = self._contained.solve(solve, self._folder)
+        wall, cpu = row.get("task_time_s"), row.get("cpu_time_s")
+        busy = bool(wall and cpu is not None and cpu < ALONE * wall)
+        return {**row, "shared": self._core is None or busy, "worker": self._rows.name}
+
+    def close(self) -> None:
+        """End the process of the solves and give the core back."""
+        self._contained.close()
+        if self._core is not None:
+            os.close(self._core[1])
+            self._core = None
+
+
+@functools.lru_cache(maxsize=1)
+def worker_of(folder: str) -> Worker:
+    """The worker of this process for a folder; on a cluster it lives as long as the process."""
+    return Worker(Path(folder))
+
+
+def perform(content: dict[str, Any], folder: str) -> Record:
+    """A task of the cluster: :meth:`Worker.perform` with what can travel."""
+    return worker_of(folder).perform(PlannedSolve(**content))
+
+
+def whole_row(content: dict[str, Any], folder: str) -> Record:
+    """A task of the cluster whose row the client writes: :meth:`Worker.row`."""
+    return worker_of(folder).row(PlannedSolve(**content))
+
+
+def travelling(solve: PlannedSolve) -> dict[str, Any]:
+    """A planned solve as plain values."""
+    return asdict(solve)
+
+
+def _own_core(folder: Path) -> tuple[int, int] | None:
+    """A core that no other worker on this machine has for this study, and the lock that says so."""
+    if fcntl is None or not hasattr(os, "sched_getaffinity"):
+        return None
+    folder.mkdir(parents=True, exist_ok=True)
+    for core in sorted(os.sched_getaffinity(0)):
+        path = folder / f".core-{socket.gethostname()}-{core}"
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(descriptor)
+        else:
+            return core, descriptor
+    return None
+
+
+@contextmanager
+def local_worker(folder: Path) -> Iterator[Worker]:
+    """A worker in this process, closed at the end."""
+    worker = Worker(folder)
+    try:
+        yield worker
+    finally:
+        worker.close()

@@ -1,0 +1,147 @@
+"""Every planned solve becomes one row, whatever happens to it, its worker or its client."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from support.strategies import install
+
+from rmesh_nlp.cli import app as cli
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.lock import FolderLock
+from rmesh_nlp.io.results import read_results, row_files
+from rmesh_nlp.io.vtu import read_vtu
+from rmesh_nlp.study import engine, worker
+from rmesh_nlp.study.contained import Contained
+from rmesh_nlp.study.plan import PlannedSolve, make_plan
+from rmesh_nlp.study.rows import RowsFile
+from rmesh_nlp.study.study_file import read_study
+
+SMALL = 'random = { seed = 0, count = 3 }\nstrategies = ["fixed"]\n'
+
+
+@pytest.fixture
+def bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Strategies that hang, leak and crash are installed, here and in processes that are started."""
+    (tmp_path / "site").mkdir()
+    place = install(tmp_path / "site")
+    monkeypatch.syspath_prepend(place)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([place, os.environ.get("PYTHONPATH", "")]))
+
+
+def solve_of(formulation: str, **changes: float) -> PlannedSolve:
+    content = {"kind": "random", "seed": 1, "of": "scalar"}
+    return PlannedSolve(content, "random-1", "random", "", formulation, formulation, **changes)  # type: ignore[arg-type]
+
+
+def rows_of(folder: Path) -> list[dict]:
+    return [json.loads(line) for path in row_files(folder) for line in path.read_text().splitlines()]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("bad")
+def test_a_hang_a_leak_and_a_crash_are_a_row_each_and_the_next_solve_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rmesh_nlp.study.contained.GRACE_S", 0.2)
+    monkeypatch.setenv("CRASH_MARK", str(tmp_path / "mark"))
+    plan = [
+        solve_of("hang", time_s=0.5),
+        solve_of("leak", memory_mb=600.0, time_s=60.0),
+        solve_of("crash"),
+        solve_of("crash_once"),
+        solve_of("fixed"),
+    ]
+    told = list(engine.run(plan, tmp_path))
+    statuses = {row["strategy"]: row["status"] for row in told}
+    assert statuses.pop("fixed") == "converged"
+    assert statuses.pop("crash_once") == "converged"  # killed from outside, say: tried once more
+    assert statuses == {"hang": "time-limit", "leak": "memory-limit", "crash": "died"}
+    assert [row["key"] for row in rows_of(tmp_path)] == [solve.key for solve in plan]
+    assert list(engine.run(plan, tmp_path)) == []  # a row, once, and not tried for ever
+    assert len(read_results(tmp_path)) == 5  # rows that tables can read
+
+
+def test_a_study_by_command_runs_once_and_has_fields(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "study.toml", tmp_path / "out"
+    path.write_text(SMALL)
+    arguments = ["study", str(path), "--out", str(out), "--json"]
+    assert cli.run(arguments) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert first == {"folder": str(out), "planned": 3, "rows": 3, "succeeded": 3, "refused": 0, "failed": 0}
+    rows = rows_of(out)
+    assert [row["key"] for row in rows] == [solve.key for solve in make_plan(read_study(path), path)]
+    assert all(isinstance(row["shared"], bool) and row["contact_time_s"] > 0 for row in rows)
+    for result in read_results(out):
+        assert read_vtu(result.vtu).nodes.shape[1] == result.record["nodes"]
+    (environment,) = (out / "rows").glob("environment-*.json")
+    assert json.loads(environment.read_text())["versions"]["casadi"]
+    assert cli.run(arguments) == 0
+    assert rows_of(out) == rows  # nothing was solved again
+
+
+def test_a_second_client_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / "study.toml", tmp_path / "out"
+    path.write_text(SMALL)
+    out.mkdir()
+    with FolderLock(out):
+        assert cli.run(["study", str(path), "--out", str(out)]) == 2
+    assert "being written by another rmesh" in capsys.readouterr().err.strip()
+    assert row_files(out) == []
+
+
+def test_rows_of_workers_that_were_killed_are_kept_and_joined(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two of three rows are there, one line is cut: one solve is left to do, once."""
+    plan = [solve_of("fixed", time_s=float(i)) for i in (1, 2, 3)]
+    solved = []
+
+    def solve(self: Contained, one: PlannedSolve, folder: Path | None) -> dict:
+        solved.append(one.key)
+        return {"key": one.key, "success": True, "status": "converged"}
+
+    monkeypatch.setattr(Contained, "solve", solve)
+    killed = worker.Worker(tmp_path)
+    for one in plan[:2]:
+        killed.perform(one)
+    killed.close()
+    with row_files(tmp_path)[0].open("a") as file:
+        file.write(f'{{"key": "{plan[2].key}", "succ')
+    assert [one.key for one in engine.missing(plan, tmp_path)] == [plan[2].key]
+    solved.clear()
+    list(engine.run(plan, tmp_path))
+    assert solved == [plan[2].key]
+    another = worker.Worker(tmp_path)  # a task that the scheduler repeats finds its row
+    assert another.perform(plan[0]) == {"key": plan[0].key, "found": True}
+    assert solved == [plan[2].key]
+
+
+def test_who_resumes_waits_for_workers_that_outlived_their_client(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine, "WAIT_S", 0.2)
+    with RowsFile(tmp_path).working(), pytest.raises(BadInputError, match="still being written by a worker"):
+        list(engine.run([solve_of("fixed")], tmp_path))
+
+
+def test_without_dask_more_jobs_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with pytest.raises(BadInputError, match=r"need dask\.distributed: pip install"):
+        list(engine.run([solve_of("fixed"), solve_of("joint")], tmp_path, jobs=2))
+
+
+@pytest.mark.slow
+def test_a_local_cluster_writes_the_same_rows(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    plan = [solve_of("fixed", time_s=float(i)) for i in range(20, 24)]
+    told = list(engine.run(plan, tmp_path, jobs=2))
+    assert sorted(row["key"] for row in told) == sorted(solve.key for solve in plan)
+    assert sorted(row["key"] for row in rows_of(tmp_path)) == sorted(solve.key for solve in plan)
+    assert 1 <= len(row_files(tmp_path)) <= 2
+    assert list(engine.run(plan, tmp_path, jobs=2)) == []

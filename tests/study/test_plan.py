@@ -1,0 +1,125 @@
+"""Study files, and the plans that they become."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rmesh_nlp.cli import app as cli
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.files import safe_name
+from rmesh_nlp.study.plan import PlannedSolve, make_plan
+from rmesh_nlp.study.problems import build
+from rmesh_nlp.study.study_file import read_study
+from rmesh_nlp.study.template import template
+
+
+def plan_of(path: Path, text: str) -> list[PlannedSolve]:
+    path.write_text(text)
+    return make_plan(read_study(path), path)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "study.toml"
+
+
+def test_the_matrix_is_problems_by_strategies_by_seeds_by_repeats(path: Path) -> None:
+    plan = plan_of(
+        path,
+        """
+        examples = ["6.1"]
+        sizes = [3, 4]
+        random = { seed = 5, count = 2 }
+        seeds = ["given", 1, 2]
+        repeats = 2
+        strategies = ["fixed", "joint"]
+        """,
+    )
+    # fixed takes no seed: one start; joint has three
+    assert len(plan) == 4 * (1 + 3) * 2
+    assert len({solve.key for solve in plan}) == len(plan)
+    assert [solve.name for solve in plan[::16]] == ["6.1", "random-5"]
+
+
+def test_the_template_is_a_valid_study_of_which_every_problem_can_be_built(path: Path) -> None:
+    plan = plan_of(path, template("mine", "study.toml"))
+    assert {solve.strategy for solve in plan} == {"fixed", "joint"}
+    assert [build(solve).name for solve in plan] == [solve.name for solve in plan]
+
+
+def test_keys_tell_everything_apart_that_decides_the_result_and_nothing_else() -> None:
+    one = PlannedSolve({"kind": "random", "seed": 1, "of": "rough"}, "random-1", "random", "", "a", "joint")
+    others = [
+        replace(one, problem={**one.problem, "seed": 2}),
+        replace(one, strategy="b"),
+        replace(one, formulation="nested"),
+        replace(one, options={"seed": 1}),
+        replace(one, repeat=1),
+        replace(one, time_s=1.0),
+    ]
+    assert len({solve.key for solve in (one, *others)}) == 7
+    assert replace(one, fields=False).key == one.key
+    assert replace(one, problem={**one.problem, "path": "/elsewhere"}).key == one.key
+    assert safe_name(one.key) == one.key
+
+
+def test_a_problem_file_is_known_by_its_content(path: Path) -> None:
+    for name in ("a.toml", "b.toml"):
+        assert cli.run(["new", str(path.with_name(name))]) == 0
+    path.with_name("b.toml").write_text(path.with_name("a.toml").read_text())
+    text = 'files = ["a.toml"]\nstrategies = ["fixed"]'
+    (before,) = plan_of(path, text)
+    (copied,) = plan_of(path, text.replace("a.toml", "b.toml"))
+    assert copied.key == before.key
+    changed = path.with_name("a.toml").read_text().replace("poisson = 0.3", "poisson = 0.2")
+    path.with_name("a.toml").write_text(changed)
+    assert plan_of(path, text)[0].key != before.key
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("strategies = ['joint']", "there is nothing to solve"),
+        ("examples = ['6.1']", "strategies = nothing"),
+        ("examples = ['6.9']\nstrategies = ['joint']", "unknown example '6.9'"),
+        ("examples = ['6.1']\nstrategies = ['jiont']", "did you mean joint"),
+        ("examples = ['6.1']\nstrategies = ['joint']\nsize = [3]", "unknown key, did you mean 'sizes'?"),
+        ("examples = ['6.1']\nstrategies = ['joint']\nsizes = [1]", "expected sizes such as 8 or '12x6'"),
+        ("examples = ['6.1']\nstrategies = ['joint']\nseeds = [-1]", "expected seeds such as"),
+        (
+            "examples = ['6.1']\n[strategies.joint]\nouter = 'newton'",
+            "joint.outer = 'newton': not an option",
+        ),
+        (
+            "examples = ['6.1']\nstrategies = ['joint']\n[limits]\ntime = 0",
+            "limits.time = 0: expected",
+        ),
+        ("examples = ['6.1']\nstrategies = ['joint']\nobjectives = ['energie']", "energie"),
+        ("random = { count = 3, kinds = ['x'] }\nstrategies = ['joint']", "expected 'scalar', 'membrane'"),
+        ("random = { count = 0 }\nstrategies = ['joint']", "random.count = 0"),
+        ("files = ['none.toml']\nstrategies = ['joint']", "none.toml"),
+        ("[[", "is not valid TOML"),
+    ],
+)
+def test_what_is_wrong_is_one_line(path: Path, text: str, named: str) -> None:
+    with pytest.raises(BadInputError) as caught:
+        plan_of(path, text)
+    assert named in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert str(path.parent) in str(caught.value)
+
+
+def test_a_dry_run_lists_the_keys_and_writes_nothing(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["new", "--study", str(path)]) == 0
+    assert cli.run(["check", str(path)]) == 0
+    capsys.readouterr()
+    out = path.parent / "out"
+    assert cli.run(["study", str(path), "--out", str(out), "--dry-run", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["solves"] == [solve.key for solve in make_plan(read_study(path), path)]
+    assert printed["guess_s"] > 0
+    assert not out.exists()
