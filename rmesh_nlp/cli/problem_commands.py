@@ -14,8 +14,8 @@ from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.campaign.progress import CampaignProgress
 from rmesh_nlp.cli.folders import writable
-from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.cli.study_commands import check as check_study
+from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.display import rich_table
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.io.export import Series, write_mesh
