@@ -18,6 +18,21 @@ def rich_table(title: str, rows: Rows) -> Table:
     return table
 
 
+SCREEN = 80
+"""Columns of a terminal."""
+
+
+def plain_table(title: str, rows: Rows) -> str:
+    """The same as plain text that fits a screen: one line per row, long values cut."""
+    width = max((len(label) for label, _ in rows), default=0)
+    room = SCREEN - width - 4
+    lines = [
+        f"  {label:<{width}}  {value if len(value) <= room else value[: room - 3] + '...'}"
+        for label, value in rows
+    ]
+    return "\n".join([title[:SCREEN], *lines])
+
+
 def html_table(title: str, rows: Rows) -> str:
     """The same as HTML, all text escaped."""
     lines = "".join(f"<tr><th>{escape(label)}</th><td>{escape(value)}</td></tr>" for label, value in rows)

@@ -129,6 +129,8 @@ def _listed(names: Iterable[str]) -> str:
 
 def _walk(node: ast.AST, names: dict[str, Any]) -> Any:
     """Value of a syntax tree as a CasADi expression."""
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitXor):
+        raise ValueError(f"{ast.unparse(node)[:60]!r}: powers are written with **, not ^")
     if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
         # a bool is an int to Python; whole numbers as floats, so that 9**9**9 cannot fill the memory
         if not isinstance(node.value, bool) and abs(node.value) <= 1e300:

@@ -21,6 +21,7 @@ from rmesh_nlp.io.problem_messages import (
     one_line,
     pydantic_line,
     shown,
+    unquoted,
     value_at,
 )
 from rmesh_nlp.io.problem_schema import ContactTable, MeshTable, MotionTable, ProblemTable
@@ -97,7 +98,8 @@ def read_table(path: str | Path) -> ProblemTable:
     try:
         data = tomllib.loads(raw.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ProblemFileError([f"{path}: is not valid TOML: {one_line(error)}"]) from error
+        hint = unquoted(raw, str(error))
+        raise ProblemFileError([f"{path}: {hint or f'is not valid TOML: {one_line(error)}'}"]) from error
     try:
         return ProblemTable.model_validate(data)
     except ValidationError as error:

@@ -149,3 +149,28 @@ def _plain(value: Any) -> Any:
 def one_line(error: Any) -> str:
     """The message of an error without line breaks."""
     return " ".join(str(error).split())
+
+
+def unquoted(raw: bytes, error: str) -> str:
+    """What to say if the line that TOML stumbles over has an expression without quotes, else nothing."""
+    place = re.search(r"line (\d+)", error)
+    lines = raw.decode(errors="replace").splitlines()
+    number = int(place.group(1)) if place else len(lines)
+    line = lines[number - 1] if 0 < number <= len(lines) else ""
+    entry = re.match(r"\s*([\w.-]+)\s*=\s*([^#\"\']+)", line)
+    if entry is None:
+        return ""
+    key, value = entry.group(1), entry.group(2).strip()
+    if not re.search(r"[xy]\b|\*|\(|[0-9]\s*[-+/^]", value):
+        return ""
+    return f"{key} = {value}: expressions need quotes (line {number}), as in {key} = {_in_quotes(value)}"
+
+
+def _in_quotes(value: str) -> str:
+    """The value with quotes around it, or around its items."""
+    items = re.fullmatch(r"\[(.*)\]", value)
+    if items is None:
+        return f'"{value}"'
+    parts = [part.strip() for part in items.group(1).split(",")]
+    numbers = r"[-+]?[\d.]+([eE][-+]?\d+)?"
+    return "[" + ", ".join(p if re.fullmatch(numbers, p) else f'"{p}"' for p in parts) + "]"

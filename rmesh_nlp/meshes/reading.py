@@ -111,7 +111,7 @@ def read_mesh(path: str | Path) -> MeshTri:
             "can be used"
         )
     if "triangle" not in kinds:
-        raise ValueError(f"{path}: has no triangles")
+        raise ValueError(f"{path}: has no triangles{_hint_of_gmsh(file)}")
     points = np.asarray(file.points, dtype=float)
     if points.shape[1] == 3 and np.ptp(points[:, 2]) > SAME_NODE * np.max(np.ptp(points, axis=0)):
         raise ValueError(f"{path}: is not plane: z runs from {points[:, 2].min()} to {points[:, 2].max()}")
@@ -121,6 +121,16 @@ def read_mesh(path: str | Path) -> MeshTri:
         return from_arrays(points[:, :2], triangles, boundaries, subdomains)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def _hint_of_gmsh(file: Any) -> str:
+    """Why a file of gmsh may have lines alone, and how to mend it."""
+    if not any(key.startswith("gmsh:") for key in file.cell_data):
+        return ""
+    return (
+        ": gmsh saves only what is in a physical group once there is one; add a physical surface, "
+        'Physical Surface("body") = {1}; or gmsh.model.addPhysicalGroup(2, [1], name="body")'
+    )
 
 
 def _nodes(nodes: ArrayLike) -> NDArray[np.float64]:

@@ -62,6 +62,14 @@ class MPCC:
     p: Any = None
     derivatives: Derivatives | None = None
 
+    def __repr__(self) -> str:
+        kind = type(self.x).__name__
+        p = f", {self.p.shape[0]} parameters" if self.p.shape[0] else ""
+        return (
+            f"MPCC({self.n_x} unknowns, {self.n_g} constraints, {self.n_pairs} complementarity pairs{p}; "
+            f"{kind} expressions x, f, g, G, H)"
+        )
+
     def __post_init__(self) -> None:
         x = _column("x", self.x, None)
         kind = type(x)

@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from io import StringIO
 from typing import Any
 
 import casadi as ca
@@ -23,6 +25,7 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array, flat
 from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor, SignalWatch
+from rmesh_nlp.optimize.solver_options import refused_option
 
 
 class Status(str, Enum):
@@ -304,7 +307,7 @@ class Solver:
     Raises
     ------
     ValueError
-        At a call, if an array has the wrong length or a start is not finite.
+        If the plugin refuses an option; at a call, if an array has the wrong length or a start is not finite.
     KeyboardInterrupt
         At a call, if the user interrupts.
     """
@@ -338,7 +341,11 @@ class Solver:
         if self._callback is not None:
             settings["iteration_callback"] = self._callback
         problem = {"x": nlp.x, "p": nlp.p, "f": nlp.f, "g": nlp.g}
-        self._function = ca.nlpsol("solver", plugin, problem, settings)
+        try:
+            with redirect_stdout(StringIO()):  # Ipopt prints the description of an option it refuses
+                self._function = ca.nlpsol("solver", plugin, problem, settings)
+        except RuntimeError as error:
+            raise refused_option(plugin, options or {}, error) from None
 
     def __call__(
         self,

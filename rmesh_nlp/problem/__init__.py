@@ -2,7 +2,7 @@
 
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at
+from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, where
 from rmesh_nlp.problem.contact_problem import ContactProblem
 from rmesh_nlp.problem.laws import Elastic, Laplace, Law, PlaneStrain, PlaneStress
 from rmesh_nlp.problem.motion import Motion, Relative
@@ -34,4 +34,5 @@ __all__ = [
     "Units",
     "at",
     "signed_areas",
+    "where",
 ]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.geometry import overlapping, signed_areas
-from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem.coefficients import at, on_points
 from rmesh_nlp.problem.rigid import NO_MOTION, rigid_motions, seen_by_contact
 from rmesh_nlp.problem.statement import ContactSet, Statement
 
@@ -20,6 +21,7 @@ def check(problem: Statement) -> None:
     _check_names(problem)
     _check_laws(problem)
     _check_components(problem)
+    _check_functions(problem)
     for node in problem.motion.numbers:
         if not 0 <= node < problem.mesh.p.shape[1]:
             last = problem.mesh.p.shape[1] - 1
@@ -157,6 +159,18 @@ def _check_components(problem: Statement) -> None:
                 "dirichlet",
                 f"the displacement {support.value} given on {support.boundary!r} needs {n} values",
             )
+
+
+def _check_functions(problem: Statement) -> None:
+    """Every load takes symbols: supports and obstacles are evaluated anyway."""
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    loads = [("law", value) for law in problem.laws for value in law.load]
+    loads += [("tractions", value) for traction in problem.tractions for value in traction.value]
+    for part, value in loads:
+        try:
+            at(value, x, y)
+        except ValueError as error:
+            raise ProblemError(part, str(error)) from error
 
 
 def _check_friction(problem: Statement, held: NDArray[np.bool_], value: Array) -> None:

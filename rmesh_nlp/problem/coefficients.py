@@ -6,6 +6,7 @@ CasADi symbols, because loads move with the nodes and must be differentiated.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -22,8 +23,43 @@ Coefficient = float | PositionFunction
 
 
 def at(coefficient: Coefficient, x: Any, y: Any) -> Any:
-    """Value of a coefficient at a point."""
-    return coefficient(x, y) if callable(coefficient) else coefficient
+    """Value of a coefficient at a point.
+
+    Raises
+    ------
+    ValueError
+        If a function branches on its arguments or does not take symbols; the message says what to
+        use instead.
+    """
+    if not callable(coefficient):
+        return coefficient
+    with warnings.catch_warnings():
+        # numpy's functions of one and two arguments work on symbols, which CasADi remarks upon
+        warnings.filterwarnings("ignore", message="(?s).*numpy function was called on a casadi value")
+        try:
+            value = coefficient(x, y)
+        except RuntimeError as error:
+            if "truth value" not in str(error):
+                raise
+            raise ValueError(BRANCH) from None
+    if isinstance(x, ca.SX | ca.MX) and isinstance(value, float) and np.isnan(value):
+        raise ValueError(NOT_SYMBOLIC)
+    return value
+
+
+BRANCH = (
+    "a function of position cannot branch on x or y with if, and, or, min or max: use "
+    "rmesh_nlp.problem.where(condition, a, b), casadi.logic_and, casadi.fmin or casadi.fmax"
+)
+
+NOT_SYMBOLIC = (
+    "a function of position is nan for symbols: use functions of numpy or casadi in it, not those of math"
+)
+
+
+def where(condition: Any, a: Any, b: Any) -> Any:
+    """``a`` where the condition holds, else ``b``: what ``if`` cannot say in a function of position."""
+    return ca.if_else(condition, a, b)
 
 
 def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficient") -> Array:
@@ -40,7 +76,7 @@ def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficien
         return np.zeros(0)
     else:
         x, y = ca.SX.sym("x"), ca.SX.sym("y")
-        function = ca.Function("coefficient", [x, y], [coefficient(x, y)])
+        function = ca.Function("coefficient", [x, y], [at(coefficient, x, y)])
         values = function(ca.DM(points[0]).T, ca.DM(points[1]).T).full().ravel()
     if not np.all(np.isfinite(values)):
         bad = int(np.flatnonzero(~np.isfinite(values))[0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from rmesh_nlp.display import html_table, rich_table
+from rmesh_nlp.display import html_table, plain_table, rich_table
 from rmesh_nlp.problem.checks import check
 from rmesh_nlp.problem.statement import Statement
 from rmesh_nlp.problem.summary import summary_of_problem
@@ -33,6 +33,9 @@ class ContactProblem(Statement):
 
     def __rich__(self) -> Any:
         return rich_table(f"Contact problem {self.name!r}", self.summary())
+
+    def __repr__(self) -> str:
+        return plain_table(f"Contact problem {self.name!r}", self.summary())
 
     def _repr_html_(self) -> str:
         return html_table(f"Contact problem {self.name!r}", self.summary())

@@ -178,7 +178,7 @@ class Obstacle:
         """The gap without displacement at a point."""
         if self.level is None:
             return at(self.offset, x, y)
-        return self.level(x, y) / ca.norm_2(ca.vertcat(*_gradient(self.level)(x, y)))
+        return at(self.level, x, y) / ca.norm_2(ca.vertcat(*_gradient(self.level)(x, y)))
 
     def normals(self, points: Array) -> Array:
         """Unit normals (components, points) at ``points`` (2, points)."""
@@ -231,7 +231,7 @@ FOOT_STEPS = 5
 def _gradient(level: PositionFunction) -> ca.Function:
     """``(x, y) -> (d level / dx, d level / dy)``."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    value = ca.SX(level(x, y))
+    value = ca.SX(at(level, x, y))
     return ca.Function("slope", [x, y], [ca.jacobian(value, x), ca.jacobian(value, y)])
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.display import Rows, figure, html_table, rich_table
+from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
@@ -231,6 +231,9 @@ class Solution:
 
     def __rich__(self) -> Any:
         return rich_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
+
+    def __repr__(self) -> str:
+        return plain_table(f"Solution of {self.problem.name!r} by {self.formulation}", self.summary())
 
     def _repr_html_(self) -> str:
         return html_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
