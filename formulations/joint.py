@@ -13,6 +13,8 @@ import numpy as np
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.alternating import alternated
@@ -22,6 +24,7 @@ from rmesh_nlp.settings import Settings, check_positive
 from rmesh_nlp.solution.beginning import Start, beginning
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
+from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
 from rmesh_nlp.solution.solution import Solution
 
 _BARRIER: Mapping[str, Any] = {
@@ -107,7 +110,9 @@ def build(problem: ContactProblem) -> NLP:
 def solve(
     problem: ContactProblem,
     *,
-    objective: str = "energy",
+    objective: str | Objective = "energy",
+    regularisation: Regularisation = None,
+    distortion: str = "shape-size",
     settings: JointSettings | Mapping[str, Any] | None = None,
     tolerance: float = STATIONARY,
     max_iterations: int | None = None,
@@ -121,8 +126,14 @@ def solve(
     Parameters
     ----------
     problem : ContactProblem
-    objective : str
-        Only "energy": with any other outer objective the levels do not collapse.
+    objective : str or Objective
+        The energy, or the energy and terms in the positions alone such as "energy + 0.01*quality": with any
+        other outer objective the levels do not collapse.
+    regularisation : float or sequence of float, optional
+        Weight of a distortion that is added to the energy, relative to the error of the energy on the mesh as
+        given, or a schedule of weights of which the last may be 0; 0.01 suits most problems without boxes.
+    distortion : str
+        "quality", "shape-size" or "elastic", see :mod:`rmesh_nlp.fem.distortion`.
     settings : JointSettings or mapping, optional
     tolerance : float
         Largest first-order residual, measured by the referee, of a solution that is called converged.
@@ -140,18 +151,34 @@ def solve(
     Raises
     ------
     ValueError
-        If the objective is not the energy, or a setting or the start cannot be used.
+        If the levels do not collapse for the objective, or a setting or the start cannot be used.
     """
-    if objective != "energy":
+    if regularisation is not None:
+        return solve_regularised(
+            solve,
+            problem,
+            regularisation,
+            distortion,
+            objective=objective,
+            settings=settings,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            time_limit_s=time_limit_s,
+            start=start,
+            seed=seed,
+            on_step=on_step,
+        )
+    outer = parse_objective(objective)
+    if not outer.collapses:
         raise ValueError(
-            f"joint minimises the energy only, not {objective!r}: with another outer objective the inner "
-            "problem must stay a constraint; use mpcc or nested"
+            f"joint minimises the energy only, or with terms in the positions, not {outer.text!r}: with "
+            "another outer objective the inner problem must stay a constraint; use mpcc or nested"
         )
     check_positive(tolerance=tolerance, time_limit_s=time_limit_s)
     chosen = JointSettings.of(settings)
     if max_iterations is not None:
         chosen = replace(chosen, max_iterations=max_iterations)
-    referee = Referee(problem)
+    referee = Referee(problem, outer)
     begin = beginning(referee, start, seed, time_limit_s=time_limit_s)
     recorder = Recorder(referee, on_step, time_limit_s)
     result = recorder.run(lambda: minimise(referee, begin.q, recorder, chosen))
@@ -169,6 +196,7 @@ def solve(
         history=steps,
         iterations=begin.iterations + max(len(steps) - 1, 0),
         contact_solves=begin.contact_solves + 1,
+        objective=outer,
         claimed_energy=claimed,
         start=begin.name,
         seed=seed,
@@ -181,7 +209,7 @@ def minimise(
 ) -> NLPResult:
     """Solve the energy program from moves ``q`` and the contact solution there."""
     contact, relocation, settings = referee.reduced(q), referee.relocation, settings or JointSettings()
-    areas = relocation.n_valid > 0
+    areas = relocation.n_valid > 0 or relocation.objective.has_barrier
     if not areas and relocation.n_q >= settings.fine:
         q = alternated(relocation, q, contact.gradient, settings.alternating, referee.is_valid)
         unit = pull(contact.gradient)

@@ -27,6 +27,7 @@ from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solution.beginning import Start
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
+from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
 from rmesh_nlp.solution.solution import Solution
 
 
@@ -67,6 +68,8 @@ def solve(
     problem: ContactProblem,
     *,
     objective: str | Objective = "energy",
+    regularisation: Regularisation = None,
+    distortion: str = "shape-size",
     relaxation: str = "scholtes",
     settings: Mapping[str, Any] | None = None,
     tolerance: float = STATIONARY,
@@ -84,6 +87,11 @@ def solve(
     objective : str or Objective
         Such as "energy", "error-l2 + 0.01*quality" or "mean(top, -uy)", see
         :mod:`rmesh_nlp.fem.objective_text`, or an object of :mod:`rmesh_nlp.fem.quantities`.
+    regularisation : float or sequence of float, optional
+        Weight of a distortion that is added to the energy, relative to the error of the energy on the mesh as
+        given, or a schedule of weights of which the last may be 0; 0.01 suits most problems without boxes.
+    distortion : str
+        "quality", "shape-size" or "elastic", see :mod:`rmesh_nlp.fem.distortion`.
     relaxation : str
         A name in ``rmesh_nlp.mpcc.RELAXATIONS``.
     seed : int, optional
@@ -111,6 +119,22 @@ def solve(
     ValueError
         If the objective, the relaxation or the start is unknown or does not fit.
     """
+    if regularisation is not None:
+        return solve_regularised(
+            solve,
+            problem,
+            regularisation,
+            distortion,
+            objective=objective,
+            relaxation=relaxation,
+            settings=settings,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            time_limit_s=time_limit_s,
+            start=start,
+            seed=seed,
+            on_step=on_step,
+        )
     outer = parse_objective(objective)
     check_positive(tolerance=tolerance, time_limit_s=time_limit_s, max_iterations=max_iterations)
     referee = Referee(problem)

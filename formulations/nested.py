@@ -23,6 +23,7 @@ from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solution.beginning import Start, beginning
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Watch
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
+from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
 from rmesh_nlp.solution.solution import Solution, Step
 
 
@@ -30,6 +31,8 @@ def solve(
     problem: ContactProblem,
     *,
     objective: str | Objective = "energy",
+    regularisation: Regularisation = None,
+    distortion: str = "shape-size",
     outer: str = "ipopt",
     settings: NestedSettings | Mapping[str, Any] | None = None,
     tolerance: float = STATIONARY,
@@ -51,6 +54,11 @@ def solve(
     objective : str or Objective
         Such as "energy", "error-l2 + 0.01*quality" or "mean(top, -uy)", see
         :mod:`rmesh_nlp.fem.objective_text`, or an object of :mod:`rmesh_nlp.fem.quantities`.
+    regularisation : float or sequence of float, optional
+        Weight of a distortion that is added to the energy, relative to the error of the energy on the mesh as
+        given, or a schedule of weights of which the last may be 0; 0.01 suits most problems without boxes.
+    distortion : str
+        "quality", "shape-size" or "elastic", see :mod:`rmesh_nlp.fem.distortion`.
     outer : str
         A name in ``rmesh_nlp.programs.outer_solvers.OUTER_SOLVERS``: "ipopt" (limited-memory BFGS), "newton"
         (projected trust-region Newton-CG, the fastest) and "newton-pair" (two such descents,
@@ -78,11 +86,27 @@ def solve(
     """
     if outer not in OUTER_SOLVERS:
         raise unknown("outer solver", outer, OUTER_SOLVERS)
+    if regularisation is not None:
+        return solve_regularised(
+            solve,
+            problem,
+            regularisation,
+            distortion,
+            objective=objective,
+            outer=outer,
+            settings=settings,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            time_limit_s=time_limit_s,
+            start=start,
+            seed=seed,
+            on_step=on_step,
+        )
     check_positive(tolerance=tolerance, time_limit_s=time_limit_s)
     chosen = NestedSettings.of(settings)
     if max_iterations is not None:
         chosen = replace(chosen, max_iterations=max_iterations)
-    referee = Referee(problem)
+    referee = Referee(problem, objective)
     function = referee.function(objective)
     with referee.clock.during("build"):
         program = reduced_nlp(referee.relocation, function, referee.is_valid)

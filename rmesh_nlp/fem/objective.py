@@ -70,9 +70,10 @@ class Objective:
 
     @property
     def collapses(self) -> bool:
-        """Whether it is the energy and terms in the positions alone: both levels are then one program."""
+        """Whether it is the energy, once, and terms in the positions alone: the levels are one program."""
+        energies = [weight for weight, term in self.terms if term.name == "energy"]
         others = [term for _, term in self.terms if term.name != "energy"]
-        return len(self.terms) == len(others) + 1 and all(term.of_positions for term in others)
+        return energies == [1.0] and all(term.of_positions for term in others)
 
     @property
     def has_barrier(self) -> bool:
@@ -82,10 +83,9 @@ class Objective:
     def position_groups(
         self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
     ) -> list[ElementGroup]:
-        """Element groups of the terms in the positions alone, over the weight of the energy."""
-        unit = {term.name: weight for weight, term in self.terms}.get("energy", 1.0)
+        """Element groups of the terms in the positions alone."""
         return [
-            scaled_group(group, weight / unit)
+            scaled_group(group, weight)
             for weight, term in self.terms
             if term.of_positions
             for group in term.groups(problem, positions, displacement, slip)

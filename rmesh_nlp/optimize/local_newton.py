@@ -95,7 +95,7 @@ def descend(
     reference, products, radius = here.value if reference is None else reference, 0, trust.first
     for iteration in range(max_iterations + 1):
         if on_step is not None and on_step(iteration, x, here):
-            return NewtonResult(x, here.value, Status.ITERATION_LIMIT, iteration, products)
+            return NewtonResult(x, here.value, Status.INTERRUPTED, iteration, products)
         if iteration == max_iterations:
             break
         model, there = here.model(), None

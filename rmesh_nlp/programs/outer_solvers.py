@@ -24,11 +24,16 @@ from rmesh_nlp.optimize.nlp import NLP, Derivatives, Solver, Status
 from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.energy_program import Relocation
+from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.recombination import Recombination
 from rmesh_nlp.programs.reduced import Reduced, ReducedEnergy
 from rmesh_nlp.settings import Settings, check_positive
 
 NAN = float("nan")
+
+UNDEFINED = 1e8
+"""What the solvers of scipy are told where the objective, in units of its first value, is not defined: their
+line searches do not understand NaN or infinity."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,9 @@ class NestedSettings(Settings):
         not.
     alternating : float
         Length of the alternating moves that one descent of newton-pair starts with, in boxes.
+    large_moves : float
+        newton with a distortion in the objective ends where the model predicts less than this part of the
+        gain so far.
     blocks : tuple of int
         Nodes across the blocks that newton-pair recombines, one size after the other.
     scipy_tol : float
@@ -73,6 +81,7 @@ class NestedSettings(Settings):
     tight: float = 1e-4
     loose: float = 1.5e-3
     alternating: float = 0.1
+    large_moves: float = 1e-11
     blocks: tuple[int, ...] = (16, 8)
     scipy_tol: float = 1e-8
     ipopt: Mapping[str, Any] = field(default_factory=dict)
@@ -176,7 +185,10 @@ class _Oracle(ca.Callback):
         return ca.Sparsity.dense(self._n if i else 1)
 
     def eval(self, arg: list[ca.DM]) -> list[Any]:
-        point = self._function(arg[0].full().ravel())
+        q = arg[0].full().ravel()
+        if not self._function.is_defined(q):
+            return [np.nan, np.full(self._n, np.nan)]  # Ipopt then takes a shorter step
+        point = self._function(q)
         return [point.value / self._scale, point.gradient / self._scale]
 
 
@@ -194,7 +206,25 @@ def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor, settings: Ne
 
 def _newton(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
     """Projected trust-region Newton-CG; the elements that the boxes do not keep valid are its walls."""
+    function = program.function
+    barrier = isinstance(function, ReducedEnergy) and function.relocation.objective.has_barrier
+    if barrier and program.nlp.n_g == 0:
+        return _large_moves(program, start, monitor, settings)
     return _Descent(program, monitor, settings)(start, gain=settings.tight)
+
+
+def _large_moves(
+    program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings
+) -> OuterResult:
+    """Newton-CG with local trust regions, for an energy with a distortion in the place of constraints."""
+    assert isinstance(program.function, ReducedEnergy)
+    result = LargeMoves(program.function)(
+        start,
+        gain_tolerance=settings.large_moves,
+        max_iterations=settings.max_iterations or 200,
+        on_step=monitor,
+    )
+    return OuterResult(result.x, result.status, result.iterations)
 
 
 def _newton_pair(
@@ -263,7 +293,8 @@ class _Descent:
 
     def is_valid(self, q: Array) -> bool:
         """Whether the elements that the boxes do not keep valid are."""
-        return self._program.nlp.n_g == 0 or self._program.is_valid(q)
+        guarded = self._program.nlp.n_g > 0 or self.energy.relocation.objective.has_barrier
+        return not guarded or self._program.is_valid(q)
 
     def _evaluate(self, q: Array) -> Evaluation | None:
         if not self.is_valid(q):
@@ -301,9 +332,9 @@ def _scipy(method: str) -> OuterSolver:
                 raise StoppedError
 
         result = minimize(
-            lambda q: function(q).value / scale,
+            lambda q: function(q).value / scale if function.is_defined(q) else UNDEFINED,
             start,
-            jac=lambda q: function(q).gradient / scale,
+            jac=lambda q: function(q).gradient / scale if function.is_defined(q) else np.zeros(q.size),
             method=method,
             bounds=Bounds(nlp.lbx, nlp.ubx),
             constraints=constraints,

@@ -16,6 +16,7 @@ from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.fem.assembly import assemble, element_values
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.smooth_constraints import is_inside
+from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.programs.blocks import SecondDerivatives
 from rmesh_nlp.programs.energy_program import Relocation
 from rmesh_nlp.programs.validity import Validity
@@ -82,6 +83,10 @@ class ReducedEnergy:
         x = np.concatenate([q, np.zeros(self.relocation.nlp.n_x - q.size)])
         return float(sum(values.sum() for values in self._position_terms(x)))
 
+    def is_defined(self, q: Array) -> bool:
+        """Whether the terms in the positions are defined, as a distortion is where no element is inverted."""
+        return bool(np.isfinite(self.of_positions(q)))
+
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at moves ``q``; the last point is remembered."""
         if self._last is not None and np.array_equal(self._last.q, q):
@@ -133,12 +138,18 @@ class ReducedObjective:
         outer = assemble(objective.groups(rel.problem, *fields), nlp.x, nlp.p, 0)
         self._kernels = outer.kernels
         self._outer = Evaluator(outer.grad_f)
+        self._has_barrier = objective.has_barrier
         self._derivatives = SecondDerivatives(rel)
 
     @property
     def contact_solves(self) -> int:
         """Number of contact solves so far."""
         return self.energy.contact_solves
+
+    def is_defined(self, q: Array) -> bool:
+        """Whether a distortion in the objective is defined: no element is inverted."""
+        rel = self.energy.relocation
+        return not self._has_barrier or bool(np.min(signed_areas(rel.nodes(q), rel.problem.triangles)) > 0)
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at moves ``q``."""

@@ -18,6 +18,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import contact_edges
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem, Place, signed_areas
 from rmesh_nlp.programs.energy_program import Relocation, relocation
@@ -54,6 +55,7 @@ class Referee:
     model : ContactModel
         Contact solves with the problem's own quadrature.
     relocation : Relocation
+        With the objective, if the levels collapse for it, else with the energy.
     reduced : ReducedEnergy
     initial : Equilibrium
         Contact solution on the initial mesh.
@@ -62,11 +64,12 @@ class Referee:
         that states programs of its own does it in ``with referee.clock.during("build")``.
     """
 
-    def __init__(self, problem: ContactProblem) -> None:
+    def __init__(self, problem: ContactProblem, objective: str | Objective = "energy") -> None:
         self.clock = Clock()
         self.problem = problem
         self.model = ContactModel(problem)
-        self.relocation: Relocation = relocation(problem)
+        outer = parse_objective(objective)
+        self.relocation: Relocation = relocation(problem, outer if outer.collapses else ENERGY)
         self.reduced = ReducedEnergy(self.relocation, self.model)
         with self.clock.during("audit"):
             self._auditor = Auditor(problem, self.model)
@@ -76,7 +79,7 @@ class Referee:
     def function(self, objective: str | Objective) -> Reduced:
         """An outer objective as a function of the moves, each value an exact contact solve."""
         outer = parse_objective(objective)
-        if outer.is_energy:
+        if (outer.is_energy and self.relocation.objective.is_energy) or outer == self.relocation.objective:
             return self.reduced
         with self.clock.during("build"):
             return ReducedObjective(self.reduced, outer)
@@ -95,14 +98,18 @@ class Referee:
             q = np.random.default_rng(seed).uniform(-1, 1, free.n)
         else:
             return np.zeros(free.n)
+        # close to positions that were asked for, a draw may shrink faster
+        factor = 0.5 if positions is None else 0.95
         while not self.is_valid(q):
-            q = q / 2
+            q = factor * q
         return q
 
     def is_valid(self, q: Array) -> bool:
         """Whether all elements keep the least area and angle that the motion asks for, up to ``ROUNDING``."""
         motion = self.problem.motion
-        if self.least_area_ratio(q) < motion.min_area_fraction - ROUNDING:
+        by_barrier = self.relocation.objective.has_barrier and motion.min_angle == 0
+        least = self.least_area_ratio(q)
+        if not (least > 0 if by_barrier else least >= motion.min_area_fraction - ROUNDING):
             return False
         if motion.min_angle == 0:
             return True
@@ -221,7 +228,7 @@ class Referee:
         if status is Status.CONVERGED and not success:
             status = Status.INACCURATE
         residual = float("nan")
-        if objective == "energy":
+        if objective == self.relocation.objective.text:
             outer_gradient = exact.gradient
             residual = self.reduced.stationarity_residual(exact)
             if stationarity is None:
