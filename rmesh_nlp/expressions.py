@@ -116,10 +116,17 @@ def value_of(text: str, names: Mapping[str, Any]) -> Any:
     if len(text) > LONGEST:
         raise ValueError(f"an expression of {len(text)} characters is too long ({LONGEST} are allowed)")
     try:
-        tree = ast.parse(text.strip(), mode="eval")
-        return _walk(tree.body, {**names, "pi": ca.SX(np.pi)})
+        tree = _parsed(text)
+        return _walk(tree, {**names, "pi": ca.SX(np.pi)})
     except (SyntaxError, RecursionError, MemoryError) as error:
         raise ValueError(f"{text[:60]!r} is not an expression of {_listed(names)}") from error
+
+
+def _parsed(text: str) -> ast.expr:
+    try:
+        return ast.parse(text.strip(), mode="eval").body
+    except ValueError as error:  # how Python before 3.12 refuses a null character
+        raise SyntaxError(str(error)) from error
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -141,6 +141,9 @@ class Equilibrium:
 
 def factorised(K: sp.csc_array) -> Any:
     """Sparse factorisation of a symmetric positive definite matrix."""
+    # SuperLU takes 32-bit indices; SciPy before 1.13 makes 64-bit ones when a matrix is sliced
+    indices, starts = (a.astype(np.int32, copy=False) for a in (K.indices, K.indptr))
+    K = sp.csc_array((K.data, indices, starts), shape=K.shape)
     return splu(K, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
 
