@@ -50,7 +50,7 @@ def predicted_set(system: ContactSystem) -> ActiveSet:
     The stiffness by itself must be regular: a body that only contact holds is not a valid problem.
     """
     n, bound = system.offset.size, system.slip_bound
-    dual = _Dual(system)
+    dual = DualEnergy(system)
     lower = np.concatenate([np.zeros(n), -bound])
     upper = np.concatenate([np.full(n, np.inf), bound])
     result = minimise(
@@ -66,15 +66,23 @@ def predicted_set(system: ContactSystem) -> ActiveSet:
     return ActiveSet(force > 0, np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8))
 
 
-class _Dual:
-    """The dual function, and itself its Hessian."""
+class DualEnergy:
+    """The dual function, and itself its Hessian.
 
-    def __init__(self, system: ContactSystem) -> None:
+    Parameters
+    ----------
+    system : ContactSystem
+    slip : array, optional
+        Slips at zero displacement, where displacements are counted from some other state.
+    """
+
+    def __init__(self, system: ContactSystem, slip: Array | None = None) -> None:
         frictional = system.slip_bound.size > 0
         rows = sp.vstack([system.normals, system.tangents]) if frictional else system.normals
         self._rows, self._columns = sp.csr_array(rows), sp.csr_array(rows.T)
         self._load = system.load
-        self._gap = np.concatenate([system.offset, np.zeros(system.slip_bound.size)])
+        at_rest = np.zeros(system.slip_bound.size) if slip is None or not frictional else slip
+        self._gap = np.concatenate([system.offset, at_rest])
         self._factor = factorised(system.stiffness)
         compliance = 1 / system.stiffness.diagonal()
         self._diagonal = self._rows.multiply(self._rows) @ compliance + 1e-3 * np.max(compliance)

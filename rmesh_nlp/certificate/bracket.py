@@ -1,0 +1,234 @@
+"""A lower and an upper bound of the least energy, from a displacement on a mesh.
+
+With a field sigma in equilibrium with the simplified load (f_h, g_h), pressure p >= 0 and friction
+|q| <= s, every admissible displacement v obeys
+
+    J(v) = D(sigma) - (f - f_h, v) - (g - g_h, v) + 1/2 |v - C^-1 sigma|^2 + contact(v),
+    D(sigma) = -1/2 |C^-1 sigma|^2 + int R . u_D - int p offset,
+    contact(v) = int p (n . v + offset) + int (s |v_t| + q v_t)   >= 0.
+
+Writing v = u + w with the computed displacement u, and bounding the load terms in w element by
+element by ``r_T |w|_T``, gives
+
+    min J >= D(sigma) - (f - f_h, u) - (g - g_h, u) - sum_T (eta_T r_T + r_T^2 / 2),
+
+eta_T the norm of ``u - C^-1 sigma`` on the element. If u is admissible, J(u) is the upper bound, and
+half the square of the error of u in the energy norm is at most the difference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rmesh_nlp.certificate.admissibility import displacement_faults
+from rmesh_nlp.certificate.conditions import Conditions, conditions_of
+from rmesh_nlp.certificate.elastic import equilibrated_stress
+from rmesh_nlp.certificate.equilibration import edge_loads
+from rmesh_nlp.certificate.field import EquilibratedField, Guess, end_values
+from rmesh_nlp.certificate.oscillation import oscillation
+from rmesh_nlp.certificate.potential import Potential, potential
+from rmesh_nlp.certificate.scalar import equilibrated_flux
+from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem import ContactProblem
+
+TOLERANCE = 1e-10
+"""Largest violation of equilibrium, relative to the largest force, of a field that bounds."""
+
+MAX_STEPS = 2
+"""Newton steps that improve the contact forces; a step takes at most 40 back-substitutions."""
+
+DOUBT = 1e-2
+"""Largest part of the gap between the bounds that may rest on doubtful quadrature."""
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """Bounds of the least energy by one displacement on one mesh.
+
+    Attributes
+    ----------
+    lower, upper : float
+    guaranteed_lower, guaranteed_upper : bool
+    why : tuple of str
+        What stands in the way of a guarantee.
+    local : (elements,) array
+        What each element adds to upper - lower.
+    field : (2 or 3, elements) array
+        Mean equilibrated flux, or stress xx, yy, xy.
+    norm : float
+        Energy norm of the displacement.
+    residual : float
+        Largest violation of equilibrium, relative to the largest force.
+    """
+
+    lower: float
+    upper: float
+    guaranteed_lower: bool
+    guaranteed_upper: bool
+    why: tuple[str, ...]
+    local: Array
+    field: Array
+    norm: float
+    residual: float
+
+
+def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, max_steps: int = MAX_STEPS) -> Bracket:
+    """Bounds of the least energy of a problem.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    nodes : (2, nodes) array
+        Positions on which ``guess`` was computed.
+    guess : Guess
+        Displacement and contact stresses; the better the closer the bounds, but any are valid.
+    max_steps : int
+        Newton steps that improve the contact forces of the lower bound.
+
+    Raises
+    ------
+    NotCertifiableError
+        If the problem is of a kind for which no certificate is known.
+    """
+    skeleton = skeleton_of(problem, nodes)
+    conditions = conditions_of(problem, skeleton)
+    build = equilibrated_flux if problem.components == 1 else equilibrated_stress
+    field = build(problem, skeleton, conditions, guess, max_steps)
+    u = potential(problem, skeleton, conditions, guess.displacement)
+    contact = _contact_gap(skeleton, conditions, field, guess, u)
+    r = _oscillation(skeleton, conditions, field)
+    spread = field.defect * r + r**2 / 2
+    edge_work = _edge_remainder(skeleton, conditions, guess)
+    pressure_work = float(
+        np.sum(field.balance.pressure * _offset(conditions) * skeleton.lengths[conditions.contact])
+    )
+    dual = (
+        field.balance.reaction_work
+        - float(np.sum(field.energy))
+        - pressure_work
+        + float(np.sum(field.obstacle_work))
+    )
+    residual = max(field.residual, edge_residual(skeleton, conditions, field))
+    doubt = _doubt(skeleton, conditions, field, u)
+    rounding = max(residual, 1e-15) * (
+        float(np.sum(field.energy)) + abs(field.balance.reaction_work) + abs(pressure_work)
+    )
+    lower = dual - float(np.sum(field.load_work)) - edge_work - float(np.sum(spread)) - doubt - rounding
+    upper = u.energy
+    local = field.defect**2 / 2 + spread + field.obstacle_gap + contact
+    why_lower = _faults_of_lower(residual, doubt, upper - lower)
+    why_upper = displacement_faults(problem, skeleton, conditions, guess.displacement)
+    if doubt > DOUBT * abs(upper - lower):
+        why_upper = (*why_upper, f"upper: {DOUBTFUL}")
+    return Bracket(
+        lower,
+        upper,
+        not why_lower,
+        not why_upper,
+        (*why_lower, *why_upper),
+        local,
+        field.values,
+        u.norm,
+        residual,
+    )
+
+
+DOUBTFUL = "two quadrature rules disagree about a load, a traction or an obstacle that is not smooth"
+
+
+def _faults_of_lower(residual: float, doubt: float, gap: float) -> tuple[str, ...]:
+    faults = []
+    if not residual <= TOLERANCE:
+        faults.append(f"lower: the field is out of equilibrium by {residual:.1e} of the largest force")
+    if not doubt <= DOUBT * abs(gap):
+        faults.append(f"lower: {DOUBTFUL}")
+    return tuple(faults)
+
+
+def _oscillation(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField) -> Array:
+    return oscillation(
+        skeleton, field.load_remainder, conditions.traction_oscillation, field.gradient_by_energy
+    )
+
+
+def _offset(conditions: Conditions) -> Array:
+    """Moments of the initial gap as the pressure sees them."""
+    one = conditions.held.shape[0] == 1
+    return conditions.offset.sum(axis=0, keepdims=True) if one else conditions.offset
+
+
+def _edge_remainder(skeleton: Skeleton, conditions: Conditions, guess: Guess) -> float:
+    """Work of the tractions that a scalar flux leaves out on the computed displacement."""
+    edges = np.flatnonzero(conditions.traction_oscillation > 0)
+    if edges.size == 0 or conditions.held.shape[0] == 2:
+        return 0.0  # a linear displacement does not feel what is orthogonal to linear functions
+    rest = conditions.traction[0][:, edges] - conditions.traction[0][:, edges].sum(axis=0) / 2
+    ends = end_values(guess.displacement[0], skeleton, edges)
+    return float(np.sum(rest * ends * skeleton.lengths[edges]))
+
+
+def _contact_gap(
+    skeleton: Skeleton, conditions: Conditions, field: EquilibratedField, guess: Guess, u: Potential
+) -> Array:
+    """(elements,) what contact and friction add to the gap, by the element at the contact edge."""
+    result = np.zeros(skeleton.areas.size)
+    contact = conditions.contact
+    if contact.size == 0:
+        return result
+    n = conditions.held.shape[0]
+    ends = guess.displacement[:, skeleton.ends[:, contact]]
+    moments = (2 * ends + ends[:, ::-1]) / 6
+    turned = np.einsum("eij,jme->ime", conditions.axes, moments)
+    normal = turned[-1] if n == 2 else turned[-1].sum(axis=0, keepdims=True)
+    edge = skeleton.lengths[contact]
+    slack = np.sum(field.balance.pressure * (normal + _offset(conditions)), axis=0) * edge
+    if n == 2:
+        slack = slack + u.friction + np.sum(field.balance.friction * turned[0], axis=0) * edge
+    owner = np.zeros(skeleton.ends.shape[1], dtype=np.int64)
+    owner[skeleton.edges] = np.arange(result.size)
+    return np.asarray(np.bincount(owner[contact], slack, result.size))
+
+
+def edge_residual(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField) -> float:
+    """Largest violation of equilibrium on the edges and of the laws on the contact boundary.
+
+    Relative to the largest force through an edge. Sums of tractions, less the applied ones and
+    those of contact, must vanish at the ends of every edge in every component that is not given;
+    contact must press and friction stay within its bound.
+    """
+    n = conditions.held.shape[0]
+    forces = field.forces.reshape(-1, 3, n, n)
+    total = np.zeros((skeleton.ends.shape[1], n, n))
+    for i in range(3):
+        for end in range(n):
+            moment = skeleton.place[i, end] if n == 2 else 0
+            np.add.at(total, (skeleton.edges[i], moment), forces[:, i, end])
+    total = total.transpose(2, 1, 0)
+    scale = max(float(np.max(np.abs(forces), initial=0.0)), 1e-300)
+    total = total - edge_loads(conditions.traction) * skeleton.lengths
+    contact, edge = conditions.contact, skeleton.lengths[conditions.contact]
+    pressure, friction = field.balance.pressure, field.balance.friction
+    if contact.size:
+        stresses = np.stack([friction, pressure]) if n == 2 else pressure[None]
+        total[:, :, contact] -= np.einsum("eij,ime->jme", conditions.axes, stresses) * edge
+    worst = float(np.max(np.abs(np.where(conditions.held[:, None], 0.0, total)), initial=0.0))
+    pulling = float(np.max(-pressure * edge, initial=0.0)) if contact.size else 0.0
+    slipping = float(np.max((np.abs(friction) - conditions.friction) * edge, initial=0.0)) if n == 2 else 0.0
+    return max(worst, pulling, slipping) / scale
+
+
+def _doubt(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField, u: Potential) -> float:
+    """What quadrature of all data may have changed in the bounds."""
+    edge = skeleton.lengths[conditions.contact]
+    pressure = field.balance.pressure
+    offset_doubt = conditions.offset_doubt if len(pressure) == 2 else conditions.offset_doubt.sum(axis=0)
+    return (
+        field.load_doubt
+        + field.obstacle_doubt
+        + u.traction_doubt
+        + float(np.sum(pressure * offset_doubt * edge))
+        + abs(field.balance.reaction_work) * conditions.given_doubt
+    )

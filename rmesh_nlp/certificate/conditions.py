@@ -1,0 +1,186 @@
+"""What a problem asks for on the edges of a mesh: given displacements, tractions, contact.
+
+On every edge the tractions of the elements beside it must add up to
+
+    g + p n + q t + R,
+
+g the given traction, p >= 0 the contact pressure along the obstacle's normal n, |q| <= s friction along its
+tangent t, and R the reaction in those components whose displacement is given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.certificate.integrals import Integrals, over_edges, values_at
+from rmesh_nlp.certificate.skeleton import Skeleton
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.energy import contact_edges
+from rmesh_nlp.problem import ContactProblem
+
+Mask = NDArray[np.bool_]
+
+SAMPLE_POINTS = np.stack([np.linspace(1, 0, 33), np.linspace(0, 1, 33)])
+"""Barycentric coordinates (2, 33) of the points of an edge at which coefficients are looked at."""
+
+ROUNDING = 1e-12
+"""Deviations relative to the values themselves that count as none."""
+
+
+class NotCertifiableError(ValueError):
+    """No certificate is known for this kind of problem; the message says which kind."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Boundary and contact conditions on all edges of a mesh.
+
+    Arrays run over the edges in their last axis; 2 stands for the ends of an edge. Moments are
+    integrals against the linear functions of the ends, divided by the length.
+
+    Attributes
+    ----------
+    held : (components, edges) bool array
+        Where the displacement is given.
+    given : (components, 2, edges) array
+        Moments of the given displacement.
+    given_doubt, given_error : float
+        Largest doubt of these by quadrature, and largest distance of the given displacement from its
+        linear interpolation, both relative to the largest moment.
+    traction : (components, 2, edges) array
+        Moments of the given traction.
+    traction_oscillation : (edges,) array
+        L2 norm over the edge of the traction less its best polynomial: linear, constant if scalar.
+    traction_doubt : (components, 2, edges) array
+        Doubt of ``traction`` by quadrature.
+    contact : (edges,) int array
+        Numbers of the contact edges; the arrays below run over these.
+    offset : (2, contact edges) array
+        Moments of the initial gap.
+    offset_doubt : (2, contact edges) array
+    friction : (2, contact edges) array
+        Values at the ends of a linear function that nowhere exceeds the friction bound.
+    axes : (contact edges, components, components) array
+        Rows: the obstacle's tangent and normal, or the normal alone in a scalar problem.
+    """
+
+    held: Mask
+    given: Array
+    given_doubt: float
+    given_error: float
+    traction: Array
+    traction_oscillation: Array
+    traction_doubt: Array
+    contact: NDArray[np.int64]
+    offset: Array
+    offset_doubt: Array
+    friction: Array
+    axes: Array
+
+
+def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
+    """The conditions of a problem on its mesh at the given positions.
+
+    Raises
+    ------
+    NotCertifiableError
+        If a displacement component is given on a contact edge with an oblique normal.
+    """
+    held, given, given_doubt, given_error = _given_displacement(problem, skeleton)
+    traction, oscillation, doubt = _tractions(problem, skeleton)
+    contact = _contact_edges(problem, held)
+    corners = skeleton.nodes[:, skeleton.ends[:, contact]]
+    obstacle = problem.obstacle
+    offset = over_edges(obstacle.offset, corners)
+    rows = (obstacle.tangent, obstacle.normal) if problem.components == 2 else (obstacle.normal,)
+    axes = np.array(rows, dtype=float)
+    if np.all(axes != 0) and np.any(held[:, contact]) and problem.components == 2:
+        raise NotCertifiableError(
+            "a displacement component is given on a contact edge whose contact normal is oblique"
+        )
+    return Conditions(
+        held,
+        given,
+        given_doubt,
+        given_error,
+        traction,
+        oscillation,
+        doubt,
+        contact,
+        offset.moments,
+        offset.doubt,
+        _linear_below(values_at(obstacle.friction, corners, SAMPLE_POINTS)),
+        np.tile(axes, (contact.size, 1, 1)),
+    )
+
+
+def _given_displacement(problem: ContactProblem, skeleton: Skeleton) -> tuple[Mask, Array, float, float]:
+    n, count = problem.components, skeleton.ends.shape[1]
+    held, given = np.zeros((n, count), dtype=bool), np.zeros((n, 2, count))
+    doubt = error = 0.0
+    for support in problem.supports:
+        edges = np.unique(problem.mesh.boundaries[support.boundary])
+        corners = skeleton.nodes[:, skeleton.ends[:, edges]]
+        for i, coefficient in enumerate(support.value):
+            if coefficient is None:
+                continue
+            part = over_edges(coefficient, corners)
+            samples = values_at(coefficient, corners, SAMPLE_POINTS)
+            held[i, edges], given[i][:, edges] = True, part.moments
+            doubt = max(doubt, float(np.max(part.doubt, initial=0.0)))
+            bend = np.abs(samples - SAMPLE_POINTS.T @ samples[[0, -1]])
+            error = max(error, float(np.max(bend, initial=0.0)))
+    scale = max(float(np.max(np.abs(given), initial=0.0)), 1e-300)
+    return held, given, doubt / scale, error / scale
+
+
+def _tractions(problem: ContactProblem, skeleton: Skeleton) -> tuple[Array, Array, Array]:
+    n, count = problem.components, skeleton.ends.shape[1]
+    traction, doubt = np.zeros((2, n, 2, count))
+    oscillation = np.zeros(count)
+    for load in problem.tractions:
+        edges = np.unique(problem.mesh.boundaries[load.boundary])
+        corners = skeleton.nodes[:, skeleton.ends[:, edges]]
+        square = np.zeros(edges.size)
+        for i, coefficient in enumerate(load.value):
+            part = over_edges(coefficient, corners)
+            traction[i][:, edges] += part.moments
+            doubt[i][:, edges] += part.doubt
+            square += _remainder(part, linear=n == 2, constant=not callable(coefficient))
+        oscillation[edges] += np.sqrt(square * skeleton.lengths[edges])
+    return traction, oscillation, doubt
+
+
+def _remainder(part: Integrals, *, linear: bool, constant: bool) -> Array:
+    """Mean square over each edge of a function less its best linear (or constant) approximation."""
+    if constant:
+        return np.zeros(part.square.size)
+    ends = linear_values(part.moments) if linear else np.tile(part.moments.sum(axis=0), (2, 1))
+    return np.asarray(np.maximum(part.square - np.sum(ends * part.moments, axis=0), 0.0))
+
+
+def linear_values(moments: Array) -> Array:
+    """Values at the ends (2, ...) of the linear function with these moments: the L2 projection."""
+    return np.stack([4 * moments[0] - 2 * moments[1], 4 * moments[1] - 2 * moments[0]])
+
+
+def _contact_edges(problem: ContactProblem, held: Mask) -> NDArray[np.int64]:
+    """Edges of the contact boundary on which the gap is not given beforehand."""
+    if contact_edges(problem).size == 0:
+        return np.zeros(0, dtype=np.int64)
+    edges = np.unique(problem.mesh.boundaries[problem.obstacle.boundary])
+    normal = np.array(problem.obstacle.normal) != 0
+    return np.asarray(edges[np.any(~held[:, edges] & normal[:, None], axis=0)], dtype=np.int64)
+
+
+def _linear_below(samples: Array) -> Array:
+    """Ends (2, edges) of linear functions below the samples (points, edges), as high as these allow."""
+    if samples.shape[1] == 0:
+        return np.zeros((2, 0))
+    ends = samples[[0, -1]]
+    excess = np.max(SAMPLE_POINTS.T @ ends - samples, axis=0)
+    scale = ROUNDING * np.max(np.abs(samples), axis=0)
+    return np.asarray(np.maximum(ends - np.where(excess > scale, excess, 0.0), 0.0))

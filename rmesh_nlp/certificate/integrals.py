@@ -1,0 +1,96 @@
+"""Integrals of coefficients against linear functions, with the doubt that quadrature leaves.
+
+Constants are integrated exactly. Anything else is integrated by two rules; the difference
+between them is the doubt. Rules of higher degree are taken until the doubt is negligible, as for
+any polynomial, or there are none left, as for a coefficient that jumps inside an element.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.energy import triangle_rule
+from rmesh_nlp.fem.vectorised import columnwise
+from rmesh_nlp.problem.coefficients import Coefficient
+
+TRIANGLE_DEGREES = ((8, 5), (14, 10), (20, 15))
+"""Pairs of degrees, tried in this order."""
+
+EDGE_POINTS = ((6, 4), (12, 8), (40, 29))
+"""The same for edges, numbers of Gauss points."""
+
+NEGLIGIBLE = 1e-11
+"""Doubt relative to the integrals that needs no better rule."""
+
+
+@dataclass(frozen=True)
+class Integrals:
+    """Moments of a coefficient f over simplices with barycentric coordinates phi_i.
+
+    Attributes
+    ----------
+    moments : (vertices, simplices) array
+        Integrals of f phi_i over the simplex, divided by its measure.
+    square : (simplices,) array
+        Mean of f^2.
+    doubt : (vertices, simplices) array
+        Difference of ``moments`` between two rules; zero for a constant.
+    """
+
+    moments: Array
+    square: Array
+    doubt: Array
+
+
+def over_triangles(coefficient: Coefficient, corners: Array) -> Integrals:
+    """Moments over triangles with ``corners`` (2, 3, triangles)."""
+    return _integrals(coefficient, corners, TRIANGLE_DEGREES, triangle_rule)
+
+
+def over_edges(coefficient: Coefficient, corners: Array) -> Integrals:
+    """Moments over edges with ``corners`` (2, 2, edges)."""
+    return _integrals(coefficient, corners, EDGE_POINTS, edge_rule)
+
+
+def edge_rule(points: int) -> tuple[Array, Array]:
+    """Barycentric coordinates (2, points) and weights of a Gauss rule, the weights summing to 1."""
+    x, weights = np.polynomial.legendre.leggauss(points)
+    return np.stack([1 - x, 1 + x]) / 2, weights / 2
+
+
+def values_at(coefficient: Coefficient, corners: Array, barycentric: Array) -> Array:
+    """Values (points, simplices) at points given by barycentric coordinates (vertices, points)."""
+    shape = (barycentric.shape[1], corners.shape[-1])
+    if not callable(coefficient):
+        return np.full(shape, float(coefficient))
+    where = np.einsum("cve,vp->cpe", corners, barycentric).reshape(2, 1, -1)
+    if where.shape[-1] == 0:
+        return np.zeros(shape)
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    function = ca.Function("coefficient", [x, y], [ca.densify(ca.SX(coefficient(x, y)))])
+    return columnwise(function, where.shape[-1])(list(where))[0].reshape(shape)
+
+
+def _integrals(coefficient: Coefficient, corners: Array, degrees: tuple, rule: object) -> Integrals:
+    vertices, count = corners.shape[1:]
+    if not callable(coefficient):
+        value = float(coefficient)
+        flat = np.full((vertices, count), value / vertices)
+        return Integrals(flat, np.full(count, value**2), np.zeros((vertices, count)))
+    for pair in degrees:
+        (moments, square), (other, _) = (_by_rule(coefficient, corners, *rule(n)) for n in pair)  # type: ignore[operator]
+        doubt = np.abs(moments - other)
+        if np.sum(doubt) <= NEGLIGIBLE * np.sum(np.abs(moments)):
+            break
+    return Integrals(moments, square, doubt)
+
+
+def _by_rule(
+    coefficient: Coefficient, corners: Array, barycentric: Array, weights: Array
+) -> tuple[Array, Array]:
+    values = values_at(coefficient, corners, barycentric)
+    return (barycentric * weights) @ values, weights @ values**2
