@@ -26,7 +26,7 @@ from rmesh_nlp.certificate.admissibility import displacement_faults
 from rmesh_nlp.certificate.conditions import Conditions, conditions_of
 from rmesh_nlp.certificate.elastic import equilibrated_stress
 from rmesh_nlp.certificate.equilibration import edge_loads
-from rmesh_nlp.certificate.field import EquilibratedField, Guess, end_values
+from rmesh_nlp.certificate.field import EquilibratedField, Guess
 from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.potential import Potential, potential
 from rmesh_nlp.certificate.scalar import equilibrated_flux
@@ -101,9 +101,8 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, max_steps: i
     contact = _contact_gap(skeleton, conditions, field, guess, u)
     r = _oscillation(skeleton, conditions, field)
     spread = field.defect * r + r**2 / 2
-    edge_work = _edge_remainder(skeleton, conditions, guess)
     pressure_work = float(
-        np.sum(field.balance.pressure * _offset(conditions) * skeleton.lengths[conditions.contact])
+        np.sum(field.balance.pressure * conditions.offset * skeleton.lengths[conditions.contact])
     )
     dual = (
         field.balance.reaction_work
@@ -116,12 +115,13 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, max_steps: i
     rounding = max(residual, 1e-15) * (
         float(np.sum(field.energy)) + abs(field.balance.reaction_work) + abs(pressure_work)
     )
-    lower = dual - float(np.sum(field.load_work)) - edge_work - float(np.sum(spread)) - doubt - rounding
+    lower = dual - float(np.sum(field.load_work)) - float(np.sum(spread)) - doubt - rounding
     upper = u.energy
     local = field.defect**2 / 2 + spread + field.obstacle_gap + contact
-    why_lower = _faults_of_lower(residual, doubt, upper - lower)
+    doubtful = not doubt <= max(DOUBT * abs(upper - lower), TOLERANCE * float(np.sum(field.energy)))
+    why_lower = _faults_of_lower(residual, doubtful)
     why_upper = displacement_faults(problem, skeleton, conditions, guess.displacement)
-    if doubt > DOUBT * abs(upper - lower):
+    if doubtful:
         why_upper = (*why_upper, f"upper: {DOUBTFUL}")
     return Bracket(
         lower,
@@ -139,11 +139,11 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, max_steps: i
 DOUBTFUL = "two quadrature rules disagree about a load, a traction or an obstacle that is not smooth"
 
 
-def _faults_of_lower(residual: float, doubt: float, gap: float) -> tuple[str, ...]:
+def _faults_of_lower(residual: float, doubtful: bool) -> tuple[str, ...]:
     faults = []
     if not residual <= TOLERANCE:
         faults.append(f"lower: the field is out of equilibrium by {residual:.1e} of the largest force")
-    if not doubt <= DOUBT * abs(gap):
+    if doubtful:
         faults.append(f"lower: {DOUBTFUL}")
     return tuple(faults)
 
@@ -152,22 +152,6 @@ def _oscillation(skeleton: Skeleton, conditions: Conditions, field: Equilibrated
     return oscillation(
         skeleton, field.load_remainder, conditions.traction_oscillation, field.gradient_by_energy
     )
-
-
-def _offset(conditions: Conditions) -> Array:
-    """Moments of the initial gap as the pressure sees them."""
-    one = conditions.held.shape[0] == 1
-    return conditions.offset.sum(axis=0, keepdims=True) if one else conditions.offset
-
-
-def _edge_remainder(skeleton: Skeleton, conditions: Conditions, guess: Guess) -> float:
-    """Work of the tractions that a scalar flux leaves out on the computed displacement."""
-    edges = np.flatnonzero(conditions.traction_oscillation > 0)
-    if edges.size == 0 or conditions.held.shape[0] == 2:
-        return 0.0  # a linear displacement does not feel what is orthogonal to linear functions
-    rest = conditions.traction[0][:, edges] - conditions.traction[0][:, edges].sum(axis=0) / 2
-    ends = end_values(guess.displacement[0], skeleton, edges)
-    return float(np.sum(rest * ends * skeleton.lengths[edges]))
 
 
 def _contact_gap(
@@ -182,9 +166,8 @@ def _contact_gap(
     ends = guess.displacement[:, skeleton.ends[:, contact]]
     moments = (2 * ends + ends[:, ::-1]) / 6
     turned = np.einsum("eij,jme->ime", conditions.axes, moments)
-    normal = turned[-1] if n == 2 else turned[-1].sum(axis=0, keepdims=True)
     edge = skeleton.lengths[contact]
-    slack = np.sum(field.balance.pressure * (normal + _offset(conditions)), axis=0) * edge
+    slack = np.sum(field.balance.pressure * (turned[-1] + conditions.offset), axis=0) * edge
     if n == 2:
         slack = slack + u.friction + np.sum(field.balance.friction * turned[0], axis=0) * edge
     owner = np.zeros(skeleton.ends.shape[1], dtype=np.int64)
@@ -200,12 +183,11 @@ def edge_residual(skeleton: Skeleton, conditions: Conditions, field: Equilibrate
     contact must press and friction stay within its bound.
     """
     n = conditions.held.shape[0]
-    forces = field.forces.reshape(-1, 3, n, n)
-    total = np.zeros((skeleton.ends.shape[1], n, n))
+    forces = field.forces.reshape(-1, 3, 2, n)
+    total = np.zeros((skeleton.ends.shape[1], 2, n))
     for i in range(3):
-        for end in range(n):
-            moment = skeleton.place[i, end] if n == 2 else 0
-            np.add.at(total, (skeleton.edges[i], moment), forces[:, i, end])
+        for end in range(2):
+            np.add.at(total, (skeleton.edges[i], skeleton.place[i, end]), forces[:, i, end])
     total = total.transpose(2, 1, 0)
     scale = max(float(np.max(np.abs(forces), initial=0.0)), 1e-300)
     total = total - edge_loads(conditions.traction) * skeleton.lengths
@@ -224,11 +206,10 @@ def _doubt(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField,
     """What quadrature of all data may have changed in the bounds."""
     edge = skeleton.lengths[conditions.contact]
     pressure = field.balance.pressure
-    offset_doubt = conditions.offset_doubt if len(pressure) == 2 else conditions.offset_doubt.sum(axis=0)
     return (
         field.load_doubt
         + field.obstacle_doubt
         + u.traction_doubt
-        + float(np.sum(pressure * offset_doubt * edge))
+        + float(np.sum(pressure * conditions.offset_doubt * edge))
         + abs(field.balance.reaction_work) * conditions.given_doubt
     )

@@ -53,7 +53,7 @@ class Conditions:
     traction : (components, 2, edges) array
         Moments of the given traction.
     traction_oscillation : (edges,) array
-        L2 norm over the edge of the traction less its best polynomial: linear, constant if scalar.
+        L2 norm over the edge of the traction less its best linear approximation.
     traction_doubt : (components, 2, edges) array
         Doubt of ``traction`` by quadrature.
     contact : (edges,) int array
@@ -95,8 +95,10 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     corners = skeleton.nodes[:, skeleton.ends[:, contact]]
     obstacle = problem.obstacle
     offset = over_edges(obstacle.offset, corners)
-    rows = (obstacle.tangent, obstacle.normal) if problem.components == 2 else (obstacle.normal,)
-    axes = np.array(rows, dtype=float)
+    axes = np.eye(problem.components)
+    if contact.size:
+        rows = (obstacle.tangent, obstacle.normal) if problem.components == 2 else (obstacle.normal,)
+        axes = np.array(rows, dtype=float)
     if np.all(axes != 0) and np.any(held[:, contact]) and problem.components == 2:
         raise NotCertifiableError(
             "a displacement component is given on a contact edge whose contact normal is oblique"
@@ -113,7 +115,7 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
         offset.moments,
         offset.doubt,
         _linear_below(values_at(obstacle.friction, corners, SAMPLE_POINTS)),
-        np.tile(axes, (contact.size, 1, 1)),
+        np.broadcast_to(axes, (contact.size, *axes.shape)),
     )
 
 
@@ -149,16 +151,15 @@ def _tractions(problem: ContactProblem, skeleton: Skeleton) -> tuple[Array, Arra
             part = over_edges(coefficient, corners)
             traction[i][:, edges] += part.moments
             doubt[i][:, edges] += part.doubt
-            square += _remainder(part, linear=n == 2, constant=not callable(coefficient))
+            if callable(coefficient):
+                square += _remainder(part)
         oscillation[edges] += np.sqrt(square * skeleton.lengths[edges])
     return traction, oscillation, doubt
 
 
-def _remainder(part: Integrals, *, linear: bool, constant: bool) -> Array:
-    """Mean square over each edge of a function less its best linear (or constant) approximation."""
-    if constant:
-        return np.zeros(part.square.size)
-    ends = linear_values(part.moments) if linear else np.tile(part.moments.sum(axis=0), (2, 1))
+def _remainder(part: Integrals) -> Array:
+    """Mean square over each edge of a function less its best linear approximation."""
+    ends = linear_values(part.moments)
     return np.asarray(np.maximum(part.square - np.sum(ends * part.moments, axis=0), 0.0))
 
 

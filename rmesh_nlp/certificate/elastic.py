@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rmesh_nlp.certificate.conditions import Conditions
-from rmesh_nlp.certificate.equilibration import TraceSpace, balance, moments_on_edges
+from rmesh_nlp.certificate.equilibration import LocalSystems, balance
 from rmesh_nlp.certificate.field import (
     EquilibratedField,
     Guess,
@@ -20,6 +20,7 @@ from rmesh_nlp.certificate.johnson_mercier import MASS, JohnsonMercier, thirds
 from rmesh_nlp.certificate.johnson_mercier import gradients as slopes
 from rmesh_nlp.certificate.oscillation import korn
 from rmesh_nlp.certificate.skeleton import AFTER, Skeleton
+from rmesh_nlp.certificate.traces import TraceSpace
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem, Elastic
 
@@ -42,8 +43,8 @@ def equilibrated_stress(
     u = guess.displacement
     computed = _stress_of(u, skeleton, lam, mu)
     exerted = _edge_forces(computed[0, 0], skeleton)
-    base = moments_on_edges(u, space)
-    found = balance(space, elements.stiffness, elements.source - exerted, base, pressure, friction, max_steps)
+    local = LocalSystems(elements.stiffness, elements.source - exerted, space.base(u))
+    found = balance(space, local, pressure, friction, max_steps)
     coefficients = elements.coefficients(found.traces)
     correction = elements.stress(coefficients)
     stress, forces = computed + correction, exerted + elements.forces(coefficients)

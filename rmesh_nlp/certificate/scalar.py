@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.certificate.conditions import Conditions
-from rmesh_nlp.certificate.equilibration import Balance, TraceSpace, balance, obstacle_balance
+from rmesh_nlp.certificate.equilibration import InteriorObstacle, LocalSystems, balance
 from rmesh_nlp.certificate.field import (
     EquilibratedField,
     Guess,
-    Loads,
     doubtful_work,
     end_values,
     gradients,
@@ -21,7 +17,7 @@ from rmesh_nlp.certificate.field import (
 from rmesh_nlp.certificate.integrals import over_triangles
 from rmesh_nlp.certificate.raviart_thomas import RaviartThomas
 from rmesh_nlp.certificate.skeleton import Skeleton
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.certificate.traces import TraceSpace
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.laws import Laplace
 
@@ -30,77 +26,55 @@ def equilibrated_flux(
     problem: ContactProblem, skeleton: Skeleton, conditions: Conditions, guess: Guess, max_steps: int
 ) -> EquilibratedField:
     """The flux of largest dual energy, or nearly so: see :mod:`rmesh_nlp.certificate.equilibration`."""
-    load = loads(problem, skeleton)
-    conductivity = np.zeros(skeleton.triangles.shape[1])
+    load, area = loads(problem, skeleton), skeleton.areas
+    conductivity = np.zeros(area.size)
     for law, part in problem.regions:
         assert isinstance(law, Laplace)
         conductivity[part] = law.conductivity
     mean = load.moments[0].sum(axis=0)
-    slope = None if np.all(load.constant) else 12 * load.moments[0] - 4 * mean
-    elements = RaviartThomas(skeleton, conductivity, mean, slope)
-    space = TraceSpace(skeleton, conditions)
-    nothing = np.zeros(mean.size)
-    obstacle_work, obstacle_gap, obstacle_doubt = nothing, nothing, 0.0
-    if problem.obstacle.boundary is Place.INTERIOR:
-        sign, psi = problem.obstacle.normal[0], over_triangles(problem.obstacle.offset, _corners(skeleton))
-        found, force = obstacle_balance(
-            space, elements, sign, psi.moments.sum(axis=0), _touching(skeleton, guess.pressure)
-        )
-        elements = replace(elements, load=mean + sign * force)
-        area = skeleton.areas
-        obstacle_work = -area * force * psi.moments.sum(axis=0)
-        u_mean = guess.displacement[0][skeleton.triangles].mean(axis=0)
-        obstacle_gap = area * force * sign * u_mean - obstacle_work
-        obstacle_doubt = float(np.sum(area * force * psi.doubt.sum(axis=0)))
-    else:
-        pressure = end_values(guess.pressure, skeleton, conditions.contact).mean(axis=0, keepdims=True)
-        none = np.zeros((0, conditions.contact.size))
-        base = np.zeros((1, 1, skeleton.ends.shape[1]))
-        found = balance(space, elements.stiffness, elements.source, base, pressure, none, max_steps)
-    return _field(elements, load, mean, found, guess, obstacle_work, obstacle_gap, obstacle_doubt)
-
-
-def _field(
-    elements: RaviartThomas,
-    load: Loads,
-    mean: Array,
-    found: Balance,
-    guess: Guess,
-    obstacle_work: Array,
-    obstacle_gap: Array,
-    obstacle_doubt: float,
-) -> EquilibratedField:
-    skeleton, k = elements.skeleton, elements.conductivity
-    flux = elements.flux(found.traces)
-    slope = gradients(guess.displacement, skeleton)[0]
-    forces = elements.outflow(flux)
-    total = skeleton.areas * elements.load
-    scale = max(float(np.max(np.abs(forces), initial=0.0)), float(np.max(np.abs(total), initial=0.0)), 1e-300)
     linear = 12 * load.moments[0] - 3 * mean  # at the vertices: the best linear approximation
-    beyond = np.maximum(load.square - np.sum(load.moments[0] * linear, axis=0), 0.0)
-    remainder = np.where(load.constant, 0.0, beyond)
+    linear[:, load.constant] = mean[load.constant]
+    inside = problem.obstacle.boundary is Place.INTERIOR
+    elements = RaviartThomas(skeleton, conductivity, linear, inside)
+    space = TraceSpace(skeleton, conditions)
     u = guess.displacement
+    computed = elements.constant(conductivity * gradients(u, skeleton)[0])
+    exerted = elements.forces(computed)
+    local = LocalSystems(elements.stiffness, elements.source - exerted, space.base(u))
+    obstacle, interior, offset_doubt = np.zeros(area.size), None, 0.0
+    centre = u[0][skeleton.triangles].mean(axis=0)
+    if inside:
+        offset = over_triangles(problem.obstacle.offset, skeleton.nodes[:, skeleton.triangles])
+        sign, obstacle = problem.obstacle.normal[0], offset.moments.sum(axis=0)
+        interior = InteriorObstacle(
+            sign,
+            obstacle + sign * centre,
+            mean * area,
+            np.all(guess.pressure[skeleton.triangles] > 0, axis=0),
+        )
+    pressure = end_values(guess.pressure, skeleton, conditions.contact)
+    found = balance(space, local, pressure, np.zeros_like(pressure), max_steps, interior)
+    correction = elements.coefficients(found.traces)
+    flux, reaction = computed + correction, found.obstacle_force
+    forces = elements.forces(flux)
+    total = area * mean + (interior.sign * reaction if interior else 0.0)
+    scale = max(float(np.max(np.abs(forces[:, :6]), initial=0.0)), float(np.max(np.abs(total))), 1e-300)
+    out = np.abs(forces[:, :6].sum(axis=1) / 2 + total)
+    if interior:
+        offset_doubt = float(np.sum(reaction * offset.doubt.sum(axis=0)))
+    beyond = np.maximum(load.square - np.sum(load.moments[0] * linear, axis=0), 0.0)
     return EquilibratedField(
-        values=flux,
+        values=elements.mean(flux),
         energy=elements.energy(flux),
-        defect=np.sqrt(2 * elements.energy(flux - k * slope)),
-        forces=forces,
+        defect=np.sqrt(2 * np.maximum(elements.energy(correction), 0.0)),
+        forces=forces[:, :6],
         balance=found,
-        residual=float(np.max(np.abs(forces.sum(axis=1) + total), initial=0.0)) / scale,
-        load_remainder=np.sqrt(skeleton.areas * remainder),
-        load_work=np.zeros(mean.size),  # a linear displacement does not feel what is left
+        residual=float(np.max(out)) / scale,
+        load_remainder=np.sqrt(area * np.where(load.constant, 0.0, beyond)),
+        load_work=np.zeros(area.size),  # a linear displacement does not feel what is left
         load_doubt=doubtful_work(load.doubt, u, skeleton),
-        gradient_by_energy=1 / np.sqrt(k),
-        obstacle_work=obstacle_work,
-        obstacle_gap=obstacle_gap,
-        obstacle_doubt=obstacle_doubt,
+        gradient_by_energy=1 / np.sqrt(conductivity),
+        obstacle_work=-reaction * obstacle,
+        obstacle_gap=reaction * (obstacle + (interior.sign if interior else 0.0) * centre),
+        obstacle_doubt=offset_doubt,
     )
-
-
-def _corners(skeleton: Skeleton) -> Array:
-    return np.asarray(skeleton.nodes[:, skeleton.triangles])
-
-
-def _touching(skeleton: Skeleton, pressure: Array) -> NDArray[np.bool_]:
-    """Elements that the computed solution holds on the obstacle: those all of whose nodes are."""
-    return np.asarray(np.all(pressure[skeleton.triangles] > 0, axis=0))

@@ -1,0 +1,219 @@
+"""The bracket holds the least energy; what is not guaranteed is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+from support.certificates import distorted, guess_on
+
+import formulations.fixed
+import formulations.joint
+from rmesh_nlp.certificate import NotCertifiableError, certify
+from rmesh_nlp.certificate import bracket as module
+from rmesh_nlp.certificate.bracket import Bracket, bracket, edge_residual
+from rmesh_nlp.certificate.conditions import conditions_of
+from rmesh_nlp.certificate.elastic import equilibrated_stress
+from rmesh_nlp.certificate.integrals import over_triangles
+from rmesh_nlp.certificate.oscillation import korn
+from rmesh_nlp.certificate.skeleton import skeleton_of
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.paper import EXACT_ENERGY_61
+from rmesh_nlp.examples.random_problems import Frame, random_problem
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Laplace,
+    Motion,
+    Obstacle,
+    PlaneStrain,
+    Traction,
+)
+
+TURNED = Frame(np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, -2.0]))
+
+
+def bracket_of(problem: ContactProblem) -> Bracket:
+    return bracket(problem, problem.mesh.p, guess_on(problem))
+
+
+@pytest.mark.parametrize("n", [4, 8])
+def test_exact_energy_of_61_is_inside_before_and_after(n):
+    problem = EXAMPLES["6.1"](n)
+    for strategy in (formulations.fixed, formulations.joint):
+        found = certify(strategy.solve(problem))
+        assert found.guaranteed_lower
+        assert found.guaranteed_upper
+        assert found.lower <= EXACT_ENERGY_61 <= found.upper
+    assert found.error_bound < found.error_bound_initial
+
+
+@pytest.mark.parametrize("kind", ["scalar", "membrane", "elastic", "rough"])
+@pytest.mark.parametrize("seed", [0, 5, 9])
+def test_bounds_of_random_problems_hold_on_finer_meshes(kind, seed):
+    """The lower bound of a coarse, distorted mesh lies below the energy of a fine one, and close to it."""
+    frame = {"frame": TURNED} if kind in ("elastic", "rough") and seed else {}
+    coarse = random_problem(seed, kind=kind, **frame)
+    coarse = replace(coarse, mesh=distorted(coarse.mesh, 0.2, seed))
+    fine = replace(coarse, mesh=coarse.mesh.refined(2))
+    rough, close = bracket_of(coarse), bracket_of(fine)
+    assert rough.guaranteed_lower
+    assert close.guaranteed_lower
+    assert rough.residual < 1e-10
+    assert rough.lower <= close.upper
+    assert close.upper - close.lower < 0.25 * (rough.upper - rough.lower)
+    assert np.sum(rough.local) == pytest.approx(rough.upper - rough.lower, rel=1e-6)
+    assert np.all(rough.local > -1e-12)
+
+
+def test_bracket_does_not_depend_on_the_frame():
+    one, other = (
+        bracket_of(random_problem(3, kind="rough", frame=f)) for f in (Frame(np.eye(2), np.zeros(2)), TURNED)
+    )
+    assert other.upper == pytest.approx(one.upper, rel=1e-9)
+    # the Newton steps that improve the contact forces stop at a part of the gain
+    assert other.lower == pytest.approx(one.lower, abs=1e-4 * (one.upper - one.lower))
+
+
+def test_any_contact_forces_give_a_bound_and_better_ones_a_better_bound():
+    problem = random_problem(0, kind="rough")
+    guess = guess_on(problem)
+    wild = replace(guess, pressure=-7 + 100 * np.random.default_rng(0).random(guess.pressure.shape))
+    as_given = bracket(problem, problem.mesh.p, wild, max_steps=0)
+    improved = bracket(problem, problem.mesh.p, wild)
+    assert as_given.guaranteed_lower
+    assert as_given.lower < improved.lower <= bracket_of(problem).upper
+
+
+def block(**changes) -> ContactProblem:
+    mesh = rectangle(6, 3, x=(0, 2))
+    settings = {
+        "mesh": mesh,
+        "law": PlaneStrain(10.0, 8.0, (0.0, -1.0)),
+        "dirichlet": ("left",),
+        "obstacle": Obstacle("bottom", (0.0, 1.0), friction=0.1),
+        "tractions": (Traction("top", (0.0, -0.5)),),
+    }
+    return ContactProblem(**{**settings, **changes})
+
+
+def test_plain_data_are_guaranteed_on_both_sides():
+    found = bracket_of(block())
+    assert found.why == ()
+    assert found.guaranteed_lower
+    assert found.guaranteed_upper
+
+
+def test_a_curved_foundation_leaves_the_lower_bound_alone():
+    """Nodes obey a gap that the edges between them violate: only the lower bound is guaranteed."""
+    curved = Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.02 * (x - 1) ** 2)
+    found = bracket_of(block(obstacle=curved))
+    assert found.guaranteed_lower
+    assert not found.guaranteed_upper
+    assert "between" in " ".join(found.why)
+    hollow = Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.02 * (1 - (x - 1) ** 2))
+    assert bracket_of(block(obstacle=hollow)).guaranteed_upper
+
+
+def test_curved_given_displacements_leave_the_lower_bound_alone():
+    bent = Dirichlet("left", (0.0, lambda x, y: 0.1 * y**2))
+    found = bracket_of(block(dirichlet=(bent,), obstacle=Obstacle("bottom", (0.0, 1.0), 1.0)))
+    assert found.guaranteed_lower
+    assert not found.guaranteed_upper
+
+
+def test_a_load_that_jumps_inside_elements_is_flagged():
+    jump = PlaneStrain(10.0, 8.0, (0.0, lambda x, y: ca.if_else(x + 0.3 * y > 0.77, -3.0, 0.0)))
+    found = bracket_of(block(law=jump))
+    assert not found.guaranteed_lower
+    assert "quadrature" in " ".join(found.why)
+
+
+def test_a_body_force_and_a_traction_that_vary_are_guaranteed_by_oscillation():
+    """Against a mesh so fine that its own bracket says where the least energy is."""
+    load = PlaneStrain(10.0, 8.0, (lambda x, y: ca.sin(3 * x), lambda x, y: -x * y))
+    push = Traction("top", (0.0, lambda x, y: -(x**2)))
+    problem = block(law=load, tractions=(push,))
+    coarse = bracket_of(problem)
+    fine = bracket_of(replace(problem, mesh=problem.mesh.refined(3)))
+    assert coarse.guaranteed_lower
+    assert coarse.lower <= fine.lower
+
+
+def test_roller_and_oblique_supports():
+    """A component may be given where the other is in contact, unless the normal is oblique."""
+    roller = (Dirichlet("left", (0.0, None)), Dirichlet("right", (None, 0.0)))
+    assert bracket_of(block(dirichlet=roller)).guaranteed_lower
+    both = (Dirichlet("left", (0.0, 0.0)), Dirichlet("bottom", (0.0, None)))
+    assert bracket_of(block(dirichlet=both)).guaranteed_lower
+    oblique = Obstacle.line("bottom", (0.0, -0.1), (0.1, 1.0))
+    with pytest.raises(NotCertifiableError, match="oblique"):
+        bracket_of(block(dirichlet=both, obstacle=oblique))
+
+
+def test_equilibrium_is_checked_and_can_fail():
+    problem = block()
+    guess, skeleton = guess_on(problem), skeleton_of(problem, problem.mesh.p)
+    conditions = conditions_of(problem, skeleton)
+    field = equilibrated_stress(problem, skeleton, conditions, guess, 2)
+    assert edge_residual(skeleton, conditions, field) < 1e-11
+    spoilt = field.forces.copy()
+    spoilt[3, 5] *= 1.01
+    assert edge_residual(skeleton, conditions, replace(field, forces=spoilt)) > 1e-6
+    pulled = replace(field.balance, pressure=field.balance.pressure - np.max(field.balance.pressure))
+    assert edge_residual(skeleton, conditions, replace(field, balance=pulled)) > 1e-6
+    rough = replace(field.balance, friction=field.balance.friction + 1.0)
+    assert edge_residual(skeleton, conditions, replace(field, balance=rough)) > 1e-6
+
+
+def test_without_its_oscillation_term_a_bound_would_be_wrong(monkeypatch):
+    """A source with no linear part on any element still does work: only the oscillation term knows."""
+    mesh = rectangle(1, 1)
+    powers = [(i, j) for i in range(4) for j in range(4 - i)]
+    moments = [
+        over_triangles(lambda x, y, p=p: x ** p[0] * y ** p[1], mesh.p[:, mesh.t]).moments for p in powers
+    ]
+    weights = null_space(np.array([m.ravel() for m in moments]).T)[:, 0] * 1e3
+    source = Laplace(lambda x, y: sum(w * x**i * y**j for w, (i, j) in zip(weights, powers, strict=True)))
+    sides = tuple(Dirichlet(side, (0.0,)) for side in ("left", "right"))
+    problem = ContactProblem(mesh, source, sides)
+    fine = bracket_of(replace(problem, mesh=problem.mesh.refined(4)))
+    assert bracket_of(problem).lower <= fine.upper
+    monkeypatch.setattr(module, "oscillation", lambda skeleton, *_: np.zeros(skeleton.areas.size))
+    assert bracket_of(problem).lower > fine.upper
+
+
+def test_korn_constant_is_that_of_the_literature_and_not_too_small():
+    """Rayleigh quotients of polynomials without mean rotation stay below the constant."""
+    skeleton = skeleton_of(block(), distorted(block().mesh, 0.3, 4).p)
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        a = rng.normal(size=(2, 3))  # a quadratic displacement: its gradient at barycentric corners is linear
+        x = skeleton.nodes[:, skeleton.triangles] - skeleton.centres[:, None]
+        slope = np.array(
+            [[2 * a[i, 0] * x[0] + a[i, 1] * x[1], a[i, 1] * x[0] + 2 * a[i, 2] * x[1]] for i in range(2)]
+        )
+        strain = (slope + slope.transpose(1, 0, 2, 3)) / 2
+        mass = (np.ones((3, 3)) + np.eye(3)) / 12
+        norms = [np.einsum("ijke,kl,ijle->e", g, mass, g) for g in (slope, strain)]
+        assert np.all(norms[0] <= korn(skeleton) ** 2 * norms[1])
+
+
+def test_lower_bound_of_a_relocated_mesh_serves_the_given_one():
+    problem = EXAMPLES["6.3"]((6, 4), (0.1, 0.05))
+    before, after = (certify(s.solve(problem)) for s in (formulations.fixed, formulations.joint))
+    assert after.lower >= before.lower - 1e-12
+    assert after.error_bound_initial <= before.error_bound + 1e-12
+    assert "at most" in after.sentence
+
+
+def test_a_changed_domain_keeps_its_own_bounds():
+    mesh = rectangle(4, 2, x=(0, 2))
+    problem = block(mesh=mesh, motion=Motion((0.05, 0.05), free=("right",)))
+    found = certify(formulations.joint.solve(problem))
+    assert found.guaranteed_lower
+    assert found.lower <= found.upper

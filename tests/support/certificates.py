@@ -1,0 +1,30 @@
+"""Meshes and starting points that tests of certificates use."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from skfem import MeshTri
+
+from rmesh_nlp.certificate.certify import contact_solution
+from rmesh_nlp.certificate.field import Guess
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.problem import ContactProblem
+
+
+def distorted(mesh: MeshTri, amount: float, seed: int) -> MeshTri:
+    """Interior nodes moved at random by up to ``amount`` times the shortest edge; no element turns over."""
+    p, inside = mesh.p.copy(), mesh.interior_nodes()
+    edges = mesh.p[:, mesh.facets[1]] - mesh.p[:, mesh.facets[0]]
+    step = amount * np.min(np.linalg.norm(edges, axis=0))
+    p[:, inside] += np.random.default_rng(seed).uniform(-step, step, (2, inside.size))
+    return replace(mesh, doflocs=p)
+
+
+def guess_on(problem: ContactProblem, displacement: np.ndarray | None = None) -> Guess:
+    """The contact solution, or a displacement without contact stresses."""
+    if displacement is None:
+        return contact_solution(ContactModel(problem), problem.mesh.p)
+    nothing = np.zeros(problem.mesh.p.shape[1])
+    return Guess(displacement, nothing, nothing)
