@@ -39,16 +39,18 @@ def penetration(
     edge, a gap that is not negative at the ends is so in between. Elsewhere the offset is sampled,
     and what its second differences allow between samples is added.
     """
-    obstacle = problem.obstacle
-    if obstacle.boundary is Place.NOWHERE:
-        return 0.0
-    if obstacle.boundary is Place.INTERIOR:
-        corners, cells = skeleton.nodes[:, skeleton.triangles], skeleton.triangles
-        u = obstacle.normal[0] * displacement[0][cells]
-        return _in_triangles(obstacle.offset, corners, u, np.max(np.abs(displacement)))
-    cells = skeleton.ends[:, conditions.contact]
-    u = np.einsum("ej,jme->me", conditions.axes[:, -1], displacement[:, cells])
-    return _on_edges(obstacle.offset, skeleton.nodes[:, cells], u, np.max(np.abs(displacement)))
+    size = float(np.max(np.abs(displacement), initial=0.0))
+    depth = 0.0
+    for obstacle in problem.obstacles:
+        if obstacle.boundary is Place.INTERIOR:
+            corners, cells = skeleton.nodes[:, skeleton.triangles], skeleton.triangles
+            u = obstacle.normal[0] * displacement[0][cells]
+            depth = max(depth, _in_triangles(obstacle.offset, corners, u, size))
+    for part in conditions.parts:
+        cells = skeleton.ends[:, part.edges]
+        u = np.einsum("c,cve->ve", part.obstacle.normal, displacement[:, cells])
+        depth = max(depth, _on_edges(part.obstacle.offset, skeleton.nodes[:, cells], u, size))
+    return depth
 
 
 def _on_edges(offset: Coefficient, corners: Array, u: Array, size: float) -> float:

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.certificate.admissibility import displacement_faults
-from rmesh_nlp.certificate.conditions import Conditions, conditions_of
+from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError, conditions_of
 from rmesh_nlp.certificate.elastic import equilibrated_stress
 from rmesh_nlp.certificate.equilibration import edge_loads
 from rmesh_nlp.certificate.field import EquilibratedField, Guess
@@ -33,6 +33,7 @@ from rmesh_nlp.certificate.scalar import equilibrated_flux
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.rigid import rigid_motions
 
 TOLERANCE = 1e-10
 """Largest violation of equilibrium, relative to the largest force, of a field that bounds."""
@@ -93,6 +94,8 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, max_steps: i
     NotCertifiableError
         If the problem is of a kind for which no certificate is known.
     """
+    if rigid_motions(problem).size > 0:
+        raise NotCertifiableError("only contact holds the body")
     skeleton = skeleton_of(problem, nodes)
     conditions = conditions_of(problem, skeleton)
     build = equilibrated_flux if problem.components == 1 else equilibrated_stress

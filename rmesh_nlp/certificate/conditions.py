@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.certificate.integrals import Integrals, over_edges, values_at
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.energy import contact_edges
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 
 Mask = NDArray[np.bool_]
 
@@ -32,6 +31,23 @@ ROUNDING = 1e-12
 
 class NotCertifiableError(ValueError):
     """No certificate is known for this kind of problem; the message says which kind."""
+
+
+@dataclass(frozen=True)
+class ContactPart:
+    """The edges of one obstacle on the boundary.
+
+    Attributes
+    ----------
+    obstacle : Obstacle
+    edges : (edges of this part,) int array
+    place : slice
+        Where they stand among all contact edges.
+    """
+
+    obstacle: Obstacle
+    edges: NDArray[np.int64]
+    place: slice
 
 
 @dataclass(frozen=True)
@@ -65,6 +81,8 @@ class Conditions:
         Values at the ends of a linear function that nowhere exceeds the friction bound.
     axes : (contact edges, components, components) array
         Rows: the obstacle's tangent and normal, or the normal alone in a scalar problem.
+    parts : tuple of ContactPart
+        The contact edges obstacle by obstacle.
     """
 
     held: Mask
@@ -79,6 +97,7 @@ class Conditions:
     offset_doubt: Array
     friction: Array
     axes: Array
+    parts: tuple[ContactPart, ...]
 
 
 def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
@@ -87,22 +106,22 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     Raises
     ------
     NotCertifiableError
-        If a displacement component is given on a contact edge with an oblique normal.
+        For contact that tractions linear on edges cannot express.
     """
     held, given, given_doubt, given_error = _given_displacement(problem, skeleton)
     traction, oscillation, doubt = _tractions(problem, skeleton)
-    contact = _contact_edges(problem, held)
-    corners = skeleton.nodes[:, skeleton.ends[:, contact]]
-    obstacle = problem.obstacle
-    offset = over_edges(obstacle.offset, corners)
-    axes = np.eye(problem.components)
-    if contact.size:
-        rows = (obstacle.tangent, obstacle.normal) if problem.components == 2 else (obstacle.normal,)
-        axes = np.array(rows, dtype=float)
-    if np.all(axes != 0) and np.any(held[:, contact]) and problem.components == 2:
-        raise NotCertifiableError(
-            "a displacement component is given on a contact edge whose contact normal is oblique"
-        )
+    parts = _contact_parts(problem, held)
+    contact = np.concatenate([np.zeros(0, dtype=np.int64), *(part.edges for part in parts)])
+    n = problem.components
+    offset, offset_doubt, friction = np.zeros((3, 2, contact.size))
+    axes = np.zeros((contact.size, n, n))
+    for part in parts:
+        corners, obstacle = skeleton.nodes[:, skeleton.ends[:, part.edges]], part.obstacle
+        gap = over_edges(obstacle.offset, corners)
+        offset[:, part.place], offset_doubt[:, part.place] = gap.moments, gap.doubt
+        friction[:, part.place] = _linear_below(values_at(obstacle.friction, corners, SAMPLE_POINTS))
+        rows = (obstacle.tangent, obstacle.normal) if n == 2 else (obstacle.normal,)
+        axes[part.place] = np.array(rows)
     return Conditions(
         held,
         given,
@@ -112,10 +131,11 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
         oscillation,
         doubt,
         contact,
-        offset.moments,
-        offset.doubt,
-        _linear_below(values_at(obstacle.friction, corners, SAMPLE_POINTS)),
-        np.broadcast_to(axes, (contact.size, *axes.shape)),
+        offset,
+        offset_doubt,
+        friction,
+        axes,
+        parts,
     )
 
 
@@ -168,13 +188,29 @@ def linear_values(moments: Array) -> Array:
     return np.stack([4 * moments[0] - 2 * moments[1], 4 * moments[1] - 2 * moments[0]])
 
 
-def _contact_edges(problem: ContactProblem, held: Mask) -> NDArray[np.int64]:
-    """Edges of the contact boundary on which the gap is not given beforehand."""
-    if contact_edges(problem).size == 0:
-        return np.zeros(0, dtype=np.int64)
-    edges = np.unique(problem.mesh.boundaries[problem.obstacle.boundary])
-    normal = np.array(problem.obstacle.normal) != 0
-    return np.asarray(edges[np.any(~held[:, edges] & normal[:, None], axis=0)], dtype=np.int64)
+def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ...]:
+    """Of each boundary with contact the edges on which the gap is not given beforehand."""
+    parts: list[ContactPart] = []
+    seen = np.zeros(held.shape[1], dtype=bool)
+    first = 0
+    for obstacle in problem.obstacles:
+        if isinstance(obstacle.boundary, Place):
+            continue
+        if obstacle.level is not None:
+            raise NotCertifiableError("the normal of a curved foundation turns along an edge")
+        normal = np.array(obstacle.normal) != 0
+        edges = np.unique(problem.mesh.boundaries[obstacle.boundary])
+        edges = edges[np.any(~held[:, edges] & normal[:, None], axis=0)].astype(np.int64)
+        if np.any(seen[edges]):
+            raise NotCertifiableError("an edge is in contact with two obstacles")
+        if np.all(normal) and held.shape[0] == 2 and np.any(held[:, edges]):
+            raise NotCertifiableError(
+                "a displacement component is given on a contact edge whose contact normal is oblique"
+            )
+        seen[edges] = True
+        parts.append(ContactPart(obstacle, edges, slice(first, first + edges.size)))
+        first += edges.size
+    return tuple(parts)
 
 
 def _linear_below(samples: Array) -> Array:

@@ -30,8 +30,7 @@ def _moments(problem: ContactProblem, skeleton: Skeleton) -> list[Array]:
     areas, centres = skeleton.areas, skeleton.centres - corner
     result = [np.array([areas[part].sum(), *(centres[:, part] @ areas[part])]) for _, part in problem.regions]
     names = {load.boundary for load in problem.tractions} | {s.boundary for s in problem.supports}
-    if not isinstance(problem.obstacle.boundary, Place):
-        names.add(problem.obstacle.boundary)
+    names |= {o.boundary for o in problem.obstacles if not isinstance(o.boundary, Place)}
     middle = skeleton.nodes[:, skeleton.ends].mean(axis=1) - corner
     lengths = skeleton.lengths
     for name in sorted(names):

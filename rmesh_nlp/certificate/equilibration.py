@@ -154,12 +154,16 @@ def balance(
         friction = z.reshape(shape) / edge if z.size else np.zeros(shape)
         force = np.zeros(len(numbers))
     else:
-        rows = _rows(index[added], free.size) * interior.sign
-        nothing = sp.csr_array((0, free.size))
-        system = ContactSystem(K, load, 0.0, rows, nothing, interior.gap, np.zeros(0))
-        found = solve(system, ActiveSet(interior.touching, np.zeros(0, dtype=np.int8)))
-        W[free], force = found.u, np.maximum(found.normal_force, 0.0)
-        pressure = friction = np.zeros((2, 0))
+        on_edges, tangents, gap, _ = _boundary_contact(space, index, start, free.size)
+        rows = sp.csr_array(sp.vstack([_rows(index[added], free.size) * interior.sign, on_edges]))
+        gaps = np.concatenate([interior.gap, gap])
+        touching = np.concatenate([interior.touching, pressure.ravel() > 0])
+        system = ContactSystem(K, load, 0.0, rows, tangents, gaps, np.zeros(0))
+        found = solve(system, ActiveSet(touching, np.zeros(0, dtype=np.int8)))
+        W[free], forces = found.u, np.maximum(found.normal_force, 0.0)
+        force = forces[: added.size]
+        pressure = forces[added.size :].reshape(pressure.shape) / lengths[conditions.contact]
+        friction = np.zeros(pressure.shape)
     reaction = (through(W) - applied)[held] @ (W + start)[held]
     traces = W[numbers]
     if turned.size:

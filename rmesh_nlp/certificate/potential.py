@@ -71,7 +71,7 @@ def _friction(
 ) -> Array:
     """Integrals of the bound times |slip|, on each side of the point where a linear slip changes sign."""
     contact = conditions.contact
-    if not problem.frictional or contact.size == 0:
+    if not problem.frictional:
         return np.zeros(contact.size)
     corners = skeleton.nodes[:, skeleton.ends[:, contact]]
     a, b = np.einsum("ej,jme->me", conditions.axes[:, 0], displacement[:, skeleton.ends[:, contact]])
@@ -83,7 +83,10 @@ def _friction(
         (corners[:, 0], point, turn, a, np.where(a * b < 0, 0.0, b)),
         (point, corners[:, 1], 1 - turn, np.zeros_like(b), b),
     ):
-        bound = values_at(problem.obstacle.friction, np.stack([start, stop], axis=1), barycentric)
+        ends = np.stack([start, stop], axis=1)
+        bound = np.zeros((barycentric.shape[1], contact.size))
+        for part in conditions.parts:
+            bound[:, part.place] = values_at(part.obstacle.friction, ends[:, :, part.place], barycentric)
         slip = np.abs(barycentric.T @ np.stack([first, last]))
         total += share * (weights @ (bound * slip))
     return np.asarray(total * skeleton.lengths[contact])

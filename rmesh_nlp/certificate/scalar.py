@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rmesh_nlp.certificate.conditions import Conditions
+from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError
 from rmesh_nlp.certificate.equilibration import InteriorObstacle, LocalSystems, balance
 from rmesh_nlp.certificate.field import (
     EquilibratedField,
@@ -34,8 +34,10 @@ def equilibrated_flux(
     mean = load.moments[0].sum(axis=0)
     linear = 12 * load.moments[0] - 3 * mean  # at the vertices: the best linear approximation
     linear[:, load.constant] = mean[load.constant]
-    inside = problem.obstacle.boundary is Place.INTERIOR
-    elements = RaviartThomas(skeleton, conductivity, linear, inside)
+    inside = [obstacle for obstacle in problem.obstacles if obstacle.boundary is Place.INTERIOR]
+    if len(inside) > 1:
+        raise NotCertifiableError("there are two obstacles in the interior")
+    elements = RaviartThomas(skeleton, conductivity, linear, bool(inside))
     space = TraceSpace(skeleton, conditions)
     u = guess.displacement
     computed = elements.constant(conductivity * gradients(u, skeleton)[0])
@@ -44,8 +46,8 @@ def equilibrated_flux(
     obstacle, interior, offset_doubt = np.zeros(area.size), None, 0.0
     centre = u[0][skeleton.triangles].mean(axis=0)
     if inside:
-        offset = over_triangles(problem.obstacle.offset, skeleton.nodes[:, skeleton.triangles])
-        sign, obstacle = problem.obstacle.normal[0], offset.moments.sum(axis=0)
+        offset = over_triangles(inside[0].offset, skeleton.nodes[:, skeleton.triangles])
+        sign, obstacle = inside[0].normal[0], offset.moments.sum(axis=0)
         interior = InteriorObstacle(
             sign,
             obstacle + sign * centre,

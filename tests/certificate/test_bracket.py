@@ -155,6 +155,37 @@ def test_roller_and_oblique_supports():
         bracket_of(block(dirichlet=both, obstacle=oblique))
 
 
+def test_several_contacts():
+    """Two foundations, and an obstacle in the interior together with one on the boundary."""
+    wall = Obstacle("right", (-1.0, 0.0), 0.001)
+    elastic = block(obstacle=(Obstacle("bottom"), wall))
+    membrane = ContactProblem(
+        rectangle(6, 6),
+        Laplace(-8.0),
+        ("left",),
+        (Obstacle.interior(-0.3), Obstacle("right", (1.0,), 0.1)),
+    )
+    for problem in (elastic, membrane):
+        found, fine = bracket_of(problem), bracket_of(replace(problem, mesh=problem.mesh.refined(2)))
+        assert found.why == ()
+        assert found.lower <= fine.lower <= fine.upper <= found.upper
+        assert fine.upper - fine.lower < 0.3 * (found.upper - found.lower)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"obstacle": Obstacle.circle("bottom", (1.0, -5.0), 5.0)}, "turns along an edge"),
+        ({"obstacle": (Obstacle("bottom"), Obstacle("bottom", (0.6, 0.8)))}, "two obstacles"),
+        ({"dirichlet": (Dirichlet("left", (0.0, None)),)}, "only contact holds"),
+    ],
+)
+def test_what_cannot_be_certified_is_said(changes, reason):
+    problem = block(**changes)
+    with pytest.raises(NotCertifiableError, match=reason):
+        bracket(problem, problem.mesh.p, guess_on(problem, np.zeros(problem.mesh.p.shape)))
+
+
 def test_equilibrium_is_checked_and_can_fail():
     problem = block()
     guess, skeleton = guess_on(problem), skeleton_of(problem, problem.mesh.p)
