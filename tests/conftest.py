@@ -9,7 +9,6 @@ from support.problems import sloped_block
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
 
-
 # the same inputs in every run: a test fails for a change, not by chance; scripts/ draw other ones
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
