@@ -14,7 +14,6 @@ from rmesh_nlp.optimize.nlp import NLPResult, Status
 
 _MAX_RETREATS = 3
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
-_BELOW = 0.1
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
 
 
@@ -47,9 +46,9 @@ def follow(
 ) -> None:
     """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep all in ``path``.
 
-    A step that fails is retried cold (from ``z0``); if that fails too, t retreats half of the way (in
-    its logarithm) and goes down by a smaller factor from there. ``first`` holds multipliers of the lifted
-    program for the first step.
+    A step that fails is retried cold (from ``z0``) unless it ran long; if that fails too, t retreats half of
+    the way (in its logarithm) and goes down by a smaller factor from there. ``first`` holds multipliers of
+    the lifted program for the first step.
     """
     options = run.programs.options
     t, factor, retreats = t0, options.factor, 0
@@ -73,8 +72,7 @@ def follow(
                     path.finish = _better(path.finish, near)
                     if near.solved and _at_the_limit(near.f, objective + _outlook(run, warm)):
                         return
-            # where the products are already smaller than t the relaxation does not act: go below them
-            t = max(min(factor * t, _BELOW * product), options.t_final)
+            t = _next(t, factor, product, options.t_final)
         else:
             path.relaxed, path.failure = last or result, result.status
             retreats += 1
@@ -82,8 +80,19 @@ def follow(
                 break
             factor = np.sqrt(factor)
             t = t / factor
-    if last is not None and path.finish is None:
-        path.finish = finish(run, last.x, search=True)
+    if path.finish is None and path.relaxed is not None and np.all(np.isfinite(path.relaxed.x)):
+        path.finish = finish(run, path.relaxed.x, search=last is not None)
+
+
+def _next(t: float, factor: float, product: float, t_final: float) -> float:
+    """The next t of the sequence that acts: above the largest product the relaxation changes nothing.
+
+    The sequence itself is kept. Going on from the product instead lost good minima (family sliding-modes).
+    """
+    t = factor * t
+    while t > product and t > t_final:
+        t *= factor
+    return max(t, t_final)
 
 
 def _step(
@@ -94,7 +103,7 @@ def _step(
         warm = None if first is None else run.programs.padded(relaxation, first)
         return run.relaxed(relaxation, z0, t, warm, first=True)
     result = run.relaxed(relaxation, last.x, t, last if run.programs.options.warm_duals else None)
-    if not result.converged:
+    if not result.converged and result.status is not Status.ITERATION_LIMIT:
         cold = run.relaxed(relaxation, z0, t, first=True)
         return cold if cold.converged else result
     return result

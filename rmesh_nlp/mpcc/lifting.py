@@ -116,7 +116,8 @@ def lift(mpcc: MPCC) -> Lifted:
     n_x, n_g, n_pairs = mpcc.n_x, mpcc.n_g, mpcc.n_pairs
     plain = _plain_unknowns(derivatives, n_x, n_g, x.is_empty())
     # a slack takes the sign of an unknown whose own bounds exclude zero: its row then shows the conflict
-    usable = (plain >= 0) & (np.asarray(mpcc.ubx)[plain] >= 0) & (np.asarray(mpcc.lbx)[plain] <= 0)
+    room = np.append((np.asarray(mpcc.ubx) >= 0) & (np.asarray(mpcc.lbx) <= 0), False)
+    usable = (plain >= 0) & room[plain]
     slack_rows = np.flatnonzero(~usable)
     n_s = slack_rows.size
     place = np.where(usable, plain, 0)

@@ -77,11 +77,10 @@ class MPCCSolver:
         return _result(run, _end(run, paths, z0, limit), build, total, len(paths) - (first is not None))
 
     def _attempts(self) -> list[tuple[str, float]]:
-        """The homotopy asked for, the same from other t0, and the elastic mode as the last resort."""
+        """The homotopy asked for, then the rescues; a rescue by the same relaxation and t is left out."""
         options = self.options
-        starts = [(options.relaxation, t0) for t0 in (options.t0, *options.rescue_t0)]
-        elastic = [("l1-penalty", t0) for t0 in options.rescue_t0[:1] if options.relaxation != "l1-penalty"]
-        return starts + elastic
+        first = (options.relaxation, options.t0)
+        return [first, *(attempt for attempt in options.rescues if attempt != first)]
 
 
 def solve(
@@ -150,21 +149,35 @@ def _end(run: Run, paths: list[Path], z0: Array, limit: Status | None) -> _End:
     """The best point of all homotopies, and why the solve stopped there."""
     path = _choose(paths)
     end = None if path is None else path.finish
-    if end is not None and (limit is None or end.solved):
-        status = end.status
-        if not end.solved and (abs(end.f) > _HUGE or np.max(np.abs(end.z), initial=0.0) > _HUGE):
-            status = Status.UNBOUNDED
-        if end.solved and not run.exact(end.z):
-            status = Status.INACCURATE
-        return _End(end.z, end, status)
-    z = z0 if run.nearest is None else run.nearest[0]
+    if end is not None and end.solved:
+        return _End(end.z, end, end.status if run.exact(end.z) else Status.INACCURATE)
+    if end is not None and end.verdict is not None:  # exact, but not shown to be stationary
+        return _End(end.z, end, limit or end.status)
+    z, excess = z0, np.inf
+    if run.nearest is not None:
+        z, _, excess = run.nearest
     if limit is not None:
         return _End(z, None, limit)
-    last = next((path.relaxed.x for path in paths if path.relaxed is not None), z)
-    if np.max(np.abs(last), initial=0.0) > _HUGE:
-        return _End(last, None, Status.UNBOUNDED)
-    failures = [path.failure for path in paths if path.failure is not None]
-    return _End(last, None, Status.INFEASIBLE if Status.INFEASIBLE in failures else failures[0])
+    tried = [z, *(path.relaxed.x for path in paths if path.relaxed is not None)]
+    tried += [path.finish.z for path in paths if path.finish is not None]
+    for point in tried:
+        f = run.programs.measure(point, run.p)[0]
+        if f < -_HUGE or (np.all(np.isfinite(point)) and np.max(np.abs(point), initial=0.0) > _HUGE):
+            return _End(point, None, Status.UNBOUNDED)
+    return _End(z, None, _failure(paths, excess))
+
+
+def _failure(paths: list[Path], excess: float) -> Status:
+    """Why no exact point was found: INFEASIBLE if the solvers ended, one way or another, at violations."""
+    ends = [path.failure for path in paths if path.failure is not None]
+    ends += [path.finish.status for path in paths if path.finish is not None]
+    ended = {Status.INFEASIBLE, Status.STALLED, Status.INACCURATE, Status.CONVERGED}
+    if excess <= 1.0:  # feasible after all: whatever Ipopt called it
+        others = [status for status in ends if status is not Status.INFEASIBLE]
+        return others[0] if others else Status.STALLED
+    if Status.INFEASIBLE in ends or (ends and set(ends) <= ended):
+        return Status.INFEASIBLE
+    return next((status for status in ends if status not in ended), Status.FAILED)
 
 
 def _result(run: Run, reached: _End, build: float, total: float, attempts: int) -> MPCCResult:

@@ -8,6 +8,7 @@
 from rmesh_nlp.mpcc.families.equilibria import cournot, obstacle_control, tolls
 from rmesh_nlp.mpcc.families.instance import Builder, Family, Instance
 from rmesh_nlp.mpcc.families.random_programs import bilevel, lpec, qpec
+from rmesh_nlp.mpcc.families.sliding_modes import sliding_modes
 from rmesh_nlp.mpcc.families.switched import (
     bouncing,
     friction,
@@ -24,6 +25,7 @@ FAMILIES: dict[str, Family] = {
         Family("sliding", sliding, (10, 30, 100, 300), True, "a discontinuous right-hand side"),
         Family("obstacle-control", obstacle_control, (4, 8, 16, 24), True, "control of a membrane"),
         Family("switch-detection", switch_detection, (3, 10, 30), True, "steps that end at switches"),
+        Family("sliding-modes", sliding_modes, (3, 6, 12), True, "two surfaces, a target hit exactly"),
         Family("lpec", lpec, (4, 10, 30, 100), False, "random linear programs over linear pairs"),
         Family("bouncing", bouncing, (10, 30, 100, 300), False, "a point that falls onto a table"),
         Family("friction", friction, (10, 30, 100, 200), False, "a block with Coulomb friction"),

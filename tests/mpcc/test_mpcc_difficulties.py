@@ -1,0 +1,245 @@
+"""What made solvers fail: each difficulty on a small problem of its own."""
+
+import sys
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.mpcc import MPCC, Options, classify, homotopy, solve
+from rmesh_nlp.mpcc.families import FAMILIES
+from rmesh_nlp.mpcc.finish import _tighten, finish
+from rmesh_nlp.mpcc.homotopy import _next
+from rmesh_nlp.mpcc.linearisation import linearisation
+from rmesh_nlp.mpcc.polish import polish, project
+from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.mpcc.stationarity import Label
+from rmesh_nlp.optimize.nlp import Status
+
+x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")
+XY, XYZ = ca.vertcat(x, y), ca.vertcat(x, y, z)
+
+
+def overdetermined():
+    """Three equations that agree with each other leave one point per branch of ``0 <= x _|_ y >= 0``.
+
+    On the branch x = 0: y + z = 1, y - z = 1/2, so y = 3/4, z = 1/4, and the third equation is redundant.
+    """
+    g = ca.vertcat(x + y + z - 1, y - z - 0.5 + x, 2 * y - 1.5 + 2 * x)
+    return MPCC(XYZ, (x - 1) ** 2 + y**2, g, x, y, lbg=0, ubg=0)
+
+
+def test_a_branch_with_more_equations_than_unknowns_is_met_by_projection_and_by_newton():
+    programs = Programs(overdetermined(), Options())
+    run = Run(programs, np.zeros(0))
+    near = np.array([1e-4, 0.7501, 0.2498])
+    fix_G = np.array([True])
+    exact = np.array([0.0, 0.75, 0.25])
+    assert project(run, near, fix_G) == pytest.approx(exact, abs=1e-9)
+    zero_rows, zero = np.zeros(programs.lifted.nlp.n_g), np.zeros(3)
+    assert polish(run, near, fix_G, zero_rows, zero).z == pytest.approx(exact, abs=1e-9)
+    assert project(run, np.array([0.0, 5.0, 5.0]), fix_G) is None  # the branch is far away: no projection
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_dynamics_whose_branches_leave_no_freedom_are_solved(seed):
+    """Cross complementarity: a share that is on closes several multipliers with one equation."""
+    instance = FAMILIES["switch-detection"].make(3, seed)
+    result = solve(instance.mpcc, instance.x0)
+    assert result.success
+    assert result.constraint_violation <= 1e-8
+
+
+def test_an_exact_relaxed_point_is_not_thrown_away(monkeypatch):
+    """Neither Newton nor a branch NLP ends: the relaxed point, projected, is judged all the same."""
+    branch = Programs.branch
+
+    def lost(self, z, p, *rest, **names):
+        result = branch(self, z, p, *rest, **names)
+        return replace(result, x=result.x + 1.0, status=Status.STALLED)
+
+    monkeypatch.setattr(Programs, "branch", lost)
+    monkeypatch.setattr("rmesh_nlp.mpcc.finish.polish", lambda *_: None)
+    result = solve(overdetermined(), 0.5)
+    assert result.success
+    assert result.f == pytest.approx(min(1 + 0.75**2, (0.75 - 1) ** 2), abs=1e-7)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e4, 1e6])
+def test_residuals_of_pairs_are_judged_relative_to_their_row(size):
+    """``size (x - z)`` cannot be zero more precisely than rounding of its terms allows."""
+    programs = Programs(MPCC(XYZ, x, None, size * (x - z), y), Options())
+    at = np.array([3.0, 1.0, 3.0])
+
+    def excess(error):
+        point = programs.lifted.start(at + np.array([error, 0, 0]), np.zeros(0))
+        return programs.excess(point, np.ones(1))
+
+    assert Options().complementarity == Options().feasibility == 1e-8
+    assert excess(1e-9) <= 1.0
+    assert excess(1e-6) > 1.0
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e-6, 1e-12, 1e8])
+def test_the_size_of_the_objective_does_not_matter(weight):
+    """Local minima: (0, 2) with f = weight, and (1, 0) with f = 4 weight."""
+    result = solve(MPCC(XY, weight * ((x - 1) ** 2 + (y - 2) ** 2), None, x, y), [0.3, 0.3])
+    assert result.success
+    assert min(abs(result.f / weight - 1), abs(result.f / weight - 4)) < 1e-8
+    multiplier = result.lam_G[0] if result.x[0] < 0.5 else result.lam_H[0]
+    assert multiplier / weight == pytest.approx(2 if result.x[0] < 0.5 else 4, rel=1e-6)
+
+
+def test_the_tolerance_of_stationarity_is_relative_to_the_objective():
+    """A point with slope is not stationary however small the objective is."""
+    f = 1e-12 * ((x - 1) ** 2 + (y - 2) ** 2)
+    assert classify(MPCC(XY, f, None, x, y), [0, 1.5]).stationarity == "none"
+    assert classify(MPCC(XY, f, None, x, y), [0, 2]).stationarity == "S"
+
+
+def test_t_follows_its_sequence_and_leaves_out_what_does_not_act():
+    assert _next(1.0, 0.1, 0.9, 1e-8) == pytest.approx(0.1)
+    assert _next(1.0, 0.1, 0.05, 1e-8) == pytest.approx(0.01)
+    assert _next(1e-7, 0.1, 0.0, 1e-8) == pytest.approx(1e-8)
+    corner = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y)
+    result = solve(corner, [0.5, 0.6], t0=0.5, factor=0.2, crossover=1e-12)
+    ts = [step.t for step in result.history if step.phase == "relaxed"]
+    assert ts == pytest.approx([max(0.5 * 0.2**k, 1e-8) for k in range(len(ts))])
+    assert ts[-1] == pytest.approx(1e-8)
+
+
+def test_default_t_begins_at_1_and_falls_by_a_tenth():
+    result = solve(MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y), [0.5, 0.6])
+    ts = [step.t for step in result.history if step.phase == "relaxed"]
+    assert ts[:2] == pytest.approx([1.0, 0.1])
+
+
+def test_an_early_finish_must_be_where_the_path_leads(monkeypatch):
+    """A finish that is much worse than the relaxed solutions foretell is not taken before t_final."""
+    honest = homotopy.polished
+
+    def poor(run, point, warm):
+        found = honest(run, point, warm)
+        return None if found is None else replace(found, f=found.f + 1.0)
+
+    monkeypatch.setattr(homotopy, "polished", poor)
+    result = solve(MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y), [0.5, 0.6])
+    assert min(step.t for step in result.history if step.phase == "relaxed") == pytest.approx(1e-8)
+
+
+def failing(monkeypatch, when):
+    """Let relaxations fail where ``when(name, z, t)``, and record the calls."""
+    relaxed, calls = Programs.relaxed, []
+
+    def shy(self, name, point, p, t, warm=None, *rest):
+        result = relaxed(self, name, point, p, t, warm, *rest)
+        bad = when(name, point, t)
+        calls.append((name, t, warm is not None, bad))
+        return replace(result, status=Status.STALLED) if bad else result
+
+    monkeypatch.setattr(Programs, "relaxed", shy)
+    return calls
+
+
+def test_another_relaxation_comes_to_the_rescue(monkeypatch):
+    calls = failing(monkeypatch, lambda name, point, t: name == "scholtes")
+    monkeypatch.setattr(
+        "rmesh_nlp.mpcc.homotopy.finish", lambda run, point, **_: _nothing(run, point, finish)
+    )
+    result = solve(MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y), [0.5, 0.6])
+    assert result.success
+    assert result.counts["rescues"] == 1
+    assert "steffensen-ulbrich" in {name for name, *_ in calls}
+
+
+def _nothing(run, point, honest):
+    """The finish, except from the start of the solve, where it would succeed without any relaxation."""
+    ends = honest(run, point, search=False)
+    started = all(step.status is not Status.CONVERGED for step in run.steps if step.phase == "relaxed")
+    return replace(ends, status=Status.STALLED, verdict=None) if started else ends
+
+
+def test_a_step_that_fails_from_the_last_solution_is_tried_from_the_start(monkeypatch):
+    start = np.array([0.5, 0.6])
+    calls = failing(monkeypatch, lambda name, point, t: t < 1 and not np.array_equal(point, start))
+    result = solve(MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y), start)
+    assert result.success
+    assert result.counts["rescues"] == 0
+    assert [t for _, t, _, bad in calls if not bad][:2] == pytest.approx([1.0, 0.1])
+
+
+def test_warm_duals_hand_the_multipliers_on(monkeypatch):
+    calls = failing(monkeypatch, lambda *_: False)
+    mpcc = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y)
+    solve(mpcc, [0.5, 0.6], crossover=1e-12, warm_duals=True)
+    assert [warm for _, _, warm, _ in calls] == [False] + [True] * (len(calls) - 1)
+    calls.clear()
+    solve(mpcc, [0.5, 0.6], crossover=1e-12)
+    assert not any(warm for _, _, warm, _ in calls)
+
+
+def test_a_pair_that_ends_next_to_the_corner_is_put_into_it_if_that_is_free():
+    programs = Programs(MPCC(XY, (x - 1) ** 2 + y**4, None, x - 1, y), Options())
+    run = Run(programs, np.zeros(0))
+    lifted = programs.lifted
+    point = lifted.start(np.array([1.0, 1e-5]), np.zeros(0))
+    fix_G = np.array([True])
+    solved = run.branch(point, fix_G)
+    near = replace(solved, x=point, f=1e-20)
+    tight = _tighten(run, near, fix_G)
+    assert run.steps[-1].phase == "tightened"
+    assert tight.x[lifted.second] == 0.0
+    lin = linearisation(lifted, tight.x, run.p, 1e-5, 1e-6)
+    assert list(lin.biactive) == [0]
+    # where closing costs the pair stays open
+    dear = Programs(MPCC(XY, (x - 1) ** 2 + 1e8 * (y - 1e-5) ** 2, None, x - 1, y), Options())
+    run = Run(dear, np.zeros(0))
+    point = dear.lifted.start(np.array([1.0, 1e-5]), np.zeros(0))
+    kept = _tighten(run, replace(solved, x=point, f=0.0), fix_G)
+    assert kept.x[dear.lifted.second] == 1e-5
+
+
+def test_a_kink_of_the_objective_is_not_infeasibility():
+    result = solve(MPCC(XY, ca.fabs(x - 1) + y, None, x, y), [0.3, 0.3])
+    assert result.status is not Status.INFEASIBLE
+    assert result.constraint_violation <= 1e-8
+    assert result.f == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("mpcc", "start"),
+    [
+        (MPCC(XY, x + y, None, x + 1, y + 1, lbx=0), 0.0),
+        (MPCC(XY, x + y, x**2 + y**2, x, y, ubg=-1), 1.0),
+        (MPCC(XY, x + y, x * y, x, y, lbg=1), 1.0),
+        (MPCC(ca.SX(0, 1), 0, None, ca.SX(1), ca.SX(1)), []),
+    ],
+)
+def test_problems_without_feasible_points_end_infeasible(mpcc, start):
+    result = solve(mpcc, start)
+    assert (result.status, result.success) == (Status.INFEASIBLE, False)
+    assert max(result.constraint_violation, result.complementarity) > 1e-3
+
+
+def test_constant_pairs_and_no_unknowns_are_problems_like_others():
+    assert solve(MPCC(ca.SX(0, 1), 0, None, ca.SX(0), ca.SX(1)), []).success
+    assert solve(MPCC(ca.SX(0, 1), 0, None, None, None), []).success
+    assert solve(MPCC(XY, (x - 1) ** 2 + y**2, None, ca.SX(0), ca.SX(1)), 0.0).x == pytest.approx([1, 0])
+
+
+def test_without_a_label_nothing_is_called_a_success(monkeypatch):
+    """The multiplier programs fail numerically: the point may be right, but it is not shown to be."""
+    module = sys.modules["rmesh_nlp.mpcc.classify"]
+    monkeypatch.setattr(module, "witness", lambda *_: None)
+    monkeypatch.setattr(module, "label", lambda *_: Label("", None))
+    result = solve(MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y), [0.5, 0.6])
+    assert (result.success, result.stationarity) == (False, "")
+    assert result.status is Status.STALLED
+
+
+def test_one_nlp_has_a_limit_that_does_not_grow_with_the_problem():
+    options = Options()
+    assert options.relaxed(10, warm=False)["max_iter"] <= 310
+    assert options.relaxed(100_000, warm=False)["max_iter"] <= 600
