@@ -29,11 +29,14 @@ class Case:
         Name of an installed strategy.
     options : mapping
         Keyword arguments of the strategy's ``solve``: ``objective``, ``relaxation``, ``seed``, ...
+    certify : bool
+        Whether to bound the error of the solution.
     """
 
     problem: ContactProblem
     formulation: str
     options: Mapping[str, Any] = field(default_factory=dict)
+    certify: bool = False
 
     @property
     def key(self) -> str:
@@ -66,6 +69,7 @@ def make_cases(
     delta: Delta | None = None,
     quadrature: str | int = "midpoint",
     options: Mapping[str, Any] | None = None,
+    certify: bool = False,
 ) -> list[Case]:
     """All pairs of examples and strategies, with the same settings.
 
@@ -86,7 +90,7 @@ def make_cases(
         if not any(option in names for names in taken.values()):
             raise BadInputError(f"--{option} {options[option]}: not an option of {', '.join(formulations)}")
     return [
-        Case(problem, name, {option: options[option] for option in options if option in taken[name]})
+        Case(problem, name, {option: options[option] for option in options if option in taken[name]}, certify)
         for problem in problems
         for name in formulations
     ]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case
+from rmesh_nlp.certificate.certify import Certificate, certified
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.files import remove_leftovers, write_whole
@@ -25,6 +26,7 @@ class Outcome:
 
     record: Record
     solution: Solution | None
+    certificate: Certificate | None = None
 
 
 def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
@@ -45,7 +47,10 @@ def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
         return Outcome(_failure(case, "refused", error, time.perf_counter() - began), None)
     except Exception as error:
         return Outcome(_failure(case, "failed", error, time.perf_counter() - began), None)
-    return Outcome(record, solution)
+    if not case.certify:
+        return Outcome(record, solution)
+    bounds, certificate = certified(solution)
+    return Outcome({**record, **bounds}, solution, certificate)
 
 
 def _failure(case: Case, status: str, error: Exception, seconds: float) -> Record:
@@ -151,7 +156,8 @@ def save(outcome: Outcome, places: Result) -> None:
         places.vtu.unlink(missing_ok=True)
         places.history.unlink(missing_ok=True)
         return
-    write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu"))
+    certificate = outcome.certificate
+    write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu", certificate))
     rows = [{name: row[name] for name in HISTORY_FIELDS} for row in solution.history_rows()]
     write_whole(places.history, lambda path: write_history(path, rows))
 
@@ -169,6 +175,6 @@ def _finished(cases: Sequence[Case], rows: Sequence[Record], results: Results) -
                 raise BadInputError(
                     f"cannot resume {case.key}: it was solved with {name} {row.get(name)}, not {value}"
                 )
-        if results.is_intact(row):
+        if results.is_intact(row) and (not case.certify or "certificate_remark" in row):
             done[case.key] = row
     return done

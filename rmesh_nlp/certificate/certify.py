@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,7 @@ class Certificate:
     field: Array
     residual: float
 
-    def record(self) -> dict[str, float | bool | str]:
+    def record(self) -> dict[str, Any]:
         """The entries of a record."""
         return {
             "energy_lower_bound": self.lower,
@@ -69,6 +70,7 @@ class Certificate:
             "relative_error_bound": self.relative,
             "guaranteed_lower": self.guaranteed_lower,
             "guaranteed_upper": self.guaranteed_upper,
+            "guaranteed_initial": self.guaranteed_initial,
             "certificate_remark": self.why,
         }
 
@@ -155,6 +157,15 @@ def _certificate(before: Bracket, after: Bracket, why: tuple[str, ...]) -> Certi
 def error_bound(one: Bracket) -> float:
     """Bound of the error in the energy norm: half its square is at most the gap between the bounds."""
     return float(np.sqrt(2 * max(one.upper - one.lower, 0.0)))
+
+
+def certified(solution: Solution) -> tuple[dict[str, Any], Certificate | None]:
+    """The entries of a record, and the certificate; without one the remark in the record says why."""
+    try:
+        certificate = certify(solution)
+    except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
+        return {"certificate_remark": f"no certificate: {' '.join(str(error).split())}"}, None
+    return certificate.record(), certificate
 
 
 def _percent(part: float) -> str:

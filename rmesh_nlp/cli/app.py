@@ -85,6 +85,10 @@ Outer = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout instead of text.")]
+Certify = Annotated[
+    bool,
+    typer.Option("--certify", help="Bound the error in the energy norm, before and after the relocation."),
+]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve or compare wrote.")]
 
 
@@ -158,6 +162,7 @@ def solve(
     outer: Outer = None,
     starts: Starts = None,
     levels: Levels = None,
+    certify: Certify = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
@@ -173,7 +178,7 @@ def solve(
     rmesh solve 6.2 --n 12x6 --delta 0.15667,0.07333
     rmesh solve 6.1 --formulation nested --outer newton --n 32
     rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
-    rmesh solve my.toml --formulation nested
+    rmesh solve my.toml --formulation nested --certify
     """
     settings = _settings(
         n,
@@ -191,8 +196,10 @@ def solve(
             if value not in (None, "midpoint"):
                 raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
         commands = _problem_commands()
-        raise typer.Exit(commands.solve(Path(example), formulation, settings["options"], out))
-    raise typer.Exit(_commands().solve(example, formulation or "joint", settings, out))
+        raise typer.Exit(commands.solve(Path(example), formulation, settings["options"], out, certify))
+    raise typer.Exit(
+        _commands().solve(example, formulation or "joint", {**settings, "certify": certify}, out)
+    )
 
 
 @app.command()
@@ -275,6 +282,7 @@ def compare(
     outer: Outer = None,
     starts: Starts = None,
     levels: Levels = None,
+    certify: Certify = False,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("results"),
     resume: Annotated[
         bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
@@ -304,7 +312,13 @@ def compare(
     )
     names = tuple(dict.fromkeys(examples or ()))
     raise typer.Exit(
-        _commands().compare(names, parse_names("--formulations", formulations), settings, out, resume)
+        _commands().compare(
+            names,
+            parse_names("--formulations", formulations),
+            {**settings, "certify": certify},
+            out,
+            resume,
+        )
     )
 
 

@@ -48,9 +48,20 @@ def solve(example: str, formulation: str, settings: Mapping[str, Any], out: Path
         results.manifest.claim(*SINGLE)
         write_single(folder, outcome.record, lambda places: campaign.save(outcome, places))
         progress.finish(outcome.record)
+    say_certificate(outcome)
     names = [name for name in SINGLE if (folder / name).exists()]
     print("wrote", ", ".join(str(folder / name) for name in names))
     return SUCCESS if outcome.record["success"] else NO_SUCCESS
+
+
+def say_certificate(outcome: campaign.Outcome) -> None:
+    """Print what a certificate says of the error, or why there is none."""
+    remark = outcome.record.get("certificate_remark")
+    if outcome.certificate is not None:
+        found = outcome.certificate
+        print(f"{found.sentence}; least energy between {found.lower:.7g} and {found.upper:.7g}")
+    if remark:
+        print(f"note: {remark}")
 
 
 def compare(

@@ -13,6 +13,7 @@ from rmesh_nlp.campaign import run as campaign
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.campaign.progress import CampaignProgress
+from rmesh_nlp.cli.commands import say_certificate
 from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.cli.study_commands import check as check_study
 from rmesh_nlp.contact.setup_warnings import setup_warnings
@@ -79,7 +80,13 @@ def check(path: Path, picture: Path | None = None) -> int:
     return SUCCESS
 
 
-def solve(path: Path, formulation: str | None, options: Mapping[str, Any], out: Path | None) -> int:
+def solve(
+    path: Path,
+    formulation: str | None,
+    options: Mapping[str, Any],
+    out: Path | None,
+    certify: bool = False,
+) -> int:
     """Solve the problem of a file; returns the exit code.
 
     Writes ``record.json``, ``solution.vtu``, ``history.csv``, the relocated mesh ``mesh.msh`` with
@@ -89,6 +96,8 @@ def solve(path: Path, formulation: str | None, options: Mapping[str, Any], out: 
     ----------
     options : mapping
         Options given on the command line; they override ``[solve]``. ``None`` means not given.
+    certify : bool
+        Bound the error of the solution, also if ``[solve]`` does not ask for it.
     """
     table = read_table(path)
     problem = _load(path)
@@ -105,7 +114,7 @@ def solve(path: Path, formulation: str | None, options: Mapping[str, Any], out: 
         raise BadInputError(f"{path}: the formulation {name!r} takes no {sorted(refused)[0]}")
     series = Series(problem)
     keywords: dict[str, Any] = {key: wanted[key] for key in asked}
-    case = Case(problem, name, keywords)
+    case = Case(problem, name, keywords, certify or plan.certify)
     watched = not asked & {"starts", "levels"}
     folder = Path("results") / safe_name(problem.name) if out is None else out
     with writable(folder, FILES) as results:
@@ -128,6 +137,7 @@ def solve(path: Path, formulation: str | None, options: Mapping[str, Any], out: 
     else:
         Console().print(outcome.solution)
         _warn(outcome.record.get("warnings") or [])
+        say_certificate(outcome)
     print(f"wrote {folder}: {', '.join(names)}")
     return SUCCESS if outcome.record["success"] else NO_SUCCESS
 

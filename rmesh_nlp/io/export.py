@@ -10,6 +10,7 @@ import meshio
 import numpy as np
 from skfem import MeshTri
 
+from rmesh_nlp.certificate.certify import Certificate
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.stress import stresses, von_mises
@@ -54,12 +55,15 @@ def point_data(solution: Solution) -> dict[str, Array]:
     return data
 
 
-def cell_data(solution: Solution) -> dict[str, Array]:
+def cell_data(solution: Solution, certificate: Certificate | None = None) -> dict[str, Array]:
     """Fields of the elements, by name.
 
     ``stress`` is (elements, 4), sigma_xx, sigma_yy, sigma_xy, sigma_zz, with ``von_mises``; for
     a scalar problem ``flux``. ``area_ratio`` is the area over the initial one, ``least_angle``
-    in degrees, ``zone`` a number per set of subdomains.
+    in degrees, ``zone`` a number per set of subdomains. With a certificate ``error_bound`` and
+    ``error_bound_initial`` are what each element adds to the bound of half the squared error, on the
+    relocated and on the given mesh, and ``equilibrated_flux`` or ``equilibrated_stress`` (xx, yy, xy) is
+    the mean of the field that proves it.
     """
     problem, nodes = solution.problem, np.asarray(solution.mesh.p)
     stress = stresses(problem, nodes, solution.displacement)
@@ -78,13 +82,24 @@ def cell_data(solution: Solution) -> dict[str, Array]:
     if solution.multipliers is not None:
         data["area_multiplier"] = solution.multipliers.area
         data["angle_multiplier"] = solution.multipliers.angle
+    if certificate is not None:
+        data["error_bound"] = certificate.local
+        data["error_bound_initial"] = certificate.local_initial
+        scalar = problem.components == 1
+        name = "equilibrated_flux" if scalar else "equilibrated_stress"
+        data[name] = _three(certificate.field) if scalar else np.ascontiguousarray(certificate.field.T)
     return data
 
 
-def write_solution(solution: Solution, path: str | Path, file_format: str | None = None) -> None:
+def write_solution(
+    solution: Solution,
+    path: str | Path,
+    file_format: str | None = None,
+    certificate: Certificate | None = None,
+) -> None:
     """Write a solution with all its fields, in the format of the suffix; ``.vtu`` for ParaView."""
     points, cells = _three(np.asarray(solution.mesh.p)), [("triangle", solution.problem.triangles.T)]
-    data = {name: [values] for name, values in cell_data(solution).items()}
+    data = {name: [values] for name, values in cell_data(solution, certificate).items()}
     meshio.Mesh(points, cells, point_data=point_data(solution), cell_data=data).write(path, file_format)
 
 

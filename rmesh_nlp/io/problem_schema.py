@@ -162,6 +162,7 @@ class SolveTable(Table):
     seed: Seed | None = None
     starts: Seed = 0
     levels: Levels = 0
+    certify: bool = False
 
     @model_validator(mode="after")
     def _one_way(self) -> SolveTable:

@@ -69,6 +69,7 @@ formulation = "joint"            # fixed, nested, joint, mpcc
 # seed = 1                       # a random start instead of the mesh as given
 # starts = 4                     # as many random starts besides; the best counts, the spread is reported
 # levels = 1                     # optimise on this mesh, refine it, go on; as many times
+# certify = true                 # bound the error in the energy norm, before and after
 """
 
 

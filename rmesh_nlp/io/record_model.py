@@ -85,8 +85,13 @@ def _optional_text(value: Any) -> str | None:
     return None if value is None else _text(value)
 
 
+def _optional_truth(value: Any) -> bool | None:
+    return None if value is None else _truth(value)
+
+
 Text = Annotated[str, BeforeValidator(_text)]
 OptionalText = Annotated[str | None, BeforeValidator(_optional_text)]
+OptionalTruth = Annotated[bool | None, BeforeValidator(_optional_truth)]
 Number = Annotated[float | None, BeforeValidator(_number)]
 Count = Annotated[int | None, BeforeValidator(_count)]
 Seconds = Annotated[float | None, BeforeValidator(_seconds)]
@@ -143,8 +148,12 @@ class RecordModel(BaseModel):
     energy_upper_bound: Number = None
     error_bound_initial: Number = None
     error_bound: Number = None
-    guaranteed_lower: Number = None
-    guaranteed_upper: Number = None
+    guaranteed_lower: OptionalTruth = None
+    guaranteed_upper: OptionalTruth = None
+    guaranteed_initial: OptionalTruth = None
+    relative_error_bound_initial: Number = None
+    relative_error_bound: Number = None
+    certificate_remark: OptionalText = None
     nodes: Count = None
     triangles: Count = None
     biactive_nodes: Annotated[Any, BeforeValidator(_nodes)] = None
