@@ -17,6 +17,9 @@ from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS
 
+FLAGS = {"time_limit_s": "--time-limit", "max_iterations": "--max-iterations"}
+"""Limits: who does not heed one is finite without it. Their names on the command line."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -42,7 +45,7 @@ class Case:
     def key(self) -> str:
         """A name for files, such as ``6.2-12x6-joint`` or ``6.1-8-mpcc-seed3``."""
         options = [
-            f"{name}{value}" if name in ("seed", "starts", "levels") else str(value)
+            f"{name}{value}" if isinstance(value, (int, float)) else str(value)
             for name, value in sorted(self.options.items())
         ]
         parts = [self.problem.name, self.problem.size, self.formulation, *options]
@@ -87,7 +90,7 @@ def make_cases(
         problems = [with_reference(problem) for problem in problems]
     taken = {name: strategies.accepted(strategies.load(name), options) for name in formulations}
     for option in options:
-        if not any(option in names for names in taken.values()):
+        if option not in FLAGS and not any(option in names for names in taken.values()):
             raise BadInputError(f"--{option} {options[option]}: not an option of {', '.join(formulations)}")
     return [
         Case(problem, name, {option: options[option] for option in options if option in taken[name]}, certify)

@@ -21,10 +21,12 @@ class CampaignProgress:
     ----------
     total : int
         Number of solves.
+    quiet : bool
+        Show nothing.
     """
 
-    def __init__(self, total: int) -> None:
-        console = Console(file=sys.stderr, highlight=False, soft_wrap=True)
+    def __init__(self, total: int, *, quiet: bool = False) -> None:
+        console = Console(file=sys.stderr, highlight=False, soft_wrap=True, quiet=quiet)
         self._bar = Progress(
             BarColumn(20),
             MofNCompleteColumn(),
@@ -32,7 +34,7 @@ class CampaignProgress:
             TextColumn("{task.description}", markup=False),
             console=console,
             transient=True,
-            disable=not console.is_terminal,
+            disable=quiet or not console.is_terminal,
         )
         self._console = console
         self._task = self._bar.add_task("", total=total)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case
@@ -15,6 +16,7 @@ from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.files import remove_leftovers, write_whole
 from rmesh_nlp.io.record_model import REQUIRED, Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, RECORDS, TABLES, Result, Results, write_history
+from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.solution.solution import Solution, Step, versions
 
 OnStep = Callable[[Step], None]
@@ -27,6 +29,20 @@ class Outcome:
     record: Record
     solution: Solution | None
     certificate: Certificate | None = None
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a case ended: its row, and what puts its fields and history into their places."""
+
+    case: Case
+    record: Record
+    save: Callable[[Result], object]
+
+
+Solver = Callable[[Sequence[Case]], Iterator[Ended]]
+
+INTERRUPTED = Status.INTERRUPTED.value
 
 
 def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
@@ -78,8 +94,9 @@ def run(
     locked: bool = False,
     on_start: Callable[[Case], None] | None = None,
     on_step: OnStep | None = None,
+    solver: Solver | None = None,
 ) -> Iterator[Record]:
-    """Solve the cases one after the other and yield each record once it is on the disk.
+    """Solve the cases and yield each record once it is on the disk, those that are there already first.
 
     What an earlier run left in the folder is set aside when the first solve has ended, not
     before. With ``resume`` it stays, and cases that succeeded there are not solved again, unless
@@ -94,9 +111,13 @@ def run(
         The caller holds the lock of the folder; else it is taken here.
     on_start, on_step : callable, optional
         Called before each solve, and after each of its iterations.
+    solver : callable, optional
+        Solves cases and yields how each ended; by default one after the other in this process.
 
     Raises
     ------
+    KeyboardInterrupt
+        After the row of a solve that was interrupted: the next one does not begin.
     BadInputError
         If two cases have one key, the rows to be resumed were solved with other settings, another
         process writes in the folder, or a file of the user's is in the way.
@@ -107,41 +128,44 @@ def run(
             raise BadInputError(f"two cases are both called {key!r}")
     results.folder.mkdir(parents=True, exist_ok=True)
     with nullcontext() if locked else results.locked():
-        yield from _run(cases, results, resume, on_start, on_step)
+        yield from _run(cases, results, resume, solver or _one_by_one(on_start, on_step))
 
 
-def _run(
-    cases: Sequence[Case],
-    results: Results,
-    resume: bool,
-    on_start: Callable[[Case], None] | None,
-    on_step: OnStep | None,
-) -> Iterator[Record]:
+def _one_by_one(on_start: Callable[[Case], None] | None, on_step: OnStep | None) -> Solver:
+    def solver(cases: Sequence[Case]) -> Iterator[Ended]:
+        for case in cases:
+            if on_start is not None:
+                on_start(case)
+            outcome = solve(case, on_step)
+            yield Ended(case, outcome.record, partial(save, outcome))
+
+    return solver
+
+
+def _run(cases: Sequence[Case], results: Results, resume: bool, solver: Solver) -> Iterator[Record]:
     remove_leftovers(results.folder)
     manifest = results.manifest
     manifest.check(_names(cases, results))
     rows = results.repaired() if resume else []
     done = _finished(cases, rows, results)
+    yield from done.values()
     clean = resume
-    for case in cases:
-        if case.key in done:
-            yield done[case.key]
-            continue
-        if on_start is not None:
-            on_start(case)
-        outcome = solve(case, on_step)
+    for ended in solver([case for case in cases if case.key not in done]):
+        record, key = ended.record, ended.case.key
         if not clean:
             results.set_aside()
             clean = True
-        manifest.claim(*results.names(case.key))
-        save(outcome, results.result(outcome.record))
-        if any(row.get("key") == case.key for row in rows):
-            rows = [*(row for row in rows if row.get("key") != case.key), outcome.record]
+        manifest.claim(*results.names(key))
+        ended.save(results.result(record))
+        if any(row.get("key") == key for row in rows):
+            rows = [*(row for row in rows if row.get("key") != key), record]
             results.replace_all(rows)
         else:
-            rows.append(outcome.record)
-            results.append(outcome.record)
-        yield outcome.record
+            rows.append(record)
+            results.append(record)
+        yield record
+        if record["status"] == INTERRUPTED:
+            raise KeyboardInterrupt
 
 
 def _names(cases: Sequence[Case], results: Results) -> list[str]:
@@ -164,7 +188,7 @@ def save(outcome: Outcome, places: Result) -> None:
 
 def _finished(cases: Sequence[Case], rows: Sequence[Record], results: Results) -> dict[str, Record]:
     """Rows of cases that need not be solved again."""
-    by_key = {row.get("key"): row for row in rows if row["success"]}
+    by_key = {row.get("key"): row for row in rows if row["success"] and row["status"] != INTERRUPTED}
     done = {}
     for case in cases:
         row = by_key.get(case.key)

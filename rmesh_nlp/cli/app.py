@@ -21,7 +21,7 @@ BAD_INPUT, INTERRUPTED = 2, 130
 UsageError = typer.BadParameter.__mro__[1]
 ClickException: Any = UsageError.__mro__[1]
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(add_completion=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 Size = Annotated[
     str | None,
@@ -82,6 +82,18 @@ Outer = Annotated[
         metavar="NAME",
         help="Outer solver of nested: ipopt (default), newton, newton-pair, slsqp, trust-constr or l-bfgs-b.",
     ),
+]
+TimeLimit = Annotated[
+    float | None,
+    typer.Option(
+        "--time-limit", min=0.001, metavar="SECONDS", help="Of each solve; its best valid mesh then counts."
+    ),
+]
+MaxIterations = Annotated[
+    int | None, typer.Option("--max-iterations", min=1, metavar="N", help="Of each solve, likewise.")
+]
+Jobs = Annotated[
+    int, typer.Option("--jobs", min=1, metavar="N", help="Processes that solve; more than 1 needs dask.")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout instead of text.")]
@@ -163,10 +175,14 @@ def solve(
     starts: Starts = None,
     levels: Levels = None,
     certify: Certify = False,
+    time_limit: TimeLimit = None,
+    max_iterations: MaxIterations = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
     ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Solve one example, or the problem of a file, by one strategy.
 
@@ -190,16 +206,18 @@ def solve(
         outer=outer,
         starts=starts,
         levels=levels,
+        time_limit_s=time_limit,
+        max_iterations=max_iterations,
     )
+    voice = "json" if json else "quiet" if quiet else "text"
     if example.endswith(".toml"):
         for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
             if value not in (None, "midpoint"):
                 raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
         commands = _problem_commands()
-        raise typer.Exit(commands.solve(Path(example), formulation, settings["options"], out, certify))
-    raise typer.Exit(
-        _commands().solve(example, formulation or "joint", {**settings, "certify": certify}, out)
-    )
+        raise typer.Exit(commands.solve(Path(example), formulation, settings["options"], out, certify, voice))
+    chosen = {**settings, "certify": certify}
+    raise typer.Exit(_commands().solve(example, formulation or "joint", chosen, out, voice))
 
 
 @app.command()
@@ -240,9 +258,7 @@ def new(
 def study(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A study file.")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")],
-    jobs: Annotated[
-        int, typer.Option("--jobs", min=1, metavar="N", help="Processes that solve; more than 1 needs dask.")
-    ] = 1,
+    jobs: Jobs = 1,
     scheduler: Annotated[
         str | None,
         typer.Option("--scheduler", metavar="ADDRESS", help="A running dask scheduler: tcp://host:8786."),
@@ -283,10 +299,15 @@ def compare(
     starts: Starts = None,
     levels: Levels = None,
     certify: Certify = False,
+    time_limit: TimeLimit = None,
+    max_iterations: MaxIterations = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("results"),
     resume: Annotated[
         bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
     ] = False,
+    jobs: Jobs = 1,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Compare strategies: solve, table and draw.
 
@@ -309,6 +330,8 @@ def compare(
         outer=outer,
         starts=starts,
         levels=levels,
+        time_limit_s=time_limit,
+        max_iterations=max_iterations,
     )
     names = tuple(dict.fromkeys(examples or ()))
     raise typer.Exit(
@@ -318,6 +341,8 @@ def compare(
             {**settings, "certify": certify},
             out,
             resume,
+            jobs,
+            "json" if json else "quiet" if quiet else "text",
         )
     )
 
@@ -347,7 +372,7 @@ def figures(folder: Folder) -> None:
 
 
 def _settings(
-    n: str | None, delta: str | None, quadrature: str, seed: str | None, **given: str | int | None
+    n: str | None, delta: str | None, quadrature: str, seed: str | None, **given: str | float | None
 ) -> dict[str, Any]:
     """Keyword arguments of :func:`~rmesh_nlp.campaign.cases.make_cases`; options not given are left out."""
     options = {"seed": None if seed is None else parse_seed(seed), **given}

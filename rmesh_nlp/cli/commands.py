@@ -23,21 +23,31 @@ from rmesh_nlp.io.results import (
     DamagedRecordsWarning,
     Result,
     read_results,
+    to_json,
     write_single,
 )
 from rmesh_nlp.report.figures import write_figures
 from rmesh_nlp.report.tables import write_tables
+from rmesh_nlp.study.campaign import in_parallel
 
 SUCCESS, NO_SUCCESS = 0, 1
 SINGLE = ("record.json", "solution.vtu", "history.csv")
 """What a single solve writes."""
 
 
-def solve(example: str, formulation: str, settings: Mapping[str, Any], out: Path | None) -> int:
-    """One solve; returns the exit code."""
+def solve(
+    example: str, formulation: str, settings: Mapping[str, Any], out: Path | None, voice: str = "text"
+) -> int:
+    """One solve; returns the exit code.
+
+    Parameters
+    ----------
+    voice : str
+        What is printed: "text", "json" (the record) or "quiet".
+    """
     (case,) = make_cases([example], [formulation], **settings)
     folder = Path("results") / case.key if out is None else out
-    with writable(folder, SINGLE) as results, CampaignProgress(1) as progress:
+    with writable(folder, SINGLE) as results, CampaignProgress(1, quiet=voice != "text") as progress:
         progress.start(case)
         try:
             outcome = campaign.solve(case, progress.step)
@@ -48,10 +58,26 @@ def solve(example: str, formulation: str, settings: Mapping[str, Any], out: Path
         results.manifest.claim(*SINGLE)
         write_single(folder, outcome.record, lambda places: campaign.save(outcome, places))
         progress.finish(outcome.record)
-    say_certificate(outcome)
-    names = [name for name in SINGLE if (folder / name).exists()]
-    print("wrote", ", ".join(str(folder / name) for name in names))
-    return SUCCESS if outcome.record["success"] else NO_SUCCESS
+    if voice == "text":
+        say_certificate(outcome)
+        names = [name for name in SINGLE if (folder / name).exists()]
+        print("wrote", ", ".join(str(folder / name) for name in names))
+    elif voice == "json":
+        print(to_json(outcome.record))
+    return exit_code([outcome.record], folder)
+
+
+def exit_code(records: Sequence[Record], folder: Path) -> int:
+    """0 if all solves succeeded; Ctrl-C is said to have been one.
+
+    Raises
+    ------
+    InterruptedSolveError
+        If a solve was interrupted.
+    """
+    if any(record["status"] == campaign.INTERRUPTED for record in records):
+        raise InterruptedSolveError(f"the best mesh so far is kept in {folder}")
+    return SUCCESS if all(record["success"] for record in records) else NO_SUCCESS
 
 
 def say_certificate(outcome: campaign.Outcome) -> None:
@@ -70,12 +96,22 @@ def compare(
     settings: Mapping[str, Any],
     out: Path,
     resume: bool,
+    jobs: int = 1,
+    voice: str = "text",
 ) -> int:
-    """Many solves, tables and figures; returns the exit code."""
+    """Many solves, tables and figures; returns the exit code.
+
+    Parameters
+    ----------
+    jobs : int
+        Processes that solve.
+    voice : str
+        What is printed: "text", "json" (a list of the records) or "quiet".
+    """
     cases = make_cases(examples or list(EXAMPLES), formulations, **settings)
     records: list[Record] = []
     with writable(out, (RECORDS, *TABLES)) as results:
-        with CampaignProgress(len(cases)) as progress:
+        with CampaignProgress(len(cases), quiet=voice != "text") as progress:
             rows = campaign.run(
                 cases,
                 results,
@@ -83,6 +119,7 @@ def compare(
                 locked=True,
                 on_start=progress.start,
                 on_step=progress.step,
+                solver=in_parallel(out, settings, jobs) if jobs > 1 else None,
             )
             try:
                 with _warnings_as_notes():
@@ -90,24 +127,30 @@ def compare(
                         records.append(record)
                         progress.finish(record)
             except KeyboardInterrupt:
-                kept = f"{len(records)} of {len(cases)} solves are kept in {out}"
+                whole = sum(record["status"] != campaign.INTERRUPTED for record in records)
+                kept = f"{whole} of {len(cases)} solves are kept in {out}"
                 hint = "--resume goes on, rmesh table and rmesh figures show them"
                 raise InterruptedSolveError(f"{kept}; {hint}") from None
-        table(out)
-        figures(out)
+        table(out, voice)
+        figures(out, voice)
+    if voice == "json":
+        print(f"[{', '.join(to_json(record) for record in records)}]")
     return SUCCESS if all(record["success"] for record in records) else NO_SUCCESS
 
 
-def table(folder: Path) -> None:
+def table(folder: Path, voice: str = "text") -> None:
     """Write the tables of a folder and print the Markdown one."""
     results = _read(folder)
-    print(write_tables([result.record for result in results], folder), end="")
+    text = write_tables([result.record for result in results], folder)
+    if voice == "text":
+        print(text, end="")
 
 
-def figures(folder: Path) -> None:
+def figures(folder: Path, voice: str = "text") -> None:
     """Write the figures of a folder and say where they are."""
     paths = write_figures(_read(folder), folder / "figures", Manifest(folder))
-    print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
+    if voice == "text":
+        print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
 
 
 def _read(folder: Path) -> list[Result]:

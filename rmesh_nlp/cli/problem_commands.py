@@ -11,9 +11,9 @@ from rich.console import Console
 
 from rmesh_nlp.campaign import run as campaign
 from rmesh_nlp.campaign import strategies
-from rmesh_nlp.campaign.cases import Case
+from rmesh_nlp.campaign.cases import FLAGS, Case
 from rmesh_nlp.campaign.progress import CampaignProgress
-from rmesh_nlp.cli.commands import say_certificate
+from rmesh_nlp.cli.commands import exit_code, say_certificate
 from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.cli.study_commands import check as check_study
 from rmesh_nlp.contact.setup_warnings import setup_warnings
@@ -24,7 +24,7 @@ from rmesh_nlp.io.files import safe_name, write_new, write_whole
 from rmesh_nlp.io.problem_file import build, read_table
 from rmesh_nlp.io.problem_messages import one_line
 from rmesh_nlp.io.problem_template import template
-from rmesh_nlp.io.results import Results, write_single
+from rmesh_nlp.io.results import Results, to_json, write_single
 from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.freedoms import Mobility, freedoms, validity_group
@@ -32,7 +32,7 @@ from rmesh_nlp.report.problem_picture import draw_problem
 from rmesh_nlp.solution.solution import Step
 from rmesh_nlp.study.study_file import is_study
 
-SUCCESS, NO_SUCCESS = 0, 1
+SUCCESS = 0
 FILES = ("record.json", "solution.vtu", "history.csv", "mesh.msh")
 """What a solve writes, the series of its iterates aside."""
 
@@ -86,6 +86,7 @@ def solve(
     options: Mapping[str, Any],
     out: Path | None,
     certify: bool = False,
+    voice: str = "text",
 ) -> int:
     """Solve the problem of a file; returns the exit code.
 
@@ -98,9 +99,11 @@ def solve(
         Options given on the command line; they override ``[solve]``. ``None`` means not given.
     certify : bool
         Bound the error of the solution, also if ``[solve]`` does not ask for it.
+    voice : str
+        What is printed: "text", "json" (the record) or "quiet".
     """
     table = read_table(path)
-    problem = _load(path)
+    problem = _load(path, notes=voice == "text")
     name = formulation or table.solve.formulation
     function = strategies.load(name)
     plan = table.solve
@@ -109,7 +112,9 @@ def solve(
     # the defaults need not be known to every strategy, what was asked for must be
     default = {"objective": "energy", "starts": 0, "levels": 0, "seed": None}
     asked = {key for key, value in wanted.items() if value != default.get(key)}
-    refused = asked - strategies.accepted(function, asked)
+    taken = strategies.accepted(function, asked)
+    asked -= set(FLAGS) - taken  # a limit of what is finite anyway is none
+    refused = asked - taken
     if refused:
         raise BadInputError(f"{path}: the formulation {name!r} takes no {sorted(refused)[0]}")
     series = Series(problem)
@@ -118,7 +123,7 @@ def solve(
     watched = not asked & {"starts", "levels"}
     folder = Path("results") / safe_name(problem.name) if out is None else out
     with writable(folder, FILES) as results:
-        with CampaignProgress(1) as progress:
+        with CampaignProgress(1, quiet=voice != "text") as progress:
             progress.start(case)
 
             def watch(step: Step) -> None:
@@ -132,20 +137,29 @@ def solve(
         if outcome.record["status"] == "refused":
             raise BadInputError(f"{path}: {outcome.record['message']}")
         names = _write(results, outcome, series)
+    if voice == "json":
+        print(to_json(outcome.record))
+    elif voice == "text":
+        _print(outcome, case, folder, names)
+    return exit_code([outcome.record], folder)
+
+
+def _print(outcome: campaign.Outcome, case: Case, folder: Path, names: Sequence[str]) -> None:
     if outcome.solution is None:
-        print(f"{problem.name} {name}: {outcome.record['status']}: {outcome.record['message']}")
+        print(
+            f"{case.problem.name} {case.formulation}: {outcome.record['status']}: {outcome.record['message']}"
+        )
     else:
         Console().print(outcome.solution)
         _warn(outcome.record.get("warnings") or [])
         say_certificate(outcome)
     print(f"wrote {folder}: {', '.join(names)}")
-    return SUCCESS if outcome.record["success"] else NO_SUCCESS
 
 
 def _write(results: Results, outcome: campaign.Outcome, series: Series) -> list[str]:
     """Put all files of a solve in place, the record last; what an earlier solve left goes first."""
     folder, solution, manifest = results.folder, outcome.solution, results.manifest
-    manifest.remove()
+    manifest.remove(name for name in manifest.names() if name.startswith("iterations/"))
     manifest.claim(*FILES)
     if solution is not None:
         write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
@@ -161,12 +175,12 @@ def _warn(messages: Sequence[str]) -> None:
         print(f"warning: {message}")
 
 
-def _load(path: Path) -> ContactProblem:
+def _load(path: Path, notes: bool = True) -> ContactProblem:
     """The problem of a file; repairs of its mesh are printed as notes."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", MeshRepairWarning)
         problem = build(read_table(path), path)
     for warning in caught:
-        if issubclass(warning.category, MeshRepairWarning):
+        if notes and issubclass(warning.category, MeshRepairWarning):
             print(f"note: {path}: {warning.message}")
     return problem

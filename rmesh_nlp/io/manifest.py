@@ -95,9 +95,10 @@ class Manifest:
         self._remove_empty(present)
         return target
 
-    def remove(self) -> None:
-        """Take away all own files that are there, and folders that this leaves empty."""
-        present = self.names()
+    def remove(self, names: Iterable[str]) -> None:
+        """Take away those of the own files that are named, and folders that this leaves empty."""
+        own = set(self.names())
+        present = [name for name in names if name in own]
         for name in present:
             with suppress(IsADirectoryError):
                 (self.folder / name).unlink(missing_ok=True)

@@ -69,10 +69,10 @@ class Contained:
             code = self.close()
             if why == "time":
                 message = f"killed after {seconds:.1f} s: the limit is {solve.time_s:g} s"
-                return failure(solve, "time-limit", message, seconds)
+                return failure(solve, "time_limit", message, seconds)
             if why == "memory":
                 message = f"killed with more memory than the limit of {solve.memory_mb:g} MB"
-                return failure(solve, "memory-limit", message, seconds)
+                return failure(solve, "memory_limit", message, seconds)
             if attempt == ATTEMPTS:
                 return failure(solve, "died", f"its process ended twice, at last with code {code}", seconds)
         return failure(solve, "died", "its process could not be given the problem")

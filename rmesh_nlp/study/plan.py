@@ -44,6 +44,8 @@ class PlannedSolve:
         Limits.
     fields : bool
         Whether meshes and fields are kept.
+    certify : bool
+        Whether the error is bounded.
     """
 
     problem: Problem
@@ -57,6 +59,7 @@ class PlannedSolve:
     time_s: float = 60.0
     memory_mb: float = 4000.0
     fields: bool = True
+    certify: bool = False
 
     @property
     def key(self) -> str:
@@ -103,6 +106,7 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
                     study.limits.time,
                     study.limits.memory,
                     study.fields,
+                    study.certify,
                 )
                 plan[solve.key] = solve
     return list(plan.values())

@@ -31,7 +31,7 @@ def perform(solve: PlannedSolve, folder: Path | None) -> Record:
     """Run one solve, keep its fields, and return its row."""
     began, cpu = time.perf_counter(), time.process_time()
     try:
-        case = Case(build(solve), solve.formulation, solve.options)
+        case = Case(build(solve), solve.formulation, solve.options, solve.certify)
         outcome = campaign.solve(case)
         record = outcome.record
     except Exception as error:  # a problem that cannot be built here

@@ -111,6 +111,7 @@ class StudyTable(Table):
     seeds: Annotated[Any, BeforeValidator(_seeds)] = (None,)
     repeats: Count = 1
     fields: bool = True
+    certify: bool = False
     limits: LimitsTable = Field(default_factory=LimitsTable)
 
     @model_validator(mode="after")

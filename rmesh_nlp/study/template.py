@@ -26,6 +26,7 @@ strategies = ["fixed", "joint"]
 # seeds = ["given", 1, 2]        # starts: the mesh as given, and random ones
 # repeats = 3                    # for times: tables then show medians and ranges
 # fields = true                  # keep meshes and fields of every solve, for figures and the report
+# certify = true                 # bound the error of every solve
 
 [limits]                         # of each solve; a solve that exceeds them is a row with its status
 time = 60.0                      # seconds

@@ -150,5 +150,5 @@ def test_a_list_that_leads_out_of_its_folder_is_not_followed(tmp_path: Path) -> 
     (tmp_path / "victim").write_text("mine")
     (inside / MANIFEST).write_text(f"../victim\n{tmp_path / 'victim'}\n")
     assert Manifest(inside).set_aside() is None
-    Manifest(inside).remove()
+    Manifest(inside).remove(["../victim", str(tmp_path / "victim")])
     assert (tmp_path / "victim").read_text() == "mine"

@@ -59,7 +59,7 @@ def test_a_hang_a_leak_and_a_crash_are_a_row_each_and_the_next_solve_runs(
     statuses = {row["strategy"]: row["status"] for row in told}
     assert statuses.pop("fixed") == "converged"
     assert statuses.pop("crash_once") == "converged"  # killed from outside, say: tried once more
-    assert statuses == {"hang": "time-limit", "leak": "memory-limit", "crash": "died"}
+    assert statuses == {"hang": "time_limit", "leak": "memory_limit", "crash": "died"}
     assert [row["key"] for row in rows_of(tmp_path)] == [solve.key for solve in plan]
     assert list(engine.run(plan, tmp_path)) == []  # a row, once, and not tried for ever
     assert len(read_results(tmp_path)) == 5  # rows that tables can read
