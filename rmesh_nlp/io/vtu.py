@@ -32,6 +32,8 @@ class Fields:
     foundation : (2, nodes) array
         The point of the foundation that a contact node would meet; the node itself elsewhere
         and for scalar problems.
+    error_bound, error_bound_initial : (elements,) arrays or None
+        What each element adds to the bound of half the squared error; None without a certificate.
     """
 
     nodes: Array
@@ -43,6 +45,8 @@ class Fields:
     friction_bound: Array
     contact: NDArray[np.bool_]
     foundation: Array
+    error_bound: Array | None = None
+    error_bound_initial: Array | None = None
 
 
 def fields_of(solution: Solution) -> Fields:
@@ -107,6 +111,7 @@ def read_vtu(path: Path) -> Fields:
 def _read(path: Path) -> Fields:
     mesh = meshio.vtu.read(str(path))  # meshio.read ends the process where it cannot read
     data = mesh.point_data
+    bounds = {name: mesh.cell_data.get(name, [None])[0] for name in ("error_bound", "error_bound_initial")}
     return Fields(
         nodes=mesh.points[:, :2].T,
         initial=data["initial_position"][:, :2].T,
@@ -117,6 +122,7 @@ def _read(path: Path) -> Fields:
         friction_bound=data["friction_bound"],
         contact=data["contact"].astype(bool),
         foundation=data["foundation"][:, :2].T,
+        **bounds,
     )
 
 

@@ -60,6 +60,19 @@ def _two(first: str, second: str) -> str:
     return rf"\shortstack[r]{{{first}\\ {{{second}}}}}"
 
 
+def _bound(name: str, side: str) -> Callable[[Record], str]:
+    """A bound of the error in per cent, called "about" if it is not guaranteed."""
+
+    def cell(record: Record) -> str:
+        value = record.get(name)
+        if value is None:
+            return MISSING
+        guaranteed = record.get("guaranteed_lower") and record.get(f"guaranteed_{side}")
+        return f"{'at most' if guaranteed else 'about'} {100 * value:.3g}"
+
+    return cell
+
+
 STRATEGY = Column("strategy", "strategy", label)
 
 ENERGIES = (
@@ -98,6 +111,18 @@ OBJECTIVES = (
     Column("status", "status", _text("status")),
 )
 """Outer objectives other than the energy."""
+
+
+CERTIFICATES = (
+    STRATEGY,
+    Column("lower bound", _two("lower", "bound"), _number("energy_lower_bound", ".6f")),
+    Column("upper bound", _two("upper", "bound"), _number("energy_upper_bound", ".6f")),
+    Column(
+        "error before [%]", _two("error before", r"[\%]"), _bound("relative_error_bound_initial", "initial")
+    ),
+    Column("error after [%]", _two("error after", r"[\%]"), _bound("relative_error_bound", "upper")),
+)
+"""Bounds of the least energy, and of the error in the energy norm."""
 
 
 def _count(values: Any) -> str:

@@ -10,10 +10,12 @@ from matplotlib.figure import Figure
 
 from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.io.manifest import Manifest
+from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, label
 from rmesh_nlp.report.convergence import convergence_figure, curve
+from rmesh_nlp.report.errors import bracket_figure, error_figure, is_certified
 from rmesh_nlp.report.grids import grid_figure, surface_figure
 from rmesh_nlp.report.stresses import stress_figure
 from rmesh_nlp.report.style import SETTINGS, save
@@ -39,13 +41,29 @@ def write_figures(results: Sequence[Result], folder: Path, manifest: Manifest | 
     """
     by_record = {id(result.record): result for result in results}
     paths: list[Path] = []
+
+    def write(name: str, figure: Figure) -> None:
+        stem = _unused(safe_name(name), paths)
+        if manifest is not None:
+            manifest.claim(*(f"{folder.name}/{stem}.{kind}" for kind in FORMATS))
+        paths.extend(save(figure, folder / stem, FORMATS))
+
     for block in blocks([result.record for result in results]):
         for name, figure in block_figures(block, [by_record[id(record)] for record in block.records]):
-            stem = _unused(safe_name(name), paths)
-            if manifest is not None:
-                manifest.claim(*(f"{folder.name}/{stem}.{kind}" for kind in FORMATS))
-            paths += save(figure, folder / stem, FORMATS)
+            write(name, figure)
+    for name, figure in _brackets([result.record for result in results]):
+        write(name, figure)
     return paths
+
+
+def _brackets(records: Sequence[Record]) -> Iterator[tuple[str, Figure]]:
+    """A figure per example that was certified on more than one mesh."""
+    certified = [record for record in records if is_certified(record) and record.get("nodes")]
+    with rc_context(SETTINGS):
+        for example in dict.fromkeys(record["example"] for record in certified):
+            rows = [record for record in certified if record["example"] == example]
+            if len({record["nodes"] for record in rows}) > 1:
+                yield f"{example}-bracket", bracket_figure(rows)
 
 
 def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str, Figure]]:
@@ -66,6 +84,8 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
         for record, field in moved:
             panels = {**given, f"relocated by {label(record)}": field}
             yield f"{record.get('key', stem)}-grid", grid_figure(panels)
+            if field.error_bound is not None and field.error_bound_initial is not None:
+                yield f"{record.get('key', stem)}-error", error_figure(field, record)
         if given and not moved:
             yield f"{stem}-grid", grid_figure(given)
         if drawn and drawn[0][1].contact.any():

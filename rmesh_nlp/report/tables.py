@@ -11,7 +11,7 @@ from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import TABLES, Results
 from rmesh_nlp.report.blocks import blocks
-from rmesh_nlp.report.columns import COSTS, ENERGIES, OBJECTIVES, Column, body, contact_units
+from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, OBJECTIVES, Column, body, contact_units
 from rmesh_nlp.report.markup import latex_list, latex_table, markdown_table
 from rmesh_nlp.report.notes import notes
 
@@ -19,6 +19,7 @@ CAPTIONS = {
     ENERGIES: r"Energies and extremes of the displacement; the paper truncates its digits.",
     COSTS: r"Work, and the residuals of equilibrium, complementarity and stationarity.",
     OBJECTIVES: r"Outer objectives.",
+    CERTIFICATES: r"Bounds of the least energy, and of the error in the energy norm in per cent of the norm.",
 }
 
 
@@ -83,8 +84,10 @@ def write_tables(records: Sequence[Record], folder: Path) -> str:
 
 
 def _tables(records: Sequence[Record]) -> list[tuple[Column, ...]]:
-    """The tables these records need: that of outer objectives only where there is one."""
+    """The tables these records need: those of outer objectives and certificates only where there are any."""
     kinds = [ENERGIES, COSTS]
     if any(record["objective"] != "energy" for record in records):
         kinds.append(OBJECTIVES)
+    if any("certificate_remark" in record for record in records):
+        kinds.append(CERTIFICATES)
     return kinds

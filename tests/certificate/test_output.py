@@ -1,0 +1,94 @@
+"""Certificates in records, files, tables, figures and in print."""
+
+from __future__ import annotations
+
+import json
+
+import meshio
+import numpy as np
+import pytest
+
+from rmesh_nlp.cli.app import run
+from rmesh_nlp.io.results import read_results
+from rmesh_nlp.io.vtu import read_vtu
+from rmesh_nlp.report.columns import CERTIFICATES
+from rmesh_nlp.report.figures import write_figures
+from rmesh_nlp.report.tables import markdown
+
+TOML = """
+[mesh]
+shape = "rectangle"
+nx = 6
+ny = 3
+x = [0.0, 2.0]
+[material]
+law = "plane-strain"
+young = 20.0
+poisson = 0.3
+[dirichlet]
+left = [0.0, 0.0]
+[tractions]
+top = [0.0, -0.5]
+[contact]
+boundary = "bottom"
+normal = [0.0, 1.0]
+friction = 0.1
+[motion]
+delta = 0.05
+[solve]
+certify = true
+"""
+
+
+@pytest.fixture(scope="module")
+def certified(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("certified")
+    assert run(["solve", "6.3", "--n", "6x4", "--certify", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_record_and_file_hold_the_certificate(certified):
+    record = json.loads((certified / "record.json").read_text())
+    assert record["energy_lower_bound"] < record["energy"] == pytest.approx(record["energy_upper_bound"])
+    assert record["error_bound"] < record["error_bound_initial"]
+    assert record["guaranteed_lower"] is record["guaranteed_upper"] is True
+    cells = meshio.read(certified / "solution.vtu").cell_data
+    assert cells["equilibrated_stress"][0].shape == (record["triangles"], 3)
+    # the lower bound may be the better one of the other mesh
+    assert np.sum(cells["error_bound"][0]) >= 0.5 * record["error_bound"] ** 2 - 1e-12
+    assert read_vtu(certified / "solution.vtu").error_bound is not None
+
+
+def test_tables_and_figures_show_it(certified, tmp_path):
+    results = read_results(certified)
+    text = markdown([result.record for result in results])
+    assert CERTIFICATES[-1].head in text
+    assert "at most" in text
+    names = [path.name for path in write_figures(results, tmp_path / "figures")]
+    assert any(name.endswith("-error.png") for name in names)
+
+
+def test_a_problem_file_may_ask_for_it_and_the_result_is_printed(tmp_path, capsys):
+    (tmp_path / "my.toml").write_text(TOML)
+    assert (
+        run(["solve", str(tmp_path / "my.toml"), "--formulation", "fixed", "--out", str(tmp_path / "o")]) == 0
+    )
+    printed = capsys.readouterr().out
+    assert "error in the energy norm at most" in printed
+    assert "least energy between" in printed
+
+
+def test_without_a_certificate_the_reason_is_printed(tmp_path, capsys):
+    curved = TOML.replace(
+        "normal = [0.0, 1.0]\nfriction = 0.1", "circle = { centre = [1.0, -5.0], radius = 5.0 }"
+    )
+    (tmp_path / "my.toml").write_text(curved)
+    run(["solve", str(tmp_path / "my.toml"), "--formulation", "fixed", "--out", str(tmp_path / "o")])
+    assert "no certificate: the normal of a curved foundation" in capsys.readouterr().out
+    record = json.loads((tmp_path / "o" / "record.json").read_text())
+    assert record.get("energy_lower_bound") is None
+
+
+def test_comparison_without_certificates_has_no_such_table(tmp_path):
+    assert run(["solve", "6.2", "--n", "4x2", "--formulation", "fixed", "--out", str(tmp_path)]) == 0
+    assert CERTIFICATES[-1].head not in markdown([r.record for r in read_results(tmp_path)])
