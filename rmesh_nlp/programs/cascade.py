@@ -1,0 +1,286 @@
+"""Large moves by a cascade of meshes: search where it is cheap, follow where it is dear.
+
+The best moves of an energy with a distortion are a map of the domain that hardly depends on the mesh, if the
+weight falls like the error of the energy. So the map is found on a coarse mesh, by continuation from
+heavy to light weights, prolonged to the next finer mesh, and there only corrected.
+
+1. Meshes: each coarser one has about a quarter of the nodes (:func:`rmesh_nlp.programs.levels.coarsened`).
+2. The error of the energy is estimated on the coarsest mesh; on the others it falls like the number of nodes.
+3. Coarsest mesh: schedules of weights, each weight from where the last one ended; the best end counts.
+4. Each finer mesh: from the prolonged map, at the final weight. Meshes of few nodes are solved to the end,
+   large ones and the finest one by a few iterations only.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.programs.large_moves import LargeMoves
+from rmesh_nlp.programs.levels import coarsened
+from rmesh_nlp.programs.prolongation import prolonged
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.regularisation import gain_estimate, regularised, weights
+from rmesh_nlp.settings import Settings, check_positive
+
+OnMove = Callable[[int, ReducedEnergy, Array, float], bool | None]
+"""``(iteration, energy, moves, value)`` of a level; the descent stops if it returns True."""
+
+
+@dataclass(frozen=True)
+class CascadeSettings(Settings):
+    """Settings of the cascade, chosen on Example 6.1 with 8 to 128 squares a side.
+
+    docs/notes/large_moves.md has what other values gave, also on other problems.
+
+    Attributes
+    ----------
+    regularisation : float
+        Final weight of the distortion, relative to the estimated error of the energy.
+    distortion : str
+        See :mod:`rmesh_nlp.fem.distortion`.
+    schedules : tuple of tuples of float
+        Weights before the final one on the coarsest mesh, relative to the error too; the best end counts.
+    coarsest : int
+        Least number of nodes of the coarsest mesh.
+    thorough : int
+        Largest number of nodes of a mesh, short of the finest, that is solved to the end.
+    end : float
+        A thorough descent ends where the model predicts less than this part of the gain; ...
+    continued : float
+        ... at the weights before the final one, less than this part.
+    iterations : int
+        Limit of a thorough descent.
+    brief : int
+        Iterations on the other meshes.
+    """
+
+    regularisation: float = 0.003
+    distortion: str = "shape-size"
+    schedules: tuple[tuple[float, ...], ...] = ((1.0, 0.1),)
+    coarsest: int = 60
+    thorough: int = 1200
+    end: float = 1e-3
+    continued: float = 1e-2
+    iterations: int = 60
+    brief: int = 8
+
+    def __post_init__(self) -> None:
+        check_positive(
+            coarsest=self.coarsest,
+            thorough=self.thorough,
+            end=self.end,
+            continued=self.continued,
+            iterations=self.iterations,
+            brief=self.brief,
+        )
+        regularised(1.0, self.regularisation, self.distortion)
+        if not self.regularisation > 0:
+            raise BadInputError("the cascade needs a regularisation above 0: it keeps the elements valid")
+        for schedule in self.schedules:
+            weights((*schedule, self.regularisation), "a schedule of the cascade")
+
+
+@dataclass(frozen=True)
+class Level:
+    """What was done on one mesh of the cascade.
+
+    Attributes
+    ----------
+    nodes, triangles : int
+    weight : float
+        Final weight of the distortion, absolute.
+    prolonged, energy : float
+        Energy (without the distortion) of the prolonged map, NaN on the coarsest mesh, and at the end.
+    iterations, products, contact_solves : int
+    seconds, build_seconds : float
+        Processor time of the descents, and of stating the programs and making the map.
+    """
+
+    nodes: int
+    triangles: int
+    weight: float
+    prolonged: float
+    energy: float
+    iterations: int
+    products: int
+    contact_solves: int
+    seconds: float
+    build_seconds: float
+
+
+@dataclass(frozen=True)
+class CascadeResult:
+    """Where the cascade ended.
+
+    Attributes
+    ----------
+    q : (n,) array
+        Moves of the finest mesh.
+    energy : ReducedEnergy
+        Of the finest mesh, with the distortion.
+    gain_estimate : float
+        Estimated error of the energy of the finest mesh as given.
+    status : Status
+    levels : tuple of Level
+        Coarsest first.
+    """
+
+    q: Array
+    energy: ReducedEnergy
+    gain_estimate: float
+    status: Status
+    levels: tuple[Level, ...]
+
+    def record(self) -> list[dict[str, Any]]:
+        """The levels as plain values."""
+        return [asdict(level) for level in self.levels]
+
+
+def hierarchy(problem: ContactProblem, coarsest: int) -> list[ContactProblem]:
+    """The problem on coarser and coarser meshes, coarsest first, itself last."""
+    levels = [problem]
+    while (coarser := coarsened(levels[-1], coarsest)) is not None:
+        levels.append(coarser)
+    return levels[::-1]
+
+
+def cascade(
+    problem: ContactProblem, settings: CascadeSettings | None = None, on_move: OnMove | None = None
+) -> CascadeResult:
+    """Minimise the energy over the positions of all nodes, without boxes, by a cascade of meshes.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        Boxes are obeyed if there are any; without, the distortion alone keeps the elements valid.
+    settings : CascadeSettings, optional
+    on_move : callable, optional
+        Called after each iteration on each mesh.
+    """
+    chosen = settings or CascadeSettings()
+    problems = hierarchy(problem, chosen.coarsest)
+    began = time.process_time()
+    gain = gain_estimate(problems[0]).value
+    move = np.zeros((2, 0))
+    levels: list[Level] = []
+    run = _Runner(chosen, on_move)
+    for number, here in enumerate(problems):
+        share = gain * problems[0].mesh.p.shape[1] / here.mesh.p.shape[1]
+        if number == 0:
+            before = float("nan")
+            energy, q, status = run.searched(here, share)
+        else:
+            coarse = problems[number - 1]
+            energy = run.energy(here, share, chosen.regularisation)
+            q = prolonged(coarse.mesh.p, coarse.triangles, move, energy.relocation)
+            before = energy(q).equilibrium.energy
+            finest = number == len(problems) - 1
+            brief = finest or here.mesh.p.shape[1] > chosen.thorough
+            q, status = run.followed(energy, q, share, brief)
+        move = energy.relocation.nodes(q) - here.mesh.p
+        levels.append(
+            Level(
+                nodes=int(here.mesh.p.shape[1]),
+                triangles=int(here.mesh.t.shape[1]),
+                weight=chosen.regularisation * share,
+                prolonged=before,
+                energy=energy(q).equilibrium.energy,
+                build_seconds=time.process_time() - began - run.seconds,
+                seconds=run.seconds,
+                **run.counts(),
+            )
+        )
+        began = time.process_time()
+        if run.stopped and number < len(problems) - 1:
+            energy = run.energy(problem, gain, chosen.regularisation)
+            q = prolonged(here.mesh.p, here.triangles, move, energy.relocation)
+            break
+    final = gain * problems[0].mesh.p.shape[1] / problem.mesh.p.shape[1]
+    return CascadeResult(q, energy, final, Status.INTERRUPTED if run.stopped else status, tuple(levels))
+
+
+class _Runner:
+    """Descents on the meshes of one cascade, and what they cost."""
+
+    def __init__(self, settings: CascadeSettings, on_move: OnMove | None) -> None:
+        self._settings, self._on_move = settings, on_move
+        self._iterations = self._products = self._solves = 0
+        self._total, self.seconds = 0, 0.0
+        self._energies: list[tuple[ReducedEnergy, int]] = []
+        self.stopped = False
+
+    def energy(self, problem: ContactProblem, gain: float, weight: float, model: Any = None) -> ReducedEnergy:
+        """The energy of a mesh with the distortion."""
+        objective = regularised(gain, weight, self._settings.distortion)
+        energy = ReducedEnergy(relocation(problem, objective), model)
+        self._energies.append((energy, 0))
+        return energy
+
+    def counts(self) -> dict[str, int]:
+        """Costs since the last call."""
+        found = {"iterations": self._iterations, "products": self._products}
+        self.seconds = 0.0
+        solves = sum(energy.contact_solves - before for energy, before in self._energies)
+        self._energies = []
+        self._iterations = self._products = 0
+        return {**found, "contact_solves": solves}
+
+    def searched(self, problem: ContactProblem, gain: float) -> tuple[ReducedEnergy, Array, Status]:
+        """The best end of all schedules on the coarsest mesh."""
+        chosen, model = self._settings, ContactModel(problem)
+        best: tuple[float, ReducedEnergy, Array, Status] | None = None
+        steps: dict[tuple[float, ...], Array] = {(): np.zeros(0)}
+        for schedule in chosen.schedules:
+            # schedules may begin alike: what they share is solved once
+            for number in range(len(schedule) + 1):
+                before = schedule[:number]
+                last = number == len(schedule)
+                weight = chosen.regularisation if last else schedule[number]
+                path = (*before, weight)
+                if path in steps:
+                    continue
+                energy = self.energy(problem, gain, weight, model)
+                start = steps[before] if before else np.zeros(energy.relocation.n_q)
+                end = chosen.end if last else chosen.continued
+                q, status = self._descend(energy, start, gain, end, chosen.iterations)
+                steps[path] = q
+                if last and (best is None or energy(q).value < best[0]):
+                    best = energy(q).value, energy, q, status
+        assert best is not None
+        return best[1:]
+
+    def followed(self, energy: ReducedEnergy, q: Array, gain: float, brief: bool) -> tuple[Array, Status]:
+        """A descent from a prolonged map."""
+        limit = self._settings.brief if brief else self._settings.iterations
+        return self._descend(energy, q, gain, self._settings.end, limit)
+
+    def _descend(
+        self, energy: ReducedEnergy, q: Array, gain: float, end: float, limit: int
+    ) -> tuple[Array, Status]:
+        moves, before = LargeMoves(energy), self._total
+
+        def report(iteration: int, x: Array, value: float) -> bool:
+            if self._on_move is not None and self._on_move(before + iteration, energy, x, value):
+                self.stopped = True
+            return self.stopped
+
+        # relative to what there is to gain at all, so that a good start ends soon
+        began = time.process_time()
+        reference = energy(q).value + gain
+        result = moves(q, gain_tolerance=end, reference=reference, max_iterations=limit, on_step=report)
+        self.seconds += time.process_time() - began
+        self._iterations += result.iterations
+        self._total += result.iterations
+        self._products += result.products
+        return result.x, result.status
