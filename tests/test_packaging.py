@@ -53,9 +53,9 @@ def test_the_library_loads_no_strategy() -> None:
     assert done.stdout == "False\n"
 
 
-def test_the_four_strategies_are_entry_points() -> None:
+def test_the_strategies_are_entry_points() -> None:
     found = strategies.available()
-    for name in ("fixed", "nested", "joint", "mpcc"):
+    for name in ("fixed", "nested", "joint", "mpcc", "auto"):
         assert found[name].value == f"formulations.{name}:solve"
 
 

@@ -157,7 +157,7 @@ class MotionTable(Table):
 class SolveTable(Table):
     """``[solve]``: defaults of ``rmesh solve`` for this file."""
 
-    formulation: Text = "joint"
+    formulation: Text = "auto"
     objective: Text = "energy"
     seed: Seed | None = None
     starts: Seed = 0

@@ -64,7 +64,7 @@ min_area_fraction = 0.01         # least area of an element over its initial one
 # min_angle = 5.0                # least angle of an element in degrees
 
 [solve]                          # defaults of rmesh solve
-formulation = "joint"            # fixed, nested, joint, mpcc
+formulation = "auto"             # chosen for the problem; or fixed, nested, joint, mpcc
 # objective = "energy"
 # seed = 1                       # a random start instead of the mesh as given
 # starts = 4                     # as many random starts besides; the best counts, the spread is reported

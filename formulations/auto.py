@@ -1,0 +1,266 @@
+"""No strategy of its own: chooses strategy, weights, meshes and quadrature for a problem, and says so.
+
+A problem without boxes is solved by ``nested`` with Newton-CG on the energy with a distortion, over a cascade
+of coarser meshes (:mod:`rmesh_nlp.programs.cascade`), and with a quadrature rule that is raised until
+the audit confirms the gain. Where boxes, a least angle or another objective are asked for, ``joint`` or
+``nested`` is run. The record names what ran as its ``formulation``, ``chosen_by`` is "auto", and ``chosen``
+says in words what was chosen and why.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from formulations import joint, nested
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.cascade import CascadeResult, CascadeSettings, cascade
+from rmesh_nlp.programs.freedoms import freedoms
+from rmesh_nlp.programs.large_moves import LargeMoves
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.settings import check_positive
+from rmesh_nlp.solution.beginning import Start
+from rmesh_nlp.solution.history import TIME_LIMIT_S
+from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
+from rmesh_nlp.solution.solution import Solution, Step
+
+RULES = (6, 10, 14, 20)
+"""Degrees of the quadrature rule that are tried in turn; the last one is that of the audit."""
+
+AGREEMENT = 0.01
+"""Largest difference of the gain by the rule and by the audit, in parts of the audited gain."""
+
+CORRECTIONS = 10
+"""Iterations of the descent that follows a change of the rule."""
+
+SCHEDULE = (1.0, 0.1, 0.01)
+"""Weights of the distortion where constraints must hold and ``joint`` is run."""
+
+
+def solve(
+    problem: ContactProblem,
+    *,
+    objective: str | Objective = "energy",
+    settings: CascadeSettings | Mapping[str, Any] | None = None,
+    tolerance: float = STATIONARY,
+    time_limit_s: float = TIME_LIMIT_S,
+    start: Start = None,
+    seed: int | None = None,
+    on_step: OnStep | None = None,
+) -> Solution:
+    """Relocate the nodes of any problem; nothing needs to be chosen.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    objective : str or Objective
+        The energy; with another one ``nested`` is run as it is.
+    settings : CascadeSettings or mapping, optional
+        Of the cascade, where it runs.
+    tolerance : float
+        Largest first-order residual of a solution that is called converged. The finest mesh gets a few
+        iterations only, so that most solutions are successes that are not.
+    time_limit_s : float
+        After it, as after Ctrl-C, the best mesh so far is the solution.
+    start, seed : optional
+        With one of them the problem is solved from there, without a cascade: by Newton-CG with the same
+        distortion where there are no boxes.
+    on_step : callable, optional
+        Called after each iteration, with the moves on the given mesh only.
+    """
+    check_positive(tolerance=tolerance, time_limit_s=time_limit_s)
+    chosen = CascadeSettings.of(settings)
+    common: dict[str, Any] = {
+        "tolerance": tolerance,
+        "time_limit_s": time_limit_s,
+        "start": start,
+        "seed": seed,
+        "on_step": on_step,
+    }
+    motion = problem.motion
+    if str(objective) != "energy":
+        found = nested.solve(problem, objective=objective, **common)
+        return _chosen(found, "nested: the objective is not the energy")
+    if motion.delta is not None:
+        return _chosen(joint.solve(problem, **common), "joint: nodes have boxes")
+    if motion.min_angle > 0:
+        found = joint.solve(problem, regularisation=SCHEDULE, **common)
+        return _chosen(
+            found, "joint, regularised: a least angle is asked for, which must hold as a constraint"
+        )
+    if start is not None or seed is not None:
+        options: dict[str, Any] = {"regularisation": chosen.regularisation, "distortion": chosen.distortion}
+        found = nested.solve(problem, outer="newton", **options, **common)
+        return _chosen(found, "nested, newton: large moves from the start that was given")
+    if freedoms(problem).n == 0:
+        return _chosen(nested.solve(problem, **common), "nested: no node can move")
+    return _large_moves(problem, chosen, tolerance, time_limit_s, on_step)
+
+
+def _chosen(solution: Solution, why: str) -> Solution:
+    return replace(solution, extra={**solution.extra, "chosen_by": "auto", "chosen": why})
+
+
+def first_rule(problem: ContactProblem) -> str | int:
+    """The rule to begin with: that of the problem, but degree 6 at least where a load varies."""
+    varies = any(callable(component) for law in problem.laws for component in law.load)
+    rule = problem.quadrature
+    if not varies:
+        return rule
+    return max(rule, RULES[0]) if isinstance(rule, int) else RULES[0]
+
+
+def _large_moves(
+    problem: ContactProblem,
+    settings: CascadeSettings,
+    tolerance: float,
+    time_limit_s: float,
+    on_step: OnStep | None,
+) -> Solution:
+    rule = first_rule(problem)
+    watch = _Watch(problem, time_limit_s, on_step)
+    stated = replace(problem, quadrature=rule)
+    result = watch.run(lambda: cascade(stated, settings, watch))
+    objective = result.energy.relocation.objective if result else "energy"
+    solution, solves = None, sum(level.contact_solves for level in result.levels) + 2 if result else 0
+    q = watch.best(stated) if result is None else result.q
+    rules = [rule]
+    while True:
+        referee = Referee(stated, objective)
+        q = q if referee.is_valid(q) else np.zeros(q.size)
+        status = watch.stopped or (result.status if result else Status.FAILED)
+        solution = referee.judge(
+            "nested",
+            q,
+            status=status,
+            tolerance=tolerance,
+            objective=objective,
+            history=watch.steps,
+            iterations=watch.iterations,
+            contact_solves=solves,
+            settings=settings.changed(),
+            extra=_figures(result, rules, settings),
+        )
+        higher = [
+            degree for degree in RULES if not isinstance(stated.quadrature, int) or degree > stated.quadrature
+        ]
+        if watch.stopped or _agrees(solution) or not higher or result is None:
+            break
+        rules.append(higher[0])
+        stated = replace(problem, quadrature=higher[0])
+        referee = Referee(stated, objective)
+        q, status, more = _corrected(referee.reduced, q, result, settings, watch)
+        solves += more
+    if not solution.energy_initial_audited >= solution.audit.energy_audited:
+        # never a mesh that is worse than the one given
+        solution = nested.solve(stated, max_iterations=1, tolerance=tolerance)
+        solution = replace(solution, extra={**solution.extra, **_figures(result, rules, settings)})
+    seconds = watch.seconds
+    return replace(solution, solve_time_s=seconds)
+
+
+def _agrees(solution: Solution) -> bool:
+    """Whether the gain by the problem's rule is the audited one, to 1 %."""
+    audited = solution.energy_initial_audited - solution.audit.energy_audited
+    return abs(solution.energy_initial - solution.energy - audited) <= AGREEMENT * abs(audited)
+
+
+def _corrected(
+    energy: ReducedEnergy, q: Array, result: CascadeResult, settings: CascadeSettings, watch: _Watch
+) -> tuple[Array, Status, int]:
+    """A few iterations with another rule, from where the last one led."""
+    found = LargeMoves(energy)(
+        q,
+        gain_tolerance=settings.end,
+        reference=energy(q).value + result.gain_estimate,
+        max_iterations=CORRECTIONS,
+        on_step=lambda iteration, x, value: watch(iteration, energy, x, value),
+    )
+    return found.x, found.status, energy.contact_solves
+
+
+def _figures(
+    result: CascadeResult | None, rules: list[str | int], settings: CascadeSettings
+) -> dict[str, Any]:
+    """Record entries: what was chosen, and what each mesh took."""
+    figures: dict[str, Any] = {
+        "chosen_by": "auto",
+        "chosen": "nested, newton: large moves without boxes over a cascade of meshes",
+        "outer": "newton",
+        "regularisation": settings.regularisation,
+        "distortion": settings.distortion,
+        "rules": rules,
+    }
+    if result is not None:
+        levels = result.record()
+        figures |= {
+            "chosen": f"{figures['chosen']} of {', '.join(str(level['nodes']) for level in levels)} nodes",
+            "cascade": levels,
+            "gain_estimate": result.gain_estimate,
+        }
+    return figures
+
+
+class _Watch:
+    """History, time limit and last moves of a cascade, see :data:`rmesh_nlp.programs.cascade.OnMove`."""
+
+    def __init__(self, problem: ContactProblem, limit: float, on_step: OnStep | None) -> None:
+        self._nodes, self._limit, self._on_step = problem.mesh.p.shape[1], limit, on_step
+        self._began = time.perf_counter()
+        self._last: tuple[float, Array] | None = None
+        self._before = 0
+        self.steps: list[Step] = []
+        self.stopped: Status | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Wall time so far."""
+        return time.perf_counter() - self._began
+
+    @property
+    def iterations(self) -> int:
+        """Over all meshes."""
+        return max((step.iteration for step in self.steps), default=0)
+
+    def __call__(self, iteration: int, energy: ReducedEnergy, q: Array, value: float) -> bool:
+        if self.steps and iteration < self.steps[-1].iteration:
+            self._before = self.steps[-1].iteration - iteration
+        step = Step(
+            iteration=self._before + iteration,
+            energy=energy(q).equilibrium.energy,
+            t=0.0,
+            primal_residual=0.0,
+            dual_residual=float("nan"),
+            contact_solves=energy.contact_solves,
+            seconds=self.seconds,
+            objective=value,
+        )
+        self.steps.append(step)
+        finest = energy.relocation.problem.mesh.p.shape[1] == self._nodes
+        if finest:
+            self._last = value, np.array(q)
+        if self._on_step is not None:
+            self._on_step(replace(step, q=np.array(q)) if finest else step)
+        if self.seconds > self._limit:
+            self.stopped = Status.TIME_LIMIT
+        return self.stopped is not None
+
+    def run(self, solve: Any) -> CascadeResult | None:
+        """The result of ``solve``; None after Ctrl-C."""
+        try:
+            result: CascadeResult = solve()
+        except KeyboardInterrupt:
+            self.stopped = Status.INTERRUPTED
+            return None
+        return result
+
+    def best(self, problem: ContactProblem) -> Array:
+        """The last moves on the given mesh, which are the best; none if it was not reached."""
+        return self._last[1] if self._last is not None else np.zeros(freedoms(problem).n)

@@ -1,0 +1,101 @@
+"""What is chosen for a problem, the cascade behind it, and that the record says so."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from formulations import auto
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
+from rmesh_nlp.programs.cascade import CascadeSettings, cascade
+
+
+def no_boxes(problem: ContactProblem) -> ContactProblem:
+    return replace(problem, motion=replace(problem.motion, delta=None, min_area_fraction=0.01))
+
+
+def test_large_moves_of_example_61_and_what_the_record_says_of_them() -> None:
+    problem = no_boxes(EXAMPLES["6.1"](n=16))
+    seen = []
+    solution = auto.solve(problem, on_step=seen.append)
+    row = solution.record()
+    exact = problem.exact.energy
+    error = [row["energy_initial_audited"] - exact, row["energy_audited"] - exact]
+    # boxes of a fifth of an edge give 1.6 times less
+    assert error[0] / error[1] > 5
+    assert row["chosen_by"] == "auto"
+    assert "81, 289 nodes" in row["chosen"]
+    assert (row["formulation"], row["outer"], row["quadrature"]) == ("nested", "newton", 6)
+    assert [level["nodes"] for level in row["cascade"]] == [81, 289]
+    assert row["cascade"][1]["energy"] < row["cascade"][1]["prolonged"] < row["energy_initial"]
+    assert row["iterations"] == sum(level["iterations"] for level in row["cascade"])
+    assert [step.q is None for step in seen].count(False) == row["cascade"][1]["iterations"] + 1
+    assert np.all(signed_areas(solution.mesh.p, problem.triangles) > 0)
+
+
+def test_what_a_prolonged_map_is_worth_before_any_iteration() -> None:
+    problem = replace(no_boxes(EXAMPLES["6.1"](n=32)), quadrature=6)
+    finest = cascade(problem, CascadeSettings(brief=1)).levels[-1]
+    given = ContactModel(problem).solve(problem.mesh.p).energy
+    assert given - finest.prolonged > 0.6 * (given - problem.exact.energy)
+
+
+@pytest.mark.parametrize(
+    ("motion", "chosen"),
+    [(Motion(0.02), "joint: nodes have boxes"), (Motion(None, min_angle=20.0), "joint, regularised")],
+)
+def test_joint_is_chosen_where_constraints_must_hold(motion: Motion, chosen: str) -> None:
+    solution = auto.solve(replace(EXAMPLES["6.1"](n=4), motion=motion))
+    assert solution.formulation == "joint"
+    assert solution.record()["chosen"].startswith(chosen)
+
+
+def test_other_objectives_and_meshes_that_cannot_move() -> None:
+    problem = EXAMPLES["6.1"](n=3)
+    assert auto.solve(problem, objective="error-l2").record()["chosen"].startswith("nested")
+    names = ("left", "bottom", "top", "contact")
+    inside = tuple(int(node) for node in problem.mesh.interior_nodes())
+    still = auto.solve(replace(problem, motion=Motion(None, pinned=(*names, *inside))))
+    assert still.record()["chosen"] == "nested: no node can move"
+
+
+def test_a_seed_starts_elsewhere_without_a_cascade() -> None:
+    row = auto.solve(no_boxes(EXAMPLES["6.1"](n=4)), seed=1).record()
+    assert row["start"] == "random"
+    assert row["gain_audited"] > 0
+
+
+def test_the_rule_is_raised_until_the_audit_confirms_the_gain() -> None:
+    source = Laplace(lambda x, y: 200 * ca.sin(17 * x) * ca.cos(19 * y))
+    problem = ContactProblem(rectangle(8, 8), source, ("left", "right"), motion=Motion(None))
+    row = auto.solve(problem).record()
+    assert row["rules"][0] == 6
+    assert row["rules"][-1] == row["quadrature"]
+    assert row["gain_audited"] > 0
+    assert abs(row["gain"] - row["gain_audited"]) <= 0.01 * row["gain_audited"]
+
+
+@pytest.mark.parametrize("seed", [1, 5, 8])
+def test_random_problems_without_boxes_improve(seed: int) -> None:
+    row = auto.solve(no_boxes(random_problem(seed))).record()
+    assert row["gain_audited"] > 0
+    assert row["min_area_ratio"] > 0
+    assert row["contact_solves"] <= 200
+
+
+def test_a_time_limit_keeps_the_best_mesh() -> None:
+    row = auto.solve(no_boxes(EXAMPLES["6.1"](n=16)), time_limit_s=1e-3).record()
+    assert row["status"] == "time_limit"
+    assert row["gain_audited"] >= 0
+
+
+@pytest.mark.parametrize("bad", [{"regularisation": 0}, {"distortion": "oval"}, {"brief": 0}, {"speed": 1}])
+def test_bad_settings_are_refused(bad: dict) -> None:
+    with pytest.raises(BadInputError):
+        auto.solve(no_boxes(EXAMPLES["6.1"](n=4)), settings=bad)
