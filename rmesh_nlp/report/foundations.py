@@ -33,6 +33,8 @@ class Foundation:
         The points of the foundation that the nodes would meet.
     lines : (2, edges, points) array
         The foundation below each contact edge.
+    starts : (2, edges, points) array
+        The points of the contact edges that it is below of.
     is_far : bool
         Whether it is too far off to be drawn with the body.
     """
@@ -42,6 +44,7 @@ class Foundation:
     gaps: Array
     feet: Array
     lines: Array
+    starts: Array
     is_far: bool
 
 
@@ -59,5 +62,5 @@ def foundations(problem: ContactProblem, nodes: Array) -> list[Foundation]:
         gaps = part.obstacle.distances(nodes[:, part.nodes])
         feet = part.obstacle.feet(nodes[:, part.nodes])
         far = bool(np.min(np.abs(gaps)) > FAR * extent)
-        found.append(Foundation(str(part.obstacle.boundary), part.nodes, gaps, feet, lines, far))
+        found.append(Foundation(str(part.obstacle.boundary), part.nodes, gaps, feet, lines, points, far))
     return found

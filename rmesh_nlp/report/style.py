@@ -72,10 +72,12 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png", "pdf")) -> list[Path]:
+def save(
+    figure: Figure, stem: Path, formats: Sequence[str] = ("png", "pdf"), settings: Any = None
+) -> list[Path]:
     """Write the figure in each format and return the paths."""
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
-    with rc_context(SETTINGS):
+    with rc_context(SETTINGS if settings is None else settings):
         for path, kind in zip(paths, formats, strict=True):
             write_whole(path, partial(figure.savefig, format=kind))
     return paths

@@ -1,0 +1,85 @@
+"""A solution on a mesh as pictures need it, before or after the relocation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.stress import stresses, von_mises
+from rmesh_nlp.problem import ContactProblem, Place
+from rmesh_nlp.report.foundations import Foundation, foundations
+from rmesh_nlp.solution.referee import nodal_weights
+from rmesh_nlp.solution.solution import Solution
+
+CLOSED = 1e-9
+"""A pressure above this part of the largest one counts as contact."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Fields on one mesh.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+    nodes : (2, nodes) array
+    displacement : (components, nodes) array
+    pressure : (nodes,) array
+    stress : (elements,) array
+        Von Mises stress, or the length of the flux of a scalar problem.
+    foundations : list of Foundation
+    """
+
+    problem: ContactProblem
+    nodes: Array
+    displacement: Array
+    pressure: Array
+    stress: Array
+    foundations: list[Foundation]
+
+    @property
+    def elastic(self) -> bool:
+        """Whether the displacement has two components."""
+        return self.displacement.shape[0] == 2
+
+    @property
+    def size_of_displacement(self) -> Array:
+        """u, or its length."""
+        return np.linalg.norm(self.displacement, axis=0) if self.elastic else self.displacement[0]
+
+    @property
+    def closed(self) -> NDArray[np.bool_]:
+        """(elements,) those of an interior contact set whose nodes all touch the obstacle."""
+        if all(part.boundary is not Place.INTERIOR for part in self.problem.obstacles):
+            return np.zeros(self.problem.mesh.t.shape[1], dtype=bool)
+        touching = self.pressure > CLOSED * np.max(self.pressure, initial=0.0)
+        held, _ = self.problem.held()
+        return np.asarray(np.all((touching | held[0])[self.problem.triangles], axis=0))
+
+
+def before(problem: ContactProblem) -> State:
+    """The contact solution on the mesh as given, by one contact solve."""
+    model = ContactModel(problem)
+    nodes = np.asarray(problem.mesh.p)
+    state = model.solve(nodes)
+    pressure = np.zeros(nodes.shape[1])
+    if state.normal_force.size:
+        np.add.at(pressure, model.contact_nodes, state.normal_force / nodal_weights(problem, nodes))
+    return _state(problem, nodes, model.displacement.values(state.u), pressure)
+
+
+def after(solution: Solution) -> State:
+    """The solution itself."""
+    return _state(
+        solution.problem, np.asarray(solution.mesh.p), solution.displacement, np.asarray(solution.pressure)
+    )
+
+
+def _state(problem: ContactProblem, nodes: Array, displacement: Array, pressure: Array) -> State:
+    stress = stresses(problem, nodes, displacement)
+    size = np.linalg.norm(stress, axis=0) if problem.components == 1 else von_mises(stress)
+    return State(problem, nodes, displacement, pressure, size, foundations(problem, nodes))
