@@ -183,11 +183,21 @@ def solve(
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
+    figures: Annotated[
+        bool,
+        typer.Option(
+            "--figures/--no-figures", help="Draw before and after to DIR/figures (for a problem file)."
+        ),
+    ] = True,
+    columns: Annotated[
+        int, typer.Option("--columns", min=1, max=2, help="Width of the figures: columns of a printed page.")
+    ] = 2,
 ) -> None:
     """Solve one example, or the problem of a file, by one strategy.
 
     Writes DIR/record.json, DIR/solution.vtu and DIR/history.csv; for a problem file also the
-    relocated mesh DIR/mesh.msh and the series DIR/iterations for ParaView.
+    relocated mesh DIR/mesh.msh, the series DIR/iterations for ParaView, and DIR/figures: meshes,
+    displacement, stress, contact pressure before and after, motion, what limits each node.
 
     \b
     rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
@@ -195,6 +205,7 @@ def solve(
     rmesh solve 6.1 --formulation nested --outer newton --n 32
     rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
     rmesh solve my.toml --formulation nested --certify
+    rmesh solve my.toml --columns 1
     """
     settings = _settings(
         n,
@@ -215,7 +226,9 @@ def solve(
             if value not in (None, "midpoint"):
                 raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
         commands = _problem_commands()
-        raise typer.Exit(commands.solve(Path(example), formulation, settings["options"], out, certify, voice))
+        page = commands.Page(columns) if figures else None
+        chosen = settings["options"]
+        raise typer.Exit(commands.solve(Path(example), formulation, chosen, out, certify, voice, page))
     chosen = {**settings, "certify": certify}
     raise typer.Exit(_commands().solve(example, formulation or "joint", chosen, out, voice))
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from rmesh_nlp.campaign import run as campaign
@@ -28,6 +29,8 @@ from rmesh_nlp.io.results import Results, to_json, write_single
 from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.freedoms import Mobility, freedoms, validity_group
+from rmesh_nlp.report.before_after import PICTURES, write_pictures
+from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.problem_picture import draw_problem
 from rmesh_nlp.solution.solution import Step
 from rmesh_nlp.study.study_file import is_study
@@ -87,6 +90,7 @@ def solve(
     out: Path | None,
     certify: bool = False,
     voice: str = "text",
+    page: Page | None = Page(),  # noqa: B008 - frozen
 ) -> int:
     """Solve the problem of a file; returns the exit code.
 
@@ -101,6 +105,8 @@ def solve(
         Bound the error of the solution, also if ``[solve]`` does not ask for it.
     voice : str
         What is printed: "text", "json" (the record) or "quiet".
+    page : Page, optional
+        What figures are made for; ``None`` for no figures.
     """
     table = read_table(path)
     problem = _load(path, notes=voice == "text")
@@ -136,7 +142,7 @@ def solve(
                 raise InterruptedSolveError("nothing was written") from None
         if outcome.record["status"] == "refused":
             raise BadInputError(f"{path}: {outcome.record['message']}")
-        names = _write(results, outcome, series)
+        names = _write(results, outcome, series, page)
     if voice == "json":
         print(to_json(outcome.record))
     elif voice == "text":
@@ -156,18 +162,23 @@ def _print(outcome: campaign.Outcome, case: Case, folder: Path, names: Sequence[
     print(f"wrote {folder}: {', '.join(names)}")
 
 
-def _write(results: Results, outcome: campaign.Outcome, series: Series) -> list[str]:
+def _write(results: Results, outcome: campaign.Outcome, series: Series, page: Page | None) -> list[str]:
     """Put all files of a solve in place, the record last; what an earlier solve left goes first."""
     folder, solution, manifest = results.folder, outcome.solution, results.manifest
-    manifest.remove(name for name in manifest.names() if name.startswith("iterations/"))
+    manifest.remove(name for name in manifest.names() if name.startswith(("iterations/", "figures/")))
     manifest.claim(*FILES)
     if solution is not None:
         write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
         if series.frames:
             manifest.claim(*(f"iterations/{name}" for name in series.names()))
             series.write(folder / "iterations")
+        if page is not None and np.all(np.isfinite(solution.displacement)):
+            drawn = [f"{name}.{kind}" for name in PICTURES for kind in ("png", "pdf")]
+            manifest.claim(*(f"figures/{name}" for name in drawn))
+            (folder / "figures").mkdir(exist_ok=True)
+            write_pictures(solution, folder / "figures", page)
     write_single(folder, outcome.record, lambda places: campaign.save(outcome, places))
-    return [name for name in (*FILES, "iterations") if (folder / name).exists()]
+    return [name for name in (*FILES, "iterations", "figures") if (folder / name).exists()]
 
 
 def _warn(messages: Sequence[str]) -> None:

@@ -26,6 +26,7 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     PositionFunction,
     Traction,
+    Units,
 )
 
 Size = int | tuple[int, int]
@@ -183,6 +184,7 @@ def _elastic(
         tractions=(Traction("load", traction),),
         name=name,
         size=f"{nx}x{ny}",
+        units=Units("m", "N"),
     )
 
 

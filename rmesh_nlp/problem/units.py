@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -23,19 +24,16 @@ class Units:
     @property
     def stress(self) -> str:
         """Force per area; empty unless both units are named."""
-        if not (self.length and self.force):
-            return ""
-        return {("m", "N"): "Pa", ("mm", "N"): "MPa"}.get((self.length, self.force)) or (
-            f"{self.force}/{self.length}²"
-        )
-
-    @property
-    def energy(self) -> str:
-        """Energy per thickness; empty unless both units are named."""
-        return f"{self.force} {self.length}/{self.length}" if self.length and self.force else ""
+        return f"{self.force}/{self.length}²" if self.length and self.force else ""
 
 
 NO_UNITS = Units()
+
+
+def units_of(entry: Any) -> Units:
+    """The units in a record; none where it has none, or nonsense."""
+    given = entry if isinstance(entry, dict) else {}
+    return Units(str(given.get("length") or ""), str(given.get("force") or ""))
 
 
 def bracketed(unit: str) -> str:

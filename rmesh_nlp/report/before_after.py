@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
@@ -24,6 +25,9 @@ from rmesh_nlp.report.style import FOUNDATION, GRID_LINE, MAP, look, new_figure,
 from rmesh_nlp.solution.solution import Solution
 
 TITLES = ("given mesh", "relocated mesh")
+PICTURES = ("mesh", "displacement", "stress", "flux", "pressure", "motion", "limits")
+"""Names of all pictures that there may be."""
+
 LARGEST_DEFORMATION = 0.08
 """Displacements are drawn no longer than this part of the body's extent."""
 
@@ -84,10 +88,12 @@ def _meshes(states: Sequence[State], page: Page) -> Figure:
             _foundation(bottom, states[0], factor)
             bottom.set_title("deformed, u and gap" + (f" × {factor:g}" if factor != 1 else ""))
     _finish(axes, states, windows)
-    handles, labels = axes[-1, 0].get_legend_handles_labels()
-    more, names = axes[0, 0].get_legend_handles_labels()
-    if labels or names:
-        figure.legend([*more, *handles], [*names, *labels], loc="outside lower center", ncols=2)
+    shown: dict[str, Artist] = {}
+    for axis in axes[:, 0]:
+        handles, labels = axis.get_legend_handles_labels()
+        shown.update(zip(labels, handles, strict=True))
+    if shown:
+        figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=2)
     return figure
 
 
@@ -116,7 +122,7 @@ def _coloured(states: Sequence[State], values: list[Array], label: str, page: Pa
             mesh, *([value] if smooth else []), vmin=low, vmax=high, cmap=MAP, rasterized=True, **given
         )
         axis.triplot(mesh, color="white", linewidth=0.4 * _line_width(state))
-        _contact_set(axis, state)
+        _contact_set(axis, state, filled=False)
     _finish(axes, states, windows)
     bar = figure.colorbar(painted, ax=axes.ravel().tolist(), location="bottom", aspect=40, shrink=0.8)
     bar.set_label(label)
@@ -184,15 +190,16 @@ def _foundation(axis: Axes, state: State, factor: float) -> None:
         )
 
 
-def _contact_set(axis: Axes, state: State) -> None:
+def _contact_set(axis: Axes, state: State, *, filled: bool = True) -> None:
     """For an obstacle in the interior: where it is touched, and the edge of that."""
     closed = state.closed
     if not np.any(closed):
         return
-    corners = state.nodes[:, state.problem.triangles[:, closed]].transpose(2, 1, 0)
-    axis.add_collection(
-        PolyCollection(list(corners), facecolor="#D55E00", alpha=0.25, edgecolor="none", label="in contact")
-    )
+    corners = list(state.nodes[:, state.problem.triangles[:, closed]].transpose(2, 1, 0))
+    if filled:
+        patches = PolyCollection(corners, facecolor="#D55E00", alpha=0.25, edgecolor="none")
+        patches.set_label("in contact")
+        axis.add_collection(patches)
     left, right = state.problem.mesh.f2t
     inside = closed[left].astype(int) + np.where(right >= 0, closed[right], False)
     ends = state.nodes[:, state.problem.mesh.facets[:, inside == 1]]

@@ -13,6 +13,7 @@ from rmesh_nlp.io.manifest import Manifest
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import read_vtu
+from rmesh_nlp.problem.units import units_of
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, label
 from rmesh_nlp.report.convergence import convergence_figure, curve
 from rmesh_nlp.report.errors import bracket_figure, error_figure, is_certified
@@ -75,6 +76,7 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
     drawn = [
         (result.record, read_vtu(result.vtu)) for result in results if result.record["energy"] is not None
     ]
+    units = units_of(block.records[0].get("units"))
     stem = f"{block.example}-{block.records[0]['n']}"
     fixed = [field for record, field in drawn if record["formulation"] == RELOCATING_NOTHING]
     given = {GIVEN: fixed[0]} if fixed else {}
@@ -83,13 +85,13 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
     with rc_context(SETTINGS):
         for record, field in moved:
             panels = {**given, f"relocated by {label(record)}": field}
-            yield f"{record.get('key', stem)}-grid", grid_figure(panels)
+            yield f"{record.get('key', stem)}-grid", grid_figure(panels, units)
             if field.error_bound is not None and field.error_bound_initial is not None:
                 yield f"{record.get('key', stem)}-error", error_figure(field, record)
         if given and not moved:
-            yield f"{stem}-grid", grid_figure(given)
+            yield f"{stem}-grid", grid_figure(given, units)
         if drawn and drawn[0][1].contact.any():
-            yield f"{stem}-stress", stress_figure({**given, **named})
+            yield f"{stem}-stress", stress_figure({**given, **named}, units)
         if drawn and drawn[0][1].displacement.shape[0] == 1:
             best = {f"relocated by {label(r)}": f for r, f in moved if r is block.best}
             yield f"{stem}-surface", surface_figure({**given, **best} or named)

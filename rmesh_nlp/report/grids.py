@@ -12,6 +12,7 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from rmesh_nlp.io.vtu import Fields
+from rmesh_nlp.problem.units import NO_UNITS, Units, bracketed
 from rmesh_nlp.report.style import FOUNDATION, GRID_LINE, MAP, TWO_COLUMNS, new_figure
 
 LEVELS = 16
@@ -25,12 +26,14 @@ ABOVE = 0.75
 """Inches of the height that titles and labels of a row take."""
 
 
-def grid_figure(panels: Mapping[str, Fields]) -> Figure:
+def grid_figure(panels: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure:
     """Grids side by side with contours of the solution; below them, if elastic, the deformed grids.
 
     Parameters
     ----------
     panels : mapping from titles to Fields
+    units : Units
+        What stands in the labels of the axes.
     """
     fields = list(panels.values())
     elastic = fields[0].displacement.shape[0] == 2
@@ -58,10 +61,10 @@ def grid_figure(panels: Mapping[str, Fields]) -> Figure:
     bar = figure.colorbar(filled, ax=axes[0, :].tolist(), aspect=10 if elastic else 25, pad=0.02)
     bar.locator = MaxNLocator(5 if elastic else 8)
     bar.update_ticks()
-    bar.set_label("|u| [m]" if elastic else "u")
+    bar.set_label(f"|u|{bracketed(units.length)}" if elastic else "u")
     for row, window in zip(axes, windows, strict=True):
         for axis in row:
-            _frame(axis, window, " [m]" if elastic else "", first=axis is row[0])
+            _frame(axis, window, bracketed(units.length), first=axis is row[0])
     return figure
 
 

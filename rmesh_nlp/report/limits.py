@@ -24,8 +24,8 @@ SMALL = 1e-6
 class Limit(Enum):
     """What holds a node: label, colour, marker."""
 
-    PINNED = ("does not move", "0.6", ".")
-    NOTHING = ("nothing: it is where it wants to be", "#56B4E9", ".")
+    PINNED = ("does not move", "0.6", "o")
+    NOTHING = ("nothing: it is where it wants to be", "#56B4E9", "o")
     BOX = ("its box", "#D55E00", "s")
     AREA = ("the area or an angle of an element", "#000000", "^")
 
@@ -57,9 +57,8 @@ def draw_limits(figure: Figure, axis: Axes, solution: Solution) -> None:
         here = used & (kinds == limit)
         if np.any(here):
             label, colour, marker = limit.value
-            axis.scatter(
-                *nodes[:, here], s=size, c=colour, marker=marker, linewidths=0, label=label, zorder=2
-            )
+            x, y = nodes[:, here]
+            axis.scatter(x, y, s=size, c=colour, marker=marker, linewidths=0, label=label, zorder=2)
     axis.set_title("what limits each node")
     legend = figure.legend(loc="outside lower center", handletextpad=0.2, borderpad=0.1, labelspacing=0.25)
     for handle in legend.legend_handles:

@@ -16,7 +16,7 @@ from rmesh_nlp.solution.referee import nodal_weights
 from rmesh_nlp.solution.solution import Solution
 
 CLOSED = 1e-9
-"""A pressure above this part of the largest one counts as contact."""
+"""A gap below this part of the largest displacement is closed."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,13 @@ class State:
     @property
     def closed(self) -> NDArray[np.bool_]:
         """(elements,) those of an interior contact set whose nodes all touch the obstacle."""
-        if all(part.boundary is not Place.INTERIOR for part in self.problem.obstacles):
-            return np.zeros(self.problem.mesh.t.shape[1], dtype=bool)
-        touching = self.pressure > CLOSED * np.max(self.pressure, initial=0.0)
-        held, _ = self.problem.held()
-        return np.asarray(np.all((touching | held[0])[self.problem.triangles], axis=0))
+        closed = np.zeros(self.problem.mesh.t.shape[1], dtype=bool)
+        for part in self.problem.obstacles:
+            if part.boundary is Place.INTERIOR:
+                gap = self.displacement[0] + part.distances(self.nodes)
+                touching = gap <= CLOSED * np.max(np.abs(self.displacement), initial=0.0)
+                closed |= np.all(touching[self.problem.triangles], axis=0)
+        return closed
 
 
 def before(problem: ContactProblem) -> State:

@@ -8,19 +8,22 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rmesh_nlp.io.vtu import Fields
+from rmesh_nlp.problem.units import NO_UNITS, Units, bracketed
 from rmesh_nlp.report.style import TWO_COLUMNS, look, new_figure
 
 
-def stress_figure(curves: Mapping[str, Fields]) -> Figure:
+def stress_figure(curves: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure:
     """Contact stress of each solution, and the tangential one with its bound where there is friction.
 
     Parameters
     ----------
     curves : mapping from names to Fields, the given grid first
+    units : Units
+        What stands in the labels of the axes.
     """
     fields = list(curves.values())
     elastic = fields[0].displacement.shape[0] == 2
-    unit = " [N/m²]" if elastic else ""
+    unit = bracketed(units.stress) if elastic else ""
     frictional = any(np.any(field.friction_bound > 0) for field in fields)
     figure = new_figure(TWO_COLUMNS, 4.6 if frictional else 2.6)
     axes = figure.subplots(2 if frictional else 1, 1, sharex=True, squeeze=False)[:, 0]
@@ -44,7 +47,7 @@ def stress_figure(curves: Mapping[str, Fields]) -> Figure:
     if frictional:
         axes[1].set_ylabel(f"tangential stress{unit}")
         _bounds(figure, fields[0], direction)
-    axes[-1].set_xlabel(f"$x_{direction + 1}${' [m]' if elastic else ''} on the contact boundary")
+    axes[-1].set_xlabel(f"$x_{direction + 1}${bracketed(units.length)} on the contact boundary")
     handles, names = axes[-1].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 5))
     return figure

@@ -181,6 +181,7 @@ class Solution:
             "nodes": int(self.mesh.p.shape[1]),
             "triangles": int(self.mesh.t.shape[1]),
             "quadrature": self.problem.quadrature,
+            "units": {"length": self.problem.units.length, "force": self.problem.units.force},
             "versions": versions(),
             "start": self.start,
             "settings": self.settings,

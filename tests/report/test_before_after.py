@@ -1,0 +1,118 @@
+"""Pictures of a solve: what is drawn, what is left out, that letters are large enough."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.contact_geometry import block_between_two_foundations
+
+from formulations import fixed, joint
+from rmesh_nlp.cli import app as cli
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative, Units
+from rmesh_nlp.report.before_after import pictures, write_pictures
+from rmesh_nlp.report.foundations import foundations
+from rmesh_nlp.report.limits import Limit, limits
+from rmesh_nlp.report.page import SMALLEST, Page, letters
+from rmesh_nlp.report.states import after, before
+
+
+def membrane() -> ContactProblem:
+    """A membrane on an obstacle in the interior, with a disc of contact."""
+    return ContactProblem(
+        mesh=rectangle(8, 8, x=(-1, 1), y=(-1, 1)),
+        law=Laplace(-4.0),
+        dirichlet=("left", "right", "top", "bottom"),
+        obstacle=Obstacle.interior(-0.3),
+        motion=Motion(Relative(0.2)),
+    )
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+@pytest.mark.parametrize("make", [block_between_two_foundations, membrane])
+def test_every_letter_is_legible_at_the_width_of_the_page(
+    make: Callable[[], ContactProblem], columns: int
+) -> None:
+    page = Page(columns)
+    for name, figure in pictures(joint.solve(make()), page):
+        assert min(letters(figure)) >= SMALLEST, name
+        assert figure.get_size_inches()[0] <= page.width + 1e-9
+
+
+def test_a_solve_of_a_body_has_all_its_pictures(tmp_path: Path) -> None:
+    problem = replace(block_between_two_foundations(), units=Units("mm", "N"))
+    paths = write_pictures(joint.solve(problem), tmp_path)
+    names = ("mesh", "displacement", "stress", "pressure", "motion", "limits")
+    assert [path.name for path in paths] == [f"{n}.{kind}" for n in names for kind in ("png", "pdf")]
+    assert all(path.stat().st_size > 5000 for path in paths)
+
+
+def test_units_stand_on_the_axes_only_if_they_were_given() -> None:
+    for units, words in ((Units(), False), (Units("mm", "N"), True)):
+        problem = replace(block_between_two_foundations(), units=units)
+        figures = dict(pictures(fixed.solve(problem), Page()))
+        labels = [axis.get_xlabel() + axis.get_ylabel() for f in figures.values() for axis in f.axes]
+        assert any("[mm]" in label for label in labels) is words
+        assert any("[N/mm²]" in label for label in labels) is words
+        assert not any("[m]" in label for label in labels)
+
+
+def test_nothing_that_is_zero_is_drawn() -> None:
+    # held and not loaded: no displacement, no stress, no pressure; and nothing moved
+    rest = replace(membrane(), law=Laplace(0.0), obstacle=Obstacle.interior(-1.0))
+    assert [name for name, _ in pictures(fixed.solve(rest), Page())] == ["mesh"]
+    assert [name for name, _ in pictures(fixed.solve(membrane()), Page())] == ["mesh", "displacement", "flux"]
+
+
+def test_the_foundation_is_one_curve_before_and_after() -> None:
+    problem = block_between_two_foundations()
+    solution = joint.solve(problem)
+    first, second = (foundations(problem, np.asarray(mesh.p)) for mesh in (problem.mesh, solution.mesh))
+    for one, other in zip(first, second, strict=True):
+        x = np.linspace(0.1, 1.9, 50)
+        order, again = (np.argsort(f.lines[0].ravel()) for f in (one, other))
+        y = [
+            np.interp(x, f.lines[0].ravel()[o], f.lines[1].ravel()[o])
+            for f, o in ((one, order), (other, again))
+        ]
+        # chords of 1/8 edge: the curve bends by 0.01, they miss it by less than 1e-4
+        np.testing.assert_allclose(y[0], y[1], atol=1e-4)
+
+
+def test_the_contact_set_of_a_membrane_is_where_it_touches() -> None:
+    problem = membrane()
+    solution = joint.solve(problem)
+    for state in (before(problem), after(solution)):
+        inside = state.closed
+        assert 0 < inside.sum() < inside.size
+        middle = state.nodes[:, problem.triangles].mean(axis=1)
+        # in the middle, and not at the corners, where the nodes are held above the obstacle
+        assert np.max(np.abs(middle[:, inside])) < 0.9
+        assert inside[np.argmin(np.linalg.norm(middle, axis=0))]
+
+
+def test_limits_name_boxes_and_areas() -> None:
+    problem = membrane()
+    tight = limits(joint.solve(replace(problem, motion=Motion(Relative(0.02)))))
+    assert np.sum(tight == Limit.BOX) > np.sum(tight == Limit.AREA)
+    wide = limits(joint.solve(replace(problem, motion=Motion(None, min_area_fraction=0.5))))
+    assert Limit.BOX not in wide
+    assert Limit.AREA in wide
+    corner = int(np.argmin(problem.mesh.p.sum(axis=0)))
+    assert wide[corner] is Limit.PINNED
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_rmesh_solve_draws_unless_told_not_to(tmp_path: Path, wanted: bool) -> None:
+    path, out = tmp_path / "my.toml", tmp_path / "out"
+    path.write_text(
+        '[mesh]\nshape = "rectangle"\nnx = 4\nny = 2\nx = [0, 2]\n[material]\nlaw = "plane-strain"\n'
+        'young = 100\npoisson = 0.3\n[dirichlet]\nleft = "symmetry"\n[tractions]\ntop = [0, -1]\n'
+        '[[contact]]\nboundary = "bottom"\ncurve = "y + 0.01 + 0.05*x**2"\n'
+    )
+    options = [] if wanted else ["--no-figures"]
+    assert cli.run(["solve", str(path), "--out", str(out), "--columns", "1", *options]) in (0, 1)
+    assert (out / "figures" / "mesh.png").exists() is wanted
+    assert (out / "record.json").exists()
