@@ -226,9 +226,9 @@ def solve(
             if value not in (None, "midpoint"):
                 raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
         commands = _problem_commands()
-        page = commands.Page(columns) if figures else None
+        columns = columns if figures else 0
         chosen = settings["options"]
-        raise typer.Exit(commands.solve(Path(example), formulation, chosen, out, certify, voice, page))
+        raise typer.Exit(commands.solve(Path(example), formulation, chosen, out, certify, voice, columns))
     chosen = {**settings, "certify": certify}
     raise typer.Exit(_commands().solve(example, formulation or "joint", chosen, out, voice))
 

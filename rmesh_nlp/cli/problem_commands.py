@@ -90,7 +90,7 @@ def solve(
     out: Path | None,
     certify: bool = False,
     voice: str = "text",
-    page: Page | None = Page(),  # noqa: B008 - frozen
+    columns: int = 2,
 ) -> int:
     """Solve the problem of a file; returns the exit code.
 
@@ -105,8 +105,8 @@ def solve(
         Bound the error of the solution, also if ``[solve]`` does not ask for it.
     voice : str
         What is printed: "text", "json" (the record) or "quiet".
-    page : Page, optional
-        What figures are made for; ``None`` for no figures.
+    columns : int
+        Columns of a page that figures are wide; 0 for no figures.
     """
     table = read_table(path)
     problem = _load(path, notes=voice == "text")
@@ -142,7 +142,7 @@ def solve(
                 raise InterruptedSolveError("nothing was written") from None
         if outcome.record["status"] == "refused":
             raise BadInputError(f"{path}: {outcome.record['message']}")
-        names = _write(results, outcome, series, page)
+        names = _write(results, outcome, series, Page(columns) if columns else None)
     if voice == "json":
         print(to_json(outcome.record))
     elif voice == "text":
