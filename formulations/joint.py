@@ -44,7 +44,7 @@ _BARRIER: Mapping[str, Any] = {
 
 @dataclass(frozen=True)
 class JointSettings(Settings):
-    """Settings of ``joint``; docs/speed.md has the benchmarks that chose them.
+    """Settings of ``joint``; docs/notes/speed.md has the benchmarks that chose them.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Put what was measured into the README.
+"""Put what was measured into the README and the pages of docs.
 
 rmesh compare
 python scripts/benchmark_scaling.py --large
@@ -10,28 +10,53 @@ from __future__ import annotations
 
 import argparse
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+
+from rmesh_nlp import read_records
+from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.report.markup import markdown_table
 
 ROOT = Path(__file__).resolve().parent.parent
 PICTURE = "6.1-8-joint-grid.png"
 
 
-def with_block(readme: str, name: str, text: str) -> str:
-    """The README with ``text`` between the two marks of that name."""
+def with_block(page: str, name: str, text: str) -> str:
+    """The page with ``text`` between the two marks of that name."""
     begin, end = f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->\n"
-    before, rest = readme.split(begin)
+    before, rest = page.split(begin)
     after = rest.split(end)[1]
     return f"{before}{begin}\n{text.strip()}\n\n{end}{after}"
 
 
-def with_table(readme: str, table: str) -> str:
-    """The README with what ``rmesh compare`` prints, headings two levels down."""
-    return with_block(readme, "table", table.split("\n", 1)[1].replace("## ", "#### "))
+def with_table(page: str, table: str) -> str:
+    """The page with what ``rmesh compare`` prints below its title."""
+    return with_block(page, "table", table.split("\n", 1)[1])
+
+
+def short_table(records: Sequence[Record]) -> str:
+    """Audited energies and work, one row per solve: what a first reader wants to know."""
+    head = ["solve", "J given", "J relocated", "gain", "iterations", "contact solves", "time [s]", "status"]
+    rows = []
+    for record in records:
+        before, after = record["energy_initial_audited"], record["energy_audited"]
+        name = f"{record['example']}, {record['formulation']}"
+        if before is None or after is None:
+            rows.append([name, *["-"] * 6, record["status"]])
+            continue
+        gain = f"{100 * (before - after) / abs(before):.2f} %"
+        work = (str(record["iterations"]), str(record["contact_solves"]), f"{record['wall_time_s']:.2g}")
+        rows.append([name, f"{before:.6f}", f"{after:.6f}", gain, *work, record["status"]])
+    return markdown_table(head, rows)
+
+
+def change(path: Path, edit: Callable[[str], str]) -> None:
+    """Edit a text file."""
+    path.write_text(edit(path.read_text()))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Update README.md and the pictures in docs."""
+    """Update README.md, and the pages and pictures in docs."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -40,17 +65,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--peers", type=Path, help="folder of benchmark_peers.py")
     parser.add_argument("--root", type=Path, default=ROOT, help="the checkout; default: this one")
     options = parser.parse_args(arguments)
-    path, docs = options.root / "README.md", options.root / "docs"
-    readme = path.read_text()
+    docs = options.root / "docs"
     if options.folder:
-        readme = with_table(readme, (options.folder / "table.md").read_text())
+        whole = (options.folder / "table.md").read_text()
+        short = short_table(read_records(options.folder))
+        change(docs / "results.md", lambda page: with_table(page, whole))
+        change(options.root / "README.md", lambda page: with_block(page, "table", short))
         shutil.copyfile(options.folder / "figures" / PICTURE, docs / "grid.png")
     if options.scaling:
-        readme = with_block(readme, "scaling", (options.scaling / "scaling.md").read_text())
+        table = (options.scaling / "scaling.md").read_text()
+        change(docs / "cost.md", lambda page: with_block(page, "scaling", table))
         shutil.copyfile(options.scaling / "scaling.png", docs / "scaling.png")
     if options.peers:
-        readme = with_block(readme, "peers", (options.peers / "peers.md").read_text())
-    path.write_text(readme)
+        peers = (options.peers / "peers.md").read_text()
+        change(docs / "cost.md", lambda page: with_block(page, "peers", peers))
     return 0
 
 

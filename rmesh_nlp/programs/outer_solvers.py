@@ -38,7 +38,7 @@ line searches do not understand NaN or infinity."""
 
 @dataclass(frozen=True)
 class NestedSettings(Settings):
-    """Settings of the outer solvers; docs/speed.md has the benchmarks that chose them.
+    """Settings of the outer solvers; docs/notes/speed.md has the benchmarks that chose them.
 
     Attributes
     ----------

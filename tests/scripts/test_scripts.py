@@ -60,13 +60,31 @@ def test_a_study_of_an_unknown_example_is_exit_code_2(
     assert not (tmp_path / "study").exists()
 
 
-def test_the_readme_takes_the_table_between_its_marks() -> None:
+def test_the_pages_take_their_tables_between_their_marks() -> None:
     module = script("update_readme")
     begin, end = "<!-- table: begin -->\n", "<!-- table: end -->\n"
     old = f"before\n{begin}stale\n{end}after\n"
     new = module.with_table(old, "# Comparison\n\n## Example 6.1\n\n| a |\n")
-    assert new == f"before\n{begin}\n#### Example 6.1\n\n| a |\n\n{end}after\n"
+    assert new == f"before\n{begin}\n## Example 6.1\n\n| a |\n\n{end}after\n"
     assert module.with_table(new, "# Comparison\n\n## Example 6.1\n\n| a |\n") == new
+
+
+def test_the_short_table_shows_audited_energies() -> None:
+    record = {
+        "example": "6.1",
+        "formulation": "joint",
+        "energy_initial_audited": -1.0,
+        "energy_audited": -1.5,
+        "iterations": 3,
+        "contact_solves": 2,
+        "wall_time_s": 0.123,
+        "status": "converged",
+    }
+    failed = {**record, "formulation": "mpcc", "energy_audited": None, "status": "failed"}
+    rows = script("update_readme").short_table([record, failed]).splitlines()[2:]
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    assert cells[0] == ["6.1, joint", "-1.000000", "-1.500000", "50.00 %", "3", "2", "0.12", "converged"]
+    assert cells[1] == ["6.1, mpcc", *["-"] * 6, "failed"]
 
 
 def test_the_table_of_relaxations_keeps_every_combination(tmp_path: Path) -> None:
