@@ -91,6 +91,8 @@ class Options:
         Branches visited by the exact finish.
     ipopt_relaxed, ipopt_exact : mapping
         Ipopt options that add to or override those of the relaxed and of the exact NLPs.
+    ipopt_warm : mapping
+        The same for relaxed NLPs that are started with multipliers, on top of ``ipopt_relaxed``.
     """
 
     relaxation: str = "scholtes"
@@ -116,6 +118,7 @@ class Options:
     max_pivots: int = 30
     ipopt_relaxed: Mapping[str, Any] = field(default_factory=dict)
     ipopt_exact: Mapping[str, Any] = field(default_factory=dict)
+    ipopt_warm: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         positive = {name: getattr(self, name) for name in ("t0", "t_final", "crossover")}
@@ -147,7 +150,7 @@ class Options:
             options.update(_FIRST)
         if barrier is not None:
             options.update(mu_strategy="monotone", mu_init=barrier, tol=max(0.1 * barrier, options["tol"]))
-        return {**options, **self.ipopt_relaxed}
+        return {**options, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {})}
 
     def exact(self, n: int, warm: bool = False) -> dict[str, Any]:
         """Ipopt options of the exact NLP of ``n`` unknowns, started with multipliers if ``warm``."""
