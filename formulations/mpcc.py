@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from formulations import joint
+from formulations.mpcc_options import BARRIER, BARRIER_ENERGY, OPTIONS, ipopt_options
 from formulations.mpcc_start import Begin, begin, moves
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
@@ -29,31 +31,6 @@ from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
 from rmesh_nlp.solution.solution import Solution
-
-
-def _close(mu: float, push: float) -> dict[str, Any]:
-    """Ipopt options that stay in the basin of a start close to a solution.
-
-    A large barrier, or the push of the start off its bounds, would lose it.
-    """
-    pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
-    return {"mu_strategy": "monotone", "mu_init": mu, **dict.fromkeys(pushes, push)}
-
-
-OPTIONS: Mapping[str, Any] = {
-    "t0": 1e-2,
-    "factor": 0.1,
-    "t_final": 1e-9,
-    "crossover": 1e-2,
-    "warm_duals": True,
-    "ipopt_relaxed": _close(1e-6, 1e-6),
-    # Many node boxes are weakly active, and an interior point meets those only to the square
-    # root of its tolerance.
-    "ipopt_exact": {"tol": 1e-12, "compl_inf_tol": 1e-12, **_close(1e-9, 1e-9)},
-}
-"""Options of :class:`rmesh_nlp.mpcc.Options` for mesh problems. t is in units of the largest displacement
-on the given mesh times its largest nodal load."""
-
 
 LIMITS = (Status.TIME_LIMIT, Status.ITERATION_LIMIT)
 """Ends of a homotopy whose last point need not be complementary."""
@@ -150,6 +127,9 @@ def solve(
             force=contact.system.force_scale,
             value=abs(value) or 1.0,
         )
+    ipopt = ipopt_options(1.0, BARRIER)
+    if outer.is_energy:
+        ipopt = ipopt_options(two_level.value / joint.pull(contact.gradient), BARRIER_ENERGY)
     recorder = Recorder(referee, on_step, time_limit_s, two_level.value, outer.is_energy)
     where = Begin(at.name, np.zeros(0))
 
@@ -160,7 +140,8 @@ def solve(
         if recorder.stopped is not None:
             return None
         limits = {"time_limit_s": max(recorder.remaining, 1e-3), "max_iterations": max_iterations}
-        options = {"relaxation": relaxation, **OPTIONS, **limits, **where.options, **(settings or {})}
+        usual = {"relaxation": relaxation, **OPTIONS, **ipopt, **limits}
+        options = {**usual, **where.options, **(settings or {})}
         with referee.clock.during("build"):
             solver = MPCCSolver(two_level.mpcc, **options)
         return solver(where.x, on_iteration=recorder.iterate)

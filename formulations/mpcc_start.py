@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from formulations import joint
+from formulations.mpcc_options import PUSHES
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.nlp import Solver
@@ -25,8 +26,6 @@ CERTIFY: Mapping[str, Any] = {"t0": 1e-9, "t_final": 1e-9}
 
 DROPPED_OPTIONS: Mapping[str, Any] = {"tol": 1e-8, "mu_strategy": "adaptive", "max_iter": 1000}
 """Ipopt options of the program without complementarity."""
-
-PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 
 
 @dataclass(frozen=True)

@@ -85,17 +85,23 @@ def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -
     """Make the pairs of a relaxed point exact and descend to a stationary branch.
 
     ``warm`` holds multipliers of the lifted program at ``z``; with them Newton's method is tried
-    before the interior point. ``search`` looks for another branch if the one next to the point is infeasible.
+    before the interior point, or the interior point begins with them. ``search`` looks for another branch
+    if the one next to the point is infeasible.
     """
     lifted = run.programs.lifted
     fix_G = z[lifted.first] <= z[lifted.second]
-    if warm is not None and run.programs.options.warm_finish:
+    options = run.programs.options
+    warm = warm if options.warm_finish else None
+    if warm is not None and options.newton_finish:
         near = polished(run, z, warm)
         if near is not None and near.solved:
             return near
         if near is not None and near.verdict is not None and near.verdict.direction is not None:
             return _pivot(run, near, fix_G)
-    result = run.branch(z, fix_G)
+        warm = None
+    result = run.branch(z, fix_G, warm=warm)
+    if warm is not None and not run.exact(result.x):
+        result = run.branch(z, fix_G)
     if search and not run.exact(result.x):
         result, fix_G = _other_branch(run, z, fix_G, result)
     if result.status is Status.UNBOUNDED and run.exact(result.x):

@@ -67,7 +67,10 @@ def follow(
                 path.finish = _better(path.finish, finish(run, result.x, search=True, warm=warm))
                 return
             if settled:
-                near = polished(run, result.x, warm)
+                if options.newton_finish:
+                    near = polished(run, result.x, warm)
+                else:
+                    near = finish(run, result.x, search=False, warm=warm)
                 if near is not None:
                     path.finish = _better(path.finish, near)
                     if near.solved and _at_the_limit(near.f, objective + _outlook(run, warm)):

@@ -65,8 +65,11 @@ class Options:
     warm_duals : bool
         Start each relaxation from the multipliers of the one before.
     warm_finish : bool
-        Start the first branch of the exact finish from the multipliers of the relaxed solution, with a
-        small barrier. If it fails, the branch is solved again from the relaxed point alone.
+        Begin the exact finish with the multipliers of the relaxed solution.
+    newton_finish : bool
+        With them, look for the exact point by Newton's method. False: by Ipopt on the branch, from these
+        multipliers and with a small barrier, and if that fails from the relaxed point alone; better where
+        many bounds are weakly active, or where a factorisation of the whole KKT matrix is expensive.
     tie_barrier : bool
         Let Ipopt's barrier parameter begin at t (at most 0.1, at least 1e-9) and solve each relaxation only
         to a tenth of it: t and the barrier go down together. For ``warm_duals`` and a ``factor`` of 0.1.
@@ -107,6 +110,7 @@ class Options:
     crossover: float = 1e-2
     warm_duals: bool = False
     warm_finish: bool = True
+    newton_finish: bool = True
     tie_barrier: bool = False
     time_limit_s: float = math.inf
     max_iterations: int | None = None

@@ -144,8 +144,8 @@ def test_mpcc_begins_at_the_initial_energy(results: list[Result]) -> None:
     found = curve(result)
     assert found is not None
     assert found.iteration[0] == 0
-    # Ipopt pushes the contact solution off its bounds, by 1e-6
-    assert found.energy[0] == pytest.approx(result.record["energy_initial"], rel=1e-5)
+    # Ipopt pushes forces and gaps off their bounds, by a hundredth of their unit
+    assert found.energy[0] == pytest.approx(result.record["energy_initial"], rel=2e-2)
     assert found.energy[-1] == pytest.approx(result.record["energy"], abs=1e-8)
 
 

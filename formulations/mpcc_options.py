@@ -1,0 +1,69 @@
+"""How ``mpcc`` runs the homotopy, and Ipopt in it; docs/notes/mpcc-speed.md has what chose the numbers.
+
+The settings were chosen on Example 6.1 with 5 to 26, and Examples 6.2 and 6.3 with 8 to 20 squares a
+side, other than the sizes that are reported, and on 16 random problems.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+OPTIONS: Mapping[str, Any] = {
+    "t0": 1e-2,
+    "factor": 0.1,
+    "t_final": 1e-9,
+    "crossover": 1e-2,
+    "warm_duals": True,
+    # Hundreds of boxes are weakly active at the end: an active-set Newton method does not find which.
+    "newton_finish": False,
+}
+"""Options of :class:`rmesh_nlp.mpcc.Options` for mesh problems. t is in units of the largest displacement
+on the given mesh times its largest nodal load."""
+
+PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+"""Ipopt options that push a start off its bounds."""
+
+BARRIER_ENERGY, BARRIER = 0.03, 0.1
+"""Ipopt's first barrier: in units of the pull for the energy, in units of the objective for others."""
+
+LOOSE, BETWEEN, TIGHT = 1e-4, 1e-8, 1e-10
+"""Ipopt's tolerance in the first relaxation, in the later ones, in the exact finish."""
+
+
+def ipopt_options(scaling: float, barrier: float) -> dict[str, dict[str, Any]]:
+    """Ipopt's options by stage: the first relaxation, those after it, the exact finish.
+
+    Each stage begins with the multipliers and about the barrier that the one before ended with, so
+    that Ipopt goes on and does not centre anew.
+
+    Parameters
+    ----------
+    scaling : float
+        Factor of the objective. For the energy it brings the mean gradient in the moves to a third
+        (:func:`formulations.joint.pull`): Ipopt's barrier and tolerances are absolute.
+    barrier : float
+    """
+    common = {
+        "nlp_scaling_method": "none",
+        "obj_scaling_factor": scaling,
+        # METIS: the KKT matrix of equilibrium, moves and displacements fills in five times less than
+        # with the ordering that MUMPS takes of itself
+        "mumps_pivot_order": 5,
+        # the least shift of an indefinite Hessian within a factor 1.5, as in joint
+        "perturb_dec_fact": 0.2,
+        "perturb_inc_fact": 1.5,
+    }
+    first = {"mu_init": barrier, "bound_mult_init_method": "mu-based", "tol": LOOSE}
+    return {
+        "ipopt_relaxed": {**common, "mu_strategy": "monotone", **first},
+        "ipopt_warm": {"mu_strategy": "monotone", "mu_init": LOOSE / 100, "tol": BETWEEN},
+        "ipopt_exact": {
+            **common,
+            "mu_strategy": "monotone",
+            "mu_init": TIGHT,
+            "tol": TIGHT,
+            # where rounding stops it before, this will do
+            "acceptable_tol": 1e-7,
+        },
+    }
