@@ -26,7 +26,7 @@ from rmesh_nlp.certificate.admissibility import displacement_faults
 from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError, conditions_of
 from rmesh_nlp.certificate.elastic import equilibrated_stress
 from rmesh_nlp.certificate.equilibration import edge_loads
-from rmesh_nlp.certificate.field import EquilibratedField, Guess
+from rmesh_nlp.certificate.field import EquilibratedField, Guess, loads
 from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.potential import Potential, potential
 from rmesh_nlp.certificate.scalar import equilibrated_flux
@@ -38,8 +38,12 @@ from rmesh_nlp.problem.rigid import rigid_motions
 TOLERANCE = 1e-10
 """Largest violation of equilibrium, relative to the largest force, of a field that bounds."""
 
-MAX_STEPS = 2
-"""Newton steps that improve the contact forces; a step takes at most 40 back-substitutions."""
+PRODUCTS = 10
+"""Back-substitutions that improve the contact forces, times the number of components.
+
+Twice as many lower the gap between the bounds by less than 0.4 % on Examples 6.1 to 6.3 and on the random
+problems of seeds 0 and 5, from which this number was chosen.
+"""
 
 DOUBT = 1e-2
 """Largest part of the gap between the bounds that may rest on doubtful quadrature."""
@@ -76,7 +80,7 @@ class Bracket:
     residual: float
 
 
-def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, max_steps: int = MAX_STEPS) -> Bracket:
+def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: int | None = None) -> Bracket:
     """Bounds of the least energy of a problem.
 
     Parameters
@@ -86,8 +90,9 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, max_steps: i
         Positions on which ``guess`` was computed.
     guess : Guess
         Displacement and contact stresses; the better the closer the bounds, but any are valid.
-    max_steps : int
-        Newton steps that improve the contact forces of the lower bound.
+    products : int, optional
+        Back-substitutions that improve the contact forces of the lower bound; by default ``PRODUCTS``
+        times the number of components.
 
     Raises
     ------
@@ -99,8 +104,10 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, max_steps: i
     skeleton = skeleton_of(problem, nodes)
     conditions = conditions_of(problem, skeleton)
     build = equilibrated_flux if problem.components == 1 else equilibrated_stress
-    field = build(problem, skeleton, conditions, guess, max_steps)
-    u = potential(problem, skeleton, conditions, guess.displacement)
+    load = loads(problem, skeleton)
+    effort = PRODUCTS * problem.components if products is None else products
+    field = build(problem, skeleton, conditions, load, guess, effort)
+    u = potential(problem, skeleton, conditions, load, guess.displacement)
     contact = _contact_gap(skeleton, conditions, field, guess, u)
     r = _oscillation(skeleton, conditions, field)
     spread = field.defect * r + r**2 / 2

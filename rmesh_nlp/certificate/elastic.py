@@ -13,7 +13,6 @@ from rmesh_nlp.certificate.field import (
     doubtful_work,
     end_values,
     gradients,
-    loads,
     work,
 )
 from rmesh_nlp.certificate.johnson_mercier import MASS, JohnsonMercier, thirds
@@ -26,10 +25,14 @@ from rmesh_nlp.problem import ContactProblem, Elastic
 
 
 def equilibrated_stress(
-    problem: ContactProblem, skeleton: Skeleton, conditions: Conditions, guess: Guess, max_steps: int
+    problem: ContactProblem,
+    skeleton: Skeleton,
+    conditions: Conditions,
+    load: Loads,
+    guess: Guess,
+    products: int,
 ) -> EquilibratedField:
     """The stress of largest dual energy, or nearly so: see :mod:`rmesh_nlp.certificate.equilibration`."""
-    load = loads(problem, skeleton)
     lam, mu = np.zeros((2, skeleton.triangles.shape[1]))
     for law, part in problem.regions:
         assert isinstance(law, Elastic)
@@ -44,7 +47,7 @@ def equilibrated_stress(
     computed = _stress_of(u, skeleton, lam, mu)
     exerted = _edge_forces(computed[0, 0], skeleton)
     local = LocalSystems(elements.stiffness, elements.source - exerted, space.base(u))
-    found = balance(space, local, pressure, friction, max_steps)
+    found = balance(space, local, pressure, friction, products)
     coefficients = elements.coefficients(found.traces)
     correction = elements.stress(coefficients)
     stress, forces = computed + correction, exerted + elements.forces(coefficients)

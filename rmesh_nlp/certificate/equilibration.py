@@ -9,7 +9,7 @@ in the traces W alone, a contact problem of the same form as that of the nodes, 
 the largest dual energy. Its multipliers are the contact forces. Any non-negative ones, with
 friction within its bound, give a lower bound of the energy, the best ones the highest. So the
 system is factorised once, without contact, and the forces, which begin with those of the
-computed solution, are improved by projected Newton steps that cost back-substitutions only.
+computed solution, are improved by projected conjugate gradients that cost back-substitutions only.
 
 Traces are counted from those of the computed displacement: where it is close to the solution they are
 small, and so is the rounding of stresses, which would else be differences of large numbers.
@@ -29,10 +29,10 @@ from rmesh_nlp.contact.first_guess import DualEnergy
 from rmesh_nlp.contact.model import solve
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.newton import minimise
+from rmesh_nlp.optimize.newton_step import BoxStep
 
-GAIN = 1e-3
-"""Part of the gain so far below which better contact forces are not looked for."""
+FORCING = 0.1
+"""Part of the residual at which conjugate gradients stop."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def balance(
     local: LocalSystems,
     pressure: Array,
     friction: Array,
-    max_steps: int,
+    products: int,
     interior: InteriorObstacle | None = None,
 ) -> Balance:
     """Equilibrate the elements with each other and with the contact forces.
@@ -114,8 +114,8 @@ def balance(
     local : LocalSystems
     pressure, friction : (2, contact edges) arrays
         Where to begin; cut to what contact and friction allow.
-    max_steps : int
-        Newton steps that improve the contact forces.
+    products : int
+        Back-substitutions spent on better contact forces.
     interior : InteriorObstacle, optional
         Its problem is solved exactly, for its forces are as many as the elements.
     """
@@ -148,7 +148,7 @@ def balance(
         slip = start[space.of_contact(0)].ravel()
         edge = lengths[conditions.contact]
         guess = (pressure * edge).ravel(), (friction * edge).ravel()
-        W[free], (y, z) = improved(system, slip, *guess, max_steps)
+        W[free], (y, z) = improved(system, slip, *guess, products)
         shape = (2, conditions.contact.size)
         pressure = y.reshape(shape) / edge
         friction = z.reshape(shape) / edge if z.size else np.zeros(shape)
@@ -204,19 +204,23 @@ def edge_loads(moments: Array) -> Array:
 
 
 def improved(
-    system: ContactSystem, slip: Array, pressure: Array, friction: Array, max_steps: int
+    system: ContactSystem, slip: Array, pressure: Array, friction: Array, products: int
 ) -> tuple[Array, tuple[Array, Array]]:
-    """Feasible contact forces better than the given ones, and the unknowns of the system under them."""
+    """Feasible contact forces better than the given ones, and the unknowns of the system under them.
+
+    One step of projected conjugate gradients: the dual function is quadratic.
+    """
     dual = DualEnergy(system, slip)
     bound = system.slip_bound
     y = np.concatenate([pressure, friction[: bound.size]])
     lower = np.concatenate([np.zeros(pressure.size), -bound])
     upper = np.concatenate([np.full(pressure.size, np.inf), bound])
     y = np.clip(y, lower, upper)
-    if y.size and max_steps:
-        y = minimise(
-            dual.evaluate, y, lower, upper, tolerance=np.inf, gain_tolerance=GAIN, max_iterations=max_steps
-        ).x
+    if y.size and products:
+        step = BoxStep(dual, dual.evaluate(y).gradient)
+        step.max_products = products
+        s, _ = step.solve(lower - y, upper - y, FORCING)
+        y = np.clip(y + s, lower, upper)
     return dual.displacement(y), (y[: pressure.size], y[pressure.size :])
 
 

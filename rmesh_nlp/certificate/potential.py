@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.certificate.conditions import Conditions
-from rmesh_nlp.certificate.field import gradients, loads, work
+from rmesh_nlp.certificate.field import Loads, gradients, work
 from rmesh_nlp.certificate.integrals import edge_rule, values_at
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
@@ -41,7 +41,7 @@ class Potential:
 
 
 def potential(
-    problem: ContactProblem, skeleton: Skeleton, conditions: Conditions, displacement: Array
+    problem: ContactProblem, skeleton: Skeleton, conditions: Conditions, load: Loads, displacement: Array
 ) -> Potential:
     """The potential energy of a piecewise linear displacement (components, nodes)."""
     slope = gradients(displacement, skeleton)
@@ -55,14 +55,14 @@ def potential(
         trace = part[0, 0] + part[1, 1]
         density = 0.5 * law.in_plane_lambda * trace**2 + law.lame_mu * np.sum(sym**2, axis=(0, 1))
         strain += float(np.sum(density * area))
-    load = float(np.sum(work(loads(problem, skeleton).moments, displacement, skeleton)))
+    of_load = float(np.sum(work(load.moments, displacement, skeleton)))
     ends = displacement[:, skeleton.ends]
     traction = float(np.sum(conditions.traction * ends * skeleton.lengths))
     friction = _friction(problem, skeleton, conditions, displacement)
     largest = float(np.max(np.abs(displacement), initial=0.0))
     doubt = float(np.sum(conditions.traction_doubt * (np.abs(ends) + largest) * skeleton.lengths))
     return Potential(
-        strain - load - traction + float(np.sum(friction)), float(np.sqrt(2 * strain)), friction, doubt
+        strain - of_load - traction + float(np.sum(friction)), float(np.sqrt(2 * strain)), friction, doubt
     )
 
 

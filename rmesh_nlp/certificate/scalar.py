@@ -9,10 +9,10 @@ from rmesh_nlp.certificate.equilibration import InteriorObstacle, LocalSystems, 
 from rmesh_nlp.certificate.field import (
     EquilibratedField,
     Guess,
+    Loads,
     doubtful_work,
     end_values,
     gradients,
-    loads,
 )
 from rmesh_nlp.certificate.integrals import over_triangles
 from rmesh_nlp.certificate.raviart_thomas import RaviartThomas
@@ -23,10 +23,15 @@ from rmesh_nlp.problem.laws import Laplace
 
 
 def equilibrated_flux(
-    problem: ContactProblem, skeleton: Skeleton, conditions: Conditions, guess: Guess, max_steps: int
+    problem: ContactProblem,
+    skeleton: Skeleton,
+    conditions: Conditions,
+    load: Loads,
+    guess: Guess,
+    products: int,
 ) -> EquilibratedField:
     """The flux of largest dual energy, or nearly so: see :mod:`rmesh_nlp.certificate.equilibration`."""
-    load, area = loads(problem, skeleton), skeleton.areas
+    area = skeleton.areas
     conductivity = np.zeros(area.size)
     for law, part in problem.regions:
         assert isinstance(law, Laplace)
@@ -55,7 +60,7 @@ def equilibrated_flux(
             np.all(guess.pressure[skeleton.triangles] > 0, axis=0),
         )
     pressure = end_values(guess.pressure, skeleton, conditions.contact)
-    found = balance(space, local, pressure, np.zeros_like(pressure), max_steps, interior)
+    found = balance(space, local, pressure, np.zeros_like(pressure), products, interior)
     correction = elements.coefficients(found.traces)
     flux, reaction = computed + correction, found.obstacle_force
     forces = elements.forces(flux)

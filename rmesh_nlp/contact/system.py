@@ -144,7 +144,8 @@ def factorised(K: sp.csc_array) -> Any:
     # SuperLU takes 32-bit indices; SciPy before 1.13 makes 64-bit ones when a matrix is sliced
     indices, starts = (a.astype(np.int32, copy=False) for a in (K.indices, K.indptr))
     K = sp.csc_array((K.data, indices, starts), shape=K.shape)
-    return splu(K, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    # pivots on the diagonal: anything else would give up the ordering, and with it the sparsity
+    return splu(K, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 class RotatedSystem:

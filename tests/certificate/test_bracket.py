@@ -17,6 +17,7 @@ from rmesh_nlp.certificate import bracket as module
 from rmesh_nlp.certificate.bracket import Bracket, bracket, edge_residual
 from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.elastic import equilibrated_stress
+from rmesh_nlp.certificate.field import loads
 from rmesh_nlp.certificate.integrals import over_triangles
 from rmesh_nlp.certificate.oscillation import korn
 from rmesh_nlp.certificate.skeleton import skeleton_of
@@ -83,7 +84,7 @@ def test_any_contact_forces_give_a_bound_and_better_ones_a_better_bound():
     problem = random_problem(0, kind="rough")
     guess = guess_on(problem)
     wild = replace(guess, pressure=-7 + 100 * np.random.default_rng(0).random(guess.pressure.shape))
-    as_given = bracket(problem, problem.mesh.p, wild, max_steps=0)
+    as_given = bracket(problem, problem.mesh.p, wild, products=0)
     improved = bracket(problem, problem.mesh.p, wild)
     assert as_given.guaranteed_lower
     assert as_given.lower < improved.lower <= bracket_of(problem).upper
@@ -182,7 +183,7 @@ def test_equilibrium_is_checked_and_can_fail():
     problem = block()
     guess, skeleton = guess_on(problem), skeleton_of(problem, problem.mesh.p)
     conditions = conditions_of(problem, skeleton)
-    field = equilibrated_stress(problem, skeleton, conditions, guess, 2)
+    field = equilibrated_stress(problem, skeleton, conditions, loads(problem, skeleton), guess, 20)
     assert edge_residual(skeleton, conditions, field) < 1e-11
     spoilt = field.forces.copy()
     spoilt[3, 5] *= 1.01

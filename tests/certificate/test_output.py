@@ -11,8 +11,10 @@ import pytest
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.io.results import read_results
 from rmesh_nlp.io.vtu import read_vtu
+from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.columns import CERTIFICATES
-from rmesh_nlp.report.figures import write_figures
+from rmesh_nlp.report.errors import bracket_figure
+from rmesh_nlp.report.figures import block_figures
 from rmesh_nlp.report.tables import markdown
 
 TOML = """
@@ -59,13 +61,25 @@ def test_record_and_file_hold_the_certificate(certified):
     assert read_vtu(certified / "solution.vtu").error_bound is not None
 
 
-def test_tables_and_figures_show_it(certified, tmp_path):
+def test_tables_and_figures_show_it(certified):
     results = read_results(certified)
-    text = markdown([result.record for result in results])
+    records = [result.record for result in results]
+    text = markdown(records)
     assert CERTIFICATES[-1].head in text
     assert "at most" in text
-    names = [path.name for path in write_figures(results, tmp_path / "figures")]
-    assert any(name.endswith("-error.png") for name in names)
+    figures = dict(block_figures(blocks(records)[0], results))
+    (error,) = [figure for name, figure in figures.items() if name.endswith("-error")]
+    titles = [axis.get_title() for axis in error.axes]
+    assert "given, error at most" in titles[0]
+    assert "relocated, error at most" in titles[1]
+
+
+def test_brackets_of_several_meshes_are_drawn(certified):
+    record = read_results(certified)[0].record
+    finer = {**record, "nodes": 4 * record["nodes"], "energy_lower_bound": record["energy"] - 1e-3}
+    (axis,) = bracket_figure([record, finer]).axes
+    lower = axis.lines[1].get_ydata()
+    assert list(lower) == [record["energy_lower_bound"], finer["energy_lower_bound"]]
 
 
 def test_a_problem_file_may_ask_for_it_and_the_result_is_printed(tmp_path, capsys):
