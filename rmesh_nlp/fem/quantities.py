@@ -20,10 +20,13 @@ import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
+from rmesh_nlp.fem.contact_pressure import peak_pressure
 from rmesh_nlp.fem.energy import objective_group, triangle_rule
 from rmesh_nlp.fem.fields import ElementGroup, Field, Index
 from rmesh_nlp.fem.objective import Groups, Objective, Term
-from rmesh_nlp.problem import ContactProblem, Laplace, Law
+from rmesh_nlp.problem import ContactProblem
+
+__all__ = ["at_point", "body_integral", "boundary_integral", "nodal", "peak_pressure"]
 
 DEGREE = 8
 """Degree of the rules for densities of one's own."""
@@ -175,64 +178,8 @@ def at_point(
     return _objective(name, groups)
 
 
-def peak_pressure(
-    boundary: str, reference: float, *, exponent: int = 8, name: str = "peak pressure"
-) -> Objective:
-    """The peak of the pressure on a boundary, smoothed: the mean of ``(pressure / reference)^exponent``.
-
-    The pressure is minus the normal stress of the adjacent element, cut off at zero where it pulls (for a
-    scalar problem the flux out of the body). ``reference * value**(1 / exponent)`` lies between the
-    mean and the peak; it is not taken as the objective itself, because its second derivatives
-    would couple all nodes of the boundary, while the minimisers are the same.
-
-    Parameters
-    ----------
-    boundary : str
-    reference : float
-        A pressure of the size that is expected, in units of stress.
-    exponent : int
-        At least 3, so that second derivatives are continuous; the larger, the closer to the peak.
-    name : str
-    """
-    if not (np.isfinite(reference) and reference > 0):
-        raise ValueError(f"{name}: the reference pressure must be positive, got {reference}")
-    if not exponent >= 3:
-        raise ValueError(f"{name}: the exponent must be at least 3, got {exponent}")
-
-    def groups(
-        problem: ContactProblem, positions: Field, displacement: Field, _: Field
-    ) -> list[ElementGroup]:
-        corners = _edges(problem, boundary)
-        share = 1 / _length(problem, corners[:2])
-        owner = np.full(problem.mesh.t.shape[1], -1)
-        for number, (_law, elements) in enumerate(problem.regions):
-            owner[elements] = number
-        law_of = owner[problem.mesh.f2t[0, problem.mesh.boundaries[boundary]]]
-        result = []
-        for number, (law, _elements) in enumerate(problem.regions):
-            X, u = _corners(problem, 3)
-            slope = _affine(X, u)[1]
-            length, normal = _outward(X)
-            pressure = ca.fmax(_pressure(law, slope, normal), 0) / reference
-            value = share * length * pressure**exponent
-            result.append(_group(X, u, value, corners[:, law_of == number], positions, displacement))
-        return result
-
-    return _objective(name, groups)
-
-
 def _objective(name: str, groups: Groups) -> Objective:
     return Objective(((1.0, Term(name, groups)),))
-
-
-def _pressure(law: Law, slope: Any, normal: Any) -> Any:
-    """What the surface with an outward normal presses on; of a scalar problem, the flux outwards."""
-    if isinstance(law, Laplace):
-        return law.conductivity * (slope @ normal)
-    strain = (slope + slope.T) / 2
-    trace = slope[0, 0] + slope[1, 1]
-    stress = law.in_plane_lambda * trace * ca.SX.eye(2) + 2 * law.lame_mu * strain
-    return -ca.dot(normal, stress @ normal)
 
 
 def _corners(problem: ContactProblem, n: int) -> tuple[Any, Any]:

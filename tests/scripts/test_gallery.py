@@ -72,3 +72,13 @@ def test_free_boundary(load: Callable[[str], ModuleType]) -> None:
 def test_signorini(load: Callable[[str], ModuleType]) -> None:
     case = load("signorini").main(5)
     assert case.error_after < 0.85 * case.error_before
+
+
+def test_the_shaped_punch_has_a_lower_peak_by_both_strategies() -> None:
+    solutions = importlib.import_module("punch").main(4)
+    before, nested, mpcc = (solutions[name] for name in ("fixed", "nested", "mpcc"))
+    assert nested.success
+    assert mpcc.success
+    assert nested.extra["objective_value"] == pytest.approx(mpcc.extra["objective_value"], rel=1e-4)
+    # the load, and with it the mean, is given: what the middle is spared the rest must carry
+    assert nested.pressure.max() < 0.9 * before.pressure.max()
