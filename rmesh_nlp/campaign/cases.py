@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rmesh_nlp.campaign import strategies
+from rmesh_nlp.campaign.file_cases import SUFFIX, own_problems, refinements
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.examples import EXAMPLES, Delta, Size
 from rmesh_nlp.examples.reference import with_reference
@@ -19,6 +20,10 @@ from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS
 
 FLAGS = {"time_limit_s": "--time-limit", "max_iterations": "--max-iterations"}
 """Limits: who does not heed one is finite without it. Their names on the command line."""
+
+
+RELOCATING_NOTHING = "fixed"
+"""The strategy that solves on the mesh as it is."""
 
 
 @dataclass(frozen=True)
@@ -73,10 +78,13 @@ def make_cases(
     quadrature: str | int = "midpoint",
     options: Mapping[str, Any] | None = None,
     certify: bool = False,
+    refined: int | None = None,
 ) -> list[Case]:
     """All pairs of examples and strategies, with the same settings.
 
-    An option goes to those strategies that take it.
+    An option goes to those strategies that take it. Of a problem file, whose name ends with
+    ``.toml``, also uniform refinements without motion are cases: ``refined`` of them, see
+    :func:`rmesh_nlp.campaign.file_cases.refinements`.
 
     Raises
     ------
@@ -85,18 +93,30 @@ def make_cases(
     """
     options = dict(options or {})
     _check_options(options)
-    problems = [build_problem(name, n=n, delta=delta, quadrature=quadrature) for name in examples]
+    own = own_problems(examples)
+    if own and (n is not None or delta is not None or quadrature != "midpoint"):
+        raise BadInputError("size, delta and quadrature are for the examples: write them into the files")
+    problems = own + [
+        build_problem(name, n=n, delta=delta, quadrature=quadrature)
+        for name in examples
+        if not name.endswith(SUFFIX)
+    ]
     if "objective" in options and parse_objective(options["objective"]).needs_exact:
         problems = [with_reference(problem) for problem in problems]
     taken = {name: strategies.accepted(strategies.load(name), options) for name in formulations}
     for option in options:
         if option not in FLAGS and not any(option in names for names in taken.values()):
             raise BadInputError(f"--{option} {options[option]}: not an option of {', '.join(formulations)}")
+    finer = [
+        Case(fine, RELOCATING_NOTHING, certify=certify)
+        for problem in own
+        for fine in refinements(problem, refined)
+    ]
     return [
         Case(problem, name, {option: options[option] for option in options if option in taken[name]}, certify)
         for problem in problems
         for name in formulations
-    ]
+    ] + finer
 
 
 def build_problem(

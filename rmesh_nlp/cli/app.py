@@ -298,7 +298,9 @@ def study(
 
 @app.command()
 def compare(
-    examples: Annotated[list[str] | None, typer.Argument(help="Examples; all three by default.")] = None,
+    examples: Annotated[
+        list[str] | None, typer.Argument(help="Examples, or problem files; the three examples by default.")
+    ] = None,
     formulations: Annotated[
         str, typer.Option("--formulations", metavar="NAMES", help="Strategies, separated by commas.")
     ] = "fixed,nested,joint,mpcc",
@@ -325,11 +327,13 @@ def compare(
     """Compare strategies: solve, table and draw.
 
     Writes DIR/records.jsonl, DIR/table.md, .tex, .csv, DIR/figures and DIR/solutions.
-    An option goes to those strategies that take it. What an earlier run left in DIR is moved to
-    DIR/previous when the first solve has ended.
+    An option goes to those strategies that take it. Problem files are compared with uniform refinements
+    of their meshes as well, so that you see what moving nodes is worth. What an earlier run left in DIR
+    is moved to DIR/previous when the first solve has ended.
 
     \b
     rmesh compare
+    rmesh compare my.toml --formulations fixed,nested --out mine
     rmesh compare 6.1 --formulations fixed,nested,joint --n 16 --out fine
     rmesh compare --out results --resume
     """

@@ -108,6 +108,8 @@ def compare(
     voice : str
         What is printed: "text", "json" (a list of the records) or "quiet".
     """
+    if jobs > 1 and any(name.endswith(".toml") for name in examples):
+        raise BadInputError("--jobs is for the examples: put problem files into a study (rmesh new --study)")
     cases = make_cases(examples or list(EXAMPLES), formulations, **settings)
     records: list[Record] = []
     with writable(out, (RECORDS, *TABLES)) as results:

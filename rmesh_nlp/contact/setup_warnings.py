@@ -51,7 +51,8 @@ class SetupWarning:
     Attributes
     ----------
     kind : str
-        A short name: overlap, open, away, all-touching, unresolved, penetration, large, tiny, locking, load.
+        A short name: overlap, open, away, all-touching, unresolved, penetration, large, tiny, locking,
+        load, point-load.
     message : str
         One sentence for people, with the figure that it rests on.
     """
@@ -79,6 +80,7 @@ def setup_warnings(
     state = state or model.solve(problem.mesh.p)
     u = model.displacement.values(state.u)
     found = [*_materials(problem), *_loads(problem, system, accurate), *_sizes(problem, u)]
+    found += _point_loads(problem)
     for part in problem.contact_sets:
         found += _contact(problem, part, system, state, u)
     found += penetration_warnings(problem, problem.mesh.p, u)
@@ -152,6 +154,15 @@ def _open(
         moves = f"it moves by {moved:.2g} where the gap is {nearest:.2g}"
         return SetupWarning("open", f"{text}; {moves}: check units")
     return SetupWarning("open", text)
+
+
+def _point_loads(problem: ContactProblem) -> Iterator[SetupWarning]:
+    if problem.point_loads:
+        yield SetupWarning(
+            "point-load",
+            "a point load has no finite energy in the plane: its energy falls without end as the mesh is "
+            "refined, so compare energies on this mesh only",
+        )
 
 
 def _sizes(problem: ContactProblem, u: Array) -> Iterator[SetupWarning]:

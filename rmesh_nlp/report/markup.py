@@ -30,31 +30,73 @@ def markdown_table(head: Sequence[str], rows: Rows) -> str:
     return "\n".join([lines[0], rule, *lines[1:]]) + "\n"
 
 
-def latex_table(head: Sequence[str], groups: Sequence[tuple[str, Rows]], caption: str) -> str:
-    r"""A ``table`` with booktabs rules; each group has a title over its rows.
+COLUMN = 240.0
+"""Points of the width of one of two columns of a printed page."""
 
-    ``head`` and ``caption`` are LaTeX already, titles and cells are plain text.
+DIGIT = 4.3
+"""Points of a digit in footnote size."""
+
+GAP = 5.0
+"""Points between two columns of a table."""
+
+
+def latex_table(
+    head: Sequence[str], groups: Sequence[tuple[str, Rows]], caption: str, notes: Sequence[str] = ()
+) -> str:
+    r"""A ``table`` with booktabs rules that fits a column; each group has a title over its rows.
+
+    A table that is too wide is split into several below each other, each with the first column.
+    Notes stand below as ``tablenotes`` of ``threeparttable``, no wider than the table.
+
+    ``head`` and ``caption`` are LaTeX already, titles, cells and notes are plain text.
     """
-    columns = len(head)
     lines = [
         r"\begin{table}[htbp]",
         r"\centering\footnotesize\setlength{\tabcolsep}{2.5pt}",
+        r"\begin{threeparttable}",
         rf"\caption{{{caption}}}",
-        rf"\begin{{tabular}}{{@{{}}l{'r' * (columns - 1)}@{{}}}}",
+    ]
+    for number, columns in enumerate(split_columns(head, groups)):
+        lines += [r"", r"\medskip"] if number else []
+        lines += _tabular(head, groups, columns)
+    if notes:
+        # a hyphen before a number is a minus sign
+        items = [re.sub(r"(?<![\w.])-(?=\d)", "$-$", rf"\item {latex_text(note)}") for note in notes]
+        lines += [r"\begin{tablenotes}\scriptsize", *items, r"\end{tablenotes}"]
+    return "\n".join([*lines, r"\end{threeparttable}", r"\end{table}"]) + "\n"
+
+
+def split_columns(head: Sequence[str], groups: Sequence[tuple[str, Rows]]) -> list[list[int]]:
+    """Numbers of the columns of each part that fits ``COLUMN``; the first column is in all."""
+    widths = [
+        DIGIT * max(_letters(head[i]), *(len(row[i]) for _, rows in groups for row in rows), 1) + GAP
+        for i in range(len(head))
+    ]
+    parts: list[list[int]] = [[0]]
+    for i in range(1, len(head)):
+        if sum(widths[k] for k in parts[-1]) + widths[i] > COLUMN and len(parts[-1]) > 1:
+            parts.append([0])
+        parts[-1].append(i)
+    return parts
+
+
+def _letters(head: str) -> int:
+    """Letters of the longest line of a heading."""
+    lines = re.sub(r"\\shortstack\[r\]|\\(?!\\)\w+|[{}$]", "", head).split(r"\\")
+    return max(len(line.strip()) for line in lines)
+
+
+def _tabular(head: Sequence[str], groups: Sequence[tuple[str, Rows]], columns: Sequence[int]) -> list[str]:
+    lines = [
+        rf"\begin{{tabular}}{{@{{}}l{'r' * (len(columns) - 1)}@{{}}}}",
         r"\toprule",
-        " & ".join(head) + r" \\",
+        " & ".join(head[i] for i in columns) + r" \\",
     ]
     for title, rows in groups:
-        lines += [r"\midrule", rf"\multicolumn{{{columns}}}{{@{{}}l}}{{\emph{{{latex_title(title)}}}}} \\"]
-        lines += [" & ".join(latex_cell(cell) for cell in row) + r" \\" for row in rows]
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}"]) + "\n"
-
-
-def latex_list(notes: Sequence[str]) -> str:
-    """Notes as an itemized list in small type."""
-    # a hyphen before a number is a minus sign
-    items = [re.sub(r"(?<![\w.])-(?=\d)", "$-$", rf"  \item {latex_text(note)}") for note in notes]
-    return "\n".join([r"{\footnotesize", r"\begin{itemize}", *items, r"\end{itemize}", r"}"]) + "\n"
+        span = rf"\multicolumn{{{len(columns)}}}{{@{{}}l}}"
+        lines += [r"\midrule", rf"{span}{{\emph{{{latex_title(title)}}}}} \\"]
+        lines += [" & ".join(latex_cell(row[i]) for i in columns) + r" \\" for row in rows]
+    return [*lines, r"\bottomrule", r"\end{tabular}"]
 
 
 def latex_cell(text: str) -> str:

@@ -12,8 +12,9 @@ from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import TABLES, Results
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, OBJECTIVES, Column, body, contact_units
-from rmesh_nlp.report.markup import latex_list, latex_table, markdown_table
+from rmesh_nlp.report.markup import latex_table, latex_text, markdown_table
 from rmesh_nlp.report.notes import notes
+from rmesh_nlp.report.refinement import HEAD, TITLE, refinement_notes, refinement_rows
 
 CAPTIONS = {
     ENERGIES: r"Energies and extremes of the displacement; the paper truncates its digits.",
@@ -32,6 +33,10 @@ def markdown(records: Sequence[Record]) -> str:
             markdown_table([column.head for column in columns], body(columns, block))
             for columns in _tables(block.records)
         ]
+    for name, rows in refinement_rows(records):
+        parts.append(f"## {TITLE}: {name}\n")
+        parts.append(markdown_table(HEAD, rows))
+    parts += [f"{note}\n" for note in refinement_notes(records)]
     if not records:
         parts.append("No solve has ended yet.\n")
     parts.append("## Notes\n")
@@ -40,12 +45,23 @@ def markdown(records: Sequence[Record]) -> str:
 
 
 def latex(records: Sequence[Record]) -> str:
-    r"""One ``table`` per kind, examples below each other; needs ``\usepackage{booktabs}``."""
-    parts = ["% made by rmesh table; needs \\usepackage{booktabs}\n"]
-    for columns in _tables(records):
-        groups = [(block.title, body(columns, block)) for block in blocks(records)]
-        parts.append(latex_table([column.tex for column in columns], groups, CAPTIONS[columns]))
-    parts.append(latex_list(notes(records)))
+    r"""One ``table`` per kind, examples below each other, each as wide as a column of a page at most.
+
+    Needs ``\usepackage{booktabs,threeparttable}``. The notes stand below the last table.
+    """
+    parts = ["% made by rmesh table; needs \\usepackage{booktabs,threeparttable}\n"]
+    tables = [
+        ([column.tex for column in columns], [(b.title, body(columns, b)) for b in blocks(records)], columns)
+        for columns in _tables(records)
+    ]
+    finer = refinement_rows(records)
+    said = [latex_text(note) for note in refinement_notes(records)]
+    for head, groups, columns in tables:
+        last = columns is tables[-1][2]
+        below = notes(records) if last else ()
+        parts.append(latex_table(head, groups, CAPTIONS[columns], below))
+    if finer:
+        parts.append(latex_table(HEAD, finer, " ".join([f"{TITLE}.", *said])))
     return "\n".join(parts)
 
 

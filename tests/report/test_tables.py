@@ -11,8 +11,18 @@ from typing import Any
 import pytest
 
 from rmesh_nlp.io.results import REQUIRED
-from rmesh_nlp.report.markup import latex_cell, latex_text, markdown_table
+from rmesh_nlp.report.markup import (
+    COLUMN,
+    DIGIT,
+    GAP,
+    latex_cell,
+    latex_table,
+    latex_text,
+    markdown_table,
+    split_columns,
+)
 from rmesh_nlp.report.notes import notes
+from rmesh_nlp.report.refinement import TITLE, refinement_notes, refinement_rows
 from rmesh_nlp.report.tables import frame, latex, markdown, write_tables
 
 
@@ -84,15 +94,28 @@ MARKDOWN = """\
 ## Notes
 """  # noqa: E501
 
-LATEX_ENERGIES = r"""\begin{tabular}{@{}lrrrrrrr@{}}
+LATEX_ENERGIES = r"""\begin{tabular}{@{}lrrr@{}}
 \toprule
-strategy & \shortstack[r]{$J$\\ {initial}} & \shortstack[r]{$J$\\ {final}} & \shortstack[r]{$J$\\ {audited}} & gain & $u_{\min}$ & $u_{\max}$ & \shortstack[r]{least\\ {area}} \\
+strategy & \shortstack[r]{$J$\\ {initial}} & \shortstack[r]{$J$\\ {final}} & \shortstack[r]{$J$\\ {audited}} \\
 \midrule
-\multicolumn{8}{@{}l}{\emph{Example 6.2: $n$ = 12 $\times$ 6, $\delta$ = 0.15667 $\times$ 0.07333, midpoint rule}} \\
-paper, given grid & $-4.8541$ & -- & -- & -- & -- & -- & -- \\
-paper, relocated & $-4.8541$ & $-4.9188$ & -- & $0.0647$ & -- & -- & -- \\
-joint & $-4.854190$ & $-4.910330$ & $-4.910330$ & $0.056140$ & $-0.05358$ & $0.009488$ & $0.132$ \\
-mpcc & -- & -- & -- & -- & -- & -- & -- \\
+\multicolumn{4}{@{}l}{\emph{Example 6.2: $n$ = 12 $\times$ 6, $\delta$ = 0.15667 $\times$ 0.07333, midpoint rule}} \\
+paper, given grid & $-4.8541$ & -- & -- \\
+paper, relocated & $-4.8541$ & $-4.9188$ & -- \\
+joint & $-4.854190$ & $-4.910330$ & $-4.910330$ \\
+mpcc & -- & -- & -- \\
+\bottomrule
+\end{tabular}
+
+\medskip
+\begin{tabular}{@{}lrrrr@{}}
+\toprule
+strategy & gain & $u_{\min}$ & $u_{\max}$ & \shortstack[r]{least\\ {area}} \\
+\midrule
+\multicolumn{5}{@{}l}{\emph{Example 6.2: $n$ = 12 $\times$ 6, $\delta$ = 0.15667 $\times$ 0.07333, midpoint rule}} \\
+paper, given grid & -- & -- & -- & -- \\
+paper, relocated & $0.0647$ & -- & -- & -- \\
+joint & $0.056140$ & $-0.05358$ & $0.009488$ & $0.132$ \\
+mpcc & -- & -- & -- & -- \\
 \bottomrule
 \end{tabular}
 """  # noqa: E501
@@ -105,8 +128,47 @@ def test_markdown_literally() -> None:
 def test_latex_literally() -> None:
     text = latex(ROWS)
     assert LATEX_ENERGIES in text
-    assert r"$4.7\cdot 10^{-13}$ & $0$ & $2.9\cdot 10^{-6}$ & KKT & converged \\" in text
+    assert r"joint & $4.7\cdot 10^{-13}$ & $0$ & $2.9\cdot 10^{-6}$ & KKT & converged \\" in text
     assert r"RuntimeError: 100\% \& more\_" in text
+
+
+def test_tables_fit_a_column_with_their_notes_below() -> None:
+    head = ["strategy", *(f"column {k}" for k in range(12))]
+    rows = [["joint", *["-1.234567"] * 12], ["nested", *["0"] * 12]]
+    parts = split_columns(head, [("all", rows)])
+    assert all(part[0] == 0 for part in parts)
+    assert [i for part in parts for i in part[1:]] == list(range(1, 13))
+    for part in parts:
+        assert sum(DIGIT * max(len(head[i]), len(rows[0][i])) + GAP for i in part) <= COLUMN
+    text = latex_table(head, [("all", rows)], "A caption.", ["a -1 note", "another"])
+    assert text.count(r"\begin{tabular}") == len(parts)
+    assert text.count(r"\begin{threeparttable}") == text.count(r"\begin{tablenotes}") == 1
+    assert r"\item a $-$1 note" in text
+
+
+def test_relocation_stands_beside_refinement() -> None:
+    given = record(formulation="fixed", nodes=100, energy_initial_audited=-1.0, energy_audited=-1.0)
+    moved = record(nodes=100, energy_initial_audited=-1.0, energy_audited=-1.2, wall_time_s=10.0)
+    finer = record(
+        formulation="fixed",
+        n="f",
+        nodes=400,
+        energy_initial_audited=-1.4,
+        energy_audited=-1.4,
+        wall_time_s=1.0,
+    )
+    ((name, rows),) = refinement_rows([finer, given, moved])
+    assert name == given["example"]
+    assert [row[:3] for row in rows] == [
+        ["as given", "no motion", "100"],
+        ["as given", "joint", "100"],
+        ["refined", "no motion", "400"],
+    ]
+    assert [row[4] for row in rows] == ["0", "0.2", "0.4"]
+    (note,) = refinement_notes([finer, given, moved])
+    assert "one uniform refinement (400 nodes) gains 2 times as much as joint on 100 nodes, in 0.1" in note
+    assert TITLE in markdown([given, moved, finer])
+    assert TITLE not in markdown([given, moved])
 
 
 def test_latex_is_well_formed() -> None:
