@@ -86,6 +86,7 @@ def solve(
         iterations=equilibrium.iterations,
         contact_solves=1,
         stationarity="",
+        relocates=False,
         objective=objective,
         settings=chosen.changed(),
         extra=extra,

@@ -165,7 +165,6 @@ def solve(
             iterations=steps[-1].iteration if steps else 0,
             contact_solves=where.contact_solves,
             stationarity="",
-            outer_gradient=function(q).gradient,
             extra={
                 "objective_initial": value,
                 "objective_value": function(q).value,
@@ -183,7 +182,6 @@ def solve(
         contact_solves=where.contact_solves,
         equilibrium=_equilibrium(referee, q, u, normal, tangential, result),
         stationarity=result.stationarity,
-        outer_gradient=function(inside).gradient,
         extra={
             "objective_initial": value,
             "objective_value": function(inside).value,

@@ -19,6 +19,7 @@ from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS, NestedSettings, reduced_nlp
 from rmesh_nlp.programs.reduced import Reduced
+from rmesh_nlp.programs.residual import OuterResidual
 from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solution.beginning import Start, beginning
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Watch
@@ -109,9 +110,10 @@ def solve(
     referee = Referee(problem, objective)
     function = referee.function(objective)
     with referee.clock.during("build"):
-        program = reduced_nlp(referee.relocation, function, referee.is_valid)
+        residual = referee.residual(function)
+        program = reduced_nlp(referee.relocation, function, referee.is_valid, residual.unit, tolerance)
     begin = beginning(referee, start, seed, objective=objective, time_limit_s=time_limit_s)
-    recorder = _Recorder(referee, function, on_step, time_limit_s)
+    recorder = _Recorder(referee, function, residual, on_step, time_limit_s)
     finish = recorder.run(lambda: OUTER_SOLVERS[outer](program, begin.q, recorder, chosen))
     if finish is None or recorder.stopped is not None:
         q, status = recorder.best(function, begin.q), recorder.stopped or Status.FAILED
@@ -130,7 +132,6 @@ def solve(
         seed=seed,
         settings=chosen.changed(),
         extra={"outer": outer, **_outer_figures(referee, function, q)},
-        outer_gradient=function(q).gradient,
     )
 
 
@@ -141,7 +142,6 @@ def _outer_figures(referee: Referee, function: Reduced, q: Array) -> dict[str, A
     return {
         "objective_initial": start.value,
         "objective_value": end.value,
-        "outer_stationarity_residual": referee.reduced.stationarity_residual(end),
         "biactive_nodes": [int(node) for node in weak],
     }
 
@@ -150,15 +150,20 @@ class _Recorder(Watch):
     """Turns the iterates of an outer solver into Steps."""
 
     def __init__(
-        self, referee: Referee, function: Reduced, on_step: OnStep | None, time_limit_s: float
+        self,
+        referee: Referee,
+        function: Reduced,
+        residual: OuterResidual,
+        on_step: OnStep | None,
+        time_limit_s: float,
     ) -> None:
         super().__init__(referee, on_step, time_limit_s)
-        self._function = function
+        self._function, self._residual = function, residual
         self.steps: list[Step] = []
 
     def __call__(self, iteration: int, q: Array, _: float) -> bool:
         point = self._function(q)
-        residual = self.referee.reduced.stationarity_residual(point)
+        residual = self._residual(point)
         solves, seconds = self._function.contact_solves, self.referee.clock.elapsed
         energy, objective = point.equilibrium.energy, point.value
         step = Step(iteration, energy, 0.0, 0.0, residual, solves, seconds, objective=objective)

@@ -65,7 +65,7 @@ class Case:
             "formulation": self.formulation,
             "n": self.problem.size,
             "delta": self.problem.motion.delta_record(),
-            "quadrature": self.problem.quadrature,
+            "quadrature": self.problem.rule,
         }
 
 

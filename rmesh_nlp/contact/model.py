@@ -82,7 +82,9 @@ class ContactModel:
         inner = assemble(groups, u, X, self.contact_nodes.size)
         zero = ca.MX.zeros(self.n_u)
         value, gradient = inner.grad_f(zero, X)
-        gap = ca.Function("gap", [u, X], [inner.g])(zero, X)
+        gap = ca.densify(
+            ca.Function("gap", [u, X], [inner.g])(zero, X)
+        )  # a constant gap may be a sparse zero
         no_rows = ca.MX.zeros(self.contact_nodes.size)
         hessian = inner.hess_lag(zero, X, 1.0, no_rows)
         self._kernels = inner.kernels

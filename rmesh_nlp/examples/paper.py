@@ -130,6 +130,7 @@ def example_61(n: Size = 8, delta: Delta | None = None) -> ContactProblem:
         obstacle=Obstacle("contact", normal=(1.0,)),
         motion=Motion(_delta(delta, "6.1", (nx, ny))),
         exact=ExactSolution(exact_displacement_61, EXACT_ENERGY_61),
+        quadrature="midpoint",
         name="6.1",
         size=f"{nx}" if nx == ny else f"{nx}x{ny}",
     )
@@ -182,6 +183,7 @@ def _elastic(
         obstacle=Obstacle("contact", normal=(0.0, 1.0), offset=alpha, friction=friction),
         motion=Motion(_delta(delta, name, (nx, ny)), pinned=("top",)),
         tractions=(Traction("load", traction),),
+        quadrature="midpoint",
         name=name,
         size=f"{nx}x{ny}",
         units=Units("m", "N"),

@@ -25,7 +25,8 @@ HIGHEST_TABULATED_DEGREE = 19
 """Highest degree of scikit-fem's triangle rules."""
 
 TRACTION_DEGREE = 4
-"""Degree of the Gauss rule for tractions: exact for constant and linear ones times P1."""
+"""Least degree of the Gauss rule for tractions: exact for cubic ones times P1. A rule of higher degree for
+the load, such as that of the audit, is taken for tractions too."""
 
 
 def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
@@ -124,10 +125,10 @@ def edges_with_opposite(triangles: Index) -> Index:
     return result
 
 
-def traction_energy(traction: Traction) -> ca.Function:
+def traction_energy(traction: Traction, degree: int = TRACTION_DEGREE) -> ca.Function:
     """``(X_e, u_e) -> (-integral of traction . u, empty)`` on one boundary edge."""
     X, u = ca.SX.sym("X", 2, 2), ca.SX.sym("u", len(traction.value), 2)
-    points, weights = get_quadrature_line(TRACTION_DEGREE)
+    points, weights = get_quadrature_line(degree)
     work = _work(traction.value, X, u, np.vstack([1 - points, points]), weights)
     length = ca.norm_2(X[:, 1] - X[:, 0])
     return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, ca.SX(0, 1)])
@@ -178,18 +179,19 @@ def contact_edges(problem: ContactProblem, obstacle: Obstacle | None = None) -> 
 
 def bulk_groups(problem: ContactProblem, positions: Field, displacement: Field) -> list[ElementGroup]:
     """Strain energy, source or body force, and tractions: J without friction."""
-    triangles = problem.triangles
+    triangles, rule = problem.triangles, problem.rule
+    degree = TRACTION_DEGREE if isinstance(rule, str) else max(rule, TRACTION_DEGREE)
     groups = []
     for law, elements in problem.regions:
         vertices = triangles[:, elements]
         local = (positions.at(vertices), displacement.at(vertices))
         groups.append(objective_group(strain_energy(law), local))
         if any(is_nonzero(component) for component in law.load):
-            groups.append(_load_group(law, problem.quadrature, vertices, positions, displacement))
+            groups.append(_load_group(law, rule, vertices, positions, displacement))
     for traction in problem.tractions:
         edges = np.asarray(problem.mesh.facets[:, problem.mesh.boundaries[traction.boundary]], dtype=np.int64)
         local = (positions.at(edges), displacement.at(edges))
-        groups.append(objective_group(traction_energy(traction), local))
+        groups.append(objective_group(traction_energy(traction, degree), local))
     for load in problem.point_loads:
         groups.append(objective_group(point_energy(load), (displacement.at(np.array([[load.node]])),)))
     return groups

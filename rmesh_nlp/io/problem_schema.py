@@ -175,7 +175,7 @@ class ProblemTable(Table):
     """A whole problem file."""
 
     name: Text | None = None
-    quadrature: Quadrature = "midpoint"
+    quadrature: Quadrature = "auto"
     mesh: MeshTable
     boundaries: dict[str, Condition] = Field(default_factory=dict)
     subdomains: dict[str, Condition] = Field(default_factory=dict)

@@ -8,7 +8,7 @@ TEMPLATE = """# A contact problem for rmesh. Check it:  rmesh check {file}
 # atan2 sinh cosh tanh exp log sqrt abs min max hypot, and where(condition, a, b).
 
 name = "{name}"
-quadrature = "midpoint"          # rule for source or body force: "midpoint", or a degree such as 6
+quadrature = "auto"              # rule for loads: "auto" (exact or of high degree), "midpoint", a degree
 
 [mesh]
 shape = "rectangle"              # boundaries left, right, bottom, top

@@ -109,8 +109,8 @@ def _text(value: Any) -> str:
 
 def _quadrature(value: Any) -> str | int:
     whole = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 50
-    if value != "midpoint" and not whole:
-        raise ValueError("expected 'midpoint' or a degree from 1 to 50")
+    if value not in ("auto", "midpoint") and not whole:
+        raise ValueError("expected 'auto', 'midpoint' or a degree from 1 to 50")
     return value
 
 

@@ -71,6 +71,7 @@ def minimise(
     tolerance: float = 1e-6,
     gain_tolerance: float = 0.0,
     reference: float | None = None,
+    unit: float | None = None,
     max_iterations: int = 200,
     forcing: float = 0.1,
     walls: Walls | None = None,
@@ -88,11 +89,13 @@ def minimise(
         defined, which makes the trust region shrink.
     start, lower, upper : (n,) arrays
     tolerance : float
-        Stationary: ``max |x - proj(x - g / |f|)|`` is at most this, g less the pull of the walls.
+        Stationary: ``max |x - proj(x - g / unit)|`` is at most this, g less the pull of the walls.
     gain_tolerance : float
         No decrease: the model predicts less than this fraction of the decrease so far.
     reference : float, optional
         The value that decrease counts from; by default that at the start.
+    unit : float, optional
+        What the gradient is measured in; by default the size of the function.
     max_iterations : int
     forcing : float
         Conjugate gradients stop at this fraction of the residual they began with.
@@ -114,8 +117,8 @@ def minimise(
         if on_step is not None and on_step(iteration, x, here):
             return NewtonResult(x, here.value, Status.INTERRUPTED, iteration, products)
         g = here.gradient
-        unit = max(abs(here.value), 1e-300)
-        step_down = np.clip(x - domain.released(g) / unit, lower, upper)
+        size = max(abs(here.value), 1e-300)
+        step_down = np.clip(x - domain.released(g) / (unit or size), lower, upper)
         residual = np.max(np.abs(x - step_down), initial=0.0)
         if iteration == max_iterations:
             break
@@ -129,7 +132,7 @@ def minimise(
             products += step.products
             if residual <= tolerance and predicted <= gain_tolerance * (reference - here.value):
                 return NewtonResult(x, here.value, Status.CONVERGED, iteration, products)
-            if not np.any(s) or predicted <= 1e-16 * unit:
+            if not np.any(s) or predicted <= 1e-16 * size:
                 status = Status.CONVERGED if residual <= tolerance else Status.STALLED
                 return NewtonResult(x, here.value, status, iteration, products)
             landed = domain.land(np.clip(x + s, lower, upper), step, s)

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy.optimize import lsq_linear, nnls
 
 from rmesh_nlp.evaluation import Array
 
 ACTIVE = 1e-6
-"""Slack below which a row counts as active, and distance to a bound below which that does."""
+"""Distance to a bound below which it counts as active."""
+
+NEAR = 1e-4
+"""Slack below which a row may have a multiplier. Interior points stop at about the square root of their
+tolerance where a row is weakly active; whether slack and multiplier agree is part of the residual."""
+
+LARGEST_DENSE = 2_000_000
+"""Entries of a least-squares matrix that is solved densely."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +47,9 @@ class Wall:
         their own. Rows that are not active have zero.
         """
         multipliers = np.zeros(self.slack.size)
-        active = np.flatnonzero(self.slack < ACTIVE)
-        if active.size:
-            matrix = self.jacobian[active][:, inside].T.toarray()
-            multipliers[active] = nnls(matrix, gradient[inside], maxiter=30 * active.size)[0]
+        active = np.flatnonzero(self.slack < NEAR)
+        if active.size and np.any(inside):
+            multipliers[active] = nonnegative_fit(self.jacobian[active][:, inside].T, gradient[inside])
         return multipliers
 
 
@@ -66,3 +72,10 @@ class Walls(Protocol):
 def is_inside(x: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
     """Variables that are off their bounds."""
     return np.asarray((x - lower > ACTIVE) & (upper - x > ACTIVE))
+
+
+def nonnegative_fit(matrix: Any, right: Array) -> Array:
+    """Least squares ``matrix @ x = right`` with x >= 0, for a sparse matrix."""
+    if matrix.shape[0] * matrix.shape[1] <= LARGEST_DENSE:
+        return np.asarray(nnls(matrix.toarray(), right, maxiter=30 * matrix.shape[1])[0])
+    return np.asarray(lsq_linear(matrix, right, bounds=(0, np.inf)).x)

@@ -12,8 +12,12 @@ from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.geometry import overlapping, signed_areas
 from rmesh_nlp.problem.coefficients import at, on_points
+from rmesh_nlp.problem.obstacle import Place
 from rmesh_nlp.problem.rigid import NO_MOTION, rigid_motions, seen_by_contact
 from rmesh_nlp.problem.statement import ContactSet, Statement
+
+ROUNDING = 1e-10
+"""Part of the distances below which a gap is zero."""
 
 
 def check(problem: Statement) -> None:
@@ -43,6 +47,7 @@ def _check_obstacle(problem: Statement) -> None:
 
 def _check_contact_set(problem: Statement, contact: ContactSet) -> None:
     nodes, obstacle = contact.nodes, contact.obstacle
+    _check_given_gaps(problem, contact)
     if nodes.size == 0:
         raise ProblemError("obstacle", "no node of the contact set is free to move: it is held as a whole")
     where = problem.mesh.p[:, nodes]
@@ -58,6 +63,31 @@ def _check_contact_set(problem: Statement, contact: ContactSet) -> None:
         node = nodes[np.argmin(values)]
         raise ProblemError(
             "friction", f"the friction bound must not be negative, got {np.min(values)} at node {node}"
+        )
+
+
+def _check_given_gaps(problem: Statement, contact: ContactSet) -> None:
+    """Where given displacements fix the gap it must not be negative: no displacement would be admissible."""
+    obstacle = contact.obstacle
+    place = obstacle.boundary
+    every = np.unique(problem.mesh.t) if isinstance(place, Place) else problem.boundary_nodes((place,))
+    nodes = np.setdiff1d(every, contact.nodes)
+    if nodes.size == 0:
+        return
+    where, (held, value) = problem.mesh.p[:, nodes], problem.held()
+    try:
+        distance = obstacle.distances(where)
+    except ValueError as error:
+        raise ProblemError("obstacle", str(error)) from error
+    along = np.sum(obstacle.normals(where) * np.where(held, value, 0.0)[:, nodes], axis=0)
+    gap, scale = distance + along, max(1e-300, np.max(np.abs(distance)), np.max(np.abs(along)))
+    if np.min(gap) < -ROUNDING * scale:
+        worst = int(np.argmin(gap))
+        (x, y), node = where[:, worst], nodes[worst]
+        raise ProblemError(
+            "obstacle",
+            f"no displacement is admissible: that given at node {node}, ({x:.6g}, {y:.6g}), makes "
+            f"its gap {gap[worst]:.6g}",
         )
 
 

@@ -18,6 +18,7 @@ from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction, on_poi
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.motion import Motion
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
+from rmesh_nlp.problem.quadrature import suitable_rule
 from rmesh_nlp.problem.units import NO_UNITS, Units
 
 NO_NORMAL = 1e-12
@@ -110,8 +111,9 @@ class Statement:
         ``NO_CONTACT`` by default; several for several contact boundaries or foundations.
     motion : Motion
     tractions : tuple of Traction
-    quadrature : "midpoint" or int
-        Rule for the source or body force: the three edge midpoints (degree 2), or a degree.
+    quadrature : "auto", "midpoint" or int
+        Rule for the source or body force: the three edge midpoints (degree 2), a degree, or one that is
+        exact for the load if it is a polynomial and of high degree else, see ``rule``.
     exact : ExactSolution, optional
     name, size : str
         For records and file names.
@@ -126,7 +128,7 @@ class Statement:
     obstacle: Obstacle | tuple[Obstacle, ...] = NO_CONTACT
     motion: Motion = BY_VALIDITY
     tractions: tuple[Traction, ...] = ()
-    quadrature: str | int = "midpoint"
+    quadrature: str | int = "auto"
     exact: ExactSolution | None = None
     name: str = "problem"
     size: str = field(default="")
@@ -144,6 +146,14 @@ class Statement:
         if not isinstance(self.law, Mapping):
             return ((self.law, np.arange(self.mesh.t.shape[1])),)
         return tuple((law, np.asarray(self.mesh.subdomains[name])) for name, law in self.law.items())
+
+    @property
+    def rule(self) -> str | int:
+        """The quadrature rule itself: "midpoint" or a degree."""
+        if self.quadrature != "auto":
+            return self.quadrature
+        loads = [part for law in self.laws for part in law.load]
+        return suitable_rule(loads, [part for traction in self.tractions for part in traction.value])
 
     @property
     def components(self) -> int:

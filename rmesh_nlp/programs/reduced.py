@@ -15,7 +15,6 @@ from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.fem.assembly import assemble, element_values
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.optimize.smooth_constraints import is_inside
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.programs.blocks import SecondDerivatives
 from rmesh_nlp.programs.energy_program import Relocation
@@ -31,6 +30,7 @@ class ReducedPoint:
     gradient: Array
     system: ContactSystem
     equilibrium: Equilibrium
+    is_energy: bool
 
     @property
     def weak(self) -> NDArray[np.bool_]:
@@ -95,30 +95,19 @@ class ReducedEnergy:
         equilibrium = solve(system, self._active)
         self.contact_solves += 1
         self._active = equilibrium.active
-        x = self.point(q, equilibrium)
-        (gradient,) = self._gradient(x, equilibrium.normal_force)
-        value = equilibrium.energy + self.of_positions(q)
-        self._last = ReducedPoint(np.array(q), value, gradient, system, equilibrium)
+        self._last = self.at(q, system, equilibrium)
         return self._last
+
+    def at(self, q: Array, system: ContactSystem, equilibrium: Equilibrium) -> ReducedPoint:
+        """Value and gradient where the contact solution is known."""
+        (gradient,) = self._gradient(self.point(q, equilibrium), equilibrium.normal_force)
+        value = equilibrium.energy + self.of_positions(q)
+        return ReducedPoint(np.array(q), value, gradient, system, equilibrium, True)
 
     def point(self, q: Array, equilibrium: Equilibrium) -> Array:
         """The unknowns ``(q, u, s)`` of the energy program at a contact solution."""
         slip = np.abs(self.model.tangents @ equilibrium.u)[self.relocation.friction_rows]
         return np.concatenate([q, equilibrium.u, slip])
-
-    def stationarity_residual(self, point: ReducedPoint) -> float:
-        """How far q is from a first-order point of L over the admissible set, relative to the objective.
-
-        The natural residual ``max |q - clip(q - r / scale, -bound, bound)|``, r the gradient less the
-        pull of active element areas, whose non-negative multipliers are fitted by least
-        squares. The moves are in units of their boxes, so r has the unit of the objective.
-        """
-        scale, box = max(abs(point.value), 1e-300), self.relocation.freedoms.bound
-        r = point.gradient
-        if self.relocation.n_valid:
-            wall = self.validity.at(point.q)
-            r = r - wall.jacobian.T @ wall.fitted(r, is_inside(point.q, -box, box))
-        return float(np.max(np.abs(point.q - np.clip(point.q - r / scale, -box, box)), initial=0.0))
 
 
 class ReducedObjective:
@@ -153,8 +142,11 @@ class ReducedObjective:
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at moves ``q``."""
-        rel, inner = self.energy.relocation, self.energy(q)
-        system, state = inner.system, inner.equilibrium
+        return self.of(self.energy(q))
+
+    def of(self, inner: ReducedPoint) -> ReducedPoint:
+        """The objective where the energy and its contact solution are known."""
+        rel, q, system, state = self.energy.relocation, inner.q, inner.system, inner.equilibrium
         x = self.energy.point(q, state)
         value, gradient = self._outer(x, [])
         f_q, f_u, f_s = np.split(gradient, [rel.n_q, rel.n_q + rel.n_u])
@@ -167,7 +159,7 @@ class ReducedObjective:
         total = f_q - blocks.qu @ p - blocks.gap.T @ reaction
         if rel.n_s:
             total -= blocks.qs @ (state.active.sliding[rows] * (tangents @ p))
-        return ReducedPoint(np.array(q), float(value[0]), total, system, state)
+        return ReducedPoint(np.array(q), float(value[0]), total, system, state, False)
 
 
 Reduced = ReducedEnergy | ReducedObjective

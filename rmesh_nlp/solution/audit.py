@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.contact.penetration import penetration
-from rmesh_nlp.contact.system import ContactSystem
+from rmesh_nlp.contact.penetration import penetration, penetration_excess
+from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem, signed_areas
 
@@ -42,6 +42,8 @@ class Audit:
         Deepest penetration between contact nodes, in units of length. The gap is imposed at
         nodes only; where the foundation is curved the optimiser may move nodes to where that
         hurts least, and this is by how much it cheated.
+    penetration_excess : float
+        The same as a part of what is allowed, see :mod:`rmesh_nlp.contact.penetration`.
     """
 
     energy_audited: float
@@ -49,6 +51,7 @@ class Audit:
     complementarity_residual: float
     min_area_ratio: float
     penetration: float = float("nan")
+    penetration_excess: float = float("nan")
 
 
 class Auditor:
@@ -56,24 +59,27 @@ class Auditor:
 
     def __init__(self, problem: ContactProblem, model: ContactModel) -> None:
         self.problem, self.model = problem, model
-        self.accurate = ContactModel(replace(problem, quadrature=AUDIT_DEGREE))
+        self.accurate_problem = replace(problem, quadrature=AUDIT_DEGREE)
+        self.accurate = ContactModel(self.accurate_problem)
         self._initial_areas = signed_areas(problem.mesh.p, problem.triangles)
 
-    def energy(self, nodes: Array) -> float:
-        """Audited energy of the mesh with these node positions (2, nodes)."""
-        return self.accurate.solve(nodes).energy
+    def solve(self, nodes: Array) -> Equilibrium:
+        """Contact solution by the rule of the audit at node positions (2, nodes)."""
+        return self.accurate.solve(nodes)
 
-    def __call__(self, nodes: Array, u: Array, normal_force: Array, tangential_force: Array) -> Audit:
-        """Audit displacement unknowns and nodal contact forces on a mesh."""
+    def __call__(self, nodes: Array, found: Equilibrium, accurate: Equilibrium) -> Audit:
+        """Audit a contact solution on a mesh; ``accurate`` is that of :meth:`solve`."""
+        u, normal_force, tangential_force = found.u, found.normal_force, found.tangential_force
         system = self.model.system(nodes)
         ratio = signed_areas(nodes, self.problem.triangles) / self._initial_areas
-        valid = float(np.min(ratio)) > 0
+        displacement = self.model.displacement.values(u)
         return Audit(
-            energy_audited=self.energy(nodes) if valid else float("nan"),
+            energy_audited=accurate.energy,
             equilibrium_residual=equilibrium_residual(system, u, normal_force, tangential_force),
             complementarity_residual=law_residual(system, u, normal_force, tangential_force),
             min_area_ratio=float(np.min(ratio)),
-            penetration=penetration(self.problem, nodes, self.model.displacement.values(u)),
+            penetration=penetration(self.problem, nodes, displacement),
+            penetration_excess=penetration_excess(self.problem, nodes, displacement),
         )
 
 

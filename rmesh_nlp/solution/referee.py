@@ -6,6 +6,7 @@ import statistics
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.energy import contact_edges
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -24,10 +26,12 @@ from rmesh_nlp.problem import ContactProblem, Place, signed_areas
 from rmesh_nlp.programs.energy_program import Relocation, relocation
 from rmesh_nlp.programs.freedoms import least_angles
 from rmesh_nlp.programs.multipliers import multipliers
-from rmesh_nlp.programs.reduced import Reduced, ReducedEnergy, ReducedObjective, ReducedPoint
+from rmesh_nlp.programs.reduced import Reduced, ReducedEnergy, ReducedObjective
+from rmesh_nlp.programs.residual import OuterResidual, size_of
 from rmesh_nlp.solution.audit import Audit, Auditor
 from rmesh_nlp.solution.clock import Clock
-from rmesh_nlp.solution.solution import Solution, Step, is_success
+from rmesh_nlp.solution.solution import Solution, Step
+from rmesh_nlp.solution.verdict import Measured, verdict
 
 OnStep = Callable[[Step], None]
 """Called after each iteration of a strategy, for progress."""
@@ -37,6 +41,13 @@ ENERGY_AGREEMENT = 1e-6
 
 TIMING_SECONDS = 0.05
 """Time spent on measuring the unit of cost, if one contact solve takes less."""
+
+DEGREES = (4, 6, 8, 10, 12, 16, 20)
+"""Degrees of quadrature that are recommended where the gain is one of the rule."""
+
+PROVED = ("S", "B")
+"""Labels of an MPCC that prove first-order optimality where strict complementarity fails, and with it the
+gradient of an objective other than the energy."""
 
 ROUNDING = 1e-9
 """Part of its initial area, and radians, by which an element may fall short: a solution that has elements at
@@ -67,6 +78,7 @@ class Referee:
     def __init__(self, problem: ContactProblem, objective: str | Objective = "energy") -> None:
         self.clock = Clock()
         self.problem = problem
+        self._last_function: tuple[str | Objective, ReducedObjective] | None = None
         self.model = ContactModel(problem)
         outer = parse_objective(objective)
         self.relocation: Relocation = relocation(problem, outer if outer.collapses else ENERGY)
@@ -81,8 +93,19 @@ class Referee:
         outer = parse_objective(objective)
         if (outer.is_energy and self.relocation.objective.is_energy) or outer == self.relocation.objective:
             return self.reduced
-        with self.clock.during("build"):
-            return ReducedObjective(self.reduced, outer)
+        if self._last_function is None or self._last_function[0] != objective:
+            with self.clock.during("build"):
+                self._last_function = objective, ReducedObjective(self.reduced, outer)
+        return self._last_function[1]
+
+    def residual(self, function: Reduced) -> OuterResidual:
+        """The first-order residual of an outer objective, relative to its value on the mesh as given."""
+        with self.clock.during("audit"):
+            system = self.model.system(self.problem.mesh.p)
+            given = self.reduced.at(np.zeros(self.relocation.n_q), system, self.initial)
+            return OuterResidual(
+                self.reduced, function.of(given) if isinstance(function, ReducedObjective) else given
+            )
 
     def start(self, seed: int | None, positions: Array | None = None) -> Array:
         """Moves to start from: none, or drawn uniformly from the boxes with a seed.
@@ -142,6 +165,7 @@ class Referee:
         seed: int | None = None,
         extra: dict[str, Any] | None = None,
         outer_gradient: Array | None = None,
+        relocates: bool = True,
     ) -> Solution:
         """Solve the contact problem at ``q``, audit it, and decide on success.
 
@@ -162,8 +186,9 @@ class Referee:
             The strategy's own displacement and forces, which are then what is audited and
             returned, instead of the contact solve.
         outer_gradient : array, optional
-            Gradient of the outer objective at ``q``, for the multipliers; by default that of the
-            energy, if it is the objective.
+            Has no effect: the referee computes the gradient itself.
+        relocates : bool
+            Whether the strategy moves nodes at all; if not, there is nothing to be stationary in.
         stationarity : str, optional
             Label computed by the strategy; by default "KKT" if the measured residual allows.
         """
@@ -172,12 +197,12 @@ class Referee:
                 formulation,
                 q,
                 status=status,
-                objective=str(objective),
+                objective=objective,
                 tolerance=tolerance,
                 claimed_energy=claimed_energy,
                 equilibrium=equilibrium,
                 stationarity=stationarity,
-                outer_gradient=outer_gradient,
+                relocates=relocates,
                 history=tuple(history),
                 iterations=iterations,
                 contact_solves=contact_solves,
@@ -199,40 +224,62 @@ class Referee:
         q: Array,
         *,
         status: Status,
-        objective: str,
+        objective: str | Objective,
         tolerance: float,
         claimed_energy: float | None,
         equilibrium: Equilibrium | None,
         stationarity: str | None,
-        outer_gradient: Array | None,
+        relocates: bool,
         **common: Any,
     ) -> Solution:
         nodes = self.relocation.nodes(q)
+        start = self._accurate_start
         common.update(
             problem=self.problem,
             formulation=formulation,
-            objective=objective,
+            objective=str(objective),
             mesh=relocated_mesh(self.problem.mesh, nodes),
             energy_initial=self.initial.energy,
-            energy_initial_audited=self._auditor.energy(self.problem.mesh.p),
+            energy_initial_audited=start.energy,
             contact_time_s=self._contact_time,
         )
         ratio = self.least_area_ratio(q)
         if not ratio > 0:
             return _without_solution(common, self.problem, ratio)
-        exact = self.reduced(q)
+        exact, accurate = self.reduced(q), self._auditor.solve(nodes)
         found = equilibrium or exact.equilibrium
-        audit = self._auditor(nodes, found.u, found.normal_force, found.tangential_force)
-        status = _checked(status, exact, claimed_energy if equilibrium is None else found.energy)
-        success = is_success(status, audit)
-        if status is Status.CONVERGED and not success:
-            status = Status.INACCURATE
-        residual = float("nan")
-        if objective == self.relocation.objective.text:
-            outer_gradient = exact.gradient
-            residual = self.reduced.stationarity_residual(exact)
-            if stationarity is None:
-                stationarity = "KKT" if residual <= tolerance else ""
+        audit = self._auditor(nodes, found, accurate)
+        function = self.function(objective)
+        point = function.of(exact) if isinstance(function, ReducedObjective) else exact
+        residual = self.residual(function)(point)
+        labelled = stationarity in PROVED and bool(np.any(point.weak))
+        decrease, size = self._decrease(function, objective, q, start, accurate)
+        if function is self.reduced and size_of(point) > 0:
+            size = max(size, size_of(point))
+        claimed, expected = claimed_energy, exact.value
+        if equilibrium is not None:
+            claimed, expected = found.energy, exact.equilibrium.energy
+        judged = verdict(
+            status,
+            Measured(
+                audit=audit,
+                contact=exact.equilibrium.status,
+                consistent=claimed is None
+                or abs(claimed - expected) <= ENERGY_AGREEMENT * size_of(exact)
+                or size_of(exact) == 0,
+                gain=self.initial.energy - found.energy,
+                gain_audited=start.energy - accurate.energy,
+                decrease=decrease,
+                size=size,
+                is_energy=function is self.reduced,
+                stationary=residual <= tolerance or labelled or not relocates,
+            ),
+        )
+        detail = ""
+        if judged.status is Status.QUADRATURE_EXPLOITED:
+            detail = self._advice(nodes, start.energy - accurate.energy)
+        if stationarity is None:
+            stationarity = "KKT" if residual <= tolerance else ""
         weights = nodal_weights(self.problem, nodes)
         common["extra"] = {**common["extra"], "warnings": self._warnings(nodes, found)}
         return Solution(
@@ -242,11 +289,14 @@ class Referee:
             tangential_stress=self._stress(found.tangential_force, weights),
             energy=found.energy,
             audit=audit,
-            status=status,
-            success=success,
-            stationarity=stationarity or "",
+            status=judged.status,
+            valid=judged.valid,
+            improved=judged.improved,
+            success=judged.success,
+            stationarity=stationarity,
             stationarity_residual=residual,
-            multipliers=None if outer_gradient is None else multipliers(self.relocation, q, outer_gradient),
+            multipliers=multipliers(self.relocation, q, point.gradient),
+            detail=detail,
         )
 
     def _warnings(self, nodes: Array, state: Equilibrium) -> list[str]:
@@ -255,6 +305,44 @@ class Referee:
         messages = [warning.message for warning in found if warning.kind != "penetration"]
         after = penetration_warnings(self.problem, nodes, self.model.displacement.values(state.u))
         return messages + [warning.message for warning in after]
+
+    @cached_property
+    def _accurate_start(self) -> Equilibrium:
+        """The contact solution on the mesh as given by the rule of the audit."""
+        return self._auditor.solve(np.asarray(self.problem.mesh.p))
+
+    def _decrease(
+        self,
+        function: Reduced,
+        objective: str | Objective,
+        q: Array,
+        before: Equilibrium,
+        after: Equilibrium,
+    ) -> tuple[float, float]:
+        """Decrease of the minimised objective by the rule of the audit, and the objective's size."""
+        if function is self.reduced:
+            one = before.energy + self.reduced.of_positions(np.zeros(q.size))
+            two = after.energy + self.reduced.of_positions(q)
+            return one - two, max(abs(one), abs(two))
+        rel, accurate = self.relocation, self._auditor.accurate_problem
+        value = element_values(
+            parse_objective(objective).groups(accurate, rel.freedoms.positions, rel.displacement, rel.slip)
+        )
+        zero = np.zeros(q.size)
+        one, two = (
+            float(sum(np.sum(part) for part in value(self.reduced.point(moves, state))))
+            for moves, state in ((zero, before), (q, after))
+        )
+        return one - two, max(abs(one), abs(two))
+
+    def _advice(self, nodes: Array, gain: float) -> str:
+        """The least degree of quadrature that gives the gain of the audit on this mesh to one per cent."""
+        for degree in DEGREES:
+            model = ContactModel(replace(self.problem, quadrature=degree))
+            own = model.solve(np.asarray(self.problem.mesh.p)).energy - model.solve(nodes).energy
+            if abs(own - gain) <= 0.01 * max(abs(own), abs(gain)):
+                return f"Here degree {degree} suffices."
+        return f"Here not even degree {DEGREES[-1]} suffices."
 
     def _stress(self, force: Array, weights: Array) -> Array:
         stress = np.zeros(self.problem.mesh.p.shape[1])
@@ -273,15 +361,6 @@ def _timed_contact_solve(model: ContactModel) -> tuple[Equilibrium, float]:
     return equilibrium, statistics.median(seconds)
 
 
-def _checked(status: Status, exact: ReducedPoint, claimed: float | None) -> Status:
-    if exact.equilibrium.status is not Status.CONVERGED:
-        return exact.equilibrium.status
-    if claimed is not None and status is Status.CONVERGED:
-        wrong = abs(claimed - exact.value) > ENERGY_AGREEMENT * max(abs(exact.value), 1e-300)
-        return Status.INACCURATE if wrong else status
-    return status
-
-
 def _without_solution(common: dict[str, Any], problem: ContactProblem, ratio: float) -> Solution:
     """A row for a mesh on which the contact problem cannot be solved."""
     nan = float("nan")
@@ -294,6 +373,8 @@ def _without_solution(common: dict[str, Any], problem: ContactProblem, ratio: fl
         energy=nan,
         audit=Audit(nan, nan, nan, ratio),
         status=Status.INVALID_MESH,
+        valid=False,
+        improved=False,
         success=False,
         stationarity="",
         stationarity_residual=nan,

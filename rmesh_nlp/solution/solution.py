@@ -16,7 +16,7 @@ from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.multipliers import Multipliers
 from rmesh_nlp.solution import plotting
-from rmesh_nlp.solution.audit import TOLERANCE, Audit
+from rmesh_nlp.solution.audit import Audit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,13 +90,13 @@ class Solution:
         The same with the rule of the audit.
     audit : Audit
     status : Status
-    success : bool
-        Residuals at most 1e-6 in scaled units, a valid mesh, and a solver that converged.
+    valid, improved, success : bool
+        See :mod:`rmesh_nlp.solution.verdict`; a success is valid and improved.
     stationarity : str
         "KKT" or an MPCC label (W, C, M, S, B) where it was computed, else "".
     stationarity_residual : float
-        First-order residual of the outer problem, measured with the energy gradient (5.11);
-        NaN for other objectives.
+        First-order residual of the outer problem, relative to that on the mesh as given
+        (:mod:`rmesh_nlp.programs.residual`).
     history : tuple of Step
     iterations, contact_solves : int
     build_time_s, solve_time_s, audit_time_s : float
@@ -112,6 +112,8 @@ class Solution:
         Further entries of the record.
     multipliers : Multipliers or None
         Of boxes, areas and angles; where they are large, position or connectivity is the limit.
+    detail : str
+        What the status leaves open, such as the degree of quadrature to take.
     """
 
     problem: ContactProblem
@@ -126,6 +128,8 @@ class Solution:
     energy_initial_audited: float
     audit: Audit
     status: Status
+    valid: bool
+    improved: bool
     success: bool
     stationarity: str
     stationarity_residual: float
@@ -141,6 +145,22 @@ class Solution:
     seed: int | None = None
     extra: dict[str, Any] = field(default_factory=dict)
     multipliers: Multipliers | None = None
+    detail: str = ""
+
+    @property
+    def message(self) -> str:
+        """What the status means, and what to do about it."""
+        return f"{self.status.message} {self.detail}".strip()
+
+    @property
+    def gain(self) -> float:
+        """Decrease of the energy by the problem's own rule."""
+        return self.energy_initial - self.energy
+
+    @property
+    def gain_audited(self) -> float:
+        """Decrease of the energy by the rule of the audit."""
+        return self.energy_initial_audited - self.audit.energy_audited
 
     @property
     def wall_time_s(self) -> float:
@@ -157,12 +177,15 @@ class Solution:
             "delta": self.problem.motion.delta_record(),
             "status": self.status.value,
             "success": self.success,
+            "valid": self.valid,
+            "improved": self.improved,
+            "message": self.message,
             "energy_initial": self.energy_initial,
             "energy": self.energy,
             "energy_initial_audited": self.energy_initial_audited,
             "energy_audited": self.audit.energy_audited,
-            "gain": self.energy_initial - self.energy,
-            "gain_audited": self.energy_initial_audited - self.audit.energy_audited,
+            "gain": self.gain,
+            "gain_audited": self.gain_audited,
             "u_min": float(self.displacement.min()),
             "u_max": float(self.displacement.max()),
             "min_area_ratio": self.audit.min_area_ratio,
@@ -176,11 +199,12 @@ class Solution:
             "equilibrium_residual": self.audit.equilibrium_residual,
             "complementarity_residual": self.audit.complementarity_residual,
             "penetration": self.audit.penetration,
+            "penetration_excess": self.audit.penetration_excess,
             "stationarity": self.stationarity,
             "stationarity_residual": self.stationarity_residual,
             "nodes": int(self.mesh.p.shape[1]),
             "triangles": int(self.mesh.t.shape[1]),
-            "quadrature": self.problem.quadrature,
+            "quadrature": self.problem.rule,
             "units": {"length": self.problem.units.length, "force": self.problem.units.force},
             "versions": versions(),
             "start": self.start,
@@ -211,11 +235,13 @@ class Solution:
         """Status, energies and measured residuals, as (label, value) rows for people."""
         audit, motion = self.audit, np.linalg.norm(self.mesh.p - self.problem.mesh.p, axis=0)
         rows = [
-            ("status", f"{self.status.value}: {self.status.message}"),
+            ("status", f"{self.status.value}: {self.message}"),
             ("success", "yes" if self.success else "no"),
-            ("energy on the initial mesh", figure(self.energy_initial)),
-            ("energy", figure(self.energy)),
+            ("audited energy on the given mesh", figure(self.energy_initial_audited)),
             ("audited energy", figure(audit.energy_audited)),
+            ("audited gain", _gain(self.gain_audited, self.energy_initial_audited)),
+            ("energies by the rule of the problem", f"{figure(self.energy_initial)}, {figure(self.energy)}"),
+            ("first-order residual", f"{self.stationarity_residual:.1e}"),
             ("least area ratio", figure(audit.min_area_ratio)),
             ("largest motion", figure(float(motion.max()))),
             ("equilibrium residual", f"{audit.equilibrium_residual:.1e}"),
@@ -249,14 +275,9 @@ def _step_row(step: Step) -> dict[str, Any]:
     return {**row, "t": step.t} if np.isinf(step.t) else row
 
 
-def is_success(status: Status, audit: Audit) -> bool:
-    """Whether residuals and mesh allow the solution to be called a success."""
-    return (
-        status is Status.CONVERGED
-        and audit.equilibrium_residual <= TOLERANCE
-        and audit.complementarity_residual <= TOLERANCE
-        and audit.min_area_ratio > 0
-    )
+def _gain(gain: float, initial: float) -> str:
+    """A gain by itself and as a part of the initial value."""
+    return figure(gain) + (f" ({100 * gain / abs(initial):.3g} %)" if initial else "")
 
 
 def versions() -> dict[str, str]:

@@ -110,9 +110,9 @@ BROKEN: list[tuple[Edit, str]] = [
     # wrong kinds of value
     (
         ("quadrature = 4", 'quadrature = "simpson"'),
-        "quadrature = 'simpson': expected 'midpoint' or a degree from 1 to 50",
+        "quadrature = 'simpson': expected 'auto', 'midpoint' or a degree from 1 to 50",
     ),
-    (("quadrature = 4", "quadrature = true"), "quadrature = True: expected 'midpoint'"),
+    (("quadrature = 4", "quadrature = true"), "quadrature = True: expected 'auto'"),
     (('name = "block"', "name = 3"), "name = 3: expected a text"),
     (("nx = 8", "nx = 8.5"), "mesh.nx = 8.5: expected a whole number from 1 to 10000"),
     (("nx = 8", "nx = 0"), "mesh.nx = 0: expected a whole number from 1 to 10000"),

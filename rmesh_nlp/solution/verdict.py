@@ -1,0 +1,122 @@
+"""What a solution is worth: valid, improved, stationary, and the status that says it in one word.
+
+Valid
+    The contact problem is solved on the final mesh: equilibrium and complementarity hold to ``TOLERANCE``,
+    no element is inverted, the penetration between contact nodes is bounded, and for the energy the
+    gain is confirmed by the audit.
+Improved
+    The minimised objective, by the rule of the audit, is not above its value on the mesh as given.
+Stationary
+    The first-order residual of the outer problem (:mod:`rmesh_nlp.programs.residual`) is at most the
+    tolerance of the solve.
+
+A success is valid and improved, also if a limit stopped the solve. Converged is a success that is
+stationary, whatever the solver said.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.solution.audit import TOLERANCE, Audit
+
+GAIN_AGREEMENT = 0.1
+"""Largest difference of the gains by the problem's own rule and the audit's, relative to the larger."""
+
+ROUNDING = 1e-9
+"""Part of the objective's size below which differences of it are rounding."""
+
+FAILURES = (
+    Status.INFEASIBLE,
+    Status.UNBOUNDED,
+    Status.TOO_FEW_FREEDOMS,
+    Status.EVALUATION_ERROR,
+    Status.FAILED,
+)
+"""Ends of a solver that say nothing for the point where it stopped: only a gain makes that a success."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the referee has measured.
+
+    Attributes
+    ----------
+    audit : Audit
+    contact : Status
+        Of the contact solve on the final mesh.
+    consistent : bool
+        Whether the strategy's own energy is that of the contact solve.
+    gain, gain_audited : float
+        Decrease of the energy by the problem's own rule and by that of the audit.
+    decrease : float
+        Decrease of the minimised objective by the rule of the audit.
+    size : float
+        Size of the minimised objective, in units of which ``ROUNDING`` is.
+    is_energy : bool
+        Whether the energy is minimised.
+    stationary : bool
+    """
+
+    audit: Audit
+    contact: Status
+    consistent: bool
+    gain: float
+    gain_audited: float
+    decrease: float
+    size: float
+    is_energy: bool
+    stationary: bool
+
+    @property
+    def exploited(self) -> bool:
+        """Whether the gain is one of the quadrature rule to more than a tenth."""
+        larger = max(abs(self.gain), abs(self.gain_audited))
+        wrong = not abs(self.gain - self.gain_audited) <= GAIN_AGREEMENT * larger
+        return self.is_energy and wrong and larger > ROUNDING * self.size
+
+    @property
+    def fault(self) -> Status | None:
+        """Why the solution is not valid; None if it is."""
+        audit = self.audit
+        if not audit.min_area_ratio > 0:
+            return Status.INVALID_MESH
+        if self.contact is not Status.CONVERGED:
+            return self.contact
+        if not max(audit.equilibrium_residual, audit.complementarity_residual) <= TOLERANCE:
+            return Status.INACCURATE
+        if not audit.penetration_excess <= 1:
+            return Status.PENETRATION
+        return Status.QUADRATURE_EXPLOITED if self.exploited else None
+
+    @property
+    def improved(self) -> bool:
+        """Whether the minimised objective is not above its value on the given mesh, up to rounding."""
+        return self.decrease >= -ROUNDING * self.size
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Three things apart, and what follows from them."""
+
+    valid: bool
+    improved: bool
+    stationary: bool
+    success: bool
+    status: Status
+
+
+def verdict(said: Status, measured: Measured) -> Verdict:
+    """Judge what was measured; ``said`` is how the solver says that it ended."""
+    fault, improved = measured.fault, measured.improved
+    if fault is not None or not improved:
+        return Verdict(fault is None, improved, measured.stationary, False, fault or Status.WORSE)
+    if said is Status.CONVERGED and not measured.consistent:
+        return Verdict(True, True, measured.stationary, False, Status.INACCURATE)
+    if measured.stationary:
+        return Verdict(True, True, True, True, Status.CONVERGED)
+    gained = measured.decrease > ROUNDING * measured.size
+    success = gained or said not in FAILURES
+    met = said in (Status.CONVERGED, Status.ACCEPTABLE)
+    return Verdict(True, True, False, success, Status.NOT_STATIONARY if met else said)
