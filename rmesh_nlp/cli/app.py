@@ -376,6 +376,20 @@ def table(folder: Folder) -> None:
     _commands().table(folder)
 
 
+@app.command(
+    add_help_option=False, context_settings={"ignore_unknown_options": True, "allow_extra_args": True}
+)
+def mpcc(context: typer.Context) -> None:
+    """Solve mathematical programs with complementarity constraints from files.
+
+    \b
+    rmesh mpcc --help
+    rmesh mpcc problem.nl
+    """
+    command = importlib.import_module("rmesh_nlp.mpcc.command")
+    raise typer.Exit(command.main(context.args))
+
+
 @app.command()
 def figures(folder: Folder) -> None:
     """Make the figures of DIR again.

@@ -4,9 +4,11 @@
 """
 
 from rmesh_nlp.mpcc.classify import Classification, classify
+from rmesh_nlp.mpcc.mpccsol import mpccsol
 from rmesh_nlp.mpcc.multistart import MultiStart, multistart
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.mpcc.reading import Problem, read
 from rmesh_nlp.mpcc.relaxations import RELAXATIONS
 from rmesh_nlp.mpcc.result import Duals, MPCCResult, Step
 from rmesh_nlp.mpcc.run import Iterate
@@ -22,8 +24,11 @@ __all__ = [
     "MPCCSolver",
     "MultiStart",
     "Options",
+    "Problem",
     "Step",
     "classify",
+    "mpccsol",
     "multistart",
+    "read",
     "solve",
 ]

@@ -105,7 +105,7 @@ def classify(
     settings = options or Options()
     programs = Programs(mpcc, settings)
     parameters = mpcc.parameters(p)
-    point = mpcc.start(x)
+    point = mpcc.start(x, parameters)
     z = programs.lifted.start(point, parameters)
     parameters = np.append(parameters, programs.lifted.weight(point, parameters))
     if programs.excess(z, parameters) > 1.0:

@@ -10,6 +10,7 @@ that is ``G_i >= 0``, ``H_i >= 0`` and ``G_i H_i = 0`` for every pair i.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.mixed import completion, pair_bound, split
 from rmesh_nlp.optimize.nlp import Derivatives
 
 
@@ -42,6 +44,9 @@ class MPCC:
     derivatives : Derivatives, optional
         Assembled derivatives of the oracle with objective ``f`` and constraint column
         ``vertcat(g, G, H)``. None: CasADi derives them.
+    completion : casadi.Function, optional
+        ``(x, p) -> `` starts of the last unknowns, which :meth:`mixed` has added to the user's: a start
+        may then be given for the user's own unknowns alone, which come first.
 
     Raises
     ------
@@ -61,6 +66,7 @@ class MPCC:
     ubg: ArrayLike = np.inf
     p: Any = None
     derivatives: Derivatives | None = None
+    completion: ca.Function | None = None
 
     def __repr__(self) -> str:
         kind = type(self.x).__name__
@@ -121,9 +127,122 @@ class MPCC:
         """Number of complementarity pairs."""
         return int(self.G.shape[0])
 
-    def start(self, x0: ArrayLike) -> Array:
-        """Return ``x0`` as a checked array; a scalar fills it."""
-        return checked("x0", x0, self.n_x, "unknowns")
+    @property
+    def n_own(self) -> int:
+        """Number of the user's own unknowns; :meth:`mixed` may add others after them."""
+        return self.n_x - (0 if self.completion is None else int(self.completion.numel_out(0)))
+
+    @classmethod
+    def mixed(
+        cls,
+        x: Any,
+        f: Any,
+        g: Any = None,
+        G: Any = None,
+        H: Any = None,
+        *,
+        lbG: ArrayLike = -np.inf,
+        ubG: ArrayLike = np.inf,
+        lbH: ArrayLike = -np.inf,
+        ubH: ArrayLike = np.inf,
+        lbx: ArrayLike = -np.inf,
+        ubx: ArrayLike = np.inf,
+        lbg: ArrayLike = -np.inf,
+        ubg: ArrayLike = np.inf,
+        p: Any = None,
+    ) -> MPCC:
+        """An MPCC whose pairs have bounds of their own: ``lbG <= G <= ubG _|_ lbH <= H <= ubH``.
+
+        For each pair two of the four bounds are finite, see :mod:`rmesh_nlp.mpcc.mixed`. Pairs with both
+        bounds on one side get two new unknowns each, after the user's; a start ``x0`` may leave them out.
+
+        Raises
+        ------
+        ValueError
+            As the constructor, or if the bounds of a pair make no complementarity.
+        """
+        plain = cls(x, f, g, G, H, lbx, ubx, lbg, ubg, p)
+        n = plain.n_pairs
+        named = (("lbG", lbG), ("ubG", ubG), ("lbH", lbH), ("ubH", ubH))
+        lower_G, upper_G, lower_H, upper_H = (pair_bound(name, value, n) for name, value in named)
+        for name, low, high in (("G", lower_G, upper_G), ("H", lower_H, upper_H)):
+            wrong = np.flatnonzero(low > high)
+            if wrong.size:
+                i = int(wrong[0])
+                raise ValueError(f"lb{name}[{i}] = {low[i]} lies above ub{name}[{i}] = {high[i]}")
+        parts = split(type(plain.x), plain.G, plain.H, (lower_G, upper_G, lower_H, upper_H))
+        n_new, n_rows = len(parts.unknowns), len(parts.rows)
+        return cls(
+            [plain.x, *parts.unknowns], plain.f, [plain.g, *parts.rows], parts.firsts, parts.seconds,
+            lbx=np.append(np.asarray(plain.lbx), np.zeros(n_new)),
+            ubx=np.append(np.asarray(plain.ubx), np.full(n_new, np.inf)),
+            lbg=np.append(np.asarray(plain.lbg), np.zeros(n_rows)),
+            ubg=np.append(np.asarray(plain.ubg), np.zeros(n_rows)),
+            p=plain.p,
+            completion=completion(plain.x, plain.p, parts),
+        )  # fmt: skip
+
+    @classmethod
+    def from_nlp(
+        cls,
+        nlp: Mapping[str, Any],
+        pairs: Sequence[tuple[tuple[str, int], tuple[str, int]]],
+        *,
+        lbx: ArrayLike = -np.inf,
+        ubx: ArrayLike = np.inf,
+        lbg: ArrayLike = -np.inf,
+        ubg: ArrayLike = np.inf,
+    ) -> MPCC:
+        """An NLP in the form of ``nlpsol``, of which some rows and unknowns complement each other.
+
+        Parameters
+        ----------
+        nlp : mapping
+            ``x``, ``f`` and perhaps ``g`` and ``p``: CasADi expressions.
+        pairs : sequence
+            Each pair names its members, ``(("g", 3), ("x", 0))``: row 3 of g and unknown 0. Their
+            bounds are those of the NLP, with the meaning of :meth:`mixed`; paired rows leave g.
+        lbx, ubx, lbg, ubg : array_like
+
+        Raises
+        ------
+        ValueError
+            If a member does not exist or a row is paired twice.
+        """
+        unknown = set(nlp) - {"x", "f", "g", "p"}
+        if unknown or "x" not in nlp or "f" not in nlp:
+            raise ValueError(f"nlp has the keys {sorted(nlp)}: x and f are needed, g and p may be given")
+        plain = cls(nlp["x"], nlp["f"], nlp.get("g"), None, None, lbx, ubx, lbg, ubg, nlp.get("p"))
+        columns = {"x": (plain.x, plain.lbx, plain.ubx), "g": (plain.g, plain.lbg, plain.ubg)}
+        members: list[list[Any]] = [[], []]
+        bounds: list[list[float]] = [[], [], [], []]
+        taken: set[int] = set()
+        for k, pair in enumerate(pairs):
+            for side, (kind, i) in enumerate(pair):
+                if kind not in columns or not 0 <= i < columns[kind][0].shape[0]:
+                    raise ValueError(f"pair {k}: there is no {kind}[{i}]")
+                if kind == "g" and i in taken:
+                    raise ValueError(f"pair {k}: row g[{i}] is already in a pair")
+                taken |= {i} if kind == "g" else set()
+                column, lower, upper = columns[kind]
+                members[side].append(column[i])
+                bounds[2 * side].append(float(np.asarray(lower)[i]))
+                bounds[2 * side + 1].append(float(np.asarray(upper)[i]))
+        kept = [i for i in range(plain.n_g) if i not in taken]
+        return cls.mixed(
+            plain.x, plain.f, plain.g[kept] if kept else None, members[0], members[1],
+            lbG=bounds[0], ubG=bounds[1], lbH=bounds[2], ubH=bounds[3],
+            lbx=np.asarray(plain.lbx), ubx=np.asarray(plain.ubx),
+            lbg=np.asarray(plain.lbg)[kept], ubg=np.asarray(plain.ubg)[kept], p=plain.p,
+        )  # fmt: skip
+
+    def start(self, x0: ArrayLike, p: ArrayLike = ()) -> Array:
+        """Return ``x0`` as a checked array; a scalar fills it, what :meth:`mixed` added is completed."""
+        if self.completion is None or np.size(_numbers("x0", x0)) == self.n_x:
+            return checked("x0", x0, self.n_x, "unknowns")
+        own = checked("x0", x0, self.n_own, "unknowns of its own")
+        added = np.asarray(self.completion(own, self.parameters(p))).ravel()
+        return np.append(own, np.nan_to_num(added))
 
     def parameters(self, p: ArrayLike) -> Array:
         """Return the values of ``p`` as a checked array."""

@@ -53,7 +53,7 @@ class MPCCSolver:
         built = self.programs.build_seconds
         parameters = self.mpcc.parameters(p)
         lifted = self.programs.lifted
-        given = self.mpcc.start(x0)
+        given = self.mpcc.start(x0, parameters)
         z0 = lifted.start(given, parameters)
         weight = lifted.weight(given, parameters)
         first = None if start is None else warm_start(lifted, z0, weight, start)

@@ -1,0 +1,364 @@
+"""Files of each public format, written by hand from the specification, and mixed pairs."""
+
+import json
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.mpcc import MPCC, mpccsol, read, solve
+from rmesh_nlp.mpcc.command import main
+from rmesh_nlp.mpcc.families import FAMILIES
+from rmesh_nlp.mpcc.reading import Problem, write_nosbench
+
+x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")
+XY, XYZ = ca.vertcat(x, y), ca.vertcat(x, y, z)
+
+# min (x - 1)^2 + exp(y) - 2 z,  x + z <= 5,  0 <= y _|_ x + y - 1 >= 0,  -1 <= z <= 2 _|_ x^2 + z - 3
+NL = """g3 1 1 0	# problem handmade
+ 3 3 1 0 0	# vars, constraints, objectives, ranges, eqns
+ 1 1 1 0 0 0	# nonlinear constrs, objs; ccons: lin, nonlin, nd, nzlb
+ 0 0	# network constraints: nonlinear, linear
+ 1 2 1	# nonlinear vars in constraints, objectives, both
+ 0 0 0 1	# linear network variables; functions; arith, flags
+ 0 0 0 0 0	# discrete variables: binary, integer, nonlinear (b,c,o)
+ 6 3	# nonzeros in Jacobian, obj. gradient
+ 0 0	# max name lengths: constraints, variables
+ 0 0 0 0 0	# common exprs: b,c,o,c1,o1
+C0	# mixed
+o54	# sumlist
+3
+o5	# ^
+v0	# x
+n2
+n-3
+n0
+C1	# orthant
+n-1
+C2	# sum
+n0
+O0 0	# cost
+o0	#+
+o76	# square
+o1	# -
+v0
+n1
+o44	# exp
+v1
+x2	# initial guess
+0 0.5
+1 0.2
+r	# bounds of rows
+5 3 3	# complements z, both bounds
+5 1 2	# complements y, lower bound
+1 5
+b	# bounds of unknowns
+3
+2 0
+0 -1 2
+k2
+2
+4
+J0 2
+0 0
+2 1
+J1 2
+0 1
+1 1
+J2 2
+0 1
+2 1
+G0 3
+0 0
+1 0
+2 -2
+"""
+
+
+def solution_of_nl():
+    """z wants to grow, so z = 2 with x^2 + z - 3 <= 0, |x| <= 1; x = 1 and y = 0: f = 0 + 1 - 4."""
+    return [1, 0, 2], -3.0
+
+
+def test_an_nl_file_with_complementarity_rows(tmp_path):
+    path = tmp_path / "handmade.nl"
+    path.write_text(NL)
+    problem = read(path)
+    assert problem.name == "handmade"
+    assert (problem.mpcc.n_own, problem.mpcc.n_x, problem.mpcc.n_pairs, problem.mpcc.n_g) == (3, 5, 3, 2)
+    assert list(problem.x0) == [0.5, 0.2, 0]
+    result = solve(problem.mpcc, problem.x0)
+    at, f = solution_of_nl()
+    assert result.success
+    assert result.x[:3] == pytest.approx(at, abs=1e-6)
+    assert result.f == pytest.approx(f, abs=1e-7)
+
+
+def test_a_maximised_objective_and_a_deep_sum(tmp_path):
+    """3000 nested additions are deeper than Python's own stack."""
+    deep = "o0\nn1\n" * 3000 + "v1\n"
+    text = NL.replace("O0 0", "O0 1").replace("o44	# exp\nv1\n", deep)
+    path = tmp_path / "deep.nl"
+    path.write_text(text)
+    problem = read(str(path))
+    f = ca.Function("f", [problem.mpcc.x], [problem.mpcc.f])
+    at = np.array([3.0, 0.5, 0.25, 0, 0])
+    assert problem.sign * float(f(at)) == pytest.approx((3 - 1) ** 2 + 3000 + 0.5 - 2 * 0.25)
+
+
+OPERATIONS = {
+    "o13\nn2.5": 2, "o14\nn2.5": 3, "o15\nn-2": 2, "o16\nn2": -2, "o37\nn1": np.tanh(1), "o38\nn1": np.tan(1),
+    "o39\nn9": 3, "o40\nn1": np.sinh(1), "o41\nn1": np.sin(1), "o42\nn100": 2, "o43\nn2": np.log(2),
+    "o45\nn1": np.cosh(1), "o46\nn1": np.cos(1), "o47\nn0.5": np.arctanh(0.5), "o49\nn1": np.arctan(1),
+    "o50\nn1": np.arcsinh(1), "o51\nn0.5": np.arcsin(0.5), "o52\nn2": np.arccosh(2), 
+    "o53\nn0.5": np.arccos(0.5),
+    "o3\nn1\nn4": 0.25, "o2\nn3\nn4": 12, "o6\nn3\nn1": 2, "o6\nn1\nn3": 0, "o48\nn1\nn2": np.arctan2(1, 2),
+    "o75\nn2\nn3": 8, "o77\nn2\nn3": 8, "o11\n3\nn2\nn1\nn3": 1, "o12\n3\nn2\nn1\nn3": 3,
+    "o35\no22\nn1\nn2\nn7\nn8": 7, "o35\no29\nn1\nn2\nn7\nn8": 8,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("code", OPERATIONS)
+def test_every_operation_of_an_nl_file(tmp_path, code):
+    path = tmp_path / "operation.nl"
+    path.write_text(NL.replace("o44	# exp\nv1\n", code + "\n"))
+    mpcc = read(path).mpcc
+    at = np.zeros(mpcc.n_x)
+    assert float(ca.Function("f", [mpcc.x], [mpcc.f])(at)) == pytest.approx(1 + OPERATIONS[code])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("g3 1 1 0", "b3 1 1 0", "binary"),
+        ("g3 1 1 0", "hello", "must begin with 'g'"),
+        (" 0 0 0 0 0	# discrete", " 1 0 0 0 0	# discrete", "integer"),
+        ("o44", "o99", "line 29: operation o99 is not supported"),
+        ("v1\nx2", "v17\nx2", "index 17 out of range"),
+        ("5 3 3", "5 3 9", "out of range"),
+        ("5 3 3", "9 3 3", "unknown bound type 9"),
+        ("G0 3\n0 0\n1 0\n2 -2\n", "G0 3\n", "ends too early"),
+        ("x2	# initial", "F0 1 1 f", "imported functions"),
+        ("0 0.5", "0 half", "half"),
+        ("0 -1 2", "3", "infinite bound"),
+    ],
+)
+def test_a_malformed_nl_file_is_refused_with_its_place(tmp_path, old, new, words):
+    path = tmp_path / "bad.nl"
+    assert old in NL
+    path.write_text(NL.replace(old, new, 1))
+    with pytest.raises(ValueError, match=words) as error:
+        read(path)
+    assert "bad.nl" in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["bilevel", "friction"])
+def test_a_nosbench_file_is_the_problem_that_was_written(tmp_path, name):
+    family = FAMILIES[name]
+    instance = family.make(family.sizes[0], 1)
+    path = tmp_path / "again.json"
+    write_nosbench(Problem("again", instance.mpcc, instance.x0), path)
+    problem = read(path)
+    assert list(problem.x0) == list(instance.x0)
+    assert np.array_equal(problem.mpcc.ubx, instance.mpcc.ubx)
+    ours, theirs = solve(instance.mpcc, instance.x0), solve(problem.mpcc, problem.x0)
+    assert theirs.success
+    assert theirs.f == pytest.approx(ours.f, rel=1e-6, abs=1e-8)
+
+
+def test_a_nosbench_file_with_parameters(tmp_path):
+    p = ca.SX.sym("p")
+    path = tmp_path / "p.json"
+    write_nosbench(
+        Problem("p", MPCC(XY, (x - p) ** 2 + (y - 1) ** 2, None, x, y, p=p), np.ones(2), np.array([3.0])),
+        path,
+    )
+    problem = read(path)
+    assert solve(problem.mpcc, problem.x0, p=problem.p0).x == pytest.approx([3, 0], abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: data.pop("G_fun"), "G_fun is missing"),
+        (lambda data: data.update(H_fun="junk"), "H_fun is no serialised Function"),
+        (lambda data: data.pop("w0"), "w0 is missing"),
+        (lambda data: data.update(lbw=["low"]), "lbw must be a list of numbers"),
+    ],
+)
+def test_a_malformed_nosbench_file_is_refused_with_its_field(tmp_path, change, words):
+    path = tmp_path / "bad.json"
+    write_nosbench(Problem("bad", MPCC(XY, x + y, None, x, y), np.ones(2)), path)
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=words):
+        read(path)
+
+
+def test_a_pyomo_model():
+    pe = pytest.importorskip("pyomo.environ")
+    mpec = pytest.importorskip("pyomo.mpec")
+    m = pe.ConcreteModel(name="pyomo")
+    m.x, m.y, m.z = pe.Var(initialize=0.5), pe.Var(bounds=(0, None), initialize=0.2), pe.Var()
+    m.cost = pe.Objective(expr=(m.x - 1) ** 2 + pe.exp(m.y) - 2 * m.z)
+    m.sum = pe.Constraint(expr=m.x + m.z <= 5)
+    m.orthant = mpec.Complementarity(expr=mpec.complements(m.y >= 0, m.x + m.y - 1 >= 0))
+    m.mixed = mpec.Complementarity(expr=mpec.complements(m.x**2 + m.z - 3, pe.inequality(-1, m.z, 2)))
+    problem = read(m)
+    assert problem.name == "pyomo"
+    result = solve(problem.mpcc, problem.x0)
+    assert result.success
+    assert result.f == pytest.approx(solution_of_nl()[1], abs=1e-7)
+    assert m.orthant.active  # the model is left as it was
+
+
+def test_what_cannot_be_read_is_named(tmp_path):
+    with pytest.raises(ValueError, match=r"unknown format '.gms'"):
+        read(tmp_path / "model.gms")
+    with pytest.raises(ValueError, match="expected a path or a Pyomo model, got dict"):
+        read({})
+
+
+@pytest.mark.parametrize(
+    ("slope", "expected"),
+    [(1.0, (-1.0, 1.0)), (-1.0, (2.0, -1.0)), (0.0, (0.5, 0.0))],
+)
+def test_a_mixed_pair_is_at_either_bound_or_between(slope, expected):
+    """``-1 <= y <= 2 _|_ x``, f pulls x to the slope and y to 1/2: the sign of x decides where y is."""
+    f = 10 * (x - slope) ** 2 + (y - 0.5) ** 2
+    mpcc = MPCC.mixed(XY, f, None, x, y, lbH=-1, ubH=2)
+    assert (mpcc.n_own, mpcc.n_x) == (2, 4)
+    result = solve(mpcc, [slope, 0.5])
+    assert result.success
+    assert result.x[[1, 0]] == pytest.approx(expected, abs=1e-6)
+
+
+def test_one_sided_pairs_are_shifted_and_reflected():
+    """``x >= 2 _|_ y <= 3``: x = 2 or y = 3."""
+    mpcc = MPCC.mixed(XY, (x - 3) ** 2 + (y - 1) ** 2, None, x, y, lbG=2, ubH=3)
+    result = solve(mpcc, [3, 1])
+    assert result.success
+    assert result.x == pytest.approx([2, 1], abs=1e-7)  # (3, 3) costs 4, (2, 1) costs 1
+    fixed = solve(MPCC.mixed(XY, (x - 1) ** 2 + y, None, x, y, lbH=2, ubH=2), [0, 0])
+    assert fixed.x == pytest.approx([1, 2], abs=1e-7)
+    equation = solve(MPCC.mixed(XY, (x - 1) ** 2 + y**2, None, x - 4, y), [0, 0])
+    assert equation.x == pytest.approx([4, 0], abs=1e-7)
+
+
+def test_bounds_without_complementarity_are_refused():
+    with pytest.raises(ValueError, match="pair 0 has the bounds"):
+        MPCC.mixed(XY, x, None, x, y, lbG=0)
+    with pytest.raises(ValueError, match=r"lbH\[0\] = 2.0 lies above ubH\[0\] = 1.0"):
+        MPCC.mixed(XY, x, None, x, y, lbH=2, ubH=1)
+    with pytest.raises(ValueError, match="lbH has length 2, expected 1"):
+        MPCC.mixed(XY, x, None, x, y, lbH=[0, 0])
+
+
+def test_rows_and_unknowns_of_an_nlp_are_paired_by_place():
+    nlp = {"x": XYZ, "f": (x - 1) ** 2 + ca.exp(y) - 2 * z, "g": ca.vertcat(x + z, x**2 + z - 3, x + y)}
+    mpcc = MPCC.from_nlp(
+        nlp, [(("g", 2), ("x", 1)), (("g", 1), ("x", 2))],
+        lbx=[-np.inf, 0, -1], ubx=[np.inf, np.inf, 2], lbg=[-np.inf, -np.inf, 1], ubg=[5, np.inf, np.inf],
+    )  # fmt: skip
+    result = solve(mpcc, [0.5, 0.2, 0])
+    at, f = solution_of_nl()
+    assert result.success
+    assert result.x[:3] == pytest.approx(at, abs=1e-6)
+    assert result.f == pytest.approx(f, abs=1e-7)
+    for pairs, words in (
+        ([(("g", 9), ("x", 0))], r"no g\[9\]"),
+        ([(("g", 0), ("x", 0)), (("g", 0), ("x", 1))], "already in a pair"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            MPCC.from_nlp(nlp, pairs, lbx=0, lbg=0)
+    with pytest.raises(ValueError, match="x and f are needed"):
+        MPCC.from_nlp({"x": x}, [])
+
+
+def test_the_call_shape_of_nlpsol():
+    problem = {"x": XY, "p": z, "f": (x - z) ** 2 + (y - 1) ** 2, "g": x + y, "G": x, "H": y}
+    solver = mpccsol("solver", "scholtes", problem, {"t0": 0.5, "ipopt": {"tol": 1e-9}})
+    with pytest.raises(RuntimeError, match="has not been called"):
+        solver.stats()
+    answer = solver(x0=[1, 1], p=3, lbg=-10, ubg=10)
+    assert isinstance(answer["x"], ca.DM)
+    assert answer["x"].full().ravel() == pytest.approx([3, 0], abs=1e-7)
+    assert float(answer["lam_H"]) == pytest.approx(2, abs=1e-5)  # d/dy of the objective is -2 there
+    assert solver.stats()["return_status"] == "converged"
+    assert solver(x0=[1, 1], p=3, lbg=-10, ubg=2)["g"] <= 2 + 1e-8
+
+
+@pytest.mark.parametrize(
+    ("plugin", "problem", "options", "words"),
+    [
+        ("newton", {"x": x, "f": x}, {}, "unknown relaxation"),
+        ("scholtes", {"x": x, "f": x, "h": x}, {}, "unknown key 'h'"),
+        ("scholtes", {"x": x, "f": x}, {"tt0": 1}, "unknown option 'tt0'"),
+        ("scholtes", {"x": x, "f": y}, {}, "free symbols"),
+    ],
+)
+def test_mpccsol_refuses_what_it_does_not_know(plugin, problem, options, words):
+    with pytest.raises(ValueError, match=words):
+        mpccsol("solver", plugin, problem, options)
+
+
+def test_the_command_solves_files(tmp_path, capsys):
+    path = tmp_path / "handmade.nl"
+    path.write_text(NL)
+    assert main([str(path), "--log"]) == 0
+    out = capsys.readouterr().out
+    assert "converged: Converged to the tolerance." in out
+    assert "objective        -3" in out
+    assert "stationarity     S" in out
+    assert "relaxed" in out
+    assert main([str(path), "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)
+    assert row["success"]
+    assert row["x"] == pytest.approx(solution_of_nl()[0], abs=1e-6)
+    assert main([str(path), "--max-iterations", "2"]) == 1
+    assert "iteration_limit" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "no file given"),
+        (["absent.nl"], "absent.nl"),
+        (["x.gms"], "unknown format"),
+        (["--families", "nothing"], "unknown family 'nothing'"),
+        (["--families", "qpec", "--seeds", "0"], "--seeds 0"),
+        (["x.nl", "--time-limit", "0"], "time_limit_s = 0"),
+    ],
+)
+def test_the_command_refuses_bad_input_in_one_line(arguments, words, capsys):
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+def test_the_benchmark_of_a_folder_and_of_families(tmp_path, capsys):
+    folder = tmp_path / "collection"
+    folder.mkdir()
+    (folder / "handmade.nl").write_text(NL)
+    write_nosbench(
+        Problem("corner", MPCC(XY, ca.sumsqr(XY + 1), None, x, y), np.ones(2)), folder / "corner.json"
+    )
+    (folder / "broken.json").write_text("{}")
+    assert (
+        main(["--benchmark", str(folder)]) == 2
+    )  # a file that cannot be read is named before it is left out
+    (folder / "broken.json").unlink()
+    capsys.readouterr()
+    out = tmp_path / "out"
+    assert main(["--benchmark", str(folder), "--out", str(out)]) == 0
+    shown = capsys.readouterr().out
+    rows = [json.loads(line) for line in (out / "records.jsonl").read_text().splitlines()]
+    assert {row["problem"] for row in rows} == {"handmade", "corner"}
+    assert all(row["success"] and row["plain_success"] and row["compared"] == "equal" for row in rows)
+    assert "| collection | 2 | 2 |" in shown
+    assert "| collection | 2 | 2 |" in (out / "table.md").read_text()
+    assert (out / "profile.png").stat().st_size > 1000
+    assert main(["--families", "bilevel,lpec", "--sizes", "1", "--seeds", "1", "--no-plain"]) == 0
+    assert "| all | 2 | 2 |" in capsys.readouterr().out
