@@ -110,7 +110,7 @@ OPERATIONS = {
     "o13\nn2.5": 2, "o14\nn2.5": 3, "o15\nn-2": 2, "o16\nn2": -2, "o37\nn1": np.tanh(1), "o38\nn1": np.tan(1),
     "o39\nn9": 3, "o40\nn1": np.sinh(1), "o41\nn1": np.sin(1), "o42\nn100": 2, "o43\nn2": np.log(2),
     "o45\nn1": np.cosh(1), "o46\nn1": np.cos(1), "o47\nn0.5": np.arctanh(0.5), "o49\nn1": np.arctan(1),
-    "o50\nn1": np.arcsinh(1), "o51\nn0.5": np.arcsin(0.5), "o52\nn2": np.arccosh(2), 
+    "o50\nn1": np.arcsinh(1), "o51\nn0.5": np.arcsin(0.5), "o52\nn2": np.arccosh(2),
     "o53\nn0.5": np.arccos(0.5),
     "o3\nn1\nn4": 0.25, "o2\nn3\nn4": 12, "o6\nn3\nn1": 2, "o6\nn1\nn3": 0, "o48\nn1\nn2": np.arctan2(1, 2),
     "o75\nn2\nn3": 8, "o77\nn2\nn3": 8, "o11\n3\nn2\nn1\nn3": 1, "o12\n3\nn2\nn1\nn3": 3,
