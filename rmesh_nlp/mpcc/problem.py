@@ -45,7 +45,7 @@ class MPCC:
         Assembled derivatives of the oracle with objective ``f`` and constraint column
         ``vertcat(g, G, H)``. None: CasADi derives them.
     completion : casadi.Function, optional
-        ``(x, p) -> `` starts of the last unknowns, which :meth:`mixed` has added to the user's: a start
+        ``(x, p) -> starts`` of the last unknowns, which :meth:`mixed` has added to the user's: a start
         may then be given for the user's own unknowns alone, which come first.
 
     Raises

@@ -88,7 +88,9 @@ class Obstacle:
         normal: tuple[float, float],
         friction: Coefficient = 0.0,
     ) -> Obstacle:
-        """A rigid straight line through ``point``; the gap is ``normal . (X + u - point)``.
+        """A rigid straight line through ``point``.
+
+        The gap is ``normal . (X + u - point)``.
 
         ``normal`` points from the line to the body and may have any length but zero.
         """

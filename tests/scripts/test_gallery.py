@@ -74,8 +74,8 @@ def test_signorini(load: Callable[[str], ModuleType]) -> None:
     assert case.error_after < 0.85 * case.error_before
 
 
-def test_the_shaped_punch_has_a_lower_peak_by_both_strategies() -> None:
-    solutions = importlib.import_module("punch").main(4)
+def test_the_shaped_punch_has_a_lower_peak_by_both_strategies(load: Callable[[str], ModuleType]) -> None:
+    solutions = load("punch").main(4)
     before, nested, mpcc = (solutions[name] for name in ("fixed", "nested", "mpcc"))
     assert nested.success
     assert mpcc.success

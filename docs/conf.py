@@ -1,0 +1,58 @@
+"""Configuration of the documentation; ``scripts/build_docs`` builds it with warnings as errors."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import rmesh_nlp
+
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT / "scripts" / "gallery"))
+
+project = "rmesh_nlp"
+author = "the authors of rmesh_nlp"
+version = release = rmesh_nlp.__version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["_build", "tutorials/*"]
+html_theme = "pydata_sphinx_theme"
+html_title = "rmesh_nlp"
+html_theme_options = {
+    "show_toc_level": 2,
+    "navigation_with_keys": False,
+    "secondary_sidebar_items": ["page-toc"],
+    "header_links_before_dropdown": 4,
+}
+html_show_sourcelink = False
+
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_heading_anchors = 3
+suppress_warnings = ["myst.xref_missing"]
+
+autosummary_generate = True
+autosummary_imported_members = False
+autodoc_typehints = "description"
+autodoc_member_order = "bysource"
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+
+sphinx_gallery_conf = {
+    "examples_dirs": [str(ROOT / "docs" / "tutorials")],
+    "gallery_dirs": ["gallery"],
+    "filename_pattern": r"/tutorial_",
+    "within_subsection_order": "FileNameSortKey",
+    "download_all_examples": False,
+    "remove_config_comments": True,
+    "abort_on_example_error": True,
+    "show_memory": False,
+    "min_reported_time": 1e9,
+}

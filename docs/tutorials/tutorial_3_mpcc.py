@@ -1,0 +1,34 @@
+"""
+An MPCC of your own
+===================
+
+``rm.mpcc`` solves mathematical programs with complementarity constraints of any origin. Here is a
+bilevel problem: the leader chooses x, the follower answers with the point y of [0, 1] nearest to x.
+"""
+
+# %%
+# The follower's problem is replaced by its KKT conditions: stationarity, and one complementarity
+# pair per bound.
+
+import casadi as ca
+
+import rmesh_nlp as rm
+
+x, y, low, high = (ca.SX.sym(name) for name in ("x", "y", "low", "high"))
+upper = (x - 3) ** 2 + (y - 2) ** 2
+stationary = y - x - low + high
+program = rm.MPCC(ca.vertcat(x, y, low, high), upper, stationary, [low, high], [y, 1 - y], lbg=0, ubg=0)
+result = rm.solve_mpcc(program, 0.5)
+print(result)
+
+# %%
+# The result is measured on this problem, not on a relaxation of it, and carries the strongest
+# stationarity for which multipliers exist.
+
+print("x, y:", result.x[:2], "stationarity:", result.stationarity, "B:", result.b_stationary)
+
+# %%
+# A local solver depends on its start; several starts tell how much.
+
+many = rm.mpcc.multistart(program, 0.5, n=5, seed=0)
+print("best", many.best.f, "spread", many.spread)
