@@ -105,8 +105,7 @@ def moves(start: Start, seed: int | None, referee: Referee, outer: Objective, li
         if start == "joint" and not outer.is_energy:
             raise ValueError("start = 'joint' needs the energy as objective: there alone the levels collapse")
         return beginning(referee, None, seed)
-    own: dict[str, Any] = {"outer": "newton" if outer.is_energy else "ipopt"}
-    return beginning(referee, start, seed, known=(DROPPED,), objective=outer, time_limit_s=limit, **own)
+    return beginning(referee, start, seed, known=(DROPPED,), objective=outer, time_limit_s=limit)
 
 
 def _joint(

@@ -1,7 +1,8 @@
 """Nested: an exact contact solve inside, an outer NLP on the energy gradient (5.7), (5.11).
 
 u(X) is not differentiable where contact changes, L(X) = J(u(X); X) is: the term with U'
-drops out. Its second derivative jumps there, so the default outer solver is a quasi-Newton method.
+drops out. Its second derivative jumps there; the default outer solver is a trust-region Newton method
+with the second derivative of the active set at hand.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def solve(
     objective: str | Objective = "energy",
     regularisation: Regularisation = None,
     distortion: str = "shape-size",
-    outer: str = "ipopt",
+    outer: str = "newton",
     settings: NestedSettings | Mapping[str, Any] | None = None,
     tolerance: float = STATIONARY,
     max_iterations: int | None = None,
@@ -61,10 +62,9 @@ def solve(
     distortion : str
         "quality", "shape-size" or "elastic", see :mod:`rmesh_nlp.fem.distortion`.
     outer : str
-        A name in ``rmesh_nlp.programs.outer_solvers.OUTER_SOLVERS``: "ipopt" (limited-memory BFGS), "newton"
-        (projected trust-region Newton-CG, the fastest) and "newton-pair" (two such descents,
-        recombined: for fine meshes), both for the energy only, "slsqp", "trust-constr" or
-        "l-bfgs-b".
+        A name in ``rmesh_nlp.programs.outer_solvers.OUTER_SOLVERS``: "newton" (projected trust-region
+        Newton-CG), "newton-pair" (two such descents, recombined: for fine meshes, the energy
+        only), "ipopt" (limited-memory BFGS), "slsqp", "trust-constr" or "l-bfgs-b".
     settings : NestedSettings or mapping, optional
     tolerance : float
         Largest first-order residual, measured by the referee, of a solution that is called converged.

@@ -146,5 +146,5 @@ def _check_options(options: Mapping[str, Any]) -> None:
             raise BadInputError(str(error)) from error
     if options.get("relaxation", "scholtes") not in RELAXATIONS:
         raise unknown("relaxation", options["relaxation"], RELAXATIONS)
-    if options.get("outer", "ipopt") not in OUTER_SOLVERS:
+    if options.get("outer", "newton") not in OUTER_SOLVERS:
         raise unknown("outer solver", options["outer"], OUTER_SOLVERS)

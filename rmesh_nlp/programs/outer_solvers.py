@@ -1,7 +1,7 @@
 """Outer solvers of the nested strategy, by name.
 
-All but "newton" and "newton-pair" take any outer objective; these two use the second derivative
-of the reduced energy.
+All but "newton-pair" take any outer objective. "newton" uses the second derivative of the reduced energy, and
+that of any other objective by a second-order adjoint (:mod:`rmesh_nlp.programs.objective_curvature`).
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.energy_program import Relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
+from rmesh_nlp.programs.objective_curvature import ObjectiveCurvature
 from rmesh_nlp.programs.recombination import Recombination
 from rmesh_nlp.programs.reduced import Reduced, ReducedEnergy
 from rmesh_nlp.settings import Settings, check_positive
@@ -237,6 +238,8 @@ def _newton_pair(
     program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings
 ) -> OuterResult:
     """Newton-CG from alternating moves and from the start, the better blocks of both, and on from there."""
+    if not isinstance(program.function, ReducedEnergy):
+        raise ValueError("the outer solver newton-pair needs the energy as objective: choose newton")
     descent = _Descent(program, monitor, settings)
     relocation = descent.energy.relocation
     here = descent.energy(start)
@@ -261,15 +264,18 @@ def _newton_pair(
 
 
 class _Descent:
-    """Newton-CG on the reduced energy from any start; iterations are counted over all of them."""
+    """Newton-CG on the reduced objective from any start; iterations are counted over all of them."""
 
     def __init__(self, program: ReducedProgram, monitor: Monitor, settings: NestedSettings) -> None:
-        if not isinstance(program.function, ReducedEnergy):
-            raise ValueError("the outer solver newton needs the energy as objective: choose ipopt")
-        self.energy = program.function
+        self._function = function = program.function
+        self._curvature: Curvature | ObjectiveCurvature
+        if isinstance(function, ReducedEnergy):
+            self.energy, self._curvature = function, Curvature(function)
+        else:
+            self.energy = function.energy
+            self._curvature = ObjectiveCurvature(function.energy, function.objective)
         self._program, self._monitor, self._settings = program, monitor, settings
         self._stopped = False
-        self._curvature = Curvature(self.energy)
         self._walls = self.energy.validity if program.nlp.n_g else None
         self._iterations = 0
 
@@ -300,13 +306,14 @@ class _Descent:
 
     def is_valid(self, q: Array) -> bool:
         """Whether the elements that the boxes do not keep valid are."""
-        guarded = self._program.nlp.n_g > 0 or self.energy.relocation.objective.has_barrier
+        objective = getattr(self._function, "objective", self.energy.relocation.objective)
+        guarded = self._program.nlp.n_g > 0 or objective.has_barrier
         return not guarded or self._program.is_valid(q)
 
     def _evaluate(self, q: Array) -> Evaluation | None:
         if not self.is_valid(q):
             return None
-        point = self.energy(q)
+        point = self._function(q)
         return Evaluation(point.value, point.gradient, lambda: self._curvature.at(point))
 
 

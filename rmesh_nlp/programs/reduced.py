@@ -120,7 +120,7 @@ class ReducedObjective:
     """
 
     def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
-        self.energy = energy
+        self.energy, self.objective = energy, objective
         rel = energy.relocation
         nlp = rel.nlp
         fields = (rel.freedoms.positions, rel.displacement, rel.slip)

@@ -72,8 +72,3 @@ def test_newton_needs_few_contact_solves() -> None:
     assert gain > 0.98 * (1.795842 - 1.699532)
     reached = next(s for s in solution.history if solution.energy_initial - s.energy >= 0.99 * gain)
     assert reached.contact_solves <= 26
-
-
-def test_newton_refuses_other_objectives() -> None:
-    with pytest.raises(ValueError, match="newton needs the energy"):
-        nested.solve(EXAMPLES["6.1"](4), outer="newton", objective="error-l2")
