@@ -1,0 +1,174 @@
+"""Edge flips that lower the energy at frozen nodal values.
+
+The energy of a mesh is the minimum over its nodal values, so
+``J(new mesh, new solution) <= J(new mesh, old solution) < J(old mesh, old solution)``: flips by energy are
+monotone. (S. Rippa, Minimal roughness property of the Delaunay triangulation, CAGD 7 (1990) 489-497, shows
+that the Delaunay mesh is the best for given values only without a load.)
+
+Nodes, the outer boundary, interfaces and named parts stay; contact and friction are terms of nodes and
+boundary edges, which flips do not touch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.element import plain
+from rmesh_nlp.fem.energy import load_energy, strain_energy
+from rmesh_nlp.fem.vectorised import columnwise
+from rmesh_nlp.meshes.flips import flipped
+from rmesh_nlp.meshes.reading import from_arrays
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.coefficients import is_nonzero
+from rmesh_nlp.problem.lines import line_facets
+
+LEAST_GAIN = 1e-6
+"""Least gain of a flip, in parts of what is to be gained: rounding must not flip an edge back and forth."""
+
+
+@dataclass(frozen=True)
+class FlippedProblem:
+    """A problem on a mesh with other edges, and what the flips gained at frozen values.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+        On the same nodes in the same order; triangles keep their places in the list.
+    flips : int
+    changed : int
+        Triangles that are others than before.
+    gain : float
+        Decrease of the energy at the nodal values before, a lower bound of the decrease.
+    """
+
+    problem: ContactProblem
+    flips: int
+    changed: int
+    gain: float
+
+
+def flip_edges(problem: ContactProblem, gain_to_be_had: float) -> FlippedProblem:
+    """Flip edges of the mesh of a problem as long as that lowers its energy at frozen nodal values."""
+    mesh, triangles = problem.mesh, problem.triangles
+    model = ContactModel(problem)
+    values = model.displacement.values(model.solve(mesh.p).u)
+    energies = ElementEnergies(problem, np.asarray(mesh.p), values)
+    result = flipped(
+        mesh.p,
+        triangles,
+        mesh.facets[:, line_facets(problem)],
+        energies,
+        least_gain=LEAST_GAIN * gain_to_be_had,
+    )
+    if result.flips == 0:
+        return FlippedProblem(problem, 0, 0, 0.0)
+    changed = np.any(np.sort(result.triangles, axis=0) != np.sort(triangles, axis=0), axis=0)
+    new = with_triangles(problem, result.triangles)
+    return FlippedProblem(new, result.flips, int(changed.sum()), result.gain)
+
+
+def with_triangles(problem: ContactProblem, triangles: NDArray) -> ContactProblem:
+    """The problem on the same nodes with other triangles in the places of its own; names are kept."""
+    mesh = problem.mesh
+    boundaries = {name: mesh.facets[:, np.asarray(f)].T for name, f in (mesh.boundaries or {}).items()}
+    subdomains = {name: np.asarray(e) for name, e in (mesh.subdomains or {}).items()}
+    return replace(problem, mesh=from_arrays(mesh.p.T, triangles.T, boundaries, subdomains))
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of flips and relocation: numbers of flips and changed triangles, energies after both."""
+
+    flips: int
+    changed: int
+    flipped: float
+    relocated: float
+
+
+def flips_and_moves(
+    problem: ContactProblem,
+    gain: float,
+    relocate: Callable[[ContactProblem], ContactProblem],
+    *,
+    rounds: int = 8,
+    least: float = 2e-3,
+) -> tuple[ContactProblem, tuple[Round, ...]]:
+    """Flip edges and relocate nodes in turn, until neither gains.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        On a relocated mesh.
+    gain : float
+        Error of the energy of the mesh as given: what there was to gain.
+    relocate : callable
+        Takes a problem to itself with its nodes moved; distortion then is that against the mesh it is given.
+    rounds : int
+        At most.
+    least : float
+        Part of ``gain`` that a round must give for another one to follow.
+    """
+    done: list[Round] = []
+    energy = ContactModel(problem).solve(problem.mesh.p).energy
+    for _ in range(rounds):
+        result = flip_edges(problem, gain)
+        if result.flips == 0:
+            break
+        flipped_energy = ContactModel(result.problem).solve(result.problem.mesh.p).energy
+        moved = relocate(result.problem)
+        relocated = ContactModel(moved).solve(moved.mesh.p).energy
+        problem = moved if relocated < flipped_energy else result.problem
+        now = min(relocated, flipped_energy)
+        done.append(Round(result.flips, result.changed, flipped_energy, now))
+        if energy - now < least * gain:
+            break
+        energy = now
+    return problem, tuple(done)
+
+
+class ElementEnergies:
+    """Energy of any triangle between the nodes of a mesh, the nodal values frozen.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        Its laws; each triangle has that of the element in whose place it is.
+    nodes : (2, nodes) array
+    values : (components, nodes) array
+        Displacement.
+    """
+
+    def __init__(self, problem: ContactProblem, nodes: Array, values: Array) -> None:
+        self._nodes, self._values = nodes, values
+        self._functions = []
+        self._law = np.zeros(problem.mesh.t.shape[1], dtype=np.int64)
+        for number, (law, elements) in enumerate(problem.regions):
+            self._law[elements] = number
+            functions = [strain_energy(law)]
+            if any(is_nonzero(component) for component in law.load):
+                functions.append(plain(*load_energy(law, problem.quadrature)))
+            self._functions.append(functions)
+
+    def __call__(self, triangles: NDArray, elements: NDArray) -> Array:
+        """Energies of ``triangles`` (3, n) in the places of ``elements`` (n,)."""
+        result = np.zeros(triangles.shape[1])
+        law = self._law[elements]
+        for number, functions in enumerate(self._functions):
+            here = np.flatnonzero(law == number)
+            if here.size == 0:
+                continue
+            columns = [_local(self._nodes, triangles[:, here]), _local(self._values, triangles[:, here])]
+            for function in functions:
+                result[here] += columnwise(function, here.size)(columns)[0].ravel()
+        return result
+
+
+def _local(field: Array, triangles: NDArray) -> Array:
+    """Values (components * 3, n) of a nodal field, node by node."""
+    return np.moveaxis(field[:, triangles], 0, 1).reshape(-1, triangles.shape[1])
