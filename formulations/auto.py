@@ -22,11 +22,15 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.cascade import CascadeResult, CascadeSettings, cascade
+from rmesh_nlp.programs.energy_flips import flips_and_moves
+from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.freedoms import freedoms
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.regularisation import regularised
 from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solution.beginning import Start
+from rmesh_nlp.solution.flipping import check_flips, with_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.solution import Solution, Step
@@ -49,6 +53,7 @@ def solve(
     *,
     objective: str | Objective = "energy",
     settings: CascadeSettings | Mapping[str, Any] | None = None,
+    flips: bool = False,
     tolerance: float = STATIONARY,
     time_limit_s: float = TIME_LIMIT_S,
     start: Start = None,
@@ -64,6 +69,8 @@ def solve(
         The energy; with another one ``nested`` is run as it is.
     settings : CascadeSettings or mapping, optional
         Of the cascade, where it runs.
+    flips : bool
+        Flip edges by energy between relocations, until neither gains; without boxes only.
     tolerance : float
         Largest first-order residual of a solution that is called converged. The finest mesh gets a few
         iterations only, so that most solutions are successes that are not.
@@ -85,23 +92,26 @@ def solve(
         "on_step": on_step,
     }
     motion = problem.motion
+    if flips:
+        check_flips(problem)
     if str(objective) != "energy":
-        found = nested.solve(problem, objective=objective, **common)
+        found = nested.solve(problem, objective=objective, flips=flips, **common)
         return _chosen(found, "nested: the objective is not the energy")
     if motion.delta is not None:
         return _chosen(joint.solve(problem, **common), "joint: nodes have boxes")
     if motion.min_angle > 0:
-        found = joint.solve(problem, regularisation=SCHEDULE, **common)
+        found = joint.solve(problem, regularisation=SCHEDULE, flips=flips, **common)
         return _chosen(
             found, "joint, regularised: a least angle is asked for, which must hold as a constraint"
         )
     if start is not None or seed is not None:
         options: dict[str, Any] = {"regularisation": chosen.regularisation, "distortion": chosen.distortion}
-        found = nested.solve(problem, outer="newton", **options, **common)
+        found = nested.solve(problem, outer="newton", flips=flips, **options, **common)
         return _chosen(found, "nested, newton: large moves from the start that was given")
     if freedoms(problem).n == 0:
         return _chosen(nested.solve(problem, **common), "nested: no node can move")
-    return _large_moves(problem, chosen, tolerance, time_limit_s, on_step)
+    found = _large_moves(problem, chosen, tolerance, time_limit_s, on_step)
+    return _flipped(problem, found, chosen, tolerance, time_limit_s) if flips else found
 
 
 def _chosen(solution: Solution, why: str) -> Solution:
@@ -164,6 +174,81 @@ def _large_moves(
         solution = replace(solution, extra={**solution.extra, **_figures(result, rules, settings)})
     seconds = watch.seconds
     return replace(solution, solve_time_s=seconds)
+
+
+def _flipped(
+    problem: ContactProblem,
+    first: Solution,
+    settings: CascadeSettings,
+    tolerance: float,
+    time_limit_s: float,
+) -> Solution:
+    """Flips and short descents in turn, from a solution; judged at the end only."""
+    gain = first.extra.get("gain_estimate", 0.0)
+    began, steps, solves = time.perf_counter(), list(first.history), 0
+    spent = first.build_time_s + first.solve_time_s
+
+    def relocate(flipped: ContactProblem) -> ContactProblem:
+        nonlocal solves
+        if spent + time.perf_counter() - began > time_limit_s:
+            return flipped
+        energy = _distorted(flipped, gain, settings)
+        q = np.zeros(energy.relocation.n_q)
+        moves = LargeMoves(energy)
+        result = moves(
+            q,
+            gain_tolerance=settings.end,
+            reference=energy(q).value + gain,
+            max_iterations=settings.brief,
+        )
+        solves += energy.contact_solves
+        last = steps[-1].iteration if steps else 0
+        point = energy(result.x)
+        seconds = first.solve_time_s + time.perf_counter() - began
+        steps.append(
+            Step(
+                iteration=last + result.iterations,
+                energy=point.equilibrium.energy,
+                t=0.0,
+                primal_residual=0.0,
+                dual_residual=float("nan"),
+                contact_solves=solves,
+                seconds=seconds,
+                objective=point.value,
+            )
+        )
+        return replace(flipped, mesh=replace(flipped.mesh, doflocs=energy.relocation.nodes(result.x)))
+
+    start = replace(first.problem, mesh=first.mesh)
+    last, rounds = flips_and_moves(start, gain, relocate)
+    if not rounds:
+        return first
+    energy = _distorted(last, gain, settings)
+    referee = Referee(last, energy.relocation.objective)
+    final = referee.judge(
+        "nested",
+        np.zeros(referee.relocation.n_q),
+        status=first.status if first.status is Status.TIME_LIMIT else Status.ITERATION_LIMIT,
+        tolerance=tolerance,
+        objective=energy.relocation.objective,
+        history=steps,
+        iterations=steps[-1].iteration,
+        contact_solves=first.contact_solves + solves + 3 * len(rounds),
+        settings=settings.changed(),
+        extra=dict(first.extra),
+    )
+    found = with_flips(replace(problem, quadrature=first.problem.quadrature), first, final, rounds)
+    return replace(
+        found,
+        iterations=final.iterations,
+        contact_solves=final.contact_solves,
+        solve_time_s=first.solve_time_s + time.perf_counter() - began,
+    )
+
+
+def _distorted(problem: ContactProblem, gain: float, settings: CascadeSettings) -> ReducedEnergy:
+    objective = regularised(gain, settings.regularisation, settings.distortion)
+    return ReducedEnergy(relocation(problem, objective))
 
 
 def _agrees(solution: Solution) -> bool:

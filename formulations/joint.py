@@ -22,6 +22,7 @@ from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.reduced import ReducedPoint
 from rmesh_nlp.settings import Settings, check_positive
 from rmesh_nlp.solution.beginning import Start, beginning
+from rmesh_nlp.solution.flipping import solve_with_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
@@ -113,6 +114,7 @@ def solve(
     objective: str | Objective = "energy",
     regularisation: Regularisation = None,
     distortion: str = "shape-size",
+    flips: bool = False,
     settings: JointSettings | Mapping[str, Any] | None = None,
     tolerance: float = STATIONARY,
     max_iterations: int | None = None,
@@ -134,6 +136,8 @@ def solve(
         given, or a schedule of weights of which the last may be 0; 0.01 suits most problems without boxes.
     distortion : str
         "quality", "shape-size" or "elastic", see :mod:`rmesh_nlp.fem.distortion`.
+    flips : bool
+        Flip edges by energy between relocations, until neither gains; without boxes only.
     settings : JointSettings or mapping, optional
     tolerance : float
         Largest first-order residual, measured by the referee, of a solution that is called converged.
@@ -153,6 +157,21 @@ def solve(
     ValueError
         If the levels do not collapse for the objective, or a setting or the start cannot be used.
     """
+    if flips:
+        return solve_with_flips(
+            solve,
+            problem,
+            objective=objective,
+            regularisation=regularisation,
+            distortion=distortion,
+            settings=settings,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            time_limit_s=time_limit_s,
+            start=start,
+            seed=seed,
+            on_step=on_step,
+        )
     if regularisation is not None:
         return solve_regularised(
             solve,

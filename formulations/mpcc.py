@@ -27,6 +27,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.kkt_program import Bilevel, bilevel
 from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solution.beginning import Start
+from rmesh_nlp.solution.flipping import solve_with_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
@@ -47,6 +48,7 @@ def solve(
     objective: str | Objective = "energy",
     regularisation: Regularisation = None,
     distortion: str = "shape-size",
+    flips: bool = False,
     relaxation: str = "scholtes",
     settings: Mapping[str, Any] | None = None,
     tolerance: float = STATIONARY,
@@ -69,6 +71,8 @@ def solve(
         given, or a schedule of weights of which the last may be 0; 0.01 suits most problems without boxes.
     distortion : str
         "quality", "shape-size" or "elastic", see :mod:`rmesh_nlp.fem.distortion`.
+    flips : bool
+        Flip edges by energy between relocations, until neither gains; without boxes only.
     relaxation : str
         A name in ``rmesh_nlp.mpcc.RELAXATIONS``.
     seed : int, optional
@@ -96,6 +100,22 @@ def solve(
     ValueError
         If the objective, the relaxation or the start is unknown or does not fit.
     """
+    if flips:
+        return solve_with_flips(
+            solve,
+            problem,
+            objective=objective,
+            regularisation=regularisation,
+            distortion=distortion,
+            relaxation=relaxation,
+            settings=settings,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            time_limit_s=time_limit_s,
+            start=start,
+            seed=seed,
+            on_step=on_step,
+        )
     if regularisation is not None:
         return solve_regularised(
             solve,

@@ -23,6 +23,7 @@ from rmesh_nlp.programs.reduced import Reduced
 from rmesh_nlp.programs.residual import OuterResidual
 from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solution.beginning import Start, beginning
+from rmesh_nlp.solution.flipping import solve_with_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Watch
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
@@ -35,6 +36,7 @@ def solve(
     objective: str | Objective = "energy",
     regularisation: Regularisation = None,
     distortion: str = "shape-size",
+    flips: bool = False,
     outer: str = "newton",
     settings: NestedSettings | Mapping[str, Any] | None = None,
     tolerance: float = STATIONARY,
@@ -61,6 +63,8 @@ def solve(
         given, or a schedule of weights of which the last may be 0; 0.01 suits most problems without boxes.
     distortion : str
         "quality", "shape-size" or "elastic", see :mod:`rmesh_nlp.fem.distortion`.
+    flips : bool
+        Flip edges by energy between relocations, until neither gains; without boxes only.
     outer : str
         A name in ``rmesh_nlp.programs.outer_solvers.OUTER_SOLVERS``: "newton" (projected trust-region
         Newton-CG), "newton-pair" (two such descents, recombined: for fine meshes, the energy
@@ -87,6 +91,22 @@ def solve(
     """
     if outer not in OUTER_SOLVERS:
         raise unknown("outer solver", outer, OUTER_SOLVERS)
+    if flips:
+        return solve_with_flips(
+            solve,
+            problem,
+            objective=objective,
+            regularisation=regularisation,
+            distortion=distortion,
+            outer=outer,
+            settings=settings,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            time_limit_s=time_limit_s,
+            start=start,
+            seed=seed,
+            on_step=on_step,
+        )
     if regularisation is not None:
         return solve_regularised(
             solve,

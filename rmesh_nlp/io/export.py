@@ -48,7 +48,7 @@ def point_data(solution: Solution) -> dict[str, Array]:
     problem, nodes = solution.problem, np.asarray(solution.mesh.p)
     data = point_arrays(fields_of(solution))
     data["gap"] = gaps(problem, nodes, solution.displacement)
-    data["motion"] = _three(nodes - problem.mesh.p)
+    data["motion"] = _three(nodes - solution.initial_nodes)
     data["mobility"] = freedoms(problem).mobility.astype(np.int32)
     if solution.multipliers is not None:
         data["box_multiplier"] = solution.multipliers.box
@@ -69,8 +69,8 @@ def cell_data(solution: Solution, certificate: Certificate | None = None) -> dic
     stress = stresses(problem, nodes, solution.displacement)
     triangles = problem.triangles
     areas = signed_areas(nodes, triangles)
-    data = {
-        "area_ratio": areas / signed_areas(problem.mesh.p, triangles),
+    data: dict[str, Array] = {
+        "area_ratio": areas / solution.initial_areas,
         "least_angle": least_angles(nodes, triangles),
         "zone": element_zones(problem).astype(np.int32),
     }

@@ -62,7 +62,7 @@ def fields_of(solution: Solution) -> Fields:
             foundation[:, part.nodes] = here - part.obstacle.normals(here) * part.obstacle.distances(here)
     return Fields(
         nodes=nodes,
-        initial=np.asarray(problem.mesh.p),
+        initial=solution.initial_nodes,
         triangles=problem.triangles,
         displacement=solution.displacement,
         pressure=solution.pressure,

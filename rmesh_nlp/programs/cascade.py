@@ -61,8 +61,9 @@ class CascadeSettings(Settings):
         ... at the weights before the final one, less than this part.
     iterations : int
         Limit of a thorough descent.
-    brief : int
-        Iterations on the other meshes.
+    brief, brief_unnested : int
+        Iterations on the other meshes, where they are uniform refinements of the next coarser one
+        and where they are not: a map is then prolonged less well.
     """
 
     regularisation: float = 0.003
@@ -74,6 +75,7 @@ class CascadeSettings(Settings):
     continued: float = 1e-2
     iterations: int = 60
     brief: int = 8
+    brief_unnested: int = 20
 
     def __post_init__(self) -> None:
         check_positive(
@@ -83,6 +85,7 @@ class CascadeSettings(Settings):
             continued=self.continued,
             iterations=self.iterations,
             brief=self.brief,
+            brief_unnested=self.brief_unnested,
         )
         regularised(1.0, self.regularisation, self.distortion)
         if not self.regularisation > 0:
@@ -187,7 +190,8 @@ def cascade(
             before = energy(q).equilibrium.energy
             finest = number == len(problems) - 1
             brief = finest or here.mesh.p.shape[1] > chosen.thorough
-            q, status = run.followed(energy, q, share, brief)
+            nested = here.mesh.t.shape[1] == 4 * coarse.mesh.t.shape[1]
+            q, status = run.followed(energy, q, share, brief, nested)
         move = energy.relocation.nodes(q) - here.mesh.p
         levels.append(
             Level(
@@ -260,9 +264,12 @@ class _Runner:
         assert best is not None
         return best[1:]
 
-    def followed(self, energy: ReducedEnergy, q: Array, gain: float, brief: bool) -> tuple[Array, Status]:
+    def followed(
+        self, energy: ReducedEnergy, q: Array, gain: float, brief: bool, nested: bool
+    ) -> tuple[Array, Status]:
         """A descent from a prolonged map."""
-        limit = self._settings.brief if brief else self._settings.iterations
+        chosen = self._settings
+        limit = (chosen.brief if nested else chosen.brief_unnested) if brief else chosen.iterations
         return self._descend(energy, q, gain, self._settings.end, limit)
 
     def _descend(

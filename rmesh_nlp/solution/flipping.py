@@ -27,9 +27,7 @@ def check_flips(problem: ContactProblem) -> None:
         raise BadInputError('flips need a problem without boxes: delta = "none"')
 
 
-def solve_with_flips(
-    solve: Callable[..., Solution], problem: ContactProblem, **options: Any
-) -> Solution:
+def solve_with_flips(solve: Callable[..., Solution], problem: ContactProblem, **options: Any) -> Solution:
     """Solve by a strategy, then flip edges by energy and solve again, until neither gains.
 
     Parameters
@@ -51,7 +49,9 @@ def solve_with_flips(
 
     moved = replace(problem, mesh=solutions[0].mesh)
     last, rounds = flips_and_moves(moved, gain_estimate(problem).value, relocate)
-    final = solutions[-1] if rounds and _same(solutions[-1], last) else solve(last, **{**again, "max_iterations": 1})
+    final = solutions[-1]
+    if not (rounds and _same(final, last)):
+        final = solve(last, **{**again, "max_iterations": 1})
     return with_flips(problem, solutions[0], final, rounds, solutions)
 
 

@@ -13,7 +13,7 @@ from skfem import MeshTri
 from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.nlp import Status
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.multipliers import Multipliers
 from rmesh_nlp.solution import plotting
 from rmesh_nlp.solution.audit import Audit
@@ -67,6 +67,22 @@ class Step:
 
 
 @dataclass(frozen=True)
+class Given:
+    """What the mesh as given was, where ``problem`` of a solution has other edges.
+
+    Attributes
+    ----------
+    nodes : (2, nodes) array
+    areas : (elements,) array
+        Of the triangles of the solution; one that the mesh as given does not have counts as the mean
+        of the given ones around its vertices.
+    """
+
+    nodes: Array
+    areas: Array
+
+
+@dataclass(frozen=True)
 class Solution:
     """A relocated mesh with its contact solution.
 
@@ -114,6 +130,8 @@ class Solution:
         Of boxes, areas and angles; where they are large, position or connectivity is the limit.
     detail : str
         What the status leaves open, such as the degree of quadrature to take.
+    given : Given or None
+        The mesh as given, if edges were flipped: ``problem`` then is on the last mesh before the last moves.
     """
 
     problem: ContactProblem
@@ -146,6 +164,7 @@ class Solution:
     extra: dict[str, Any] = field(default_factory=dict)
     multipliers: Multipliers | None = None
     detail: str = ""
+    given: Given | None = None
 
     @property
     def message(self) -> str:
@@ -161,6 +180,20 @@ class Solution:
     def gain_audited(self) -> float:
         """Decrease of the energy by the rule of the audit."""
         return self.energy_initial_audited - self.audit.energy_audited
+
+    given: Given | None = None
+
+    @property
+    def initial_nodes(self) -> Array:
+        """(2, nodes) positions in the mesh as given."""
+        return np.asarray(self.problem.mesh.p) if self.given is None else self.given.nodes
+
+    @property
+    def initial_areas(self) -> Array:
+        """(elements,) areas in the mesh as given of the triangles of the solution."""
+        if self.given is None:
+            return signed_areas(self.problem.mesh.p, self.problem.triangles)
+        return self.given.areas
 
     @property
     def wall_time_s(self) -> float:
@@ -233,7 +266,7 @@ class Solution:
 
     def summary(self) -> Rows:
         """Status, energies and measured residuals, as (label, value) rows for people."""
-        audit, motion = self.audit, np.linalg.norm(self.mesh.p - self.problem.mesh.p, axis=0)
+        audit, motion = self.audit, np.linalg.norm(self.mesh.p - self.initial_nodes, axis=0)
         rows = [
             ("status", f"{self.status.value}: {self.message}"),
             ("success", "yes" if self.success else "no"),
