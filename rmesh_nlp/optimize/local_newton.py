@@ -23,7 +23,12 @@ from rmesh_nlp.optimize.newton import SUFFICIENT, Evaluation, NewtonResult
 from rmesh_nlp.optimize.newton_step import BoxStep, Model
 from rmesh_nlp.optimize.nlp import Status
 
-Precondition = Callable[[Array], Array]
+ROUNDING = 1e-14
+"""Error of the function relative to its value (A. R. Conn, N. I. M. Gould, Ph. L. Toint, Trust-region
+methods, SIAM 2000, section 17.4.2)."""
+
+NOTHING = 1e-20
+"""Predicted decrease, relative to the value, below which a point is stationary."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,8 @@ def descend(
             y, predicted = step.solve(low, high, forcing)
             products += step.products
             hidden = float(np.mean(np.abs(y) >= 0.999 * radius)) if y.size else 0.0
-            floor = 1e-14 * max(abs(here.value), 1e-300)
+            rounding = ROUNDING * max(abs(here.value), 1e-300)
+            floor = NOTHING * max(abs(here.value), 1e-300)
             enough = gain_tolerance * (reference - here.value)
             if predicted <= max(enough, floor) and (hidden <= trust.hidden or predicted <= floor):
                 return NewtonResult(x, here.value, Status.CONVERGED, iteration, products)
@@ -119,7 +125,10 @@ def descend(
                 predicted = -float(here.gradient @ s + 0.5 * s @ model(s))
                 products += 1
             there = evaluate(np.clip(x + s, lower, upper))
-            ratio = -np.inf if there is None else (here.value - there.value) / max(predicted, 1e-300)
+            ratio = -np.inf
+            if there is not None:
+                # close to the end both decreases are rounding of the function: they then count as alike
+                ratio = (here.value - there.value + rounding) / (max(predicted, 0.0) + rounding)
             if not ratio >= 0.25:
                 radius = trust.shrink * part * float(np.max(np.abs(y)))
             elif part < 1:

@@ -82,7 +82,7 @@ class NestedSettings(Settings):
     tight: float = 1e-4
     loose: float = 1.5e-3
     alternating: float = 0.1
-    large_moves: float = 1e-11
+    large_moves: float = 1e-15
     blocks: tuple[int, ...] = (16, 8)
     scipy_tol: float = 1e-8
     ipopt: Mapping[str, Any] = field(default_factory=dict)

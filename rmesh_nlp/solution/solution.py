@@ -181,8 +181,6 @@ class Solution:
         """Decrease of the energy by the rule of the audit."""
         return self.energy_initial_audited - self.audit.energy_audited
 
-    given: Given | None = None
-
     @property
     def initial_nodes(self) -> Array:
         """(2, nodes) positions in the mesh as given."""
