@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import sys
+import time
 from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rmesh_nlp.campaign.cases import Case
+from rmesh_nlp.campaign.pace import Pace
 from rmesh_nlp.io.results import Record
 from rmesh_nlp.solution.solution import Step
+
+EVERY_S = 10.0
+"""Seconds between lines about a solve that goes on, where there is no terminal."""
 
 
 class CampaignProgress:
@@ -39,6 +43,7 @@ class CampaignProgress:
         self._console = console
         self._task = self._bar.add_task("", total=total)
         self._name = ""
+        self._pace, self._said = Pace(), time.monotonic()
 
     def __enter__(self) -> CampaignProgress:
         """Start the live line."""
@@ -58,14 +63,17 @@ class CampaignProgress:
     def start(self, case: Case) -> None:
         """A solve begins."""
         self._name = f"{case.problem.name} {case.formulation}"
+        self._pace, self._said = Pace(), time.monotonic()
         self._bar.update(self._task, description=self._name)
 
     def step(self, step: Step) -> None:
         """An iteration has ended."""
-        text = f"{self._name}: iteration {step.iteration}"
-        if math.isfinite(step.energy):
-            text += f", J = {step.energy:.6f}"
+        self._pace(step)
+        text = f"{self._name}: {self._pace.text()}"
         self._bar.update(self._task, description=text)
+        if not self._console.is_terminal and time.monotonic() - self._said > EVERY_S:
+            self._said = time.monotonic()
+            self._console.print(text, markup=False)
 
     def finish(self, record: Record) -> None:
         """A solve has ended."""

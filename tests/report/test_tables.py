@@ -128,7 +128,8 @@ def test_markdown_literally() -> None:
 def test_latex_literally() -> None:
     text = latex(ROWS)
     assert LATEX_ENERGIES in text
-    assert r"joint & $4.7\cdot 10^{-13}$ & $0$ & $2.9\cdot 10^{-6}$ & KKT & converged \\" in text
+    assert r"joint & $44$ & $1$ & $0.083$ & $20.8$ & $4.7\cdot 10^{-13}$ & $0$ \\" in text
+    assert r"joint & $2.9\cdot 10^{-6}$ & KKT & converged \\" in text
     assert r"RuntimeError: 100\% \& more\_" in text
 
 
