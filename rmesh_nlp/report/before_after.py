@@ -74,7 +74,7 @@ def _meshes(states: Sequence[State], page: Page) -> Figure:
     """Undeformed meshes; for an elastic body also deformed ones over the one foundation."""
     deforms = states[0].elastic and any(np.any(state.displacement) for state in states)
     factor = _magnification(states) if deforms else 0.0
-    windows = [_window(states, 0.0)] + ([_window(states, factor)] if deforms else [])
+    windows = [_window(states, 1.0 if deforms else 0.0)] + ([_window(states, factor)] if deforms else [])
     figure, axes = page.panels(len(states), windows, below=0.3)
     for k, state in enumerate(states):
         top = axes[0, k]
@@ -82,6 +82,7 @@ def _meshes(states: Sequence[State], page: Page) -> Figure:
         _contact_set(top, state)
         _boundary(top, state)
         if deforms:
+            _foundation(top, states[0], 1.0)
             bottom = axes[1, k]
             moved = state.nodes + factor * state.displacement
             bottom.triplot(_triangulation(state, moved), color=GRID_LINE, linewidth=_line_width(state))
