@@ -101,7 +101,7 @@ Certify = Annotated[
     bool,
     typer.Option("--certify", help="Bound the error in the energy norm, before and after the relocation."),
 ]
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve or compare wrote.")]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve, compare or study wrote.")]
 
 
 def _commands() -> ModuleType:
@@ -144,6 +144,7 @@ def _rmesh(
     rmesh study study.toml --out first --jobs 2       many solves on all cores, resumed at any moment
     rmesh table results                               tables again, without solving
     rmesh figures results                             figures again, without solving
+    rmesh report results                              one HTML page of all that is there
 
     Exit code: 0 if every requested solve succeeded, 1 if one did not, 2 for bad input,
     130 after Ctrl-C.
@@ -388,6 +389,31 @@ def mpcc(context: typer.Context) -> None:
     """
     command = importlib.import_module("rmesh_nlp.mpcc.command")
     raise typer.Exit(command.main(context.args))
+
+
+@app.command()
+def report(folder: Folder) -> None:
+    """Make one self-contained HTML page of DIR: tables, profiles, convergence, meshes with a slider.
+
+    Writes DIR/report.html, without solving; it needs no network and no server.
+
+    \b
+    rmesh report results
+    """
+    _study_commands().report(folder)
+
+
+@app.command()
+def export(
+    folder: Folder,
+    parquet: Annotated[Path, typer.Option("--parquet", metavar="FILE", help="The Parquet file to write.")],
+) -> None:
+    """Write the rows of DIR, joined by key, as a Parquet file for pandas, DuckDB or R.
+
+    \b
+    rmesh export results --parquet rows.parquet
+    """
+    _study_commands().export(folder, parquet)
 
 
 @app.command()

@@ -142,7 +142,7 @@ def compare(
 
 def table(folder: Path, voice: str = "text") -> None:
     """Write the tables of a folder and print the Markdown one."""
-    results = _read(folder)
+    results = read_quietly(folder)
     text = write_tables([result.record for result in results], folder)
     if voice == "text":
         print(text, end="")
@@ -150,12 +150,13 @@ def table(folder: Path, voice: str = "text") -> None:
 
 def figures(folder: Path, voice: str = "text") -> None:
     """Write the figures of a folder and say where they are."""
-    paths = write_figures(_read(folder), folder / "figures", Manifest(folder))
+    paths = write_figures(read_quietly(folder), folder / "figures", Manifest(folder))
     if voice == "text":
         print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
 
 
-def _read(folder: Path) -> list[Result]:
+def read_quietly(folder: Path) -> list[Result]:
+    """The results of a folder; what is passed over is said in one line each."""
     with _warnings_as_notes():
         return read_results(folder)
 

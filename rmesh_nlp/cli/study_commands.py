@@ -8,10 +8,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from rmesh_nlp.cli.commands import read_quietly
 from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.io.files import safe_name, write_new, write_whole
 from rmesh_nlp.io.results import ROWS, SOLUTIONS, read_rows
+from rmesh_nlp.report.html_page import write_report
+from rmesh_nlp.report.tables import frame
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.guess import seconds_of_plan
 from rmesh_nlp.study.plan import PlannedSolve, make_plan
@@ -80,6 +83,26 @@ def study(
     elif not quiet:
         print(f"{len(ours)} solves in {out}: {good} succeeded, {refused} refused, next: rmesh table {out}")
     return SUCCESS if good + refused == len(ours) and good else NO_SUCCESS
+
+
+def report(folder: Path) -> None:
+    """Write the page of a folder and say where it is."""
+    results = read_quietly(folder)
+    path, question, title = folder / STUDY_FILE, "", ""
+    if path.exists():
+        table = read_study(path)
+        question, title = table.question, table.name or ""
+    print(f"wrote {write_report(folder, results, question, title)}")
+
+
+def export(folder: Path, path: Path) -> None:
+    """Write the rows of a folder as Parquet."""
+    records = [result.record for result in read_quietly(folder)]
+    try:
+        write_whole(path, lambda aside: frame(records).to_parquet(aside, index=False))
+    except ImportError:
+        raise BadInputError("--parquet needs pyarrow: pip install 'rmesh-nlp[study]'") from None
+    print(f"wrote {path}: {len(records)} rows")
 
 
 def _dry_run(

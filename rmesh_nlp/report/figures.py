@@ -18,7 +18,9 @@ from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, label
 from rmesh_nlp.report.convergence import convergence_figure, curve
 from rmesh_nlp.report.errors import bracket_figure, error_figure, is_certified
 from rmesh_nlp.report.grids import grid_figure, surface_figure
+from rmesh_nlp.report.profile_figures import profile_figures
 from rmesh_nlp.report.stresses import stress_figure
+from rmesh_nlp.report.study_summary import charts, is_study
 from rmesh_nlp.report.style import SETTINGS, save
 
 GIVEN = "given grid"
@@ -40,21 +42,26 @@ def write_figures(results: Sequence[Result], folder: Path, manifest: Manifest | 
     BadInputError
         If the fields of a solution cannot be read, or a file of the user's is in the way.
     """
-    by_record = {id(result.record): result for result in results}
     paths: list[Path] = []
-
-    def write(name: str, figure: Figure) -> None:
+    for name, figure in _all_figures(results):
         stem = _unused(safe_name(name), paths)
         if manifest is not None:
             manifest.claim(*(f"{folder.name}/{stem}.{kind}" for kind in FORMATS))
-        paths.extend(save(figure, folder / stem, FORMATS))
-
-    for block in blocks([result.record for result in results]):
-        for name, figure in block_figures(block, [by_record[id(record)] for record in block.records]):
-            write(name, figure)
-    for name, figure in _brackets([result.record for result in results]):
-        write(name, figure)
+        paths += save(figure, folder / stem, FORMATS)
     return paths
+
+
+def _all_figures(results: Sequence[Result]) -> Iterator[tuple[str, Figure]]:
+    """Of a study its profiles; of a comparison those of each block."""
+    records = [result.record for result in results]
+    if is_study(records):
+        with rc_context(SETTINGS):
+            yield from profile_figures(charts(results))
+        return
+    by_record = {id(result.record): result for result in results}
+    for block in blocks(records):
+        yield from block_figures(block, [by_record[id(record)] for record in block.records])
+    yield from _brackets(records)
 
 
 def _brackets(records: Sequence[Record]) -> Iterator[tuple[str, Figure]]:

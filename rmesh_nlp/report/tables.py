@@ -15,6 +15,7 @@ from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, OBJECTIVES, 
 from rmesh_nlp.report.markup import latex_table, latex_text, markdown_table
 from rmesh_nlp.report.notes import notes
 from rmesh_nlp.report.refinement import HEAD, TITLE, refinement_notes, refinement_rows
+from rmesh_nlp.report.study_summary import is_study, summary_markdown, summary_rows
 
 CAPTIONS = {
     ENERGIES: r"Energies and extremes of the displacement; the paper truncates its digits.",
@@ -26,6 +27,8 @@ CAPTIONS = {
 
 def markdown(records: Sequence[Record]) -> str:
     """Tables of each example, and the notes."""
+    if is_study(records):
+        return f"# Study\n\n{summary_markdown(records)}"
     parts = ["# Comparison of strategies\n"]
     for block in blocks(records):
         parts.append(f"## {block.title}\n")
@@ -50,6 +53,12 @@ def latex(records: Sequence[Record]) -> str:
     Needs ``\usepackage{booktabs,threeparttable}``. The notes stand below the last table.
     """
     parts = ["% made by rmesh table; needs \\usepackage{booktabs,threeparttable}\n"]
+    if is_study(records):
+        head, rows = summary_rows(records)
+        caption = "Medians over successful solves, in brackets their range; failures count as failures."
+        joined = [[f"{row[0]}, {row[1]}", *row[2:]] for row in rows]  # wide tables repeat one column only
+        names = ["family, strategy", *map(latex_text, head[2:])]
+        return parts[0] + latex_table(names, [("medians", joined)], caption)
     tables = [
         ([column.tex for column in columns], [(b.title, body(columns, b)) for b in blocks(records)], columns)
         for columns in _tables(records)

@@ -1,0 +1,263 @@
+"""Results to one self-contained HTML page: no network, no server, legible on a phone and in print.
+
+Charts are inline SVG and meshes a canvas with some sixty lines of script of our own: plotly's script alone
+would add 4.7 MB to every page, and would be the only thing on it that cannot be read without JavaScript.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rmesh_nlp import __version__
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.files import write_text
+from rmesh_nlp.io.results import ROWS, Record, Result, Results
+from rmesh_nlp.report.blocks import blocks
+from rmesh_nlp.report.columns import MISSING, contact_units
+from rmesh_nlp.report.convergence import FLOOR, curve
+from rmesh_nlp.report.notes import LEGEND, notes
+from rmesh_nlp.report.study_summary import (
+    Chart,
+    charts,
+    family,
+    is_study,
+    strategies_of,
+    strategy,
+    summary_rows,
+)
+from rmesh_nlp.report.svg import Line, line_chart
+from rmesh_nlp.report.viewer import viewer
+
+REPORT = "report.html"
+CONVERGENCE = 12
+"""Most problems whose convergence is on the page."""
+
+COLUMNS: tuple[tuple[str, str, str], ...] = (
+    ("example", "problem", "s"),
+    ("n", "size", "s"),
+    ("seed", "seed", "d"),
+    ("status", "status", "s"),
+    ("energy_initial_audited", "J initial, audited", ".6g"),
+    ("energy_audited", "J final, audited", ".6g"),
+    ("gain_audited", "gain, audited", ".4g"),
+    ("u_min", "u min", ".4g"),
+    ("u_max", "u max", ".4g"),
+    ("min_area_ratio", "least area", ".3f"),
+    ("iterations", "iterations", "d"),
+    ("contact_solves", "contact solves", "d"),
+    ("wall_time_s", "time [s]", ".3g"),
+    ("time_contact_solves", "time [solves]", ".3g"),
+    ("equilibrium_residual", "equilibrium", ".1e"),
+    ("complementarity_residual", "complementarity", ".1e"),
+    ("stationarity_residual", "stationarity", ".1e"),
+    ("stationarity", "label", "s"),
+    ("error_bound_initial", "error bound, given", ".3g"),
+    ("error_bound", "error bound, relocated", ".3g"),
+)
+"""Entry, heading and format; columns that no row has are left out."""
+
+
+def write_report(folder: Path, results: Sequence[Result], question: str = "", title: str = "") -> Path:
+    """Write ``report.html`` of a folder and return its path.
+
+    Parameters
+    ----------
+    question, title : str
+        What the study asks, and its name.
+
+    Raises
+    ------
+    BadInputError
+        If the fields of a solution cannot be read, or the file there is not this package's.
+    """
+    path = folder / REPORT
+    Results(folder).manifest.claim(REPORT)
+    write_text(path, page(folder, results, question, title or folder.resolve().name))
+    return path
+
+
+def page(folder: Path, results: Sequence[Result], question: str, title: str) -> str:
+    """The page as text."""
+    records = [result.record for result in results]
+    drawn = charts(results)
+    sections = [
+        ("set-up", "Set-up", _setup(records)),
+        ("summary", "Strategies", _summary(records)),
+        ("profiles", "Profiles", _profiles(drawn)),
+        ("convergence", "Convergence", _convergence(results)),
+        ("meshes", "Meshes before and after", viewer(results)),
+        ("solves", "All solves", _solves(records)),
+        ("failures", "Failures", _failures(records)),
+        ("notes", "Notes", _notes(records)),
+        ("environment", "Environment", _environment(folder, records)),
+    ]
+    shown = [(name, head, body) for name, head, body in sections if body]
+    links = "".join(f'<a href="#{name}">{escape(head)}</a>' for name, head, _ in shown)
+    bodies = "".join(
+        f'<section id="{name}"><h2>{escape(head)}</h2>{body}</section>' for name, head, body in shown
+    )
+    policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+        f"<title>{escape(title)}</title><style>{_resource('html_page.css')}</style></head><body>"
+        f'<h1>{escape(title)}</h1><p class="question">{escape(question)}</p><nav>{links}</nav>{bodies}'
+        f'<p class="note">Made by rmesh report, rmesh-nlp {escape(__version__)}.</p>'
+        f"<script>{_resource('html_page.js')}</script></body></html>\n"
+    )
+
+
+def _setup(records: Sequence[Record]) -> str:
+    good = sum(record["success"] for record in records)
+    refused = sum(record["status"] == "refused" for record in records)
+    families = dict.fromkeys(map(family, records))
+    starts = dict.fromkeys("given mesh" if r["seed"] is None else f"seed {r['seed']}" for r in records)
+    entries = {
+        "problems": f"{len({(r['example'], r['n']) for r in records})} of {', '.join(families)}",
+        "strategies": ", ".join(dict.fromkeys(map(strategy, records))),
+        "outer objectives": ", ".join(dict.fromkeys(str(r["objective"]) for r in records)),
+        "solves": f"{len(records)}, of which {good} succeeded, {refused} were refused",
+        "starts": ", ".join(starts)[:200],
+    }
+    return _list(entries)
+
+
+def _list(entries: dict[str, str]) -> str:
+    return "<dl>" + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in entries.items()) + "</dl>"
+
+
+def _summary(records: Sequence[Record]) -> str:
+    head, rows = summary_rows(records)
+    return _table(head, rows, texts=2)
+
+
+def _table(
+    head: Sequence[str], rows: Sequence[Sequence[str]], texts: int, failed: Sequence[bool] = ()
+) -> str:
+    kind = ["text" if i < texts else "" for i in range(len(head))]
+    heads = "".join(f'<th class="{k}">{escape(cell)}</th>' for k, cell in zip(kind, head, strict=True))
+    lines = []
+    for i, row in enumerate(rows):
+        mark = ' class="failed"' if i < len(failed) and failed[i] else ""
+        cells = "".join(f'<td class="{k}">{escape(cell)}</td>' for k, cell in zip(kind, row, strict=True))
+        lines.append(f"<tr{mark}>{cells}</tr>")
+    whole = f"<thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody>"
+    return f'<div class="wide"><table class="sortable">{whole}</table></div>'
+
+
+def _profiles(drawn: Sequence[Chart]) -> str:
+    if not drawn:
+        return ""
+    parts = [chart_svg(one) for one in drawn]
+    note = "A curve that ends below 1 shows the share of failures. Higher and further left is better."
+    return f'<p class="note">{note}</p><div class="charts">{"".join(parts)}</div>'
+
+
+def chart_svg(chart: Chart) -> str:
+    """Profiles as an SVG; values of zero stand at the left edge of a logarithmic axis."""
+    finite = [profile.at for profile in chart.profiles.values()]
+    every = np.concatenate(finite) if finite else np.zeros(0)
+    positive = every[every > 0]
+    low = max(float(positive.min()) if positive.size else 1.0, 1e-6)
+    high = max(2 * low, 1.1 * float(positive.max()) if positive.size else 2.0)
+    lines, looks = [], {name: i for i, name in enumerate(chart.profiles, 1)}
+    for name, profile in chart.profiles.items():
+        at = np.concatenate([[low], np.maximum(profile.at, low), [high]])
+        share = np.concatenate([profile(low)[None], profile.share, profile(high)[None]])
+        lines.append(Line(name, at, share, looks[name], steps=True))
+    whole = Line("", np.array([np.nan, np.nan]), np.array([0.0, 1.0]))
+    svg = line_chart([*lines, whole], chart.title, chart.axis, "share of problems", log_x=chart.logarithmic)
+    return f"<figure>{svg}</figure>"
+
+
+def _convergence(results: Sequence[Result]) -> str:
+    by_record = {id(result.record): result for result in results}
+    names = strategies_of([result.record for result in results])
+    looks = {name: i for i, name in enumerate(names, 1)}
+    parts, every = [], blocks([result.record for result in results])
+    for block in every[:CONVERGENCE]:
+        found = [curve(by_record[id(record)]) for record in block.records]
+        if not any(found) or block.best is None:
+            continue
+        best = float(block.best["energy"])
+        floor = FLOOR * abs(best) or FLOOR
+        lines = []
+        for record, one in zip(block.records, found, strict=True):
+            if one is not None:
+                name = strategy(record)
+                gap = np.where(one.feasible, np.maximum(np.abs(one.energy - best), floor), np.nan)
+                lines.append(Line(name, one.cost, gap, looks[name]))
+        svg = line_chart(lines, block.title[:48], "cost [contact solves]", "|J - J*|", log_x=True, log_y=True)
+        parts.append(f"<figure>{svg}</figure>")
+    more = len(every) - CONVERGENCE
+    note = f"The first {CONVERGENCE} problems; {more} more are not drawn." if more > 0 else ""
+    return f'<p class="note">{note}</p><div class="charts">{"".join(parts)}</div>' if parts else ""
+
+
+def _solves(records: Sequence[Record]) -> str:
+    rows = [{**record, "time_contact_solves": contact_units(record)} for record in records]
+    columns = [column for column in COLUMNS if any(row.get(column[0]) not in (None, "") for row in rows)]
+    head = ["strategy", *(column[1] for column in columns)]
+    body = [[strategy(row), *(_cell(row.get(name), form) for name, _, form in columns)] for row in rows]
+    failed = [not record["success"] and record["status"] != "refused" for record in records]
+    return _table(head, body, texts=2, failed=failed)
+
+
+def _cell(value: Any, form: str) -> str:
+    if value is None or value == "":
+        return MISSING
+    return str(value) if form == "s" or isinstance(value, str) else format(value, form)
+
+
+def _failures(records: Sequence[Record]) -> str:
+    failed = [record for record in records if not record["success"] and record["status"] != "refused"]
+    rows = [
+        [strategy(r), str(r["example"]), str(r["n"]), str(r["status"]), str(r.get("message") or "")]
+        for r in failed
+    ]
+    return _table(["strategy", "problem", "size", "status", "message"], rows, texts=5) if rows else ""
+
+
+def _notes(records: Sequence[Record]) -> str:
+    found = list(LEGEND) if is_study(records) else notes(records)
+    return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in found) + "</ul>"
+
+
+def _environment(folder: Path, records: Sequence[Record]) -> str:
+    parts, seen = [], set()
+    for path in sorted((folder / ROWS).glob("environment-*.json")):
+        try:
+            entries = {str(k): _flat(v) for k, v in json.loads(path.read_text()).items()}
+        except (OSError, ValueError, AttributeError) as error:
+            raise BadInputError(f"cannot read {path}: {error}") from error
+        text = _list(entries)
+        if text not in seen:
+            seen.add(text)
+            parts.append(text)
+    if not parts:
+        versions = {_flat(record["versions"]) for record in records if record["versions"]}
+        parts = [_list({"versions": version}) for version in sorted(versions)]
+    shared = sum(bool(record.get("shared")) for record in records)
+    if shared:
+        parts.append(
+            f'<p class="note">{shared} of {len(records)} solves shared their core with something.</p>'
+        )
+    return "".join(parts)
+
+
+def _flat(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {v}" for k, v in value.items())
+    return str(value)
+
+
+def _resource(name: str) -> str:
+    return files("rmesh_nlp.report").joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,143 @@
+"""The page of a folder: self-contained, with everything in it, operated in a real browser."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from html import unescape
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from support.reporting import failed_61, fixed_61, joint_61
+
+from rmesh_nlp.campaign.cases import make_cases
+from rmesh_nlp.campaign.run import run
+from rmesh_nlp.cli import app as cli
+from rmesh_nlp.io.results import Results, read_results, to_json
+from rmesh_nlp.report.html_page import page, write_report
+from rmesh_nlp.report.study_summary import charts, summary_rows
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("compared")
+    list(run(make_cases(["6.1"], ["fixed", "joint", "nested"], n=4), Results(path)))
+    write_report(path, read_results(path), "Which one?", "A <study>")
+    return path
+
+
+class _Resources(HTMLParser):
+    """What a page would load from elsewhere."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.found += [
+            f"{tag} {n}={v}" for n, v in attributes if n in ("src", "href") and not (v or "").startswith("#")
+        ]
+
+
+def test_the_page_loads_nothing_and_has_all_parts(folder: Path) -> None:
+    text = (folder / "report.html").read_text()
+    resources = _Resources()
+    resources.feed(text)
+    assert resources.found == []
+    assert "url(" not in text
+    assert "A &lt;study&gt;" in text
+    for section in (
+        "set-up",
+        "summary",
+        "profiles",
+        "convergence",
+        "meshes",
+        "solves",
+        "notes",
+        "environment",
+    ):
+        assert f'<section id="{section}">' in text
+    assert text.count("<svg") >= 8
+
+
+def test_hostile_text_stays_text(tmp_path: Path) -> None:
+    evil = "</script><script>alert(1)</script>"
+    row = failed_61(message=evil, example=evil, key="x")
+    (tmp_path / "records.jsonl").write_text(to_json(row) + "\n")
+    text = page(tmp_path, read_results(tmp_path), evil, evil)
+    assert "<script>alert" not in text
+
+
+def test_a_failure_is_a_failure_in_table_and_profiles() -> None:
+    rows = [fixed_61(), joint_61(strategy="a"), failed_61(strategy="a", example="other")]
+    rows += [joint_61(strategy="b"), joint_61(strategy="b", example="other")]
+    _, table = summary_rows(rows)
+    assert [row[1:4] for row in table if row[1] == "a"] == [["a", "1", "1"], ["a", "1", "0"]]
+    results = [Results(Path("nowhere")).result(row) for row in rows]
+    for chart in charts(results):
+        assert chart.profiles["a"](1e9) == 0.5, chart.name
+        assert chart.profiles["b"](1e9) == 1.0, chart.name
+
+
+def test_the_command_says_where_the_page_is(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["report", str(folder)]) == 0
+    assert capsys.readouterr().out == f"wrote {folder / 'report.html'}\n"
+    assert cli.run(["report", str(folder / "nowhere")]) == 2
+
+
+WATCH = "<script>window.wrong = []; addEventListener('error', (e) => window.wrong.push(e.message));</script>"
+OPERATE = """<script>
+const verdict = { wrong: window.wrong };
+const table = document.querySelector("#solves table"), heads = [...table.querySelectorAll("th")];
+const column = heads.findIndex((head) => head.textContent === "J final, audited");
+heads[column].click();
+verdict.sorted = [...table.tBodies[0].rows].map((row) => parseFloat(row.cells[column].textContent));
+const canvas = document.querySelector("canvas"), slider = document.querySelector("#slider");
+const after = canvas.toDataURL();
+slider.value = 0; slider.dispatchEvent(new Event("input"));
+verdict.moved = canvas.toDataURL() !== after;
+verdict.shown = document.querySelector("#shown").textContent;
+const box = canvas.getBoundingClientRect();
+for (let part = 0; part < 1 && !(verdict.hover || "").startsWith("node"); part += 0.02) {
+  const where = { clientX: box.left + part * box.width, clientY: box.top + 0.5 * box.height };
+  canvas.dispatchEvent(new PointerEvent("pointermove", where));
+  verdict.hover = document.querySelector(".hover").textContent;
+}
+verdict.empty = [...document.querySelectorAll("svg.chart")].filter(
+  (chart) => ![...chart.querySelectorAll("path.curve")].some((path) => path.getTotalLength() > 40)).length;
+verdict.charts = document.querySelectorAll("svg.chart").length;
+verdict.overflow = document.documentElement.scrollWidth - document.documentElement.clientWidth;
+const out = document.createElement("pre"); out.id = "verdict"; out.textContent = JSON.stringify(verdict);
+document.body.append(out);
+</script>"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("window", ["1200,900", "390,844"])
+def test_the_page_works_in_a_browser(folder: Path, tmp_path: Path, window: str) -> None:
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")
+    text = (folder / "report.html").read_text()
+    operated = tmp_path / "operated.html"
+    operated.write_text(text.replace("<head>", f"<head>{WATCH}").replace("</body>", f"{OPERATE}</body>"))
+    command = [browser, "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={window}"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", operated.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    found = re.search(r'<pre id="verdict">(.*?)</pre>', done.stdout, re.S)
+    assert found is not None, done.stderr[-2000:]
+    verdict = json.loads(unescape(found[1]))
+    assert verdict["wrong"] == []
+    assert verdict["sorted"] == sorted(verdict["sorted"])
+    assert len(verdict["sorted"]) == 3
+    assert verdict["moved"]
+    assert verdict["shown"] == "given mesh"
+    assert verdict["hover"].startswith("node ")
+    assert verdict["charts"] >= 8
+    assert verdict["empty"] == 0
+    assert verdict["overflow"] <= 0
