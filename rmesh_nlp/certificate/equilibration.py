@@ -221,7 +221,7 @@ def improved(
         step.max_products = products
         s, _ = step.solve(lower - y, upper - y, FORCING)
         y = np.clip(y + s, lower, upper)
-    return dual.displacement(y), (y[: pressure.size], y[pressure.size :])
+    return dual.refined(y), (y[: pressure.size], y[pressure.size :])
 
 
 def assembled(numbers: Numbers, S: Array, size: int) -> sp.csc_array:

@@ -83,13 +83,19 @@ class DualEnergy:
         self._load = system.load
         at_rest = np.zeros(system.slip_bound.size) if slip is None or not frictional else slip
         self._gap = np.concatenate([system.offset, at_rest])
-        self._factor = factorised(system.stiffness)
+        self._stiffness, self._factor = system.stiffness, factorised(system.stiffness)
         compliance = 1 / system.stiffness.diagonal()
         self._diagonal = self._rows.multiply(self._rows) @ compliance + 1e-3 * np.max(compliance)
 
     def displacement(self, y: Array) -> Array:
         """Displacement under the load and the contact forces."""
         return np.asarray(self._factor.solve(self._load + self._columns @ y))
+
+    def refined(self, y: Array) -> Array:
+        """The same with a step of iterative refinement."""
+        load = self._load + self._columns @ y
+        u = np.asarray(self._factor.solve(load))
+        return np.asarray(u + self._factor.solve(load - self._stiffness @ u))
 
     def evaluate(self, y: Array) -> Evaluation:
         """The dual function, gap and slip as its gradient."""

@@ -1,0 +1,279 @@
+"""Whether the bounds hold, how close they are, and what they cost.
+
+    OPENBLAS_NUM_THREADS=1 python scripts/benchmark_certificate.py --parts exact random cost degradation peers
+    OPENBLAS_NUM_THREADS=1 python scripts/benchmark_certificate.py --parts large
+
+exact        Example 6.1, whose least energy is known, before and after relocation.
+random       Problems and meshes of random kind, distorted, graded to elements of 1:100, turned, with friction
+             and several materials. The least energy is taken from a grid of 16 times as many elements with
+             its own bracket. A violation is a lower bound above an upper bound of the fine grid, or an upper
+             one below a lower one. Ratios are computed over true gap, the true one by the middle of the fine
+             bracket, where that is known to a tenth. Every so many problems are relocated first.
+cost         Process time of a bracket over that of a contact solve with its assembly, medians of three.
+degradation  Nearly incompressible bodies and thin elements.
+peers        The least energy by extrapolation of energies from three grids, beside the bracket.
+large        One elastic problem of 51,200 triangles: seconds and memory.
+
+Ends with code 1 if a bound is violated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from skfem import MeshTri
+
+import formulations.fixed
+import formulations.joint
+from rmesh_nlp.certificate import certify
+from rmesh_nlp.certificate.bracket import Bracket, bracket
+from rmesh_nlp.certificate.certify import contact_solution
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.paper import EXACT_ENERGY_61
+from rmesh_nlp.examples.random_problems import STILL, Frame, random_problem
+from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Obstacle, PlaneStrain, Traction
+
+KINDS = ("scalar", "membrane", "elastic", "rough")
+FINER = 2
+"""Uniform refinements to the grid that says where the least energy is."""
+
+
+def bracket_of(problem: ContactProblem) -> Bracket:
+    """The bracket by the contact solution on the mesh of a problem."""
+    nodes = problem.mesh.p
+    return bracket(problem, nodes, contact_solution(ContactModel(problem), nodes))
+
+
+def graded(mesh: MeshTri, power: float) -> MeshTri:
+    """A mesh of height 1 with its rows drawn towards the bottom."""
+    p = mesh.p.copy()
+    p[1] = np.sign(p[1]) * np.abs(p[1]) ** power
+    return replace(mesh, doflocs=p)
+
+
+def problem_of(seed: int, kind: str) -> ContactProblem:
+    """A random problem on a distorted, graded and turned mesh, over a straight foundation."""
+    rng = np.random.default_rng(10_000 + seed)
+    angle = rng.uniform(0, 2 * np.pi)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    frame = Frame(turn, rng.uniform(-1, 1, 2)) if kind in KINDS[2:] and seed % 2 else STILL
+    problem = random_problem(seed, frame, kind)
+    back = frame.turn.T @ (problem.mesh.p - frame.shift[:, None])
+    power = rng.choice([1.0, 2.0, 4.0])
+    mesh = replace(problem.mesh, doflocs=back)
+    if mesh.subdomains is None:
+        mesh = graded(mesh, power)
+    mesh = replace(mesh, doflocs=frame.turn @ mesh.p + frame.shift[:, None])
+    if np.min(signed_areas(mesh.p, problem.triangles)) <= 0:
+        mesh = problem.mesh
+    if kind in KINDS[2:]:
+        a, b = rng.uniform(0.0, 0.01), rng.uniform(-0.002, 0.002)
+        old = problem.obstacle
+        assert isinstance(old, Obstacle)
+        gap = frame.scalar(lambda x, y: y + a + b * x)
+        problem = replace(problem, obstacle=Obstacle(old.boundary, old.normal, gap, old.friction))
+    return replace(problem, mesh=mesh)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A bracket beside that of a finer grid."""
+
+    violated: bool
+    ratio: float | None
+
+
+def compared(rough: Bracket, fine: Bracket) -> Comparison:
+    """Whether two brackets of one problem overlap, and the gap of the first over the true one."""
+    violated = (rough.guaranteed_lower and fine.guaranteed_upper and rough.lower > fine.upper) or (
+        rough.guaranteed_upper and fine.guaranteed_lower and rough.upper < fine.lower
+    )
+    least, known = max(rough.lower, fine.lower), min(rough.upper, fine.upper)
+    true = rough.upper - (least + known) / 2
+    ratio = (rough.upper - rough.lower) / true if known - least <= 0.2 * true else None
+    return Comparison(bool(violated), ratio)
+
+
+def random_part(seeds: Sequence[int], relocate_every: int) -> int:
+    """Random problems of each kind; returns the number of violations."""
+    print(
+        "\nkind              problems  violated  guaranteed lower, upper  residual  ratio: median, 90 %, worst"
+    )
+    violations = 0
+    for kind in KINDS:
+        for moved in (False, True):
+            rows, brackets = [], []
+            for seed in seeds:
+                if moved and seed % relocate_every:
+                    continue
+                problem = problem_of(seed, kind)
+                if moved:
+                    solution = formulations.joint.solve(problem)
+                    if not solution.success:
+                        continue
+                    problem = replace(problem, mesh=solution.mesh)
+                rough = bracket_of(problem)
+                fine = bracket_of(replace(problem, mesh=problem.mesh.refined(FINER)))
+                rows.append(compared(rough, fine))
+                brackets.append(rough)
+            violations += report(f"{kind}{', relocated' if moved else ''}", rows, brackets)
+    return violations
+
+
+def report(name: str, rows: Sequence[Comparison], brackets: Sequence[Bracket]) -> int:
+    """One line of the table of random problems."""
+    wrong = sum(row.violated for row in rows)
+    ratios = [row.ratio for row in rows if row.ratio is not None]
+    sides = [sum(getattr(one, f"guaranteed_{side}") for one in brackets) for side in ("lower", "upper")]
+    figures = ""
+    if ratios:
+        figures = (
+            f"{np.median(ratios):.2f}, {np.quantile(ratios, 0.9):.2f}, {max(ratios):.2f} ({len(ratios)})"
+        )
+    worst = max((one.residual for one in brackets), default=0.0)
+    print(f"{name:20s} {len(rows):5d} {wrong:5d}  {sides[0]:5d}, {sides[1]:5d}  {worst:.0e}   {figures}")
+    return wrong
+
+
+def exact_part(sizes: Sequence[int]) -> int:
+    """Example 6.1 against its exact least energy; returns the number of violations."""
+    print(f"\nExample 6.1, exact least energy {EXACT_ENERGY_61:.10f}")
+    print("   n  strategy        lower        upper  computed/true  error at most [%]")
+    violations = 0
+    for n in sizes:
+        problem = EXAMPLES["6.1"](n)
+        for strategy in (formulations.fixed, formulations.joint):
+            found = certify(strategy.solve(problem))
+            inside = found.lower <= EXACT_ENERGY_61 <= found.upper
+            violations += not (inside and found.guaranteed_lower and found.guaranteed_upper)
+            ratio = (found.upper - found.lower) / (found.upper - EXACT_ENERGY_61)
+            name = strategy.__name__.split(".")[-1]
+            print(
+                f"{n:4d}  {name:8s} {found.lower:12.7f} {found.upper:12.7f} {ratio:10.2f}"
+                f" {100 * found.relative:12.1f}{'' if inside else '  VIOLATED'}"
+            )
+    return violations
+
+
+def cost_part() -> None:
+    """Process time of a bracket over that of a contact solve with assembly."""
+    print("\nproblem            nodes   contact solve [s]   bracket [s]   in contact solves")
+    for name, n in (("6.1", 32), ("6.1", 64), ("6.1", 128), ("6.3", (48, 24)), ("6.3", (96, 48))):
+        problem = EXAMPLES[name](n)
+        model, nodes = ContactModel(problem), problem.mesh.p
+        guess = contact_solution(model, nodes)
+        solve = seconds(lambda m=model, x=nodes: m.solve(x))
+        whole = seconds(lambda p=problem, x=nodes, g=guess: bracket(p, x, g))
+        print(f"{name} {n!s:10s} {nodes.shape[1]:8d} {solve:15.3f} {whole:15.3f} {whole / solve:15.1f}")
+
+
+def seconds(run: Callable[[], object], repeat: int = 3) -> float:
+    """Median process time of some calls."""
+    taken = []
+    for _ in range(repeat):
+        began = time.process_time()
+        run()
+        taken.append(time.process_time() - began)
+    return statistics.median(taken)
+
+
+def block(poisson: float, mesh: MeshTri) -> ContactProblem:
+    """A block held on its left, pressed down on a rigid plane with friction."""
+    return ContactProblem(
+        mesh,
+        PlaneStrain.from_young(100.0, poisson, (0.0, -2.0)),
+        (Dirichlet("left", (0.0, 0.0)),),
+        Obstacle("bottom", (0.0, 1.0), friction=0.2),
+        tractions=(Traction("top", (0.0, -1.0)),),
+    )
+
+
+def degradation_part() -> None:
+    """How the bounds degrade near incompressibility and on thin elements."""
+    print("\nPoisson's ratio   error at most [%]   computed/true   residual")
+    for poisson in (0.3, 0.45, 0.49, 0.499, 0.4999, 0.49999):
+        degradation_row(f"{poisson:<12g}", block(poisson, rectangle(8, 4, x=(0, 2))))
+    print("\naspect of elements  error at most [%]   computed/true   residual")
+    for aspect in (1, 4, 16, 64, 256):
+        degradation_row(f"1:{aspect:<10d}", block(0.3, rectangle(4, 2 * aspect, x=(0, 2))))
+
+
+def degradation_row(name: str, problem: ContactProblem) -> None:
+    """One line of these tables."""
+    rough = bracket_of(problem)
+    if problem.mesh.t.shape[1] > 1200:
+        ratio = "-"
+    else:
+        found = compared(rough, bracket_of(replace(problem, mesh=problem.mesh.refined(FINER)))).ratio
+        ratio = "-" if found is None else f"{found:.2f}"
+    error = 100 * np.sqrt(2 * (rough.upper - rough.lower)) / rough.norm
+    print(f"{name} {error:15.2f} {ratio:>17s} {rough.residual:15.0e}  {'; '.join(rough.why)}")
+
+
+def peers_part() -> None:
+    """Aitken's extrapolation of the energy from three grids, beside the bracket of the finest."""
+    print("\nproblem   extrapolated     bracket of the finest of the three grids      inside")
+    for name, sizes in (
+        ("6.1", (8, 16, 32)),
+        ("6.2", ((12, 6), (24, 12), (48, 18))),
+        ("6.3", ((12, 6), (24, 12), (48, 24))),
+    ):
+        found = [bracket_of(EXAMPLES[name](n)) for n in sizes]
+        a, b, c = (one.upper for one in found)
+        guess = c - (c - b) ** 2 / ((c - b) - (b - a))
+        inside = found[-1].lower <= guess <= found[-1].upper
+        print(f"{name:9s} {guess:12.7f}   [{found[-1].lower:.7f}, {found[-1].upper:.7f}]   {inside}")
+
+
+def large_part() -> None:
+    """One elastic problem of 51,200 triangles."""
+    problem = EXAMPLES["6.3"]((320, 80))
+    model = ContactModel(problem)
+    guess = contact_solution(model, problem.mesh.p)
+    taken = seconds(lambda: bracket(problem, problem.mesh.p, guess), repeat=1)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    print(f"\n{problem.mesh.t.shape[1]} triangles: {taken:.1f} s, {memory:.2f} GB at most")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the parts asked for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parts = ("exact", "random", "cost", "degradation", "peers", "large")
+    parser.add_argument("--parts", nargs="+", choices=parts, default=parts[:-1])
+    parser.add_argument("--seeds", type=int, default=250, help="random problems of each of the four kinds")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--relocate-every", type=int, default=10)
+    parser.add_argument("--n", type=int, nargs="+", default=[4, 8, 16, 32], help="grids of Example 6.1")
+    options = parser.parse_args(arguments)
+    seeds = range(options.first, options.first + options.seeds)
+    violations = 0
+    if "exact" in options.parts:
+        violations += exact_part(options.n)
+    if "random" in options.parts:
+        violations += random_part(seeds, options.relocate_every)
+    if "cost" in options.parts:
+        cost_part()
+    if "degradation" in options.parts:
+        degradation_part()
+    if "peers" in options.parts:
+        peers_part()
+    if "large" in options.parts:
+        large_part()
+    print(f"\nviolations: {violations}")
+    return int(violations > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
