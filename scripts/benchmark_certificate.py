@@ -106,9 +106,7 @@ def compared(rough: Bracket, fine: Bracket) -> Comparison:
 
 def random_part(seeds: Sequence[int], relocate_every: int) -> int:
     """Random problems of each kind; returns the number of violations."""
-    print(
-        "\nkind              problems  violated  guaranteed lower, upper  residual  ratio: median, 90 %, worst"
-    )
+    print("\nkind              problems  violated  guaranteed l., u.  residual  ratio: median, 90 %, worst")
     violations = 0
     for kind in KINDS:
         for moved in (False, True):

@@ -48,9 +48,7 @@ class EquilibratedField:
     residual : float
         Largest violation of equilibrium inside elements, relative to the largest force.
     load_remainder : (elements,) array
-        L2 norm of the load less what the field balances.
-    load_work : (elements,) array
-        Work of that remainder on the computed displacement.
+        L2 norm of the load less what the field balances, its best linear approximation.
     load_doubt : float
         What quadrature of the load may have changed in the energy.
     gradient_by_energy : (elements,) array
@@ -67,7 +65,6 @@ class EquilibratedField:
     balance: Balance
     residual: float
     load_remainder: Array
-    load_work: Array
     load_doubt: float
     gradient_by_energy: Array
     obstacle_work: Array

@@ -1,9 +1,11 @@
 """Equilibrated stresses of plane elasticity: the composite element of Johnson and Mercier [1]_.
 
 A triangle is cut at its barycentre into three. The stress is symmetric and linear on each of
-them and its tractions are continuous inside: 15 degrees of freedom. Linear tractions on the
-three edges (12 values) and the divergence (constant on each third) determine it uniquely, if
-these are in equilibrium.
+them and its tractions are continuous inside: 15 degrees of freedom, nine of them without
+divergence. Linear tractions on the three edges (12 values, in equilibrium) determine these nine.
+
+A body force that is linear on the triangle is balanced by six more stresses, quadratic on each third,
+again with linear tractions on the edges. So only what a body force has beyond its linear part is left out.
 
 The element is affine equivalent: with the Jacobian F of the map from the reference triangle
 and J = det F, ``sigma = F sigma_ref F^T / J`` has ``div sigma = F div sigma_ref / J``, and the force
@@ -23,15 +25,50 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 
 from rmesh_nlp.certificate.skeleton import AFTER, Skeleton
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.energy import triangle_rule
 
 CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 """Vertices (2, 3) of the reference triangle."""
 
-MASS = (np.ones((3, 3)) + np.eye(3)) / 12
-"""Integrals of products of barycentric coordinates over a triangle of area 1."""
+FREE = 9
+"""Functions without divergence."""
+
+MIDDLE = ((0, 1), (1, 2), (2, 0))
+"""Vertices beside the midpoints, which are the nodes 3, 4, 5 of a quadratic function."""
+
+
+def quadratic(barycentric: Array) -> Array:
+    """(6, points) quadratic Lagrange functions at points given by barycentric coordinates (3, points)."""
+    b = barycentric
+    return np.stack([*(b[i] * (2 * b[i] - 1) for i in range(3)), *(4 * b[i] * b[j] for i, j in MIDDLE)])
+
+
+def _quadratic_mass() -> Array:
+    barycentric, weights = triangle_rule(4)
+    values = quadratic(barycentric)
+    return np.asarray((values * weights) @ values.T)
+
+
+def _slopes_at_vertices() -> Array:
+    """(3 vertices, 6 nodes, 3) derivatives of quadratic functions by the barycentric coordinates."""
+    result = np.zeros((3, 6, 3))
+    for vertex in range(3):
+        b = np.eye(3)[vertex]
+        for i in range(3):
+            result[vertex, i, i] = 4 * b[i] - 1
+        for node, (i, j) in enumerate(MIDDLE, 3):
+            result[vertex, node, i], result[vertex, node, j] = 4 * b[j], 4 * b[i]
+    return result
+
+
+MASS = _quadratic_mass()
+"""Integrals of products of quadratic functions over a triangle of area 1."""
+
+SLOPES = _slopes_at_vertices()
 
 
 def thirds(corners: Array) -> Array:
@@ -48,17 +85,54 @@ def gradients(corners: Array) -> Array:
     return np.asarray(np.stack([-along[1], along[0]]) / double)
 
 
+def divergence(stress: Array, corners: Array) -> Array:
+    """(2, 3 vertices, 3 thirds, ...) divergence of stresses (3 thirds, 6 nodes, 3 values, ...).
+
+    ``corners`` are those of the thirds, see :func:`thirds`.
+    """
+    slope = np.einsum("vnb,cbi...->cvni...", SLOPES, gradients(corners), optimize=True)
+    xx, yy, xy = np.moveaxis(stress, 2, 0)
+    by_x, by_y = (
+        [np.einsum("vni...,in...->vi...", slope[c], part) for part in (xx, yy, xy)] for c in range(2)
+    )
+    return np.stack([by_x[0] + by_y[2], by_x[2] + by_y[1]])
+
+
+def traction(stress: Array, normal: Array) -> Array:
+    """(2, ...) products of symmetric matrices (3, ...), stored as xx, yy, xy, and vectors (2, ...)."""
+    xx, yy, xy = stress
+    return np.stack([xx * normal[0] + xy * normal[1], xy * normal[0] + yy * normal[1]])
+
+
+def jumps(stress: Array, corners: Array) -> list[Array]:
+    """Jumps of the tractions between the thirds, and their deviations from linear ones on the edges.
+
+    Takes stresses (3 thirds, 6 nodes, 3 values, ...) and the corners (2, 3, ...) of the triangles.
+    """
+    found, centre = [], corners.mean(axis=1)
+    for i, (j, k) in enumerate(AFTER):
+        along = centre - corners[:, i]
+        across = np.stack([along[1], -along[0]])
+        # vertex i is the second corner of third j and the first one of third k
+        for one, two in ((1, 0), (2, 2), (4, 5)):
+            found.append(traction(stress[j, one] - stress[k, two], across))
+        edge = corners[:, k] - corners[:, j]
+        bend = stress[i, 3] - (stress[i, 0] + stress[i, 1]) / 2
+        found.append(traction(bend, np.stack([edge[1], -edge[0]])))
+    return found
+
+
 @dataclass(frozen=True)
 class Reference:
     """Basis of the element on the reference triangle.
 
-    A stress is stored by its values (xx, yy, xy) at the three vertices of the three thirds. The
-    first nine functions have no divergence, the other six have a unit divergence in one component
-    on one third.
+    A stress is stored by its values (xx, yy, xy) at the six nodes of quadratic functions on the three
+    thirds. The first nine functions have no divergence; of the other six, the one of vertex i and
+    component c has the divergence phi_i in this component.
 
     Attributes
     ----------
-    basis : (3 thirds, 3 vertices, 3 values, 15) array
+    basis : (3 thirds, 6 nodes, 3 values, 15) array
     products : (9, 225) array
         Integrals of products of two basis functions, value by value.
     forces : (3 edges, 2 ends, 2 components, 15) array
@@ -73,53 +147,37 @@ class Reference:
 @lru_cache(maxsize=1)
 def reference() -> Reference:
     """The element on the reference triangle."""
-    parts = thirds(CORNERS)
-    divergence = np.stack([_divergence(parts[:, :, i], i) for i in range(3)]).reshape(6, 27)
-    conditions = np.vstack([divergence, _jumps()])
-    free = scipy.linalg.null_space(conditions)
-    unit = np.linalg.pinv(conditions)[:, :6]
-    basis = np.hstack([free, unit]).reshape(3, 3, 3, 15)
-    products = np.einsum("ilak,lm,imbn->abkn", basis, MASS / 6, basis).reshape(9, 225)
+    parts = thirds(CORNERS)[..., None]
+    corners = CORNERS[..., None]
+
+    def conditions(stress: Array) -> Array:
+        inside = divergence(stress, parts).reshape(18, -1)
+        return np.vstack([inside, *jumps(stress, corners)])
+
+    nodes = quadratic_nodes()
+    linear = np.einsum("nv,ia,cd->incvad", nodes, np.eye(3), np.eye(3)).reshape(3, 6, 3, 27)
+    free = linear @ scipy.linalg.null_space(conditions(linear))
+    every = np.eye(54).reshape(3, 6, 3, 54)
+    wanted = np.zeros((2, 3, 3, 3, 2))  # component, vertex of the third, third; vertex, component
+    for third, (j, k) in enumerate(AFTER):
+        values = np.stack([np.eye(3)[j], np.eye(3)[k], np.full(3, 1 / 3)])  # of phi_i at its vertices
+        for component in range(2):
+            wanted[component, :, third, :, component] = values
+    right = np.vstack([wanted.reshape(18, 6), np.zeros((24, 6))])
+    loaded = every @ (np.linalg.pinv(conditions(every)) @ right)
+    basis = np.concatenate([free, loaded], axis=3)
+    products = np.einsum("ilak,lm,imbn->abkn", basis, MASS / 6, basis, optimize=True).reshape(9, 225)
     along = CORNERS[:, AFTER[:, 1]] - CORNERS[:, AFTER[:, 0]]
     normals = np.stack([along[1], -along[0]])
-    forces = np.stack([_times(basis[i, :2], normals[:, i]) for i in range(3)])
+    forces = np.stack(
+        [np.stack([traction(basis[i, end], normals[:, i]) for end in range(2)]) for i in range(3)]
+    )
     return Reference(basis, products, forces)
 
 
-def _times(stress: Array, normal: Array) -> Array:
-    """(ends, 2, ...) products of symmetric matrices (ends, 3, ...) and a vector."""
-    xx, yy, xy = stress[:, 0], stress[:, 1], stress[:, 2]
-    return np.stack([xx * normal[0] + xy * normal[1], xy * normal[0] + yy * normal[1]], axis=1)
-
-
-def _divergence(corners: Array, third: int) -> Array:
-    """(2, 3 thirds, 3 vertices, 3 values) coefficients of the divergence on one third."""
-    result = np.zeros((2, 3, 3, 3))
-    slope = gradients(corners)
-    result[0, third, :, 0], result[0, third, :, 2] = slope[0], slope[1]
-    result[1, third, :, 2], result[1, third, :, 1] = slope[0], slope[1]
-    return result
-
-
-def _jumps() -> Array:
-    """(12, 27) jumps of the traction at both ends of the three edges inside the triangle."""
-    centre, rows = CORNERS.mean(axis=1), []
-    for vertex in range(3):
-        along = centre - CORNERS[:, vertex]
-        normal = np.array([along[1], -along[0]])
-        one, two = (vertex + 1) % 3, (vertex + 2) % 3  # the thirds that have this vertex
-        for places in ((_local(one, vertex), _local(two, vertex)), (2, 2)):
-            for component in range(2):
-                row = np.zeros((3, 3, 3))
-                for third, place, sign in zip((one, two), places, (1, -1), strict=True):
-                    row[third, place, component] += sign * normal[component]
-                    row[third, place, 2] += sign * normal[1 - component]
-                rows.append(row.ravel())
-    return np.array(rows)
-
-
-def _local(third: int, vertex: int) -> int:
-    return int(np.flatnonzero(AFTER[third] == vertex)[0])
+def quadratic_nodes() -> NDArray[np.float64]:
+    """(6, 3) barycentric coordinates of the nodes of quadratic functions."""
+    return np.vstack([np.eye(3), *((np.eye(3)[i] + np.eye(3)[j]) / 2 for i, j in MIDDLE)])
 
 
 @dataclass(frozen=True)
@@ -135,8 +193,8 @@ class JohnsonMercier:
     skeleton : Skeleton
     lame_lambda, lame_mu : (elements,) arrays
         Lambda as in the in-plane stress.
-    load : (2, 3 thirds, elements) array
-        Body force on each third.
+    load : (2, 3, elements) array
+        Body force at the vertices of each element, linear in between.
     """
 
     skeleton: Skeleton
@@ -188,42 +246,44 @@ class JohnsonMercier:
         return np.ascontiguousarray(wanted.transpose(0, 2, 1)).reshape(-1, 6)
 
     @cached_property
-    def _response(self) -> tuple[Array, Array]:
-        """Coefficients of the free functions: (elements, 9, 12) by forces, (elements, 9) by the load."""
+    def _roots(self) -> tuple[Array, Array, Array]:
+        """Cholesky factors L of the compliance of the free functions, L^-1 by forces, and L^-1 by the load.
+
+        With L instead of an inverse, thin triangles cost half as many digits.
+        """
         A, forces = self.compliance, reference().forces.reshape(12, 15)
-        by_load = np.einsum("eij,ej->ei", A[:, :9, 9:], self._divergent)
+        by_load = np.einsum("eij,ej->ei", A[:, :FREE, FREE:], self._divergent)
         right = np.concatenate(
-            [np.broadcast_to(forces[:, :9].T, (len(A), 9, 12)), by_load[:, :, None]], axis=2
+            [np.broadcast_to(forces[:, :FREE].T, (len(A), FREE, 12)), by_load[:, :, None]], axis=2
         )
-        solved = np.linalg.solve(A[:, :9, :9], right)
-        return solved[:, :, :12], -solved[:, :, 12]
+        root = np.linalg.cholesky(A[:, :FREE, :FREE])
+        solved = np.linalg.solve(root, right)
+        return np.asarray(root, dtype=float), solved[:, :, :12], -solved[:, :, 12]
 
     @cached_property
     def stiffness(self) -> Array:
         """(elements, 12, 12): forces through the edges by the traces."""
-        forces = reference().forces.reshape(12, 15)[:, :9]
-        S = (forces @ self._response[0]).reshape(-1, 6, 2, 6, 2)
-        F = self.jacobian
-        half = np.einsum("eab,eibjd->eiajd", F, S, optimize=True)
-        return np.asarray(np.einsum("eiajd,ecd->eiajc", half, F, optimize=True)).reshape(-1, 12, 12)
+        by_force = self._roots[1].reshape(-1, FREE, 6, 2)
+        half = np.einsum("eab,ekib->ekia", self.jacobian, by_force, optimize=True).reshape(-1, FREE, 12)
+        return np.asarray(half.transpose(0, 2, 1) @ half)
 
     @cached_property
     def source(self) -> Array:
         """(elements, 12): less the forces through the edges at vanishing traces."""
-        coefficients = np.hstack([self._response[1], self._divergent])
-        return -self.forces(coefficients)
+        return -self.forces(self.coefficients(np.zeros((self.determinant.size, 12))))
 
     def coefficients(self, traces: Array) -> Array:
         """(elements, 15) coefficients of the stress for traces (elements, 12)."""
-        by_force, by_load = self._response
+        root, by_force, by_load = self._roots
         pulled = np.einsum("eba,eib->eia", self.jacobian, traces.reshape(-1, 6, 2)).reshape(-1, 12)
-        free = np.einsum("eij,ej->ei", by_force, pulled) + by_load
+        scaled = np.einsum("eij,ej->ei", by_force, pulled) + by_load
+        free = np.linalg.solve(root.transpose(0, 2, 1), scaled[:, :, None])[:, :, 0]
         return np.hstack([free, self._divergent])
 
     def stress(self, coefficients: Array) -> Array:
-        """(3 thirds, 3 vertices, 3 values, elements) stresses."""
-        flat = reference().basis.reshape(27, 15) @ coefficients.T
-        xx, yy, xy = np.moveaxis(flat.reshape(3, 3, 3, -1), 2, 0)
+        """(3 thirds, 6 nodes, 3 values, elements) stresses."""
+        flat = reference().basis.reshape(54, 15) @ coefficients.T
+        xx, yy, xy = np.moveaxis(flat.reshape(3, 6, 3, -1), 2, 0)
         (a, b), (c, d) = self.jacobian.transpose(1, 2, 0)
         J = self.determinant
         return np.stack(

@@ -78,7 +78,6 @@ def equilibrated_flux(
         balance=found,
         residual=float(np.max(out)) / scale,
         load_remainder=np.sqrt(area * np.where(load.constant, 0.0, beyond)),
-        load_work=np.zeros(area.size),  # a linear displacement does not feel what is left
         load_doubt=doubtful_work(load.doubt, u, skeleton),
         gradient_by_energy=1 / np.sqrt(conductivity),
         obstacle_work=-reaction * obstacle,
