@@ -114,6 +114,11 @@ def _problem_commands() -> ModuleType:
     return importlib.import_module("rmesh_nlp.cli.problem_commands")
 
 
+def _path_command() -> ModuleType:
+    """The same for load paths."""
+    return importlib.import_module("rmesh_nlp.cli.path_command")
+
+
 def _study_commands() -> ModuleType:
     """The same for studies."""
     return importlib.import_module("rmesh_nlp.cli.study_commands")
@@ -232,6 +237,29 @@ def solve(
         raise typer.Exit(commands.solve(Path(example), formulation, chosen, out, certify, voice, columns))
     chosen = {**settings, "certify": certify}
     raise typer.Exit(_commands().solve(example, formulation or "joint", chosen, out, voice))
+
+
+@app.command()
+def path(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file with a table [path].")],
+    formulation: Annotated[
+        str | None, typer.Option("--formulation", "-f", help="Strategy; default: that of the file.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name>-path."),
+    ] = None,
+) -> None:
+    """Move a foundation in steps and solve each: a load path.
+
+    Writes DIR/path.csv, DIR/path.png and .pdf (force and pressure over the way), and DIR/path.pvd with
+    a VTU file per step for ParaView.
+
+    \b
+    rmesh path my.toml
+    rmesh path my.toml -f nested --out pressing
+    """
+    raise typer.Exit(_path_command().path(file, formulation, out))
 
 
 @app.command()

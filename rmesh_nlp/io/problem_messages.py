@@ -19,6 +19,7 @@ from rmesh_nlp.io.problem_schema import (
     MaterialTable,
     MeshTable,
     MotionTable,
+    PathTable,
     PointLoadTable,
     ProblemTable,
     SolveTable,
@@ -110,6 +111,7 @@ _TABLES: dict[str, type[BaseModel]] = {
     "contact.circle": CircleTable,
     "point_loads": PointLoadTable,
     "units": UnitsTable,
+    "path": PathTable,
     "motion": MotionTable,
     "solve": SolveTable,
 }

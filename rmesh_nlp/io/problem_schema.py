@@ -171,6 +171,15 @@ class SolveTable(Table):
         return self
 
 
+class PathTable(Table):
+    """``[path]``: a foundation that moves in steps, for ``rmesh path``."""
+
+    move: Pair
+    steps: Count = 5
+    contact: Count = 1
+    relocate: Literal["each", "once", "never"] = "each"
+
+
 class ProblemTable(Table):
     """A whole problem file."""
 
@@ -188,6 +197,7 @@ class ProblemTable(Table):
     units: UnitsTable = UnitsTable()
     motion: MotionTable = MotionTable()
     solve: SolveTable = SolveTable()
+    path: PathTable | None = None
 
     @model_validator(mode="after")
     def _one_material(self) -> ProblemTable:

@@ -1,0 +1,112 @@
+"""What ``rmesh path`` does: a foundation that moves in steps."""
+
+from __future__ import annotations
+
+import csv
+import inspect
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from matplotlib import rc_context
+
+from rmesh_nlp.campaign import strategies
+from rmesh_nlp.cli.folders import writable
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.export import write_solution
+from rmesh_nlp.io.files import safe_name, write_text, write_whole
+from rmesh_nlp.io.problem_file import build, read_table
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.units import bracketed
+from rmesh_nlp.report.page import Page
+from rmesh_nlp.report.style import look, new_figure, save
+from rmesh_nlp.solution.load_path import PathStep, load_path
+
+SUCCESS, NO_SUCCESS = 0, 1
+
+
+def path(file: Path, formulation: str | None, out: Path | None) -> int:
+    """Solve the load path of a problem file; returns the exit code.
+
+    Writes ``path.csv``, ``path.png`` and ``.pdf``, ``path.pvd`` with a VTU file per step.
+    """
+    table = read_table(file)
+    plan = table.path
+    if plan is None:
+        raise BadInputError(f"{file}: has no table [path]: move = [dx, dy], steps = 5")
+    problem = build(table, file)
+    name = formulation or table.solve.formulation
+    solve = strategies.load(name)
+    if plan.relocate == "each" and "start" not in inspect.signature(solve).parameters:
+        raise BadInputError(f"{file}: the formulation {name!r} takes no start: choose relocate = 'once'")
+    folder = Path("results") / f"{safe_name(problem.name)}-path" if out is None else out
+    frames = [f"step-{number:03d}.vtu" for number in range(1, plan.steps + 1)]
+    files = ["path.csv", "path.png", "path.pdf", "path.pvd", *frames]
+    done: list[PathStep] = []
+    with writable(folder, files) as results:
+        results.manifest.claim(*files)
+        try:
+            steps = load_path(
+                problem,
+                plan.move,
+                plan.steps,
+                solve,
+                obstacle=plan.contact - 1,
+                relocate=plan.relocate,
+                hold=strategies.load("fixed"),
+            )
+            for step in steps:
+                done.append(step)
+                _keep(folder, step, frames)
+                row = step.row()
+                print(
+                    f"step {step.number} of {plan.steps}: {row['status']}, J = {row['energy']:.6g}, contact "
+                    f"force ({row['force_x']:.4g}, {row['force_y']:.4g}), {row['touching_nodes']} nodes touch"
+                )
+        except ValueError as error:
+            raise BadInputError(f"{file}: {' '.join(str(error).split())}") from error
+        _write(folder, problem, done, frames)
+    print(f"wrote {folder}: {', '.join(files[:4])} and {len(frames)} steps")
+    return SUCCESS if all(step.solution.success for step in done) else NO_SUCCESS
+
+
+def _keep(folder: Path, step: PathStep, frames: Sequence[str]) -> None:
+    write_whole(folder / frames[step.number - 1], lambda aside: write_solution(step.solution, aside, "vtu"))
+
+
+def _write(folder: Path, problem: ContactProblem, steps: Sequence[PathStep], frames: Sequence[str]) -> None:
+    rows = [step.row() for step in steps]
+
+    def table(aside: Path) -> None:
+        with aside.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+
+    write_whole(folder / "path.csv", table)
+    entries = [
+        f'    <DataSet timestep="{step.number}" file={quoteattr(frame)}/>'
+        for step, frame in zip(steps, frames, strict=True)
+    ]
+    head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
+    write_text(folder / "path.pvd", "\n".join([*head, *entries, "  </Collection>", "</VTKFile>", ""]))
+    _draw(folder, problem, rows)
+
+
+def _draw(folder: Path, problem: ContactProblem, rows: Sequence[dict[str, Any]]) -> None:
+    """Contact force and largest pressure over the way of the foundation."""
+    way = [float(np.hypot(row["moved_x"], row["moved_y"])) for row in rows]
+    force = [float(np.hypot(row["force_x"], row["force_y"])) for row in rows]
+    pressure = [row["largest_pressure"] for row in rows]
+    page, units = Page(2), problem.units
+    per_thickness = f"{units.force}/{units.length}" if units.force and units.length else ""
+    with rc_context(page.settings):
+        figure = new_figure(page.width, page.line_height)
+        axes = figure.subplots(1, 2)
+        labels = (f"contact force{bracketed(per_thickness)}", f"largest pressure{bracketed(units.stress)}")
+        for axis, values, label in zip(axes, (force, pressure), labels, strict=True):
+            axis.plot(way, values, color=look(1).color, marker="o", markersize=3)
+            axis.set(xlabel=f"way of the foundation{bracketed(units.length)}", ylabel=label, ylim=(0, None))
+        save(figure, folder / "path", settings=page.settings)

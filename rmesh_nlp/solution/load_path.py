@@ -1,0 +1,137 @@
+"""A load path: a foundation that moves by a prescribed amount in steps.
+
+Contact is geometrically linear and friction is that of one step (Tresca's bound on the total slip), so the
+steps do not depend on each other: the path is a sequence of problems, each started from the last mesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solution.referee import nodal_weights
+from rmesh_nlp.solution.solution import Solution
+
+Solve = Callable[..., Solution]
+
+RELOCATE = ("each", "once", "never")
+
+
+@dataclass(frozen=True)
+class PathStep:
+    """One step of a load path.
+
+    Attributes
+    ----------
+    number : int
+        From 1.
+    moved : (float, float)
+        By how much the foundation has moved.
+    solution : Solution
+    """
+
+    number: int
+    moved: tuple[float, float]
+    solution: Solution
+
+    def row(self) -> dict[str, Any]:
+        """Energies, contact force and pressure, as plain values."""
+        solution = self.solution
+        force = contact_force(solution)
+        return {
+            "step": self.number,
+            "moved_x": self.moved[0],
+            "moved_y": self.moved[1],
+            "status": solution.status.value,
+            "success": solution.success,
+            "energy_initial": solution.energy_initial,
+            "energy": solution.energy,
+            "force_x": force[0],
+            "force_y": force[1],
+            "largest_pressure": float(np.max(solution.pressure, initial=0.0)),
+            "touching_nodes": int(np.sum(solution.pressure > 0)),
+            "wall_time_s": solution.wall_time_s,
+        }
+
+
+def load_path(
+    problem: ContactProblem,
+    by: tuple[float, float],
+    steps: int,
+    solve: Solve,
+    *,
+    obstacle: int = 0,
+    relocate: str = "each",
+    hold: Solve | None = None,
+    **options: Any,
+) -> Iterator[PathStep]:
+    """Solve the steps of a path one by one.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        With the foundation where it is before the first step.
+    by : (float, float)
+        How far the foundation moves in all.
+    steps : int
+        Equal parts of ``by``.
+    solve : callable
+        A strategy that takes ``start``; it relocates nodes within the boxes of the problem's mesh.
+    obstacle : int
+        Number of the obstacle that moves, from 0.
+    relocate : str
+        "each": in every step, from the mesh of the last one. "once": for the last step, whose mesh then
+        serves all steps; ``solve`` is called once. "never": the mesh as given.
+    hold : callable, optional
+        The strategy without motion, ``fixed``; needed for "once" and "never".
+    options
+        Further options of ``solve``.
+
+    Raises
+    ------
+    ValueError
+        If there is no such obstacle, ``relocate`` is unknown, or there are no steps.
+    """
+    if relocate not in RELOCATE:
+        raise ValueError(f"relocate must be one of {', '.join(RELOCATE)}, got {relocate!r}")
+    if steps < 1:
+        raise ValueError(f"a load path needs at least one step, got {steps}")
+    if not 0 <= obstacle < len(problem.obstacles):
+        raise ValueError(f"there is no obstacle {obstacle}: the problem has {len(problem.obstacles)}")
+    if relocate != "each" and hold is None:
+        raise ValueError(f"relocate={relocate!r} needs the strategy without motion")
+    moves = [(by[0] * k / steps, by[1] * k / steps) for k in range(1, steps + 1)]
+    if relocate == "each":
+        start: Array | None = None
+        for number, moved in enumerate(moves, 1):
+            solution = solve(_with_moved(problem, obstacle, moved), start=start, **options)
+            start = np.asarray(solution.mesh.p)
+            yield PathStep(number, moved, solution)
+        return
+    if relocate == "once":
+        last = solve(_with_moved(problem, obstacle, moves[-1]), **options)
+        problem = replace(problem, mesh=last.mesh)
+    for number, moved in enumerate(moves, 1):
+        yield PathStep(number, moved, hold(_with_moved(problem, obstacle, moved)))  # type: ignore[misc]
+
+
+def contact_force(solution: Solution) -> Array:
+    """Resultant (2,) of the contact pressure on the body, friction left out; (total, 0) if scalar."""
+    problem, nodes = solution.problem, np.asarray(solution.mesh.p)
+    weights, total = nodal_weights(problem, nodes), np.zeros(2)
+    for part in problem.contact_sets:
+        normals = part.obstacle.normals(nodes[:, part.nodes])
+        force = solution.pressure[part.nodes] * weights[part.rows]
+        total[: normals.shape[0]] += normals @ force
+    return total
+
+
+def _with_moved(problem: ContactProblem, number: int, by: tuple[float, float]) -> ContactProblem:
+    obstacles = list(problem.obstacles)
+    obstacles[number] = obstacles[number].moved(by)
+    return replace(problem, obstacle=obstacles[0] if len(obstacles) == 1 else tuple(obstacles))

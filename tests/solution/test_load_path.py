@@ -1,0 +1,90 @@
+"""A foundation that moves in steps."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formulations import fixed, joint
+from rmesh_nlp.cli import app as cli
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Relative
+from rmesh_nlp.solution.load_path import contact_force, load_path
+
+LAW = PlaneStrain(1.15e4, 0.83e4)
+
+
+def block(obstacle: Obstacle) -> ContactProblem:
+    """A block on a fixed table, its sides free, pressed by a foundation from above."""
+    return ContactProblem(
+        mesh=rectangle(6, 4),
+        law=LAW,
+        dirichlet=(Dirichlet("bottom", (None, 0.0)), Dirichlet("left", (0.0, None))),
+        obstacle=obstacle,
+        motion=Motion(Relative(0.3)),
+    )
+
+
+def test_a_flat_plate_compresses_in_proportion() -> None:
+    problem = block(Obstacle.line("top", (0, 1), (0, -1)))
+    steps = list(load_path(problem, (0.0, -0.02), 4, joint.solve, relocate="never", hold=fixed.solve))
+    lam, mu = LAW.lame_lambda, LAW.lame_mu
+    modulus = 4 * mu * (lam + mu) / (lam + 2 * mu)
+    for step in steps:
+        assert step.solution.success
+        # uniform stress: the plate pushes down with modulus times strain, per unit thickness
+        np.testing.assert_allclose(
+            contact_force(step.solution), [0, modulus * step.moved[1]], rtol=1e-9, atol=1e-7
+        )
+    assert [step.row()["touching_nodes"] for step in steps] == [7] * 4
+
+
+@pytest.mark.parametrize("relocate", ["each", "once"])
+def test_relocation_gains_in_every_step(relocate: str) -> None:
+    problem = block(Obstacle.circle("top", (0.0, 3.0), 2.0))
+    path = (0.0, -0.03)
+    still = list(load_path(problem, path, 2, joint.solve, relocate="never", hold=fixed.solve))
+    moved = list(load_path(problem, path, 2, joint.solve, relocate=relocate, hold=fixed.solve))
+    assert [step.moved for step in moved] == [(0.0, -0.015), (0.0, -0.03)]
+    assert moved[-1].solution.energy < still[-1].solution.energy
+    if relocate == "each":
+        assert moved[0].solution.energy < still[0].solution.energy
+        # the second step went on from the mesh of the first: its boxes are still those of the given mesh
+        assert moved[1].solution.problem.mesh.p is problem.mesh.p or np.array_equal(
+            moved[1].solution.problem.mesh.p, problem.mesh.p
+        )
+    else:
+        np.testing.assert_array_equal(moved[0].solution.mesh.p, moved[1].solution.mesh.p)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"relocate": "sometimes"}, "got 'sometimes'"),
+        ({"steps": 0}, "at least one step"),
+        ({"obstacle": 1}, "no obstacle 1"),
+        ({"relocate": "once", "hold": None}, "needs the strategy without motion"),
+    ],
+)
+def test_a_wrong_path_is_refused(change: dict, message: str) -> None:
+    given = {"by": (0.0, -0.1), "steps": 2, "solve": joint.solve, "hold": fixed.solve, **change}
+    with pytest.raises(ValueError, match=message):
+        list(load_path(block(Obstacle("top", (0.0, -1.0))), **given))
+
+
+def test_rmesh_path_writes_table_series_and_picture(tmp_path: Path) -> None:
+    path, out = tmp_path / "press.toml", tmp_path / "out"
+    path.write_text(
+        '[mesh]\nshape = "rectangle"\nnx = 4\nny = 3\n[material]\nlaw = "plane-strain"\nyoung = 1000\n'
+        'poisson = 0.3\n[dirichlet]\nbottom = ["free", 0]\nleft = [0, "free"]\n[contact]\nboundary = "top"\n'
+        "circle = { centre = [0, 3], radius = 2 }\n[path]\nmove = [0, -0.02]\nsteps = 2\n"
+    )
+    assert cli.run(["path", str(path), "--out", str(out)]) in (0, 1)
+    rows = list(csv.DictReader((out / "path.csv").open()))
+    assert [row["moved_y"] for row in rows] == ["-0.01", "-0.02"]
+    assert float(rows[1]["force_y"]) < float(rows[0]["force_y"]) < 0
+    assert (out / "path.pvd").read_text().count("step-00") == 2
+    assert (out / "path.png").stat().st_size > 5000
+    path.write_text(path.read_text().replace("[path]", "[paths]"))
+    assert cli.run(["path", str(path)]) == 2
