@@ -146,3 +146,12 @@ def test_a_problem_of_one_s_own(tmp_path: Path) -> None:
     (row,) = run([own], Results(tmp_path))
     assert row["success"]
     assert row["key"] == "own-fixed"
+
+
+def test_a_row_solved_with_another_rule_is_not_resumed(tmp_path: Path) -> None:
+    def cases(rule: int) -> list[Case]:
+        return make_cases(["6.1"], ["fixed"], n=3, quadrature=rule)
+
+    list(run(cases(2), Results(tmp_path)))
+    with pytest.raises(BadInputError, match="quadrature 2, not 6"):
+        list(run(cases(6), Results(tmp_path), resume=True))

@@ -54,7 +54,8 @@ def test_all_fields_are_in_the_file(solution: Solution, tmp_path: Path) -> None:
     assert {"displacement", "gap", "pressure", "tangential_stress", "motion", "initial_position"} <= set(
         nodes
     )
-    assert {"stress", "von_mises", "area_ratio", "least_angle", "area_multiplier"} <= set(cells)
+    assert {"stress", "von_mises", "area_ratio", "least_angle"} <= set(cells)
+    np.testing.assert_array_equal(cells["area_multiplier"], solution.multipliers.area)
     contact = solution.problem.contact_nodes
     np.testing.assert_allclose(nodes["initial_position"] + nodes["motion"], file.points, atol=1e-15)
     touching = nodes["pressure"] > 0
@@ -64,6 +65,15 @@ def test_all_fields_are_in_the_file(solution: Solution, tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         read_vtu(path).displacement, solution.displacement
     )  # rmesh figures reads it
+
+
+def test_multipliers_of_angles_are_in_the_file(problem: ContactProblem, tmp_path: Path) -> None:
+    limited = joint.solve(replace(problem, motion=Motion(Relative(0.9), min_angle=25.0)))
+    path = tmp_path / "angles.vtu"
+    write_solution(limited, path)
+    written = meshio.read(path).cell_data["angle_multiplier"][0]
+    assert np.any(written > 0)
+    np.testing.assert_array_equal(written, limited.multipliers.angle)
 
 
 def test_stress_of_plane_laws_under_tension() -> None:

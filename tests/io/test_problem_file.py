@@ -211,3 +211,26 @@ def test_starts_and_levels_on_the_command_line(tmp_path: Path, capsys: pytest.Ca
     assert cli.run(["solve", "6.1", "--levels", "1", "--starts", "1", *size]) == 2
     assert "starts cannot be combined with levels" in capsys.readouterr().err
     assert cli.run(["solve", "6.1", "--formulation", "fixed", "--starts", "1", *size]) == 2
+
+
+def test_rules_of_motion_reach_the_problem(tmp_path: Path) -> None:
+    path = tmp_path / "rules.toml"
+    path.write_text(
+        """
+mesh = { shape = "rectangle", nx = 2, ny = 2 }
+material = { law = "laplace", source = 1 }
+dirichlet = { left = 0 }
+[motion]
+delta = 0.1
+pinned = ["top"]
+slides = [3]
+free = ["right"]
+tied = [[4, 7]]
+min_angle = 7
+"""
+    )
+    motion = load_problem(path).motion
+    assert (motion.pinned, motion.slides, motion.free) == (("top",), (3,), ("right",))
+    assert motion.tied == ((4, 7),)
+    assert motion.min_angle == 7
+    assert motion.delta == (0.1, 0.1)

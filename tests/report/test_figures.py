@@ -114,6 +114,9 @@ def test_stresses_are_those_of_the_solution_within_the_bound(results: list[Resul
     order = np.argsort(fields.nodes[0, fields.contact])
     np.testing.assert_allclose(drawn[:, 0], fields.nodes[0, fields.contact][order])
     np.testing.assert_allclose(drawn[:, 1], fields.pressure[fields.contact][order])
+    friction = np.array(tangential.lines[1].get_ydata())
+    np.testing.assert_allclose(friction, fields.tangential_stress[fields.contact][order])
+    assert np.any(friction != drawn[:, 1])
     assert np.all(np.abs(fields.tangential_stress) <= 10 * (1 + 1e-9))
 
 

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.reporting import fixed_61, joint_61
 
 from rmesh_nlp.io.results import REQUIRED
+from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.markup import (
     COLUMN,
     DIGIT,
@@ -282,3 +284,10 @@ def test_files(tmp_path: Path) -> None:
     assert (tmp_path / "table.md").read_text() == text
     assert (tmp_path / "table.tex").read_text() == latex(ROWS)
     assert len((tmp_path / "table.csv").read_text().splitlines()) == 3
+
+
+def test_the_best_of_a_block_is_the_success_of_lowest_energy() -> None:
+    low, lower = joint_61(energy=-1.2, key="a"), joint_61(energy=-1.3, key="b", formulation="nested")
+    failed = joint_61(energy=-1.9, key="c", formulation="mpcc", success=False)
+    (block,) = blocks([fixed_61(), low, failed, lower])
+    assert block.best is lower
