@@ -44,6 +44,8 @@ class Profile:
 def _profile(values: Array) -> Profile:
     """The distribution of values, those that are infinite never reached."""
     finite = np.sort(values[np.isfinite(values)])
+    if not finite.size:
+        return Profile(finite, finite)
     at, last = np.unique(finite, return_index=True)
     counts = np.append(last[1:], finite.size)
     return Profile(at, counts / max(values.size, 1))

@@ -26,7 +26,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("compared")
-    list(run(make_cases(["6.1"], ["fixed", "joint", "nested"], n=4), Results(path)))
+    list(run(make_cases(["6.1"], ["fixed", "joint", "nested"], n=4, quadrature=6), Results(path)))
     write_report(path, read_results(path), "Which one?", "A <study>")
     return path
 

@@ -28,6 +28,12 @@ def test_a_cost_of_zero_is_the_cheapest_and_no_division() -> None:
     assert profiles["b"]([1, 1e9]).tolist() == [0.5, 0.5]
 
 
+def test_a_strategy_that_fails_everywhere_never_rises() -> None:
+    profile = performance_profiles({"a": [INF, INF], "b": [1.0, 2.0]})["a"]
+    assert profile([1, 1e300]).tolist() == [0, 0]
+    assert profile.at.shape == profile.share.shape
+
+
 def test_a_data_profile_computed_by_hand() -> None:
     profiles = data_profiles({"a": [1, 10, 100, INF]})
     assert profiles["a"]([0, 1, 9, 10, 99, 100, 1e9]).tolist() == [0, 0.25, 0.25, 0.5, 0.5, 0.75, 0.75]
