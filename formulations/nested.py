@@ -18,7 +18,13 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS, NestedSettings, reduced_nlp
+from rmesh_nlp.programs.outer_solvers import (
+    OUTER_SOLVERS,
+    NestedSettings,
+    OuterResult,
+    ReducedProgram,
+    reduced_nlp,
+)
 from rmesh_nlp.programs.reduced import Reduced
 from rmesh_nlp.programs.residual import OuterResidual
 from rmesh_nlp.settings import check_positive
@@ -134,7 +140,7 @@ def solve(
         program = reduced_nlp(referee.relocation, function, referee.is_valid, residual.unit, tolerance)
     begin = beginning(referee, start, seed, objective=objective, time_limit_s=time_limit_s)
     recorder = _Recorder(referee, function, residual, on_step, time_limit_s)
-    finish = recorder.run(lambda: OUTER_SOLVERS[outer](program, begin.q, recorder, chosen))
+    finish = recorder.run(lambda: _run(outer, program, begin.q, recorder, chosen))
     if finish is None or recorder.stopped is not None:
         q, status = recorder.best(function, begin.q), recorder.stopped or Status.FAILED
     else:
@@ -153,6 +159,15 @@ def solve(
         settings=chosen.changed(),
         extra={"outer": outer, **_outer_figures(referee, function, q)},
     )
+
+
+def _run(
+    outer: str, program: ReducedProgram, start: Array, recorder: _Recorder, settings: NestedSettings
+) -> OuterResult:
+    if start.size == 0:  # nothing can move, and not every solver takes a program without unknowns
+        recorder(0, start, 0.0)
+        return OuterResult(start, Status.CONVERGED, 0)
+    return OUTER_SOLVERS[outer](program, start, recorder, settings)
 
 
 def _outer_figures(referee: Referee, function: Reduced, q: Array) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS
 
-FLAGS = {"time_limit_s": "--time-limit", "max_iterations": "--max-iterations"}
+FLAGS = {"time_limit_s": "--time-limit", "max_iterations": "--max-iterations", "tolerance": "--tolerance"}
 """Limits: who does not heed one is finite without it. Their names on the command line."""
 
 

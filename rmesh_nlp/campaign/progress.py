@@ -84,10 +84,11 @@ class CampaignProgress:
 def summary(record: Record) -> str:
     """One line about a record."""
     line = f"{record['example']} {record['formulation']}: {record['status']}"
-    if record["energy"] is not None:
-        line += f", J = {record['energy']:.6f}"
-        if record["energy_audited"] is not None:
-            line += f" (audited {record['energy_audited']:.6f})"
+    after, before = record.get("energy_audited"), record.get("energy_initial_audited")
+    if after is not None:
+        line += ", audited J = " + (f"{before:.6f} -> " if before is not None else "") + f"{after:.6f}"
+        if before:
+            line += f" (gain {before - after:.4g}, {100 * (before - after) / abs(before):.3g} %)"
     if record["iterations"] is not None:
         line += f", {record['iterations']} iterations"
     line += f", {record['wall_time_s']:.2f} s"

@@ -12,7 +12,14 @@ import typer
 from typer.main import get_command
 
 from rmesh_nlp import __version__
-from rmesh_nlp.cli.inputs import parse_delta, parse_names, parse_quadrature, parse_seed, parse_size
+from rmesh_nlp.cli.inputs import (
+    parse_delta,
+    parse_names,
+    parse_quadrature,
+    parse_seed,
+    parse_settings,
+    parse_size,
+)
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -91,6 +98,22 @@ TimeLimit = Annotated[
 ]
 MaxIterations = Annotated[
     int | None, typer.Option("--max-iterations", min=1, metavar="N", help="Of each solve, likewise.")
+]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(
+        "--tolerance",
+        metavar="NUMBER",
+        help="Largest first-order residual, relative to the given mesh, of what is called converged (1e-6).",
+    ),
+]
+Begin = Annotated[
+    str | None,
+    typer.Option("--start", metavar="NAME", help="given (default), or a strategy whose end is the start."),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="A setting of the strategy, such as tol=1e-8; repeat."),
 ]
 Jobs = Annotated[
     int, typer.Option("--jobs", min=1, metavar="N", help="Processes that solve; more than 1 needs dask.")
@@ -183,6 +206,9 @@ def solve(
     certify: Certify = False,
     time_limit: TimeLimit = None,
     max_iterations: MaxIterations = None,
+    tolerance: Tolerance = None,
+    start: Begin = None,
+    chosen_settings: Set = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
@@ -225,6 +251,9 @@ def solve(
         levels=levels,
         time_limit_s=time_limit,
         max_iterations=max_iterations,
+        tolerance=tolerance,
+        start=start,
+        settings=parse_settings(chosen_settings or []) or None,
     )
     voice = "json" if json else "quiet" if quiet else "text"
     if example.endswith(".toml"):
@@ -345,6 +374,9 @@ def compare(
     certify: Certify = False,
     time_limit: TimeLimit = None,
     max_iterations: MaxIterations = None,
+    tolerance: Tolerance = None,
+    start: Begin = None,
+    chosen_settings: Set = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("results"),
     resume: Annotated[
         bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
@@ -378,6 +410,9 @@ def compare(
         levels=levels,
         time_limit_s=time_limit,
         max_iterations=max_iterations,
+        tolerance=tolerance,
+        start=start,
+        settings=parse_settings(chosen_settings or []) or None,
     )
     names = tuple(dict.fromkeys(examples or ()))
     raise typer.Exit(
@@ -457,7 +492,7 @@ def figures(folder: Folder) -> None:
 
 
 def _settings(
-    n: str | None, delta: str | None, quadrature: str, seed: str | None, **given: str | float | None
+    n: str | None, delta: str | None, quadrature: str, seed: str | None, **given: Any
 ) -> dict[str, Any]:
     """Keyword arguments of :func:`~rmesh_nlp.campaign.cases.make_cases`; options not given are left out."""
     options = {"seed": None if seed is None else parse_seed(seed), **given}

@@ -6,8 +6,10 @@ checked by the problem itself.
 
 from __future__ import annotations
 
+import json
 import math
 import re
+from typing import Any
 
 from rmesh_nlp.errors import BadInputError
 
@@ -55,6 +57,20 @@ def parse_seed(text: str) -> int:
     if not re.fullmatch("[0-9]+", text):
         raise BadInputError(f"--seed must be a whole number and not negative, got {text!r}")
     return int(text)
+
+
+def parse_settings(given: list[str]) -> dict[str, Any]:
+    """Settings of a strategy from texts ``name=value``; a value is JSON, or else a text."""
+    found: dict[str, Any] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not (equals and name.strip()):
+            raise BadInputError(f"--set must be NAME=VALUE, got {text!r}")
+        try:
+            found[name.strip()] = json.loads(value)
+        except ValueError:
+            found[name.strip()] = value
+    return found
 
 
 def parse_names(option: str, text: str) -> tuple[str, ...]:

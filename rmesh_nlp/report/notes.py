@@ -13,11 +13,12 @@ PRINTED_DIGITS = 4
 """Decimals of the paper's figures; it truncates, so that -1.124602 is printed as -1.1246."""
 
 LEGEND = (
-    "J is the energy with the example's own quadrature, J audited that of the contact problem solved "
-    "again on the final mesh with a rule of degree 20: strategies are to be compared by the latter.",
-    "Least area: smallest element area over its initial value. Time [solves]: wall time over that of one "
-    "contact solve on the initial mesh, measured in the same run. Residuals are dimensionless; stationarity "
-    "is the first-order residual of the outer problem, label the kind of stationarity that was computed.",
+    "J is the energy with the example's own quadrature. The audit solves the contact problem again on the "
+    "given and on the final mesh with a rule of degree 20: strategies are to be compared by its energies.",
+    "Least area: smallest element area over its initial value. Time [s]: build, solve and audit; time "
+    "[solves]: build and solve over one cold contact solve on the initial mesh, measured in the same run. "
+    "Residuals are dimensionless; stationarity is the first-order residual of the outer problem relative to "
+    "that on the given mesh, label the kind of stationarity that was computed.",
 )
 
 

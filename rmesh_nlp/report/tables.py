@@ -110,7 +110,7 @@ def write_tables(records: Sequence[Record], folder: Path) -> str:
 
 def _tables(records: Sequence[Record]) -> list[tuple[Column, ...]]:
     """The tables these records need: those of outer objectives and certificates only where there are any."""
-    kinds = [ENERGIES, COSTS]
+    kinds: list[tuple[Column, ...]] = [ENERGIES, COSTS]
     if any(record["objective"] != "energy" for record in records):
         kinds.append(OBJECTIVES)
     if any("certificate_remark" in record for record in records):
