@@ -77,7 +77,7 @@ def problem_of(seed: int, kind: str) -> ContactProblem:
     if np.min(signed_areas(mesh.p, problem.triangles)) <= 0:
         mesh = problem.mesh
     if kind in KINDS[2:]:
-        a, b = rng.uniform(0.0, 0.01), rng.uniform(-0.002, 0.002)
+        a, b = rng.uniform(0.015, 0.025), rng.uniform(-0.002, 0.002)
         old = problem.obstacle
         assert isinstance(old, Obstacle)
         gap = frame.scalar(lambda x, y: y + a + b * x)
@@ -117,7 +117,7 @@ def random_part(seeds: Sequence[int], relocate_every: int) -> int:
                 problem = problem_of(seed, kind)
                 if moved:
                     solution = formulations.joint.solve(problem)
-                    if not solution.success:
+                    if not solution.audit.min_area_ratio > 0:
                         continue
                     problem = replace(problem, mesh=solution.mesh)
                 rough = bracket_of(problem)

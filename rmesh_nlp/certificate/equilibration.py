@@ -55,17 +55,20 @@ class LocalSystems:
 
 @dataclass(frozen=True)
 class InteriorObstacle:
-    """An obstacle in the interior; the mean displacement of each element is one more unknown.
+    """An obstacle in the interior; moments of the displacement of each element are further unknowns.
+
+    Arrays run over the vertices of each element; moments are against their linear functions and
+    divided by the area.
 
     Attributes
     ----------
     sign : float
         1 for an obstacle below, -1 above.
-    gap : (elements,) array
-        Mean gap of the base.
-    load : (elements,) array
-        Integrals of the source.
-    touching : (elements,) bool array
+    gap : (elements, 3) array
+        Moments of the gap of the base.
+    load : (elements, 3) array
+        Values of the source, times the area.
+    touching : (elements, 3) bool array
         Where the elements touch at first.
     """
 
@@ -87,8 +90,8 @@ class Balance:
         At the ends of the contact edges; no friction in a scalar problem.
     reaction_work : float
         Work of the reactions on the given displacements.
-    obstacle_force : (elements,) array
-        Force of an obstacle in the interior on each element.
+    obstacle_force : (elements, 3) array
+        Values at the vertices of the reaction of an obstacle in the interior, times the area.
     """
 
     traces: Array
@@ -126,9 +129,9 @@ def balance(
     applied = space.vector(edge_loads(conditions.traction) * lengths)
     held = space.held
     if interior is not None:
-        added = size + np.arange(len(numbers))
-        numbers, size = np.hstack([numbers, added[:, None]]), size + added.size
-        start, applied = np.append(start, np.zeros(added.size)), np.append(applied, interior.load)
+        added = size + np.arange(3 * len(numbers))
+        numbers, size = np.hstack([numbers, added.reshape(-1, 3)]), size + added.size
+        start, applied = np.append(start, np.zeros(added.size)), np.append(applied, interior.load.ravel())
         held = np.append(held, np.zeros(added.size, dtype=bool))
 
     def through(traces: Array) -> Array:
@@ -152,16 +155,16 @@ def balance(
         shape = (2, conditions.contact.size)
         pressure = y.reshape(shape) / edge
         friction = z.reshape(shape) / edge if z.size else np.zeros(shape)
-        force = np.zeros(len(numbers))
+        force = np.zeros((len(numbers), 3))
     else:
         on_edges, tangents, gap, _ = _boundary_contact(space, index, start, free.size)
         rows = sp.csr_array(sp.vstack([_rows(index[added], free.size) * interior.sign, on_edges]))
-        gaps = np.concatenate([interior.gap, gap])
-        touching = np.concatenate([interior.touching, pressure.ravel() > 0])
+        gaps = np.concatenate([interior.gap.ravel(), gap])
+        touching = np.concatenate([interior.touching.ravel(), pressure.ravel() > 0])
         system = ContactSystem(K, load, 0.0, rows, tangents, gaps, np.zeros(0))
         found = solve(system, ActiveSet(touching, np.zeros(0, dtype=np.int8)))
         W[free], forces = found.u, np.maximum(found.normal_force, 0.0)
-        force = forces[: added.size]
+        force = forces[: added.size].reshape(-1, 3)
         pressure = forces[added.size :].reshape(pressure.shape) / lengths[conditions.contact]
         friction = np.zeros(pressure.shape)
     reaction = (through(W) - applied)[held] @ (W + start)[held]

@@ -38,15 +38,15 @@ class Reference:
     """Functions on the reference triangle.
 
     First the curls of x, y, x^2, x y, y^2, of no divergence; then (x - centre) / 2, of divergence 1;
-    then ``phi_i (x - x_i) / 3`` for each vertex, of divergence phi_i - 1/3, which have no normal
-    component on the edges.
+    then ``phi_i (x - x_i) / 3`` for the first two vertices, of divergence phi_i - 1/3, which have no normal
+    component on the edges. That of the third vertex is less the sum of these two.
 
     Attributes
     ----------
-    products : (4, 81) array
+    products : (4, 64) array
         Integrals of products of components a and b of two functions, divided by the area.
-    means : (2, 9) array
-    forces : (3 edges, 2 ends, 9) array
+    means : (2, 8) array
+    forces : (3 edges, 2 ends, 8) array
         Normal components at the ends of the edges, counter-clockwise, times the length of the edge.
     """
 
@@ -60,7 +60,7 @@ def reference() -> Reference:
     """The element on the reference triangle."""
     barycentric, weights = triangle_rule(4)
     values = _functions(barycentric)
-    products = np.einsum("p,apk,bpl->abkl", weights, values, values).reshape(4, 81)
+    products = np.einsum("p,apk,bpl->abkl", weights, values, values).reshape(4, 64)
     along = CORNERS[:, AFTER[:, 1]] - CORNERS[:, AFTER[:, 0]]
     normals = np.stack([along[1], -along[0]])
     at_corners = _functions(np.eye(3))
@@ -69,14 +69,14 @@ def reference() -> Reference:
 
 
 def _functions(barycentric: Array) -> Array:
-    """(2, points, 9) values at points given by barycentric coordinates (3, points)."""
+    """(2, points, 8) values at points given by barycentric coordinates (3, points)."""
     x, y = CORNERS @ barycentric
     zero, one = np.zeros_like(x), np.ones_like(x)
     curls = [(zero, -one), (one, zero), (zero, -2 * x), (x, -y), (2 * y, zero)]
     radial = [((x - 1 / 3) / 2, (y - 1 / 3) / 2)]
     bubbles = [
         (phi * (x - corner[0]) / 3, phi * (y - corner[1]) / 3)
-        for phi, corner in zip(barycentric, CORNERS.T, strict=True)
+        for phi, corner in zip(barycentric[:2], CORNERS.T[:2], strict=True)
     ]
     return np.array([*curls, *radial, *bubbles]).transpose(1, 2, 0)
 
@@ -95,8 +95,9 @@ class RaviartThomas:
     load : (3, elements) array
         Values of the source at the vertices.
     obstacle : bool
-        Whether the reaction of an obstacle, constant on each element, is to be found too. The mean
-        displacement of the element is one more unknown then, and its force the reaction plus the mean source.
+        Whether the reaction of an obstacle, linear on each element, is to be found too. The moments of the
+        displacement against the linear functions of the vertices, divided by the area, are unknowns
+        as well then; their forces are the values of source and reaction at the vertices, times the area.
     """
 
     skeleton: Skeleton
@@ -112,34 +113,35 @@ class RaviartThomas:
 
     @cached_property
     def compliance(self) -> Array:
-        """(elements, 9, 9) integrals of ``tau . tau' / k`` over pairs of functions."""
+        """(elements, 8, 8) integrals of ``tau . tau' / k`` over pairs of functions."""
         metric = np.einsum("eca,ecb->eab", self.jacobian, self.jacobian).reshape(-1, 4)
         # over the area: integral of |tau|^2 = area / J^2 tau_ref . G tau_ref, and J = 2 area
         metric = metric / (4 * self.skeleton.areas * self.conductivity)[:, None]
-        return (metric @ reference().products).reshape(-1, 9, 9)
+        return (metric @ reference().products).reshape(-1, 8, 8)
 
     @cached_property
     def prescribed(self) -> Array:
-        """(elements, 4) coefficients of the functions with divergence, without the mean for an obstacle."""
-        double = 2 * self.skeleton.areas
-        mean = self.load.mean(axis=0)
-        constant = np.zeros(mean.size) if self.obstacle else -double * mean
-        return np.ascontiguousarray(np.vstack([constant, -double * (self.load - mean)]).T)
+        """(elements, 3) coefficients of the functions with divergence; to be found for an obstacle."""
+        if self.obstacle:
+            return np.zeros((self.load.shape[1], 3))
+        values = np.stack([self.load.mean(axis=0), self.load[0] - self.load[2], self.load[1] - self.load[2]])
+        return np.ascontiguousarray((-2 * self.skeleton.areas * values).T)
 
     @property
     def _free(self) -> int:
-        return FREE + int(self.obstacle)
+        return FREE + 3 * int(self.obstacle)
 
     @cached_property
     def _rows(self) -> Array:
-        """(6 or 7, 9) forces by coefficients: through the edges, and less the divergence."""
-        edges = reference().forces.reshape(6, 9)
+        """(6 or 9, 8) forces by coefficients: through the edges, and less the divergence at the vertices."""
+        edges = reference().forces.reshape(6, 8)
         if not self.obstacle:
             return edges
-        # the mean of div tau times the area, from a unit divergence on the reference triangle of area 1/2
-        divergence = np.zeros((1, 9))
-        divergence[0, FREE] = -0.5
-        return np.vstack([edges, divergence])
+        # times the area, which is that of the reference triangle, 1/2, after division by its Jacobian
+        inflow = np.zeros((3, 8))
+        inflow[:, FREE] = -0.5
+        inflow[:, FREE + 1 :] = -0.5 * (np.eye(3)[:, :2] - 1 / 3)
+        return np.vstack([edges, inflow])
 
     @cached_property
     def _response(self) -> tuple[Array, Array]:
@@ -161,7 +163,7 @@ class RaviartThomas:
         return -self.forces(self._with_prescribed(self._response[1]))
 
     def coefficients(self, traces: Array) -> Array:
-        """(elements, 9) coefficients of the flux for traces (elements, k)."""
+        """(elements, 8) coefficients of the flux for traces (elements, k)."""
         by_trace, by_load = self._response
         return self._with_prescribed(np.einsum("eij,ej->ei", by_trace, traces) + by_load)
 
@@ -171,9 +173,9 @@ class RaviartThomas:
         return result
 
     def constant(self, flux: Array) -> Array:
-        """(elements, 9) coefficients of a flux (2, elements) that is constant on each element."""
+        """(elements, 8) coefficients of a flux (2, elements) that is constant on each element."""
         pulled = np.linalg.solve(self.jacobian, (2 * self.skeleton.areas * flux).T[:, :, None])[:, :, 0]
-        result = np.zeros((len(pulled), 9))
+        result = np.zeros((len(pulled), 8))
         result[:, 0], result[:, 1] = -pulled[:, 1], pulled[:, 0]
         return result
 

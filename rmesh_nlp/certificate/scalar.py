@@ -48,27 +48,28 @@ def equilibrated_flux(
     computed = elements.constant(conductivity * gradients(u, skeleton)[0])
     exerted = elements.forces(computed)
     local = LocalSystems(elements.stiffness, elements.source - exerted, space.base(u))
-    obstacle, interior, offset_doubt = np.zeros(area.size), None, 0.0
-    centre = u[0][skeleton.triangles].mean(axis=0)
+    interior, gap, offset, doubt = None, np.zeros((area.size, 3)), np.zeros((area.size, 3)), 0.0
     if inside:
-        offset = over_triangles(inside[0].offset, skeleton.nodes[:, skeleton.triangles])
-        sign, obstacle = inside[0].normal[0], offset.moments.sum(axis=0)
-        interior = InteriorObstacle(
-            sign,
-            obstacle + sign * centre,
-            mean * area,
-            np.all(guess.pressure[skeleton.triangles] > 0, axis=0),
-        )
+        sign = inside[0].normal[0]
+        below = over_triangles(inside[0].offset, skeleton.nodes[:, skeleton.triangles])
+        offset = below.moments.T
+        at_vertices = u[0][skeleton.triangles].T
+        gap = offset + sign * (at_vertices + at_vertices.sum(axis=1, keepdims=True)) / 12
+        touching = guess.pressure[skeleton.triangles].T > 0
+        interior = InteriorObstacle(sign, gap, (linear * area).T, touching)
     pressure = end_values(guess.pressure, skeleton, conditions.contact)
     found = balance(space, local, pressure, np.zeros_like(pressure), products, interior)
     correction = elements.coefficients(found.traces)
     flux, reaction = computed + correction, found.obstacle_force
     forces = elements.forces(flux)
-    total = area * mean + (interior.sign * reaction if interior else 0.0)
-    scale = max(float(np.max(np.abs(forces[:, :6]), initial=0.0)), float(np.max(np.abs(total))), 1e-300)
-    out = np.abs(forces[:, :6].sum(axis=1) / 2 + total)
+    balanced = (linear * area).T
     if interior:
-        offset_doubt = float(np.sum(reaction * offset.doubt.sum(axis=0)))
+        balanced = balanced + interior.sign * reaction
+        doubt = float(np.sum(reaction * below.doubt.T))
+    scale = max(float(np.max(np.abs(forces[:, :6]), initial=0.0)), float(np.max(np.abs(balanced))), 1e-300)
+    out = [np.abs(forces[:, :6].sum(axis=1) / 2 + balanced.mean(axis=1))]
+    if interior:
+        out.append(np.max(np.abs(forces[:, 6:] - balanced), axis=1))
     beyond = np.maximum(load.square - np.sum(load.moments[0] * linear, axis=0), 0.0)
     return EquilibratedField(
         values=elements.mean(flux),
@@ -80,7 +81,7 @@ def equilibrated_flux(
         load_remainder=np.sqrt(area * np.where(load.constant, 0.0, beyond)),
         load_doubt=doubtful_work(load.doubt, u, skeleton),
         gradient_by_energy=1 / np.sqrt(conductivity),
-        obstacle_work=-reaction * obstacle,
-        obstacle_gap=reaction * (obstacle + (interior.sign if interior else 0.0) * centre),
-        obstacle_doubt=offset_doubt,
+        obstacle_work=-np.sum(reaction * offset, axis=1),
+        obstacle_gap=np.sum(reaction * gap, axis=1),
+        obstacle_doubt=doubt,
     )
