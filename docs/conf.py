@@ -23,7 +23,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "tutorials/*"]
+exclude_patterns = ["_build", "tutorials/*", "sg_execution_times.rst", "gallery/sg_execution_times.rst"]
 html_theme = "pydata_sphinx_theme"
 html_title = "rmesh_nlp"
 html_theme_options = {
@@ -33,10 +33,11 @@ html_theme_options = {
     "header_links_before_dropdown": 4,
 }
 html_show_sourcelink = False
+html_sidebars = {name: [] for name in ("index", *(path.stem for path in Path(__file__).parent.glob("*.md")))}
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
-suppress_warnings = ["myst.xref_missing"]
+suppress_warnings = ["myst.xref_missing", "toc.multiple_toc_parents"]  # new pages are found by a pattern
 
 autosummary_generate = True
 autosummary_imported_members = False

@@ -2,16 +2,16 @@
 
 >>> import rmesh_nlp as rm
 >>> problem = rm.EXAMPLES["6.1"](n=8)
->>> solution = rm.solve(problem, "joint")
+>>> solution = rm.solve(problem, "joint")  # or without a name: what suits the problem
 >>> solution.success, round(solution.energy, 3)
 (True, -1.475)
 
 A problem is a :class:`ContactProblem`: a mesh, a law, supports, loads, an :class:`Obstacle` and a
 :class:`Motion` that says how far nodes may move. :func:`solve` relocates its nodes by any
-installed strategy, :func:`compare` by several. An outer :func:`objective` is named, written as text,
-or made by :mod:`quantities`; :func:`verify_gradient` tests its gradient. :class:`MPCC` and
-:func:`solve_mpcc` are the general solver of programs with complementarity constraints, which
-knows nothing of meshes.
+installed strategy, :func:`compare` by several; :func:`certify` bounds the error of the result. An
+outer :func:`objective` is named, written as text, or made by :mod:`quantities`;
+:func:`verify_gradient` tests its gradient. :class:`MPCC` and :func:`solve_mpcc` are the general
+solver of programs with complementarity constraints, which knows nothing of meshes.
 
 Every name is loaded when it is first used, so that ``rmesh --help`` starts at once.
 """
@@ -40,6 +40,7 @@ _NAMES = {
     # solving it
     "Comparison": "rmesh_nlp.api.comparison",
     "Solution": "rmesh_nlp.solution.solution",
+    "certify": "rmesh_nlp.certificate",
     "compare": "rmesh_nlp.api.comparison",
     "objective": "rmesh_nlp.fem.objective_text",
     "solve": "rmesh_nlp.api.solving",

@@ -14,15 +14,16 @@ def strategies() -> tuple[str, ...]:
     return tuple(sorted(available()))
 
 
-def solve(problem: ContactProblem, strategy: str = "joint", **options: Any) -> Solution:
+def solve(problem: ContactProblem, strategy: str = "auto", **options: Any) -> Solution:
     """Relocate the nodes of a problem and solve the contact problem there.
 
     Parameters
     ----------
     problem : ContactProblem
     strategy : str
-        ``fixed`` moves no node, ``nested`` solves a contact problem per step, ``joint`` and
-        ``mpcc`` find positions and displacement at once. See :func:`strategies`.
+        ``auto`` chooses for the problem and says so in the record. ``fixed`` moves no node, ``nested``
+        solves a contact problem per step, ``joint`` and ``mpcc`` find positions and displacement
+        at once. See :func:`strategies`.
     options
         Keywords of the strategy, such as ``seed``, ``start`` or ``on_step``. Every strategy that
         takes a seed and a start also takes ``starts=n``, the best of n random starts, and
