@@ -312,6 +312,20 @@ def check(
 
 
 @app.command()
+def advise(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")],
+) -> None:
+    """Say whether to relocate, to refine, or both, before anything dear is solved.
+
+    Relocates on a coarse mesh, prolongs the map, and refines uniformly twice.
+
+    \b
+    rmesh advise my.toml
+    """
+    raise typer.Exit(_problem_commands().advise(file))
+
+
+@app.command()
 def new(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The file to write.")],
     study: Annotated[bool, typer.Option("--study", help="A study file instead of a problem file.")] = False,

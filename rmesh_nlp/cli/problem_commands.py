@@ -33,6 +33,7 @@ from rmesh_nlp.report.before_after import PICTURES, write_pictures
 from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.problem_picture import draw_problem
 from rmesh_nlp.solution.solution import Step
+from rmesh_nlp.solution.worth import advise as advice
 from rmesh_nlp.study.study_file import is_study
 
 SUCCESS = 0
@@ -80,6 +81,17 @@ def check(path: Path, picture: Path | None = None) -> int:
     except (OSError, ValueError) as error:
         raise BadInputError(f"cannot draw to {target}: {' '.join(str(error).split())}") from error
     print(f"drew {target}")
+    return SUCCESS
+
+
+def advise(path: Path) -> int:
+    """Print what relocation and refinement would give for the problem of a file."""
+    problem = _load(path)
+    try:
+        found = advice(problem)
+    except ValueError as error:
+        raise BadInputError(f"{path}: {one_line(error)}") from error
+    Console().print(rich_table(f"{path}: relocate or refine?", found.rows()))
     return SUCCESS
 
 

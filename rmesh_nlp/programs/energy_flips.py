@@ -12,6 +12,7 @@ boundary edges, which flips do not touch.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -154,6 +155,12 @@ class ElementEnergies:
             if any(is_nonzero(component) for component in law.load):
                 functions.append(plain(*load_energy(law, problem.quadrature)))
             self._functions.append(functions)
+
+    def at(self, values: Array) -> ElementEnergies:
+        """The same with other nodal values."""
+        other = copy(self)
+        other._values = values
+        return other
 
     def __call__(self, triangles: NDArray, elements: NDArray) -> Array:
         """Energies of ``triangles`` (3, n) in the places of ``elements`` (n,)."""

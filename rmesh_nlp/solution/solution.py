@@ -281,6 +281,8 @@ class Solution:
             ("iterations, contact solves", f"{self.iterations}, {self.contact_solves}"),
             ("seconds", f"{self.wall_time_s:.3g}"),
         ]
+        if "worth" in self.extra:
+            rows.append(("worth it?", self.extra["worth"]["text"]))
         if self.multipliers is not None:
             box, area = self.multipliers.box, self.multipliers.area
             rows.append(("limited by boxes", f"{np.sum(box > 0)} nodes, largest {figure(box.max())}"))

@@ -1,0 +1,109 @@
+"""hr: refine where the energy gains most, relocate, repeat, to a given number of nodes or error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.cascade import CascadeSettings, cascade
+from rmesh_nlp.programs.energy_flips import flip_edges
+from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.programs.large_moves import LargeMoves
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.refinement import edge_gains, locally_refined, marked
+from rmesh_nlp.programs.regularisation import regularised
+from rmesh_nlp.settings import check_positive
+
+EFFECTIVITY = 0.65
+"""Sum of the edge gains over the error of the energy, on Example 6.1 refined locally (0.60 to 0.73)."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A mesh of hr: the problem on it, its energy, the estimated error of the energy, moves made."""
+
+    problem: ContactProblem
+    energy: float
+    error_estimate: float
+    iterations: int
+    flips: int
+
+
+def hr(
+    problem: ContactProblem,
+    *,
+    nodes: int | None = None,
+    error: float | None = None,
+    flips: bool = True,
+    settings: CascadeSettings | None = None,
+    max_stages: int = 20,
+) -> tuple[Stage, ...]:
+    """Relocate, then refine, flip and relocate in turn; all meshes, coarsest first.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        Without boxes.
+    nodes : int, optional
+        Ends with the first mesh that has so many.
+    error : float, optional
+        Ends with the first mesh whose estimated error of the energy is at most this.
+    flips : bool
+    settings : CascadeSettings, optional
+    max_stages : int
+
+    Raises
+    ------
+    BadInputError
+        If neither ``nodes`` nor ``error`` is given, or nodes have boxes.
+    """
+    if nodes is None and error is None:
+        raise BadInputError("hr needs a number of nodes or an error to end with")
+    check_positive(nodes=nodes, error=error, max_stages=max_stages)
+    if problem.motion.delta is not None:
+        raise BadInputError('hr needs a problem without boxes: delta = "none"')
+    chosen = settings or CascadeSettings()
+    first = cascade(problem, chosen)
+    here = _at(problem, first.energy.relocation.nodes(first.q))
+    stages = [_stage(here, sum(level.iterations for level in first.levels), 0)]
+    while len(stages) < max_stages:
+        last = stages[-1]
+        enough = nodes is not None and last.problem.mesh.p.shape[1] >= nodes
+        if enough or (error is not None and last.error_estimate <= error):
+            break
+        here = locally_refined(last.problem, marked(edge_gains(last.problem)))
+        gain, count = float(edge_gains(here).sum()) / EFFECTIVITY, 0
+        here, iterations = _relocated(here, gain, chosen)
+        if flips:
+            result = flip_edges(here, gain)
+            here, count = result.problem, result.flips
+            here, more = _relocated(here, gain, chosen)
+            iterations += more
+        stages.append(_stage(here, iterations, count))
+    return tuple(stages)
+
+
+def _relocated(problem: ContactProblem, gain: float, settings: CascadeSettings) -> tuple[ContactProblem, int]:
+    objective = regularised(gain, settings.regularisation, settings.distortion)
+    energy = ReducedEnergy(relocation(problem, objective))
+    q = np.zeros(energy.relocation.n_q)
+    result = LargeMoves(energy)(
+        q,
+        gain_tolerance=settings.end,
+        reference=energy(q).value + gain,
+        max_iterations=settings.brief,
+    )
+    return _at(problem, energy.relocation.nodes(result.x)), result.iterations
+
+
+def _at(problem: ContactProblem, positions: np.ndarray) -> ContactProblem:
+    return replace(problem, mesh=replace(problem.mesh, doflocs=np.ascontiguousarray(positions)))
+
+
+def _stage(problem: ContactProblem, iterations: int, flips: int) -> Stage:
+    energy = ContactModel(problem).solve(problem.mesh.p).energy
+    return Stage(problem, energy, float(edge_gains(problem).sum()) / EFFECTIVITY, iterations, flips)

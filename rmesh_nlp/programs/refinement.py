@@ -1,0 +1,155 @@
+"""Local refinement, to compare relocation with and to combine it with.
+
+Indicators say where to refine: the gain of energy by a new node on each edge
+(:func:`edge_gains`, for any law, load and contact), or the classical residual of equilibrium
+(:func:`residual_indicators`, R. Verfürth, A posteriori error estimation techniques, OUP 2013, section 1.4).
+Triangles are marked by their share of the sum (W. Dörfler, SIAM J. Numer. Anal. 33 (1996) 1106-1124) and
+cut by longest edges (red, green and blue), names are kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.energy import triangle_rule
+from rmesh_nlp.fem.stress import stresses
+from rmesh_nlp.meshes.geometry import counter_clockwise
+from rmesh_nlp.meshes.reading import from_arrays
+from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.programs.energy_flips import ElementEnergies
+
+SHARE = 0.5
+"""Dörfler's parameter: part of the sum of the indicators that the marked triangles must have."""
+
+
+def marked(indicators: Array, share: float = SHARE) -> NDArray[np.int64]:
+    """The fewest triangles whose indicators, errors squared, are ``share`` of the sum."""
+    order = np.argsort(-indicators, kind="stable")
+    total = np.cumsum(indicators[order])
+    return order[: 1 + int(np.searchsorted(total, share * total[-1]))] if total[-1] > 0 else order[:0]
+
+
+def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProblem:
+    """The problem with some triangles refined, and what neighbours need; old nodes keep their numbers."""
+    old = problem.mesh
+    new = replace(old, _boundaries=None).refined(np.asarray(elements))
+    keys = {tuple(edge) for edge in np.sort(new.facets, axis=0).T.tolist()}
+    tree = cKDTree(new.p.T)
+    boundaries = {}
+    for name, facets in (old.boundaries or {}).items():
+        edges = []
+        for a, b in old.facets[:, np.asarray(facets)].T.tolist():
+            if (min(a, b), max(a, b)) in keys:
+                edges.append((a, b))
+                continue
+            middle = int(tree.query((old.p[:, a] + old.p[:, b]) / 2)[1])
+            edges += [(a, middle), (middle, b)]
+        boundaries[name] = np.array(edges)
+    subdomains = {name: np.asarray(e) for name, e in (new.subdomains or {}).items()}
+    mesh = from_arrays(new.p.T, counter_clockwise(new.p, new.t).T, boundaries, subdomains)
+    return replace(problem, mesh=mesh, size=f"{mesh.t.shape[1]} triangles")
+
+
+def edge_gains(problem: ContactProblem) -> Array:
+    """(elements,) decrease of the energy by a new node in the middle of each edge, the others held.
+
+    An edge's gain is shared by its triangles. It is an error estimator of hierarchical kind: the energy is
+    minimised over each new value by itself, contact not regarded.
+    """
+    mesh, triangles = problem.mesh, problem.triangles
+    n, facets = mesh.p.shape[1], np.asarray(mesh.facets)
+    model = ContactModel(problem)
+    values = model.displacement.values(model.solve(mesh.p).u)
+    held = problem.held()[0]
+    both = held[:, facets[0]] & held[:, facets[1]]
+    # a facet of the outer boundary between two held nodes may be held; inside none is
+    outer = np.zeros(facets.shape[1], dtype=bool)
+    outer[mesh.boundary_facets()] = True
+    free = ~(both & outer)
+    nodes = np.hstack([mesh.p, mesh.p[:, facets].mean(axis=1)])
+    field = np.hstack([values, values[:, facets].mean(axis=1)])
+    energies = ElementEnergies(problem, nodes, field)
+    gain = np.zeros(facets.shape[1])
+    scale = max(float(np.max(np.abs(values), initial=0.0)), 1e-300)
+    facet_of = _facet_numbers(facets, triangles, n)
+    elements = np.tile(np.arange(triangles.shape[1]), 3)
+    for i in range(problem.components):
+        slope, curvature = np.zeros((2, facets.shape[1]))
+        plus, here, minus = (
+            _halves(energies.at(_shifted(field, i, n, step)), triangles, facet_of, n, elements)
+            for step in (scale, 0.0, -scale)
+        )
+        # the energy is quadratic in each value
+        np.add.at(slope, facet_of.ravel(), (plus - minus) / (2 * scale))
+        np.add.at(curvature, facet_of.ravel(), (plus - 2 * here + minus) / scale**2)
+        part = np.where(curvature > 0, slope**2 / (2 * np.maximum(curvature, 1e-300)), 0.0)
+        gain += np.where(free[i], part, 0.0)
+    sides = np.bincount(facet_of.ravel(), minlength=facets.shape[1])
+    return np.asarray((gain / np.maximum(sides, 1))[facet_of].sum(axis=0))
+
+
+def _shifted(field: Array, component: int, first: int, step: float) -> Array:
+    """A field with one component of the nodes from ``first`` on moved by ``step``."""
+    moved = field.copy()
+    moved[component, first:] += step
+    return moved
+
+
+def _facet_numbers(facets: NDArray, triangles: NDArray, n: int) -> NDArray[np.int64]:
+    """(3, elements) numbers of the facets of each triangle, edge i from vertex i to the next."""
+    key = np.sort(facets, axis=0)
+    key = key[0].astype(np.int64) * n + key[1]
+    order = np.argsort(key)
+    ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=0)]), axis=0).astype(np.int64)
+    return order[np.searchsorted(key[order], ends[0] * n + ends[1])]
+
+
+def _halves(
+    energies: ElementEnergies, triangles: NDArray, facet_of: NDArray, n: int, elements: NDArray
+) -> Array:
+    """Energy of each triangle cut in two at the middle of each of its edges, edge by edge."""
+    a, b, c = triangles, np.roll(triangles, -1, axis=0), np.roll(triangles, -2, axis=0)
+    middle = n + facet_of
+    one = np.stack([a.ravel(), middle.ravel(), c.ravel()])
+    two = np.stack([middle.ravel(), b.ravel(), c.ravel()])
+    return energies(one, elements) + energies(two, elements)
+
+
+def residual_indicators(problem: ContactProblem) -> Array:
+    """(elements,) ``h_T^2 |f|^2_T + 1/2 sum_E h_E |jump of the stress|^2_E``, over interior edges E."""
+    mesh, triangles = problem.mesh, problem.triangles
+    model = ContactModel(problem)
+    values = model.displacement.values(model.solve(mesh.p).u)
+    stress = stresses(problem, np.asarray(mesh.p), values)
+    areas = signed_areas(mesh.p, triangles)
+    corner = mesh.p[:, triangles]
+    h = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=0).max(axis=0)
+    result = np.zeros(areas.size)
+    points, weights = triangle_rule(4)
+    for law, elements in problem.regions:
+        where = np.einsum("cve,vk->cek", corner[:, :, elements], points)
+        for component in law.load:
+            f = on_points(component, where.reshape(2, -1)).reshape(where.shape[1:])
+            result[elements] += h[elements] ** 2 * areas[elements] * (f**2 @ weights)
+    left, right = mesh.f2t
+    inside = np.flatnonzero(right >= 0)
+    a, b = mesh.facets[:, inside]
+    tangent = mesh.p[:, b] - mesh.p[:, a]
+    length = np.linalg.norm(tangent, axis=0)
+    normal = np.array([tangent[1], -tangent[0]]) / length
+    jump = stress[:, left[inside]] - stress[:, right[inside]]
+    if problem.components == 1:
+        size = (jump * normal).sum(axis=0) ** 2
+    else:
+        xx, yy, xy = jump[:3]
+        size = (xx * normal[0] + xy * normal[1]) ** 2 + (xy * normal[0] + yy * normal[1]) ** 2
+    for side in (left, right):
+        np.add.at(result, side[inside], 0.5 * length**2 * size)
+    return result

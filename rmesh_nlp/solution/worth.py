@@ -1,0 +1,187 @@
+"""Is relocation worth it: error before and after, and what other meshes would need for the same.
+
+The error of the energy is half the squared error in the energy norm, plus what contact and friction
+contribute (4.1); it falls like one over the number of nodes where the solution is smooth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.display import figure
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.cascade import CascadeSettings, cascade
+from rmesh_nlp.programs.hr import EFFECTIVITY
+from rmesh_nlp.programs.levels import refined
+from rmesh_nlp.programs.refinement import edge_gains
+
+REFINED_NODES = 5000
+"""Largest mesh whose error is extrapolated from a uniform refinement; that of a larger one is estimated
+from the gains of new nodes on its edges."""
+
+WORTHWHILE = 1.5
+"""Factor by which an error must fall for a method to be recommended."""
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What a relocation is worth.
+
+    Attributes
+    ----------
+    error_initial, error : float
+        Error of the energy before and after.
+    source : str
+        What the errors are measured against: "exact", "extrapolated" or "estimated".
+    factor : float
+    nodes : int
+    uniform_nodes, adaptive_nodes : int
+        Nodes of a uniformly and of an ideally locally refined mesh with the error after.
+    contact_solves : int
+    """
+
+    error_initial: float
+    error: float
+    source: str
+    factor: float
+    nodes: int
+    uniform_nodes: int
+    adaptive_nodes: int
+    contact_solves: int
+
+    def text(self) -> str:
+        """In plain words."""
+        by = {
+            "exact": "by the exact energy",
+            "extrapolated": "extrapolated from a uniform refinement",
+            "estimated": "estimated from the gains of new nodes",
+        }[self.source]
+        errors = f"error of the energy {figure(self.error_initial)} before, {figure(self.error)} after ({by})"
+        gain = f"{self.factor:.2g} times less on {self.nodes} nodes, for {self.contact_solves} contact solves"
+        others = f"a uniform grid needs about {self.uniform_nodes} nodes for that"
+        return f"{errors}: {gain}; {others}, an ideally refined one {self.adaptive_nodes}"
+
+    def record(self) -> dict[str, Any]:
+        """As plain values, with the text."""
+        return {**asdict(self), "text": self.text()}
+
+
+def worth(problem: ContactProblem, initial: float, final: float, contact_solves: int) -> Worth | None:
+    """What lowering the audited energy from ``initial`` to ``final`` is worth; None if nothing can be said.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        On the mesh as given.
+    """
+    local = edge_gains(problem)
+    before, source = error_of(problem, initial, local)
+    after = before - (initial - final)
+    if not before > 0 or not after > 0.01 * before:
+        return None  # the estimate of the error is as small as its own error
+    nodes, factor = int(problem.mesh.p.shape[1]), before / after
+    same = round(nodes * factor), _ideal(nodes, local, factor)
+    return Worth(before, after, source, factor, nodes, *same, contact_solves)
+
+
+def error_of(problem: ContactProblem, energy: float, local: Array) -> tuple[float, str]:
+    """Error of the energy of a mesh, and where it is from."""
+    if problem.exact is not None:
+        return energy - problem.exact.energy, "exact"
+    if problem.mesh.p.shape[1] <= REFINED_NODES:
+        accurate = _accurate(problem)
+        fine = refined(accurate)
+        models = (ContactModel(accurate), ContactModel(fine))
+        here, there = (m.solve(m.problem.mesh.p).energy for m in models)
+        return 4 / 3 * (here - there), "extrapolated"
+    return float(local.sum()) / EFFECTIVITY, "estimated"
+
+
+def _accurate(problem: ContactProblem) -> ContactProblem:
+    rule = problem.quadrature
+    return replace(problem, quadrature=max(rule, 6) if isinstance(rule, int) else 6)
+
+
+def _ideal(nodes: int, local: Array, factor: float) -> int:
+    """Nodes of the locally refined mesh with a ``factor`` times smaller error.
+
+    With an error that is c h^2 times the area, the best sizes make all elements' errors equal, and M
+    elements with errors e_T are then worth ``(sum sqrt(e_T))^2 / sum e_T`` ones.
+    """
+    share = np.sum(np.sqrt(local)) ** 2 / (local.size * np.sum(local)) if np.any(local > 0) else 1.0
+    return max(1, round(nodes * factor * float(share)))
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What ``rmesh advise`` finds.
+
+    Attributes
+    ----------
+    relocation : float
+        Factor by which the error falls on this mesh by a map found on a coarse one, no iteration on this one.
+    refinement : float
+        Factor by which as many nodes, ideally distributed by local refinement, would lower it.
+    rate : float
+        The error falls like (number of nodes)^-rate under uniform refinement; 1 if the solution is smooth.
+    error : float
+        Of the energy, extrapolated with this rate.
+    recommendation : str
+    """
+
+    relocation: float
+    refinement: float
+    rate: float
+    error: float
+    recommendation: str
+
+    def rows(self) -> list[tuple[str, str]]:
+        """As (label, value) for people."""
+        return [
+            ("error of the energy, extrapolated", figure(self.error)),
+            ("rate under uniform refinement", f"N^-{self.rate:.2f}"),
+            ("relocation, coarse map only", f"{self.relocation:.2g} times less error"),
+            ("local refinement, same nodes", f"{self.refinement:.2g} times less error"),
+            ("recommendation", self.recommendation),
+        ]
+
+
+def advise(problem: ContactProblem, settings: CascadeSettings | Mapping[str, Any] | None = None) -> Advice:
+    """Relocate on the coarsest mesh, prolong the map, refine uniformly twice; recommend what to do.
+
+    Costs about the contact solves of two uniform refinements. Boxes are not regarded.
+    """
+    chosen = CascadeSettings.of(settings)
+    free = replace(problem, motion=replace(problem.motion, delta=None))
+    given = _accurate(free)
+    grids = [given, refined(given), refined(refined(given))]
+    energies = [ContactModel(grid).solve(grid.mesh.p).energy for grid in grids]
+    first, second = energies[0] - energies[1], energies[1] - energies[2]
+    rate = float(np.clip(np.log2(first / second) / 2, 0.2, 1.5)) if first > 0 and second > 0 else 1.0
+    error = max(first / (1 - 4**-rate), 1e-300)
+    levels = cascade(given, replace(chosen, brief=1, brief_unnested=1)).levels
+    last = levels[-1]
+    reached = last.prolonged if len(levels) > 1 and np.isfinite(last.prolonged) else last.energy
+    left = error - (energies[0] - min(reached, last.energy))
+    relocation = error / max(left, 0.01 * error)
+    local = edge_gains(given)
+    refinement = local.size * float(np.sum(local)) / max(float(np.sum(np.sqrt(local))) ** 2, 1e-300)
+    return Advice(relocation, refinement, rate, error, recommended(relocation, refinement, rate))
+
+
+def recommended(relocation: float, refinement: float, rate: float) -> str:
+    """What to do, from the figures of :class:`Advice`."""
+    move, refine = relocation >= WORTHWHILE, refinement >= WORTHWHILE or rate < 0.85
+    if move and refine:
+        return "both: relocate (rmesh solve), then refine where the error is (rmesh_nlp.programs.hr)"
+    if move:
+        return "relocate: rmesh solve"
+    if refine:
+        return "refine locally: relocation alone gains little here"
+    return "refine uniformly: the mesh suits the solution already"

@@ -1,0 +1,136 @@
+"""Local refinement, its indicators, hr, and what a relocation is said to be worth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from formulations import auto
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
+from rmesh_nlp.programs.hr import EFFECTIVITY, hr
+from rmesh_nlp.programs.refinement import edge_gains, locally_refined, marked, residual_indicators
+from rmesh_nlp.solution.worth import advise, recommended
+
+
+def example(n: int = 8) -> ContactProblem:
+    return replace(EXAMPLES["6.1"](n=n), motion=Motion(None), quadrature=6)
+
+
+def error(problem: ContactProblem) -> float:
+    return ContactModel(replace(problem, quadrature=10)).solve(problem.mesh.p).energy - problem.exact.energy
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_refinement_keeps_domain_names_and_old_nodes(seed: int) -> None:
+    problem = random_problem(seed)
+    fine = locally_refined(problem, np.array([0, 3]))
+    one, two = problem.mesh, fine.mesh
+    assert two.t.shape[1] > one.t.shape[1]
+    np.testing.assert_allclose(two.p[:, : one.p.shape[1]], one.p)
+    whole = [signed_areas(p.mesh.p, p.triangles).sum() for p in (problem, fine)]
+    assert whole[0] == pytest.approx(whole[1], rel=1e-12)
+    for name in one.boundaries:
+        lengths = [
+            np.linalg.norm(np.diff(m.p[:, m.facets[:, m.boundaries[name]]], axis=1), axis=0).sum()
+            for m in (one, two)
+        ]
+        assert lengths[0] == pytest.approx(lengths[1], rel=1e-12)
+    # nested spaces: the energy cannot rise (loads of low degree, so that quadrature has no say)
+    assert set(two.subdomains or {}) == set(one.subdomains or {})
+
+
+def test_marked_triangles_have_their_share_and_no_more_than_needed() -> None:
+    values = np.array([1.0, 5.0, 2.0, 2.0])
+    np.testing.assert_array_equal(marked(values, 0.5), [1])
+    np.testing.assert_array_equal(np.sort(marked(values, 0.65)), [1, 2])
+    assert marked(np.zeros(3)).size == 0
+
+
+@pytest.mark.parametrize("indicators", [edge_gains, residual_indicators])
+def test_adaptive_refinement_beats_uniform_refinement(indicators) -> None:
+    problem = example()
+    while problem.mesh.p.shape[1] < 200:
+        problem = locally_refined(problem, marked(indicators(problem)))
+    assert problem.mesh.p.shape[1] < 289
+    assert error(problem) < 0.7 * error(example(16))
+
+
+def test_edge_gains_estimate_the_error() -> None:
+    for n in (8, 16, 32):
+        assert edge_gains(example(n)).sum() == pytest.approx(EFFECTIVITY * error(example(n)), rel=0.15)
+
+
+def test_the_gain_of_one_edge_by_hand() -> None:
+    # the unit square cut in two, all corners held: the hat on the middle of the diagonal has
+    # the integral 1/3 and the energy norm squared 4, so that the load 3 gains 1^2 / (2 * 4)
+    problem = ContactProblem(
+        rectangle(1, 1), Laplace(3.0), ("left", "right", "bottom", "top"), motion=Motion(None)
+    )
+    np.testing.assert_allclose(edge_gains(problem), [1 / 16, 1 / 16], rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_hr_needs_fewer_nodes_than_refinement() -> None:
+    stages = hr(example(), nodes=150)
+    nodes = [stage.problem.mesh.p.shape[1] for stage in stages]
+    assert nodes[0] == 81
+    assert nodes[-1] >= 150
+    assert np.all(np.diff(nodes) > 0)
+    energies = [stage.energy for stage in stages]
+    assert np.all(np.diff(energies) < 0)
+    assert error(stages[-1].problem) < 0.3 * error(example(16))
+    assert stages[-1].error_estimate < stages[0].error_estimate
+
+
+def test_hr_refuses_what_it_cannot_do() -> None:
+    with pytest.raises(BadInputError, match="number of nodes"):
+        hr(example())
+    with pytest.raises(BadInputError, match="boxes"):
+        hr(EXAMPLES["6.1"](n=4), nodes=100)
+
+
+def test_what_a_solution_says_it_is_worth() -> None:
+    found = auto.solve(example()).record()["worth"]
+    assert found["source"] == "exact"
+    assert found["factor"] == pytest.approx(found["error_initial"] / found["error"])
+    assert found["error_initial"] == pytest.approx(error(example()), rel=1e-6)
+    # of uniform grids the one with the same error: between the neighbours by experiment
+    assert error(example(24)) < found["error"] < error(example(16))
+    assert 17**2 < found["uniform_nodes"] < 25**2
+    assert found["nodes"] < found["adaptive_nodes"] < found["uniform_nodes"]
+
+
+def test_extrapolated_worth_is_close_to_the_exact_one() -> None:
+    exact = auto.solve(example()).record()["worth"]
+    other = auto.solve(replace(example(), exact=None)).record()["worth"]
+    assert other["source"] == "extrapolated"
+    assert other["error_initial"] == pytest.approx(exact["error_initial"], rel=0.1)
+
+
+def test_advice() -> None:
+    advice = advise(example(16))
+    assert advice.relocation > 3
+    assert advice.rate == pytest.approx(1.0, abs=0.1)
+    assert advice.recommendation.startswith("both")
+    parabola = ContactProblem(rectangle(6, 6), Laplace(1.0), ("left", "right"), motion=Motion(None))
+    advice = advise(parabola)
+    assert advice.refinement == pytest.approx(1, abs=0.01)  # all elements have the same error
+    assert advice.error == pytest.approx(1 / (24 * 36), rel=1e-6)
+    assert advice.recommendation.startswith("relocate")
+
+
+@pytest.mark.parametrize(
+    ("figures", "words"),
+    [
+        ((1.1, 1.1, 1.0), "refine uniformly"),
+        ((1.1, 2.0, 1.0), "refine locally"),
+        ((1.1, 1.1, 0.6), "refine loc"),
+    ],
+)
+def test_where_relocation_gains_little_it_is_not_recommended(figures: tuple, words: str) -> None:
+    assert recommended(*figures).startswith(words)
