@@ -24,6 +24,7 @@ from rmesh_nlp.mpcc.programs import BoolArray
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.nlp import NLPResult, Status
 
+_FAITHFUL = 1e-2
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|
 _REACHES = (2.0, 20.0)  # radii of the search for a feasible branch, in units of the largest min(G, H)
 _SIGN_STEPS = 200  # cheap: each starts at the solution of the one before
@@ -67,21 +68,40 @@ class Finish:
         return self.solved, self.verdict is not None, -self.f if np.isfinite(self.f) else -np.inf
 
 
-def polished(run: Run, z: Array, warm: NLPResult) -> Finish | None:
+def polished(run: Run, z: Array, warm: NLPResult, corner: float = 0.0) -> Finish | None:
     """The exact point next to a relaxed one by Newton's method, judged; None if there is none.
 
-    ``warm`` holds multipliers of the lifted program.
+    ``warm`` holds multipliers of the lifted program. Pairs with both members below ``corner`` are put into it
+    if the branch itself gives no stationary point: at a biactive pair that is not S-stationary the relaxed
+    solution stays at the distance sqrt(t), and the relaxations become ever harder to solve.
     """
     lifted = run.programs.lifted
-    fix_G = z[lifted.first] <= z[lifted.second]
-    found = polish(run, z, fix_G, warm.lam_g, warm.lam_x)
+    G, H = z[lifted.first], z[lifted.second]
+    found = _polished(run, z, warm, G <= H, G > H)
+    if found is not None and found.solved:
+        return found
+    near = np.maximum(G, H) <= corner
+    if not np.any(near):
+        return found
+    inside = _polished(run, z, warm, (G <= H) | near, (G > H) | near)
+    return found if inside is None or (found is not None and found.rank >= inside.rank) else inside
+
+
+def _faithful(run: Run, near: Finish, z: Array) -> bool:
+    """Whether Newton's method has not gone to another, worse branch than the relaxed point belongs to."""
+    f = float(run.programs.lifted.value(z, run.p)[0][0])
+    return near.f - f <= _FAITHFUL * max(abs(near.f), abs(f)) + _FAITHFUL**2
+
+
+def _polished(run: Run, z: Array, warm: NLPResult, fix_G: BoolArray, fix_H: BoolArray) -> Finish | None:
+    found = polish(run, z, fix_G, warm.lam_g, warm.lam_x, fix_H)
     if found is None:
         return None
     run.polished(found.z)
     return _judged(run, found.z, found.f, (found.lam_rows, found.lam_z))
 
 
-def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -> Finish:
+def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None, corner: float = 0.0) -> Finish:
     """Make the pairs of a relaxed point exact and descend to a stationary branch.
 
     ``warm`` holds multipliers of the lifted program at ``z``; with them Newton's method is tried
@@ -93,11 +113,11 @@ def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -
     options = run.programs.options
     warm = warm if options.warm_finish else None
     if warm is not None and options.newton_finish:
-        near = polished(run, z, warm)
-        if near is not None and near.solved:
-            return near
-        if near is not None and near.verdict is not None and near.verdict.direction is not None:
-            return _pivot(run, near, fix_G)
+        near = polished(run, z, warm, corner)
+        if near is not None and _faithful(run, near, z):
+            near = pivot(run, near)
+            if near.solved:
+                return near
         warm = None
     result = run.branch(z, fix_G, warm=warm)
     if warm is not None and not run.exact(result.x):
@@ -108,7 +128,7 @@ def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -
         return Finish(result.x, result.f, Status.UNBOUNDED)
     if run.exact(result.x):
         result = _tighten(run, result, fix_G)
-        end = _pivot(run, _judged(run, result.x, result.f, (result.lam_g, result.lam_x)), fix_G)
+        end = pivot(run, _judged(run, result.x, result.f, (result.lam_g, result.lam_x)))
     else:
         end = Finish(result.x, result.f, Status.INACCURATE if result.converged else result.status)
     return end if end.solved or not search else _projected(run, z, end)
@@ -122,7 +142,7 @@ def _judged(run: Run, z: Array, f: float, multipliers: tuple[Array, Array] | Non
     return Finish(z, f, verdict.status, verdict, lin, 0, int(verdict.label.name != "S"))
 
 
-def _pivot(run: Run, here: Finish, fix_G: BoolArray) -> Finish:
+def pivot(run: Run, here: Finish) -> Finish:
     """Descend over the branches, from one that is not B-stationary to the one its LPEC names."""
     lpecs = here.lpecs
     for pivots in range(run.programs.options.max_pivots):

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.finish import Finish, finish, polished
+from rmesh_nlp.mpcc.finish import Finish, finish, pivot, polished
 from rmesh_nlp.mpcc.programs import BoolArray, Programs
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.nlp import NLPResult, Status
 
 _MAX_RETREATS = 3
+_PIVOT, _NEAR = 1e-4, 0.05  # from this t on branches are descended over, from points not worse than this
+_CORNER = 3.0  # pairs this close to the corner, in units of sqrt(t), may belong into it
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
 
@@ -53,6 +55,8 @@ def follow(
     options = run.programs.options
     t, factor, retreats = t0, options.factor, 0
     last: NLPResult | None = None
+    warm: NLPResult | None = None
+    corner = 0.0
     sides: BoolArray | None = None
     while True:
         result = _step(run, relaxation, z0, last, t, first)
@@ -62,22 +66,28 @@ def follow(
             before, sides = sides, _sides(run.programs, result.x)
             final = run.exact(result.x) or t <= options.t_final
             settled = before is not None and t <= options.crossover and _settled(before, sides)
-            warm = run.programs.without_relaxation(relaxation, result, t)
+            warm, corner = run.programs.without_relaxation(relaxation, result, t), _CORNER * np.sqrt(t)
             if final:
-                path.finish = _better(path.finish, finish(run, result.x, search=True, warm=warm))
+                path.finish = _better(
+                    path.finish, finish(run, result.x, search=True, warm=warm, corner=corner)
+                )
                 return
             if settled:
-                if options.newton_finish:
-                    near = polished(run, result.x, warm)
-                else:
-                    near = finish(run, result.x, search=False, warm=warm)
+                expected = objective + _outlook(run, warm)
+                near = _early(run, result.x, warm, corner, t, expected)
                 if near is not None:
                     path.finish = _better(path.finish, near)
-                    if near.solved and _at_the_limit(near.f, objective + _outlook(run, warm)):
+                    if near.solved and _at_the_limit(near.f, expected, _GAP):
                         return
             t = _next(t, factor, product, options.t_final)
         else:
             path.relaxed, path.failure = last or result, result.status
+            if warm is not None and t <= options.crossover:  # what is there may do, and costs less
+                path.finish = _better(
+                    path.finish, finish(run, warm.x, search=False, warm=warm, corner=corner)
+                )
+                if path.finish.solved:
+                    return
             retreats += 1
             if last is None or retreats > _MAX_RETREATS:
                 break
@@ -85,6 +95,16 @@ def follow(
             t = t / factor
     if path.finish is None and path.relaxed is not None and np.all(np.isfinite(path.relaxed.x)):
         path.finish = finish(run, path.relaxed.x, search=last is not None)
+
+
+def _early(run: Run, z: Array, warm: NLPResult, corner: float, t: float, expected: float) -> Finish | None:
+    """An exact point before t is at its end; branches are descended over only from a good one, at small t."""
+    if not run.programs.options.newton_finish:
+        return finish(run, z, search=False, warm=warm)
+    near = polished(run, z, warm, corner)
+    if near is not None and t <= _PIVOT and _at_the_limit(near.f, expected, _NEAR):
+        near = pivot(run, near)
+    return near
 
 
 def _next(t: float, factor: float, product: float, t_final: float) -> float:
@@ -124,9 +144,9 @@ def _outlook(run: Run, warm: NLPResult) -> float:
     return float(warm.lam_x[places] @ z[places])
 
 
-def _at_the_limit(finished: float, expected: float) -> bool:
+def _at_the_limit(finished: float, expected: float, gap: float) -> bool:
     """Whether an early finish is where the homotopy was going, or lower: else a smaller t may end better."""
-    return finished - expected <= _GAP * max(abs(finished), abs(expected)) + _GAP_FLOOR
+    return finished - expected <= gap * max(abs(finished), abs(expected)) + _GAP_FLOOR
 
 
 def _settled(before: BoolArray, sides: BoolArray) -> bool:

@@ -23,7 +23,7 @@ from rmesh_nlp.mpcc.programs import BoolArray
 from rmesh_nlp.mpcc.run import Run
 
 _STEPS = 12
-_REACH = 0.3  # a correction that moves an unknown further than this, relative to 1 + |z|, is no correction
+_REACH = 1.0  # a correction that moves an unknown further than this, relative to 1 + |z|, is no correction
 # Added to the Hessian: small, so that flat objectives end sharp, then larger, for directions without
 # curvature in which rounding of the gradient would be a long step.
 _PROXIMAL = (1e-10, 1e-7)
@@ -57,10 +57,10 @@ class _Active:
 class _Branch:
     """Bounds of a branch: those of the lifted program, and zero for the fixed members."""
 
-    def __init__(self, lifted: Lifted, fix_G: BoolArray) -> None:
+    def __init__(self, lifted: Lifted, fix_G: BoolArray, fix_H: BoolArray) -> None:
         nlp = lifted.nlp
         self.lower, self.upper = nlp.lbx.copy(), nlp.ubx.copy()
-        places = np.concatenate([lifted.first[fix_G], lifted.second[~fix_G]])
+        places = np.concatenate([lifted.first[fix_G], lifted.second[fix_H]])
         self.lower[places] = self.upper[places] = 0.0
         self.row_lower, self.row_upper = nlp.lbg, nlp.ubg
         self.pinned = self.lower == self.upper
@@ -110,22 +110,27 @@ def _exchange(
     return after
 
 
-def polish(run: Run, z: Array, fix_G: BoolArray, lam_rows: Array, lam_z: Array) -> Polished | None:
-    """Newton's method on the KKT system of the branch; None if it does not end, exact, near ``z``."""
+def polish(
+    run: Run, z: Array, fix_G: BoolArray, lam_rows: Array, lam_z: Array, fix_H: BoolArray | None = None
+) -> Polished | None:
+    """Newton's method on the KKT system of the branch; None if it does not end, exact, near ``z``.
+
+    G is zero where ``fix_G``, H where ``fix_H`` (None: elsewhere).
+    """
+    branch = _Branch(run.programs.lifted, fix_G, ~fix_G if fix_H is None else fix_H)
     for proximal in _PROXIMAL:
-        found = _newton(run, z, fix_G, lam_rows, lam_z, proximal)
+        found = _newton(run, z, branch, lam_rows, lam_z, proximal)
         if found is not None:
             return found
     return None
 
 
 def _newton(
-    run: Run, z: Array, fix_G: BoolArray, lam_rows: Array, lam_z: Array, proximal: float
+    run: Run, z: Array, branch: _Branch, lam_rows: Array, lam_z: Array, proximal: float
 ) -> Polished | None:
     lifted, options = run.programs.lifted, run.programs.options
     if lifted.hessian is None:
         return None
-    branch = _Branch(lifted, fix_G)
     origin, room = z, _REACH * (1 + np.abs(z))
     f, gradient, rows, jacobian = lifted.linearise(z, run.p)
     unit = max(1.0, float(np.max(np.abs(gradient), initial=0.0)))
@@ -160,7 +165,7 @@ def _newton(
 def project(run: Run, z: Array, fix_G: BoolArray) -> Array | None:
     """A point of the branch near ``z`` by Gauss-Newton steps of least norm; None if there is none."""
     lifted = run.programs.lifted
-    branch = _Branch(lifted, fix_G)
+    branch = _Branch(lifted, fix_G, ~fix_G)
     origin, room = z, _REACH * (1 + np.abs(z))
     _, _, rows, jacobian = lifted.linearise(z, run.p)
     zero, none = np.zeros(rows.size), np.zeros(z.size)

@@ -40,7 +40,8 @@ def test_a_branch_with_more_equations_than_unknowns_is_met_by_projection_and_by_
     assert project(run, near, fix_G) == pytest.approx(exact, abs=1e-9)
     zero_rows, zero = np.zeros(programs.lifted.nlp.n_g), np.zeros(3)
     assert polish(run, near, fix_G, zero_rows, zero).z == pytest.approx(exact, abs=1e-9)
-    assert project(run, np.array([0.0, 5.0, 5.0]), fix_G) is None  # the branch is far away: no projection
+    far = Run(Programs(MPCC(XY, x, y - 100, x, y, lbg=0, ubg=0), Options()), np.zeros(0))
+    assert project(far, np.ones(2), fix_G) is None  # the branch is far away: no projection
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -120,8 +121,8 @@ def test_an_early_finish_must_be_where_the_path_leads(monkeypatch):
     """A finish that is much worse than the relaxed solutions foretell is not taken before t_final."""
     honest = homotopy.polished
 
-    def poor(run, point, warm):
-        found = honest(run, point, warm)
+    def poor(*arguments):
+        found = honest(*arguments)
         return None if found is None else replace(found, f=found.f + 1.0)
 
     monkeypatch.setattr(homotopy, "polished", poor)

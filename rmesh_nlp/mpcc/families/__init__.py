@@ -28,7 +28,7 @@ FAMILIES: dict[str, Family] = {
         Family("sliding-modes", sliding_modes, (3, 6, 12), True, "two surfaces, a target hit exactly"),
         Family("lpec", lpec, (4, 10, 30, 100), False, "random linear programs over linear pairs"),
         Family("bouncing", bouncing, (10, 30, 100, 300), False, "a point that falls onto a table"),
-        Family("friction", friction, (10, 30, 100, 200), False, "a block with Coulomb friction"),
+        Family("friction", friction, (10, 30, 100, 200), True, "a block with Coulomb friction"),
         Family("hysteresis", hysteresis, (10, 30, 100, 300), False, "the play operator"),
         Family("cournot", cournot, (4, 10, 30, 100), False, "a leader among producers"),
         Family("tolls", tolls, (3, 6, 12, 40), False, "tolls on a network in equilibrium"),
