@@ -41,17 +41,24 @@ body_force = [0.0, 0.0]          # numbers or expressions
 
 [dirichlet]                      # given displacements: numbers, expressions, or "free"
 left = [0.0, 0.0]
+# axis = "symmetry"              # a straight boundary on an axis of symmetry
 
 [tractions]                      # loads per length of boundary: numbers or expressions
 load = [0.0, -57.5]
 
-[contact]                        # leave it out for no contact
+# [[point_loads]]                # a force at the node at a place; its node does not move
+# at = [4.0, 1.0]
+# force = [0.0, -10.0]
+
+[contact]                        # leave it out for no contact; [[contact]] several times for several
 boundary = "bottom"
 height = -0.05                   # foundation below the graph y = height: number or expression
 # points = [[0, 0], [4, 0.1]]    # or a piecewise-linear graph
 # line = {{ point = [0, 0], normal = [0, 1] }}   # or a rigid straight line; normal towards the body
+# circle = {{ centre = [2, -9], radius = 9 }}   # or a rigid disc; inside = true for a round hole
+# curve = "y - 0.01*x**2"        # or any curve: zero on it, positive where the body may be
 # offset = 0.05                  # or the initial gap itself, along normal = [0, 1]
-# friction = 10.0                # Tresca bound: number or expression
+# friction = 10.0                # Tresca bound: number or expression; not on a circle or a curve
 # For a scalar problem with u >= psi in the whole domain, instead of boundary:  interior = "..."
 
 [motion]
@@ -62,6 +69,16 @@ pinned = ["top"]                 # boundaries, or node numbers, that do not move
 # tied = [[12, 40]]              # node 12 makes the moves of node 40
 min_area_fraction = 0.01         # least area of an element over its initial one
 # min_angle = 5.0                # least angle of an element in degrees
+
+# [units]                        # names for texts and pictures; nothing is converted
+# length = "mm"
+# force = "N"
+
+# [path]                         # for rmesh path: the foundation moves in steps
+# move = [0.0, 0.05]
+# steps = 5
+# contact = 1                    # which of several
+# relocate = "each"              # in each step, "once" for all, or "never"
 
 [solve]                          # defaults of rmesh solve
 formulation = "auto"             # chosen for the problem; or fixed, nested, joint, mpcc
