@@ -11,6 +11,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.ticker import MaxNLocator
 
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.cli.folders import writable
@@ -108,5 +109,7 @@ def _draw(folder: Path, problem: ContactProblem, rows: Sequence[dict[str, Any]])
         labels = (f"contact force{bracketed(per_thickness)}", f"largest pressure{bracketed(units.stress)}")
         for axis, values, label in zip(axes, (force, pressure), labels, strict=True):
             axis.plot(way, values, color=look(1).color, marker="o", markersize=3)
-            axis.set(xlabel=f"way of the foundation{bracketed(units.length)}", ylabel=label, ylim=(0, None))
+            axis.set(xlabel=f"way of the foundation{bracketed(units.length)}", ylabel=label)
+            axis.set(xlim=(0, 1.05 * max(way)), ylim=(0, 1.08 * max(*values, 1e-300)))
+            axis.xaxis.set_major_locator(MaxNLocator(5))
         save(figure, folder / "path", settings=page.settings)

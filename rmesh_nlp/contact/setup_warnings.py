@@ -40,6 +40,9 @@ LOAD_ERROR = 0.1
 
 ACCURATE_DEGREE = 12
 
+BOUGHT = 0.1
+"""Part of a gain that penetration may be worth."""
+
 FEW = 3
 """Touching nodes below which a contact is not resolved."""
 
@@ -104,6 +107,28 @@ def penetration_warnings(problem: ContactProblem, nodes: Array, displacement: Ar
                 )
             )
     return found
+
+
+def bought_gain(gain: float, work_before: float, work_after: float) -> list[SetupWarning]:
+    """A warning if much of a gain is penetration between contact nodes rather than accuracy.
+
+    Parameters
+    ----------
+    gain : float
+        Fall of the energy by relocation.
+    work_before, work_after : float
+        See :func:`rmesh_nlp.contact.penetration.penetration_work`.
+    """
+    part = (work_after - work_before) / gain if gain > 0 else 0.0
+    if part <= BOUGHT:
+        return []
+    return [
+        SetupWarning(
+            "bought",
+            f"about {part:.0%} of the gain is penetration between contact nodes, not accuracy: refine the "
+            "contact boundary, or pin its nodes",
+        )
+    ]
 
 
 def _contact(

@@ -33,16 +33,21 @@ class PathStep:
     moved : (float, float)
         By how much the foundation has moved.
     solution : Solution
+    obstacle : int
+        Number of the foundation that moves.
     """
 
     number: int
     moved: tuple[float, float]
     solution: Solution
+    obstacle: int = 0
 
     def row(self) -> dict[str, Any]:
-        """Energies, contact force and pressure, as plain values."""
+        """Energies, and force, pressure and contact of the moving foundation, as plain values."""
         solution = self.solution
-        force = contact_force(solution)
+        force = contact_force(solution, self.obstacle)
+        nodes = solution.problem.contact_sets[self.obstacle].nodes
+        pressure = solution.pressure[nodes]
         return {
             "step": self.number,
             "moved_x": self.moved[0],
@@ -53,8 +58,8 @@ class PathStep:
             "energy": solution.energy,
             "force_x": force[0],
             "force_y": force[1],
-            "largest_pressure": float(np.max(solution.pressure, initial=0.0)),
-            "touching_nodes": int(np.sum(solution.pressure > 0)),
+            "largest_pressure": float(np.max(pressure, initial=0.0)),
+            "touching_nodes": int(np.sum(pressure > 0)),
             "wall_time_s": solution.wall_time_s,
         }
 
@@ -111,23 +116,22 @@ def load_path(
         for number, moved in enumerate(moves, 1):
             solution = solve(_with_moved(problem, obstacle, moved), start=start, **options)
             start = np.asarray(solution.mesh.p)
-            yield PathStep(number, moved, solution)
+            yield PathStep(number, moved, solution, obstacle)
         return
     if relocate == "once":
         last = solve(_with_moved(problem, obstacle, moves[-1]), **options)
         problem = replace(problem, mesh=last.mesh)
     for number, moved in enumerate(moves, 1):
-        yield PathStep(number, moved, hold(_with_moved(problem, obstacle, moved)))  # type: ignore[misc]
+        yield PathStep(number, moved, hold(_with_moved(problem, obstacle, moved)), obstacle)  # type: ignore[misc]
 
 
-def contact_force(solution: Solution) -> Array:
-    """Resultant (2,) of the contact pressure on the body, friction left out; (total, 0) if scalar."""
+def contact_force(solution: Solution, obstacle: int = 0) -> Array:
+    """Resultant (2,) of the pressure of one foundation on the body, friction left out."""
     problem, nodes = solution.problem, np.asarray(solution.mesh.p)
-    weights, total = nodal_weights(problem, nodes), np.zeros(2)
-    for part in problem.contact_sets:
-        normals = part.obstacle.normals(nodes[:, part.nodes])
-        force = solution.pressure[part.nodes] * weights[part.rows]
-        total[: normals.shape[0]] += normals @ force
+    part = problem.contact_sets[obstacle]
+    force = solution.pressure[part.nodes] * nodal_weights(problem, nodes)[part.rows]
+    total = np.zeros(2)
+    total[: problem.components] = part.obstacle.normals(nodes[:, part.nodes]) @ force
     return total
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
+from rmesh_nlp.contact.penetration import penetration_work
+from rmesh_nlp.contact.setup_warnings import bought_gain, penetration_warnings, setup_warnings
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
@@ -303,7 +304,14 @@ class Referee:
         """Signs of a wrong set-up, and of foundations that pass into the relocated mesh."""
         found = setup_warnings(self.problem, self.model, self.initial, self._auditor.accurate)
         messages = [warning.message for warning in found if warning.kind != "penetration"]
-        after = penetration_warnings(self.problem, nodes, self.model.displacement.values(state.u))
+        u = self.model.displacement.values(state.u)
+        after = penetration_warnings(self.problem, nodes, u)
+        work = [
+            penetration_work(self.problem, where, self.model.displacement.values(at.u), pressure)
+            for where, at in ((self.problem.mesh.p, self.initial), (nodes, state))
+            for pressure in [self._stress(at.normal_force, nodal_weights(self.problem, where))]
+        ]
+        after += bought_gain(self.initial.energy - state.energy, *work)
         return messages + [warning.message for warning in after]
 
     @cached_property
