@@ -137,9 +137,9 @@ def _problem_commands() -> ModuleType:
     return importlib.import_module("rmesh_nlp.cli.problem_commands")
 
 
-def _path_command() -> ModuleType:
+def _path_commands() -> ModuleType:
     """The same for load paths."""
-    return importlib.import_module("rmesh_nlp.cli.path_command")
+    return importlib.import_module("rmesh_nlp.cli.path_commands")
 
 
 def _study_commands() -> ModuleType:
@@ -288,7 +288,7 @@ def path(
     rmesh path my.toml
     rmesh path my.toml -f nested --out pressing
     """
-    raise typer.Exit(_path_command().path(file, formulation, out))
+    raise typer.Exit(_path_commands().path(file, formulation, out))
 
 
 @app.command()
