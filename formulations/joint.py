@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver
+from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver, Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.energy_program import relocation
@@ -217,10 +218,24 @@ def solve(
         contact_solves=begin.contact_solves + 1,
         objective=outer,
         claimed_energy=claimed,
+        own=None if claimed is None or result is None else _own(referee, q, result),
         start=begin.name,
         seed=seed,
         settings=chosen.changed(),
     )
+
+
+def _own(referee: Referee, q: Array, result: NLPResult) -> Equilibrium:
+    """The program's own displacement, and contact forces: the multipliers of its gaps and slips."""
+    rel = referee.relocation
+    _, u, _ = rel.split(result.x)
+    n, n_s = rel.n_contact, rel.friction_rows.size
+    forces = -result.lam_g[: n + 2 * n_s]  # CasADi's multiplier of an active lower bound is negative
+    tangential = np.zeros(n if n_s else 0)
+    tangential[rel.friction_rows] = forces[n + n_s :] - forces[n : n + n_s]
+    active = ActiveSet(forces[:n] > 0, np.sign(tangential).astype(np.int8))
+    system = referee.model.system(rel.nodes(q))
+    return Equilibrium(u, system.energy(u), forces[:n], tangential, active, Status.CONVERGED, 0)
 
 
 def minimise(

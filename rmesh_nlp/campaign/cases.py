@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 from rmesh_nlp.campaign import strategies
@@ -82,8 +83,9 @@ def make_cases(
 ) -> list[Case]:
     """All pairs of examples and strategies, with the same settings.
 
-    An option goes to those strategies that take it. Of a problem file, whose name ends with
-    ``.toml``, also uniform refinements without motion are cases: ``refined`` of them, see
+    An option goes to those strategies that take it; of ``objective`` and ``seed`` there may be several, as
+    lists. A strategy may have options of its own, see :func:`strategy_options`. Of a problem file, whose
+    name ends with ``.toml``, also uniform refinements without motion are cases: ``refined`` of them, see
     :func:`rmesh_nlp.campaign.file_cases.refinements`.
 
     Raises
@@ -101,9 +103,12 @@ def make_cases(
         for name in examples
         if not name.endswith(SUFFIX)
     ]
-    if "objective" in options and parse_objective(options["objective"]).needs_exact:
+    if any(parse_objective(text).needs_exact for text in as_list(options.get("objective", "energy"))):
         problems = [with_reference(problem) for problem in problems]
-    taken = {name: strategies.accepted(strategies.load(name), options) for name in formulations}
+    chosen = [strategy_options(text) for text in formulations]
+    for _, own_options in chosen:
+        _check_options(own_options)
+    taken = {name: strategies.accepted(strategies.load(name), options) for name, _ in chosen}
     for option in options:
         if option not in FLAGS and not any(option in names for names in taken.values()):
             raise BadInputError(f"--{option} {options[option]}: not an option of {', '.join(formulations)}")
@@ -112,11 +117,43 @@ def make_cases(
         for problem in own
         for fine in refinements(problem, refined)
     ]
-    return [
-        Case(problem, name, {option: options[option] for option in options if option in taken[name]}, certify)
+    several = {option: as_list(options[option]) for option in ("objective", "seed") if option in options}
+    commons = [{**options, **dict(zip(several, one, strict=True))} for one in product(*several.values())]
+    cases = [
+        Case(problem, name, {**{key: common[key] for key in common if key in taken[name]}, **own}, certify)
         for problem in problems
-        for name in formulations
-    ] + finer
+        for common in commons
+        for name, own in chosen
+    ]
+    if len(commons) > 1:  # a strategy that takes no seed would be solved once for each of them
+        cases = list({case.key: case for case in cases}.values())
+    return cases + finer
+
+
+def strategy_options(text: str) -> tuple[str, dict[str, Any]]:
+    """A strategy with options of its own, ``mpcc:start=joint`` or ``nested:outer=ipopt:seed=3``.
+
+    Raises
+    ------
+    BadInputError
+        If an option has no value, or the strategy does not take it.
+    """
+    name, *parts = text.split(":")
+    solve = strategies.load(name)
+    found: dict[str, Any] = {}
+    for part in parts:
+        key, given, value = part.partition("=")
+        if not given or not value:
+            raise BadInputError(f"{text!r}: an option is written name=value, got {part!r}")
+        if key not in strategies.accepted(solve, [key]):
+            raise BadInputError(f"{text!r}: {name} takes no option {key!r}")
+        found[key] = int(value) if value.isdecimal() else value
+    return name, found
+
+
+def as_list(value: Any) -> list[Any]:
+    """Several values as a list, one as a list of one."""
+    return list(value) if isinstance(value, (list, tuple)) else [value]
 
 
 def build_problem(
@@ -141,7 +178,8 @@ def build_problem(
 def _check_options(options: Mapping[str, Any]) -> None:
     if "objective" in options:
         try:
-            parse_objective(options["objective"])
+            for text in as_list(options["objective"]):
+                parse_objective(text)
         except ValueError as error:
             raise BadInputError(str(error)) from error
     if options.get("relaxation", "scholtes") not in RELAXATIONS:

@@ -18,6 +18,7 @@ from rmesh_nlp.io.record_model import REQUIRED, Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, RECORDS, TABLES, Result, Results, write_history
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.solution.solution import Solution, Step, versions
+from rmesh_nlp.solution.theorem41 import error_terms
 
 OnStep = Callable[[Step], None]
 
@@ -59,6 +60,8 @@ def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
     try:
         solution = function(case.problem, **case.options, **watch)
         record = {**case.identity, "message": solution.status.message, **solution.record(), "key": case.key}
+        terms = error_terms(solution) if solution.audit.min_area_ratio > 0 else None
+        record.update({} if terms is None else terms.entries())
     except ValueError as error:  # the strategy does not take this problem or option
         return Outcome(_failure(case, "refused", error, time.perf_counter() - began), None)
     except Exception as error:

@@ -64,6 +64,20 @@ Objective = Annotated[
         "or a sum such as error-l2+0.01*quality.",
     ),
 ]
+Objectives = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--objective",
+        metavar="TERMS",
+        help="Outer objective, as for solve; given several times, all of them stand in one table.",
+    ),
+]
+Seeds = Annotated[
+    str | None,
+    typer.Option(
+        "--seed", metavar="N[,N...]", help="Start from random node positions; several seeds in one table."
+    ),
+]
 Starts = Annotated[
     int | None,
     typer.Option(
@@ -374,13 +388,18 @@ def compare(
         list[str] | None, typer.Argument(help="Examples, or problem files; the three examples by default.")
     ] = None,
     formulations: Annotated[
-        str, typer.Option("--formulations", metavar="NAMES", help="Strategies, separated by commas.")
+        str,
+        typer.Option(
+            "--formulations",
+            metavar="NAMES",
+            help="Strategies, separated by commas; options of their own as in mpcc:start=joint.",
+        ),
     ] = "fixed,nested,joint,mpcc",
     n: Size = None,
     delta: Delta = None,
-    seed: Seed = None,
+    seed: Seeds = None,
     quadrature: Quadrature = "midpoint",
-    objective: Objective = None,
+    objective: Objectives = None,
     relaxation: Relaxation = None,
     outer: Outer = None,
     starts: Starts = None,
@@ -509,12 +528,13 @@ def _settings(
     n: str | None, delta: str | None, quadrature: str, seed: str | None, **given: Any
 ) -> dict[str, Any]:
     """Keyword arguments of :func:`~rmesh_nlp.campaign.cases.make_cases`; options not given are left out."""
-    options = {"seed": None if seed is None else parse_seed(seed), **given}
+    seeds = [] if seed is None else [parse_seed(text.strip()) for text in seed.split(",")]
+    options: dict[str, Any] = {"seed": seeds[0] if len(seeds) == 1 else seeds or None, **given}
     return {
         "n": None if n is None else parse_size(n),
         "delta": None if delta is None else parse_delta(delta),
         "quadrature": parse_quadrature(quadrature),
-        "options": {name: value for name, value in options.items() if value is not None},
+        "options": {name: value for name, value in options.items() if value not in (None, [])},
     }
 
 

@@ -47,10 +47,10 @@ def _text(name: str) -> Callable[[Record], str]:
 def contact_units(record: Record) -> float | None:
     """Build and solve over the time of one contact solve measured in the same run.
 
-    The audit is the referee's and the same for all strategies; rows of earlier versions have the sum alone.
+    Records of older versions have no split time: their wall time counts.
     """
-    parts = [record.get("build_time_s"), record.get("solve_time_s")]
-    seconds = record.get("wall_time_s") if None in parts else sum(part for part in parts if part is not None)
+    build, solve = record.get("build_time_s"), record.get("solve_time_s")
+    seconds = record.get("wall_time_s") if build is None or solve is None else build + solve
     unit = record.get("contact_time_s")
     return seconds / unit if seconds is not None and unit else None
 
@@ -58,6 +58,17 @@ def contact_units(record: Record) -> float | None:
 def _in_contact_solves(record: Record) -> str:
     units = contact_units(record)
     return MISSING if units is None else f"{units:.3g}" if units < 100 else f"{units:.0f}"
+
+
+def label_in_words(record: Record) -> str:
+    """The label of stationarity, and whether it says more than that of an ordinary program."""
+    label = str(record.get("stationarity") or MISSING)
+    return "S (KKT)" if label == "S" and record.get("biactive") == 0 else label
+
+
+def _sum_of_errors(record: Record) -> str:
+    terms = [record[name] for name in ("I1", "I2", "I3") if record.get(name) is not None]
+    return f"{sum(terms):.6f}" if len(terms) == 3 else MISSING
 
 
 def _two(first: str, second: str) -> str:
@@ -103,17 +114,39 @@ displacement; least element area over its initial one."""
 
 COSTS = (
     STRATEGY,
+    Column("start", "start", _text("start")),
     Column("iterations", "iter.", _number("iterations", "d")),
     Column("contact solves", _two("contact", "solves"), _number("contact_solves", "d")),
-    Column("time [s]", _two("time", "[s]"), _number("wall_time_s", ".3g")),
-    Column("time [solves]", _two("time", "[solves]"), _in_contact_solves),
-    Column("equilibrium", "equil.", _number("equilibrium_residual", ".1e")),
-    Column("complementarity", "compl.", _number("complementarity_residual", ".1e")),
-    Column("stationarity", "stat.", _number("stationarity_residual", ".1e")),
-    Column("label", "label", _text("stationarity")),
+    Column("build [s]", _two("build", "[s]"), _number("build_time_s", ".3g")),
+    Column("solve [s]", _two("solve", "[s]"), _number("solve_time_s", ".3g")),
+    Column("audit [s]", _two("audit", "[s]"), _number("audit_time_s", ".3g")),
+    Column("build + solve [solves]", _two("cost", "[solves]"), _in_contact_solves),
+    Column("tolerance", "tol.", _number("tolerance", ".0e")),
     Column("status", "status", _text("status")),
 )
-"""Work, residuals, stationarity and status."""
+"""Work by one clock, the audit apart, and how it ended."""
+
+RESIDUALS = (
+    STRATEGY,
+    Column("equilibrium, own", _two("equil.", "own"), _number("own_equilibrium_residual", ".1e")),
+    Column("referee", _two("equil.", "referee"), _number("referee_equilibrium_residual", ".1e")),
+    Column("complementarity, own", _two("compl.", "own"), _number("own_complementarity_residual", ".1e")),
+    Column("referee", _two("compl.", "referee"), _number("referee_complementarity_residual", ".1e")),
+    Column("stationarity", "stat.", _number("stationarity_residual", ".1e")),
+    Column("biactive", "biactive", lambda record: _count(record.get("biactive_nodes"))),
+    Column("label", "label", lambda record: label_in_words(record)),
+)
+"""Residuals of the strategy's own state and of the referee's contact solve on its mesh, and the label."""
+
+ERRORS = (
+    STRATEGY,
+    Column("I1", "$I_1$", _number("I1", ".6f")),
+    Column("I2", "$I_2$", _number("I2", ".2e")),
+    Column("I3", "$I_3$", _number("I3", ".2e")),
+    Column("sum", "sum", lambda record: _sum_of_errors(record)),
+    Column("J audited - J exact", _two("$J-J(u)$", "audited"), _number("energy_above_exact", ".6f")),
+)
+"""Theorem 4.1: the three errors, and the difference of the energies that their sum is."""
 
 OBJECTIVES = (
     STRATEGY,

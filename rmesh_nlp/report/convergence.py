@@ -21,6 +21,9 @@ FEASIBLE = 1e-6
 FLOOR = 1e-8
 """Gaps are drawn no lower than this part of the best energy: below is the solvers' tolerance."""
 
+NAMES = ("iteration", "energy", "objective", "seconds", "primal_residual")
+"""Columns of a history that are drawn."""
+
 MARKERS = 15
 """About as many markers are put on a curve."""
 
@@ -33,8 +36,8 @@ class Curve:
     ----------
     name : str
     iteration, cost, energy : arrays
-        Cost in units of one contact solve: counted where there are such solves, else wall time
-        over that of one contact solve.
+        Cost: seconds of build and solve over those of one contact solve, for all strategies alike.
+        Energy: the objective that was minimised.
     feasible : array of bool
     """
 
@@ -46,37 +49,44 @@ class Curve:
 
 
 def curve(result: Result) -> Curve | None:
-    """The curve of a result; None without a history of the energy."""
+    """The curve of a result, in the objective that was minimised; None without a history of it."""
     record, steps = result.record, result.steps()
-    if not steps or record["objective"] != "energy" or record["formulation"] == RELOCATING_NOTHING:
+    if not steps or record["formulation"] == RELOCATING_NOTHING:
         return None
-    columns = {name: np.array([step[name] for step in steps]) for name in steps[0]}
-    counted = columns["contact_solves"].max() > 0
+    columns = {name: np.array([step.get(name, np.nan) for step in steps]) for name in (*NAMES, *steps[0])}
+    of_energy = record["objective"] == "energy"
+    value = columns["energy"] if of_energy else columns["objective"]
+    if not np.any(np.isfinite(value)):
+        return None
     unit = record.get("contact_time_s") or np.nan  # a clock too coarse for it: the cost is not known
-    cost = columns["contact_solves"] if counted else columns["seconds"] / unit
+    cost = columns["seconds"] / unit
     feasible = ~(columns["primal_residual"] > FEASIBLE)
-    iteration, energy = columns["iteration"], columns["energy"]
-    if iteration[0] > 0:  # a strategy that reports whole solves: begin where it began
-        iteration, energy = np.append(0.0, iteration), np.append(record["energy_initial"], energy)
-        cost, feasible = np.append(1.0, cost), np.append(True, feasible)
-    return Curve(label(record), iteration, np.maximum(cost, 1.0), energy, feasible)
+    return Curve(label(record), columns["iteration"], np.maximum(cost, 1.0), value, feasible)
 
 
 def convergence_figure(curves: Sequence[Curve], best: Record) -> Figure:
-    """Distance to the best energy, on the left over iterations, on the right over cost."""
-    reference = float(best["energy"])
+    """Distance to the best objective, on the left over iterations, on the right over cost.
+
+    Drawn is the value that the strategies see, by the problem's own rule.
+    """
+    of_energy = best["objective"] == "energy"
+    symbol = "J" if of_energy else "F"
+    ends = [float(one.energy[-1]) for one in curves if one.feasible[-1]]
+    reference = min(ends, default=float(best["energy" if of_energy else "objective_value"]))
     figure = new_figure(TWO_COLUMNS, 3.1)
     left, right = figure.subplots(1, 2, sharey=True)
+    largest = max(float(np.nanmax(np.abs(one.energy - reference))) for one in curves)
+    floor = FLOOR * (abs(reference) or largest or 1.0)
     for position, one in enumerate(curves, 1):
-        gap = np.maximum(np.abs(one.energy - reference), FLOOR * abs(reference))
+        gap = np.maximum(np.abs(one.energy - reference), floor)
         _draw(left, one.iteration, gap, one, look(position))
         _draw(right, one.cost, gap, one, look(position))
     left.set_yscale("log")
-    left.set_ylabel(f"|J − J*|,  J* = {reference:.6f} ({label(best)})")
+    left.set_ylabel(f"|{symbol} − {symbol}*|,  {symbol}* = {reference:.6g}")
     hollow = "" if all(one.feasible.all() for one in curves) else "\n(hollow: constraints not yet met)"
     left.set_xlabel(f"iteration{hollow}")
     right.set_xscale("log")
-    right.set_xlabel("cost [contact solves]\n(all at once: wall time / time of a contact solve)")
+    right.set_xlabel("cost [contact solves]\n(build and solve, in times of one)")
     for axis in (left, right):
         axis.grid(color="0.9", linewidth=0.5)
         axis.minorticks_off()

@@ -102,9 +102,13 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
         if drawn and drawn[0][1].displacement.shape[0] == 1:
             best = {f"relocated by {label(r)}": f for r, f in moved if r is block.best}
             yield f"{stem}-surface", surface_figure({**given, **best} or named)
-        curves = [one for one in map(curve, results) if one is not None]
-        if curves and block.best is not None:
-            yield f"{stem}-convergence", convergence_figure(curves, block.best)
+        for objective in dict.fromkeys(record["objective"] for record in block.records):
+            same = [result for result in results if result.record["objective"] == objective]
+            curves = [one for one in map(curve, same) if one is not None]
+            lowest = Block(tuple(result.record for result in same)).best
+            if curves and lowest is not None:
+                suffix = "" if objective == "energy" else f"-{objective}"
+                yield f"{stem}{suffix}-convergence", convergence_figure(curves, lowest)
 
 
 def _unused(name: str, paths: Sequence[Path]) -> str:

@@ -29,7 +29,7 @@ from rmesh_nlp.programs.freedoms import least_angles
 from rmesh_nlp.programs.multipliers import multipliers
 from rmesh_nlp.programs.reduced import Reduced, ReducedEnergy, ReducedObjective
 from rmesh_nlp.programs.residual import OuterResidual, size_of
-from rmesh_nlp.solution.audit import Audit, Auditor
+from rmesh_nlp.solution.audit import Audit, Auditor, equilibrium_residual, law_residual
 from rmesh_nlp.solution.clock import Clock
 from rmesh_nlp.solution.solution import Solution, Step
 from rmesh_nlp.solution.verdict import Measured, verdict
@@ -167,6 +167,7 @@ class Referee:
         extra: dict[str, Any] | None = None,
         outer_gradient: Array | None = None,
         relocates: bool = True,
+        own: Equilibrium | None = None,
     ) -> Solution:
         """Solve the contact problem at ``q``, audit it, and decide on success.
 
@@ -188,6 +189,9 @@ class Referee:
             returned, instead of the contact solve.
         outer_gradient : array, optional
             Has no effect: the referee computes the gradient itself.
+        own : Equilibrium, optional
+            The strategy's own displacement and forces where the contact solve replaces them in the
+            solution: their residuals are recorded beside the referee's.
         relocates : bool
             Whether the strategy moves nodes at all; if not, there is nothing to be stationary in.
         stationarity : str, optional
@@ -204,6 +208,7 @@ class Referee:
                 equilibrium=equilibrium,
                 stationarity=stationarity,
                 relocates=relocates,
+                own=own,
                 history=tuple(history),
                 iterations=iterations,
                 contact_solves=contact_solves,
@@ -231,6 +236,7 @@ class Referee:
         equilibrium: Equilibrium | None,
         stationarity: str | None,
         relocates: bool,
+        own: Equilibrium | None,
         **common: Any,
     ) -> Solution:
         nodes = self.relocation.nodes(q)
@@ -282,7 +288,12 @@ class Referee:
         if stationarity is None:
             stationarity = "KKT" if residual <= tolerance else ""
         weights = nodal_weights(self.problem, nodes)
-        common["extra"] = {**common["extra"], "warnings": self._warnings(nodes, found)}
+        common["extra"] = {
+            **common["extra"],
+            "tolerance": tolerance,
+            **self._residuals(nodes, own or found, exact.equilibrium),
+            "warnings": self._warnings(nodes, found),
+        }
         return Solution(
             **common,
             displacement=self.model.displacement.values(found.u),
@@ -299,6 +310,15 @@ class Referee:
             multipliers=multipliers(self.relocation, q, point.gradient),
             detail=detail,
         )
+
+    def _residuals(self, nodes: Array, own: Equilibrium, exact: Equilibrium) -> dict[str, float]:
+        """Record entries: residuals of the strategy's own state, and of the referee's contact solve."""
+        system = self.model.system(nodes)
+        return {
+            f"{name}_{kind}_residual": measure(system, state.u, state.normal_force, state.tangential_force)
+            for name, state in (("own", own), ("referee", exact))
+            for kind, measure in (("equilibrium", equilibrium_residual), ("complementarity", law_residual))
+        }
 
     def _warnings(self, nodes: Array, state: Equilibrium) -> list[str]:
         """Signs of a wrong set-up, and of foundations that pass into the relocated mesh."""

@@ -129,17 +129,16 @@ def test_curves_are_told_apart_without_colour(results: list[Result]) -> None:
     assert len({(one.linestyle, one.marker) for one in LOOKS}) == len(LOOKS)
 
 
-def test_costs_of_all_at_once_strategies_are_time_in_contact_solves(results: list[Result]) -> None:
+def test_the_cost_of_every_strategy_is_time_in_contact_solves(results: list[Result]) -> None:
     by_name = {r.record["formulation"]: r for r in results if r.record["example"] == "6.1"}
     assert curve(by_name["fixed"]) is None
-    joint, nested = curve(by_name["joint"]), curve(by_name["nested"])
-    assert joint is not None
-    assert nested is not None
-    last = by_name["joint"].steps()[-1]["seconds"] / by_name["joint"].record["contact_time_s"]
-    assert joint.cost[-1] == pytest.approx(last)
-    assert nested.cost[-1] == by_name["nested"].steps()[-1]["contact_solves"]
+    for name in ("joint", "nested"):
+        found, result = curve(by_name[name]), by_name[name]
+        assert found is not None
+        last = result.steps()[-1]["seconds"] / result.record["contact_time_s"]
+        assert found.cost[-1] == pytest.approx(max(last, 1.0))
     figure = figures(results, "6.1")["6.1-4-convergence"]
-    assert "wall time" in figure.axes[1].get_xlabel()
+    assert "build and solve" in figure.axes[1].get_xlabel()
 
 
 def test_mpcc_begins_at_the_initial_energy(results: list[Result]) -> None:

@@ -1,0 +1,76 @@
+"""Theorem 4.1 of the paper, term by term: L(X) - J(u) = I1 + I2 + I3.
+
+I1 is the energy-norm error, ``1/2 a(u_h - u, u_h - u)``, I2 the work of the exact contact stress on the
+discrete gap, I3 the difference of the friction terms. All are non-negative, so lowering the energy lowers
+their sum. They are integrated by the rule of the audit, on the contact solution by that rule.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.assembly import element_values
+from rmesh_nlp.fem.fields import Field, constant_field
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solution.audit import AUDIT_DEGREE
+from rmesh_nlp.solution.solution import Solution
+
+
+@dataclass(frozen=True)
+class ErrorTerms:
+    """The terms on one mesh, in the unit of the energy.
+
+    Attributes
+    ----------
+    I1, I2 : float
+    I3 : float or None
+        0 without friction; None with friction, where the exact friction stress would be needed.
+    above_exact : float
+        Audited energy less the exact one: by the theorem the sum of the three.
+    """
+
+    I1: float
+    I2: float
+    I3: float | None
+    above_exact: float
+
+    @property
+    def total(self) -> float:
+        """``I1 + I2 + I3``; an unknown I3 counts as nothing."""
+        return self.I1 + self.I2 + (self.I3 or 0.0)
+
+    def entries(self) -> dict[str, float | None]:
+        """Entries of a record."""
+        return {"I1": self.I1, "I2": self.I2, "I3": self.I3, "energy_above_exact": self.above_exact}
+
+
+def error_terms(solution: Solution) -> ErrorTerms | None:
+    """The terms of Theorem 4.1 on the relocated mesh; None where no exact solution is known."""
+    return error_terms_on(solution.problem, np.asarray(solution.mesh.p))
+
+
+def error_terms_on(problem: ContactProblem, nodes: Array) -> ErrorTerms | None:
+    """The same on any node positions (2, nodes) of a problem's mesh."""
+    exact = problem.exact
+    if exact is None or not np.isfinite(exact.energy):
+        return None
+    accurate = replace(problem, quadrature=AUDIT_DEGREE)
+    model = ContactModel(accurate)
+    state = model.solve(nodes)
+    fields = (
+        constant_field(nodes),
+        constant_field(model.displacement.values(state.u)),
+        constant_field(np.zeros((1, nodes.shape[1]))),
+    )
+    first, second = (_value(accurate, name, fields) for name in ("error-energy", "contact"))
+    return ErrorTerms(first, second, None if problem.frictional else 0.0, state.energy - exact.energy)
+
+
+def _value(problem: ContactProblem, name: str, fields: tuple[Field, Field, Field]) -> float:
+    groups = parse_objective(name).groups(problem, *fields)
+    return float(sum(np.sum(part) for part in element_values(groups)(np.zeros(0))))

@@ -1,0 +1,56 @@
+"""Several objectives, seeds and strategies with options of their own in one comparison."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rmesh_nlp.campaign.cases import make_cases, strategy_options
+from rmesh_nlp.cli.app import run
+from rmesh_nlp.cli.commands import does_not_apply
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.results import read_results
+
+
+def test_objectives_and_seeds_are_multiplied() -> None:
+    options = {"objective": ["energy", "error-l2"], "seed": [1, 2]}
+    cases = make_cases(["6.1"], ["fixed", "joint"], n=4, options=options)
+    assert len({case.key for case in cases}) == len(cases)
+    joint = [case.options for case in cases if case.formulation == "joint"]
+    assert [(o["objective"], o["seed"]) for o in joint] == [
+        ("energy", 1), ("energy", 2), ("error-l2", 1), ("error-l2", 2)
+    ]  # fmt: skip
+    # fixed takes no seed: once for each objective
+    assert len([case for case in cases if case.formulation == "fixed"]) == 2
+
+
+def test_a_strategy_may_have_options_of_its_own() -> None:
+    cases = make_cases(["6.1"], ["mpcc", "mpcc:start=joint", "nested:outer=ipopt:seed=3"], n=4)
+    assert [dict(case.options) for case in cases] == [{}, {"start": "joint"}, {"outer": "ipopt", "seed": 3}]
+    assert len({case.key for case in cases}) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("mpcc:start", "name=value"), ("mpcc:speed=9", "takes no option 'speed'"), ("mpc:start=joint", "mpc")],
+)
+def test_wrong_options_are_named(text: str, said: str) -> None:
+    with pytest.raises(BadInputError, match=said):
+        strategy_options(text)
+
+
+def test_an_objective_that_joint_refuses_is_a_dash_and_no_failure(tmp_path: Path) -> None:
+    arguments = ["compare", "6.1", "--n", "4", "--quadrature", "6", "--formulations", "joint,nested"]
+    arguments += ["--quiet"]
+    assert run([*arguments, "--objective", "energy", "--objective", "error-l2", "--out", str(tmp_path)]) == 0
+    rows = [result.record for result in read_results(tmp_path)]
+    assert [does_not_apply(row) for row in rows] == [False, False, True, False]
+    table = (tmp_path / "table.md").read_text()
+    assert "| nested, error-l2 |" in table
+    assert all(row["I1"] + row["I2"] > 0 for row in rows if row["success"])
+
+
+def test_refusing_the_only_objective_is_no_success(tmp_path: Path) -> None:
+    arguments = ["compare", "6.1", "--n", "4", "--formulations", "joint", "--quiet", "--out", str(tmp_path)]
+    assert run([*arguments, "--objective", "error-l2"]) == 1
