@@ -23,7 +23,8 @@ LEGEND = (
     "of one contact solve on the initial mesh, measured in the same run; the audit is no cost. Residuals are "
     "dimensionless: own are those of the strategy's displacement and forces, the referee's those of its "
     "contact solve on the strategy's mesh. Stationarity is the first-order residual of the outer problem, "
-    "relative to that on the given mesh. Label: the kind of stationarity that was computed; S (KKT) is S-stationarity without a biactive pair, "
+    "relative to that on the given mesh. Label: the kind of stationarity that was computed; S (KKT) is "
+    "S-stationarity without a biactive pair, "
     "which says no more than that the point is a KKT point.",
 )
 
