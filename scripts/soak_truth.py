@@ -1,0 +1,253 @@
+"""Random solves judged by an assembly of its own, to see whether anything wrong is called a success.
+
+    python scripts/soak_truth.py --count 1000 --out soak
+
+Stiffness, loads, gaps and friction are assembled here with numpy, with a rule of degree 19 on each triangle;
+the contact problem is solved by its dual, a bounded least-squares problem. Nothing of the package's energies,
+contact solver or audit is used. A success with a negative gain, with a gain that differs by more than a tenth
+from the one measured here, with a negative gap or an inverted element, or after more than 60 s is reported
+and makes the exit code 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import lsq_linear
+from skfem.quadrature import get_quadrature_tri
+
+from rmesh_nlp.api.solving import solve
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Laplace,
+    Motion,
+    Obstacle,
+    PlaneStrain,
+    PlaneStress,
+    Relative,
+)
+
+STRATEGIES: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("joint", {}),
+    ("nested", {"outer": "newton"}),
+    ("nested", {"outer": "ipopt"}),
+    ("mpcc", {}),
+)
+BOXES: tuple[Any, ...] = (1e-4, 0.02, 0.1, Relative(0.3), None)
+RULES: tuple[str | int, ...] = ("auto", "auto", "midpoint", 4)
+AGREEMENT, ROUNDING, LONGEST = 0.1, 1e-8, 60.0
+POINTS, WEIGHTS = get_quadrature_tri(19)
+BARYCENTRIC = np.vstack([1 - POINTS.sum(axis=0), POINTS])
+
+
+@dataclass(frozen=True)
+class Source:
+    """The data of a problem once more, as functions of numpy arrays."""
+
+    load: tuple[Callable[[Any, Any], Any], ...]
+    tensor: np.ndarray  # (c, 2, c, 2): energy density 1/2 du : tensor : du
+    normal: np.ndarray
+    offset: Callable[[Any, Any], Any]
+    friction: float
+    boundary: str
+
+
+def wave(a: np.ndarray, lib: Any) -> Callable[[Any, Any], Any]:
+    """A load: a polynomial and an oscillation."""
+    return lambda x, y: a[0] + a[1] * x * y + a[2] * lib.sin(a[3] * x) * lib.cos(a[4] * y)
+
+
+def draw(seed: int) -> tuple[ContactProblem, Source, str, dict[str, Any]]:
+    """A random problem, its data for the judge, and a strategy with its options."""
+    rng = np.random.default_rng(seed)
+    nx, ny = (int(k) for k in rng.integers(3, 7, 2))
+    mesh = rectangle(nx, ny, x=(0, 2), diagonal=("rising", "falling")[rng.integers(2)])
+    p = mesh.p.copy()
+    inside = mesh.interior_nodes()
+    p[:, inside] += rng.uniform(-0.15, 0.15, (2, inside.size)) / max(nx, ny)
+    mesh = type(mesh)(p, mesh.t).with_boundaries(
+        {
+            "left": lambda x: x[0] < 1e-9,
+            "right": lambda x: x[0] > 2 - 1e-9,
+            "bottom": lambda x: x[1] < 1e-9,
+        }
+    )
+    smooth = bool(rng.integers(2))
+    bend = float(rng.uniform(0, 0.02))
+    offset: dict[Any, Callable[[Any, Any], Any]] = {
+        lib: (lambda x, y, lib=lib: 0.01 + bend * lib.sin(2 * x) ** 2) for lib in (np, ca)
+    }
+    laws: list[Any] = []
+    coefficients = rng.uniform(-1, 1, (2, 5)) * [1, 1, 0 if smooth else 3, 0, 0] + [0, 0, 0, 5, 4]
+    scalar = bool(rng.integers(2))
+    if scalar:
+        coefficients[0, 0] -= 2
+        laws = [Laplace(wave(coefficients[0], ca))]
+        tensor = np.eye(2).reshape(1, 2, 1, 2)
+        obstacle = Obstacle("right", (1.0,), lambda x, y: 0.01 + bend * ca.sin(2 * x) ** 2)
+        normal, friction, boundary = np.ones(1), 0.0, "right"
+    else:
+        young, poisson = 100.0, float(rng.uniform(0.1, 0.4))
+        kind = (PlaneStrain, PlaneStress)[rng.integers(2)]
+        coefficients[1, 0] -= 2
+        loads = (wave(coefficients[0], ca), wave(coefficients[1], ca))
+        laws = [kind.from_young(young, poisson, loads)]
+        mu = young / (2 * (1 + poisson))
+        lam = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+        if kind is PlaneStress:
+            lam = 2 * lam * mu / (lam + 2 * mu)
+        d = np.eye(2)
+        tensor = (
+            lam * np.einsum("ij,kl->ijkl", d, d)
+            + mu * np.einsum("ik,jl->ijkl", d, d)
+            + mu * np.einsum("il,jk->ijkl", d, d)
+        )
+        friction = float(rng.choice([0.0, 0.3]))
+        obstacle = Obstacle("bottom", (0.0, 1.0), offset[ca], friction)
+        normal, boundary = np.array([0.0, 1.0]), "bottom"
+    problem = ContactProblem(
+        mesh,
+        laws[0],
+        ("left",),
+        obstacle,
+        Motion(BOXES[rng.integers(len(BOXES))]),
+        quadrature=RULES[rng.integers(len(RULES))],
+        name=f"random {seed}",
+    )
+    rows = coefficients[: 1 if scalar else 2]
+    source = Source(tuple(wave(a, np) for a in rows), tensor, normal, offset[np], friction, boundary)
+    name, options = STRATEGIES[rng.integers(len(STRATEGIES))]
+    return problem, source, name, options
+
+
+def energy(problem: ContactProblem, source: Source, nodes: np.ndarray) -> float:
+    """The least energy on a mesh, assembled and minimised here."""
+    t, c, n = problem.mesh.t, len(source.load), nodes.shape[1]
+    v = nodes[:, t]
+    jacobian = np.stack([v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]], axis=1).transpose(2, 0, 1)
+    area = np.abs(np.linalg.det(jacobian)) / 2
+    slopes = np.array([[-1.0, 1, 0], [-1, 0, 1]]).T @ np.linalg.inv(jacobian)  # (elements, 3, 2)
+    local = np.einsum("e,eai,picj,ebj->eapbc", area, slopes, source.tensor, slopes)
+    dofs = (c * t.T[:, :, None] + np.arange(c)).reshape(t.shape[1], -1)
+    K, F = np.zeros((c * n, c * n)), np.zeros(c * n)
+    for e, index in enumerate(dofs):
+        K[np.ix_(index, index)] += local[e].reshape(index.size, -1)
+    where = np.einsum("dae,aq->deq", v, BARYCENTRIC)
+    for component, load in enumerate(source.load):
+        values = load(where[0], where[1]) * np.ones(where.shape[1:])
+        share = np.einsum("e,eq,aq,q->ae", 2 * area, values, BARYCENTRIC, WEIGHTS)
+        np.add.at(F, c * t + component, share)
+    edges = problem.mesh.facets[:, problem.mesh.boundaries[source.boundary]]
+    length = np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
+    weight = np.bincount(edges.ravel(), np.tile(length / 2, 2), n)
+    held = problem.mesh.facets[:, problem.mesh.boundaries["left"]].ravel()
+    contact = np.setdiff1d(np.unique(edges), held)
+    free = np.setdiff1d(np.arange(c * n), (c * np.unique(held)[:, None] + np.arange(c)).ravel())
+    N = np.zeros((contact.size, c * n))
+    N[np.arange(contact.size)[:, None], c * contact[:, None] + np.arange(c)] = source.normal
+    gap0 = source.offset(nodes[0, contact], nodes[1, contact]) * np.ones(contact.size)
+    bound = source.friction * weight[contact]
+    B, c0 = N[:, free], gap0
+    lower, upper = np.zeros(contact.size), np.full(contact.size, np.inf)
+    T = np.zeros_like(B)
+    if source.friction:
+        turned = np.zeros_like(N)
+        turned[np.arange(contact.size), c * contact] = 1.0  # the tangent of the normal (0, 1)
+        T = turned[:, free]
+        B, c0 = np.vstack([B, T]), np.append(c0, np.zeros(contact.size))
+        lower, upper = np.append(lower, -bound), np.append(upper, bound)
+    root = cholesky(K[np.ix_(free, free)], lower=True)
+    Y = solve_triangular(root, B.T, lower=True)
+    f = solve_triangular(root, F[free], lower=True)
+    factor = cholesky(Y.T @ Y, lower=True)
+    right = -solve_triangular(factor, Y.T @ f + c0, lower=True)
+    y = lsq_linear(factor.T, right, bounds=(lower, upper), method="bvls", tol=1e-14, max_iter=2000).x
+    u = solve_triangular(root.T, f + Y @ y)
+    return float(0.5 * np.sum((root.T @ u) ** 2) - F[free] @ u + bound @ np.abs(T @ u))
+
+
+def faults(problem: ContactProblem, source: Source, solution: Any, seconds: float) -> dict[str, Any]:
+    """What is wrong with a solution, and the figures measured here."""
+    p0, p1 = np.asarray(problem.mesh.p), np.asarray(solution.mesh.p)
+    before, after = energy(problem, source, p0), energy(problem, source, p1)
+    gain, said = before - after, solution.record()["gain"]
+    size = max(abs(before), abs(after))
+    nodes = np.unique(problem.mesh.facets[:, problem.mesh.boundaries[source.boundary]])
+    gap = source.normal @ solution.displacement[:, nodes] + source.offset(p1[0, nodes], p1[1, nodes])
+    one, two = (np.linalg.det((p[:, t[1:]] - p[:, t[:1]]).transpose(2, 0, 1)) for p, t in
+                ((p0, problem.mesh.t), (p1, problem.mesh.t)))  # fmt: skip
+    larger = max(abs(gain), abs(said))
+    wrong = {
+        "negative gain": gain < -ROUNDING * size,
+        "gain off": larger > ROUNDING * size and abs(gain - said) > AGREEMENT * larger,
+        "infeasible": bool(np.min(gap) < -1e-8 * (1 + np.max(np.abs(gap)))),
+        "inverted": bool(np.min(two / one) <= 0),
+        "slow": seconds > LONGEST,
+    }
+    return {"gain_here": gain, "gain_said": said, "faults": [name for name, bad in wrong.items() if bad]}
+
+
+def run(count: int, first: int, out: Path | None) -> int:
+    """The soak; returns the exit code."""
+    rows = []
+    for seed in range(first, first + count):
+        problem, source, name, options = draw(seed)
+        began = time.perf_counter()
+        row: dict[str, Any] = {"seed": seed, "strategy": name, **options, "rule": str(problem.quadrature)}
+        row["box"] = str(problem.motion.delta)
+        try:
+            solution = solve(problem, name, time_limit_s=LONGEST, **options)
+            row["seconds"] = time.perf_counter() - began
+            row.update(status=solution.status.value, success=solution.success)
+            row.update(residual=solution.stationarity_residual)
+            row.update(faults(problem, source, solution, row["seconds"]))
+        except Exception as error:
+            row.update(status=f"{type(error).__name__}: {error}", success=False, faults=["crash"])
+            row["seconds"] = time.perf_counter() - began
+        rows.append(row)
+        bad = row["faults"] and (row["success"] or set(row["faults"]) & {"crash", "slow"})
+        if bad or not row["success"]:
+            print(json.dumps(row), flush=True)
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            (out / "soak.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    return summary(rows)
+
+
+def summary(rows: list[dict[str, Any]]) -> int:
+    """Print the figures; 1 if a success is wrong, a solve crashed or took too long."""
+    success = [row for row in rows if row["success"]]
+    wrong = Counter(fault for row in success for fault in row["faults"])
+    hard = Counter(fault for row in rows for fault in row["faults"] if fault in ("crash", "slow"))
+    auto = [row for row in rows if row["rule"] == "auto"]
+    print(f"{len(rows)} solves, slowest {max(row['seconds'] for row in rows):.1f} s")
+    for name, part in (("all", rows), ("with the rule chosen for the load", auto)):
+        good = sum(row["success"] for row in part)
+        met = sum(row["status"] == "converged" for row in part)
+        print(f"{name}: {good} of {len(part)} successes, {met} converged")
+    for outer in sorted({f"{row['strategy']} {row.get('outer', '')}".strip() for row in rows}):
+        part = [row for row in rows if f"{row['strategy']} {row.get('outer', '')}".strip() == outer]
+        print(f"  {outer}: {dict(Counter(row['status'] for row in part))}")
+    print(f"wrong successes: {dict(wrong) or 'none'}; crashes and slow solves: {dict(hard) or 'none'}")
+    return 1 if wrong or hard else 0
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--count", type=int, default=60, help="number of solves")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first")
+    parser.add_argument("--out", type=Path, help="folder for soak.jsonl")
+    arguments = parser.parse_args()
+    sys.exit(run(arguments.count, arguments.first, arguments.out))
