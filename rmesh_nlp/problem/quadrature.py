@@ -56,8 +56,10 @@ def polynomial_degree(coefficient: Coefficient) -> int | None:
     for degree in range(HIGHEST_POLYNOMIAL + 1):
         if ca.Function("count", [point], [derivatives]).n_nodes() > LARGEST_EXPRESSION:
             return None
+        highest = derivatives
         derivatives = ca.sparsify(ca.simplify(ca.vec(ca.jacobian(derivatives, point))))
         derivatives = ca.vertcat(*{hash(e): e for e in ca.vertsplit(derivatives) if e.nnz()}.values())
         if derivatives.shape[0] == 0:
-            return degree
+            # that of a branch, such as |x|, depends on the point by its condition
+            return None if ca.depends_on(highest, point) else degree
     return None

@@ -1,0 +1,253 @@
+"""Valid, improved, stationary: what each finding makes of a solution."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from formulations import fixed, joint, nested
+from rmesh_nlp.contact.sensitivity import weakly_active
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, ProblemError
+from rmesh_nlp.problem.quadrature import polynomial_degree
+from rmesh_nlp.solution import audit as auditing
+from rmesh_nlp.solution import referee as refereeing
+from rmesh_nlp.solution.audit import Audit, equilibrium_residual, law_residual
+from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solution.verdict import Measured, verdict
+
+GOOD = Measured(
+    audit=Audit(-1.1, 1e-9, 1e-9, 0.5, 0.0, 0.0),
+    contact=Status.CONVERGED,
+    consistent=True,
+    gain=0.1,
+    gain_audited=0.1,
+    decrease=0.1,
+    size=1.0,
+    is_energy=True,
+    stationary=True,
+)
+
+
+def with_audit(**changes: Any) -> Measured:
+    return replace(GOOD, audit=replace(GOOD.audit, **changes))
+
+
+@pytest.mark.parametrize(
+    ("measured", "status"),
+    [
+        (with_audit(min_area_ratio=0.0), Status.INVALID_MESH),
+        (replace(GOOD, contact=Status.CYCLED), Status.CYCLED),
+        (with_audit(equilibrium_residual=2e-6), Status.INACCURATE),
+        (with_audit(complementarity_residual=2e-6), Status.INACCURATE),
+        (with_audit(equilibrium_residual=float("nan")), Status.INACCURATE),
+        (with_audit(penetration_excess=1.1), Status.PENETRATION),
+        (replace(GOOD, gain_audited=0.089, decrease=0.089), Status.QUADRATURE_EXPLOITED),
+        (replace(GOOD, gain=0.089), Status.QUADRATURE_EXPLOITED),
+        (replace(GOOD, gain=-0.1, gain_audited=-0.1, decrease=-0.1), Status.WORSE),
+        (replace(GOOD, is_energy=False, decrease=-1e-8), Status.WORSE),
+    ],
+)
+def test_each_finding_has_a_status_and_is_no_success(measured: Measured, status: Status) -> None:
+    judged = verdict(Status.CONVERGED, measured)
+    assert judged.status is status
+    assert not judged.success
+
+
+def test_differences_of_rounding_are_none() -> None:
+    tiny = replace(GOOD, gain=1e-10, gain_audited=-1e-10, decrease=-1e-10)
+    assert verdict(Status.CONVERGED, tiny).success
+
+
+@pytest.mark.parametrize("said", list(Status))
+def test_a_stationary_point_is_converged_whatever_the_solver_says(said: Status) -> None:
+    judged = verdict(said, GOOD)
+    assert judged.status is Status.CONVERGED
+    assert judged.success
+
+
+@pytest.mark.parametrize(
+    ("said", "status"),
+    [
+        (Status.CONVERGED, Status.NOT_STATIONARY),
+        (Status.ACCEPTABLE, Status.NOT_STATIONARY),
+        (Status.TIME_LIMIT, Status.TIME_LIMIT),
+        (Status.INTERRUPTED, Status.INTERRUPTED),
+        (Status.STALLED, Status.STALLED),
+    ],
+)
+def test_a_point_that_is_not_stationary_keeps_its_limit_and_may_be_a_success(
+    said: Status, status: Status
+) -> None:
+    judged = verdict(said, replace(GOOD, stationary=False))
+    assert (judged.status, judged.success, judged.stationary) == (status, True, False)
+
+
+def test_a_failed_solver_needs_a_gain() -> None:
+    still = replace(GOOD, stationary=False, gain=0.0, gain_audited=0.0, decrease=0.0)
+    assert not verdict(Status.FAILED, still).success
+    assert verdict(Status.TIME_LIMIT, still).success
+    assert not verdict(Status.CONVERGED, replace(GOOD, consistent=False)).success
+
+
+def test_a_worse_mesh_is_no_success_and_the_degree_to_take_is_named() -> None:
+    # issue: energy far below by the midpoint rule, above its initial value by an accurate one
+    problem = EXAMPLES["6.1"](2)
+    solution = joint.solve(problem)
+    record = solution.record()
+    assert solution.energy < solution.energy_initial
+    assert record["gain_audited"] < 0
+    assert not solution.success
+    assert solution.status is Status.QUADRATURE_EXPLOITED
+    assert "degree" in record["message"]
+    better = joint.solve(replace(problem, quadrature=16))
+    assert better.gain_audited > -1e-9
+    assert better.status is not Status.QUADRATURE_EXPLOITED
+
+
+def test_the_audit_is_that_of_an_accurate_rule() -> None:
+    problem = EXAMPLES["6.1"](4)
+    accurate = fixed.solve(replace(problem, quadrature=25))
+    coarse = fixed.solve(problem)
+    assert abs(coarse.energy - accurate.energy) > 1e-3
+    assert coarse.audit.energy_audited == pytest.approx(accurate.energy, rel=1e-9)
+    assert coarse.energy_initial_audited == pytest.approx(accurate.energy, rel=1e-9)
+    assert auditing.TOLERANCE == 1e-6  # what docs and records promise
+
+
+def test_residuals_measure_force_and_friction_law() -> None:
+    problem = EXAMPLES["6.3"]((6, 3))
+    referee = Referee(problem)
+    system, state = referee.model.system(problem.mesh.p), referee.initial
+    sound = system, state.u, state.normal_force
+    assert equilibrium_residual(*sound, state.tangential_force) < 1e-12
+    assert law_residual(*sound, state.tangential_force) < 1e-10
+    force = np.zeros(state.u.size)
+    force[0] = 1e-3 * system.force_scale
+    pushed = replace(system, load=system.load + force)
+    wrong = equilibrium_residual(pushed, state.u, state.normal_force, state.tangential_force)
+    assert wrong == pytest.approx(1e-3 * system.force_scale / pushed.force_scale, rel=1e-6)
+    # friction in the direction of the slip
+    sliding = np.argmax(np.abs(state.active.sliding))
+    assert state.active.sliding[sliding] != 0
+    turned = state.tangential_force.copy()
+    turned[sliding] *= -1
+    assert law_residual(*sound, turned) > 1e-3
+
+
+def test_a_claimed_energy_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = EXAMPLES["6.2"]((4, 2))
+    referee = Referee(problem)
+    point = referee.reduced(np.zeros(referee.relocation.n_q))
+    common: dict[str, Any] = {"history": [], "iterations": 0, "contact_solves": 1}
+    common["status"] = Status.CONVERGED
+    wrong = referee.judge("x", point.q, claimed_energy=point.value * (1 + 1e-5), **common)
+    right = referee.judge("x", point.q, claimed_energy=point.value * (1 + 1e-8), **common)
+    assert wrong.status is Status.INACCURATE
+    assert not wrong.success
+    assert right.success
+    assert right.status is Status.NOT_STATIONARY
+
+
+def test_where_strict_complementarity_fails_is_seen() -> None:
+    # without load nothing moves: at gap zero neither gap nor force is positive
+    problem = ContactProblem(rectangle(2, 2), Laplace(0.0), ("left",), Obstacle("right", (1.0,), 0.0))
+    referee = Referee(problem)
+    system = referee.model.system(problem.mesh.p)
+    assert np.all(weakly_active(system, referee.initial))
+    apart = replace(problem, obstacle=Obstacle("right", (1.0,), 0.1), law=Laplace(1.0))
+    other = Referee(apart)
+    assert not np.any(weakly_active(other.model.system(apart.mesh.p), other.initial))
+
+
+@pytest.mark.parametrize(
+    ("law", "dirichlet", "obstacle"),
+    [
+        (Laplace(-1.0), ("left", "right", "top", "bottom"), Obstacle.interior(0.5)),
+        (
+            PlaneStrain(1.0, 1.0),
+            (Dirichlet("left", (0.0, -0.1)),),
+            Obstacle("bottom", (0.0, 1.0), 0.0),
+        ),
+        (PlaneStrain(1.0, 1.0), ("left",), Obstacle.graph("bottom", 0.2)),
+    ],
+)
+def test_given_displacements_that_violate_a_gap_are_refused(law, dirichlet, obstacle) -> None:
+    with pytest.raises(ProblemError, match=r"no displacement is admissible.* node \d+.* gap -0\.[125]"):
+        ContactProblem(rectangle(4, 4), law, dirichlet, obstacle)
+
+
+def test_deep_penetration_between_nodes_has_its_status() -> None:
+    # a bump of height 0.4 stands between two contact nodes, which are at height zero of it
+    bump = Obstacle.graph("bottom", lambda x, y: 0.4 * ca.sin(2 * ca.pi * x) ** 2 - 1e-3)
+    problem = ContactProblem(rectangle(2, 2), PlaneStrain(50.0, 50.0, (0.0, -0.1)), ("left",), bump)
+    solution = fixed.solve(problem)
+    assert solution.audit.penetration == pytest.approx(0.4, rel=0.01)
+    assert solution.status is Status.PENETRATION
+    assert not solution.success
+
+
+@pytest.mark.parametrize(
+    ("load", "degree"),
+    [
+        (3.0, 0),
+        (lambda x, y: 2 + 0 * x, 0),
+        (lambda x, y: x * y - y, 2),
+        (lambda x, y: x**2 * y**3, 5),
+        (lambda x, y: ca.sin(x), None),
+        (lambda x, y: ca.if_else(x > 0, x, 1.0), None),
+        (lambda x, y: ca.if_else(x > 0, 2.0, 1.0), None),
+        (lambda x, y: ca.fabs(y), None),
+        (lambda x, y: 1 / (1 + x**2), None),
+    ],
+)
+def test_the_degree_of_a_load(load: Any, degree: int | None) -> None:
+    assert polynomial_degree(load) == degree
+
+
+def test_a_problem_of_ones_own_gets_a_rule_that_is_exact_for_its_load() -> None:
+    problem = ContactProblem(rectangle(3, 3), Laplace(lambda x, y: 10 * x * x * y), ("left",))
+    assert problem.rule == 4
+    solution = fixed.solve(problem)
+    assert solution.energy == pytest.approx(solution.audit.energy_audited, rel=1e-13)
+    assert EXAMPLES["6.1"](2).rule == "midpoint"
+
+
+class TestResidual:
+    def test_it_is_one_on_the_given_mesh_of_any_fineness(self) -> None:
+        for n in (3, 6, 12):
+            referee = Referee(EXAMPLES["6.1"](n))
+            point = referee.reduced(np.zeros(referee.relocation.n_q))
+            assert referee.residual(referee.reduced)(point) == pytest.approx(1.0)
+
+    def test_history_and_record_agree_with_active_areas(self) -> None:
+        problem = EXAMPLES["6.2"]((4, 2), 0.6)
+        solution = nested.solve(problem, outer="newton", tolerance=1e-5)
+        assert solution.multipliers is not None
+        assert np.any(solution.multipliers.area > 0)
+        assert solution.history[-1].dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
+
+    def test_an_objective_of_errors_has_one(self) -> None:
+        solution = nested.solve(replace(EXAMPLES["6.1"](3), quadrature=8), objective="error-l2")
+        assert solution.stationarity_residual < 1e-2
+        given = fixed.solve(EXAMPLES["6.1"](3), objective="error-l2")
+        assert given.stationarity_residual == pytest.approx(1.0)
+
+    def test_a_larger_tolerance_is_met_earlier(self) -> None:
+        problem = EXAMPLES["6.2"]((6, 4))
+        loose = nested.solve(problem, outer="newton", tolerance=1e-2, settings={"tight": 1.0})
+        tight = nested.solve(problem, outer="newton", tolerance=1e-7)
+        assert loose.status is tight.status is Status.CONVERGED
+        assert loose.iterations < tight.iterations
+        assert tight.stationarity_residual <= 1e-7 < loose.stationarity_residual <= 1e-2
+
+
+def test_the_default_tolerance_is_what_docs_promise() -> None:
+    assert refereeing.STATIONARY == 1e-6
+    assert refereeing.ENERGY_AGREEMENT == 1e-6
