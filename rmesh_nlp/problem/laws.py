@@ -8,6 +8,7 @@ from typing import Any, ClassVar, TypeVar
 
 import casadi as ca
 import numpy as np
+from skfem.models.elasticity import lame_parameters
 
 from rmesh_nlp.problem.coefficients import Coefficient
 
@@ -67,8 +68,8 @@ class Elastic(ABC):
             raise ValueError(f"Young's modulus must be positive, got {young}")
         if not -1 < poisson < 0.5:
             raise ValueError(f"Poisson's ratio must lie between -1 and 0.5, got {poisson}")
-        mu = young / (2 * (1 + poisson))
-        return cls(2 * mu * poisson / (1 - 2 * poisson), mu, body_force)
+        lame_lambda, lame_mu = lame_parameters(young, poisson)
+        return cls(lame_lambda, lame_mu, body_force)
 
     @property
     def load(self) -> tuple[Coefficient, ...]:
