@@ -137,12 +137,13 @@ def _with_worth(problem: ContactProblem, solution: Solution) -> Solution:
 
 
 def first_rule(problem: ContactProblem) -> str | int:
-    """The rule to begin with: that of the problem, but degree 6 at least where a load varies."""
-    varies = any(callable(component) for law in problem.laws for component in law.load)
-    rule = problem.quadrature
-    if not varies:
-        return rule
-    return max(rule, RULES[0]) if isinstance(rule, int) else RULES[0]
+    """The rule to begin with: where a load varies an exact one of low degree, else degree 6 at least."""
+    if not any(callable(component) for law in problem.laws for component in law.load):
+        return problem.quadrature
+    rule = problem.rule
+    if not isinstance(rule, int):
+        return RULES[0]
+    return min(rule, RULES[0]) if problem.quadrature == "auto" else max(rule, RULES[0])
 
 
 def _large_moves(
@@ -176,9 +177,8 @@ def _large_moves(
             settings=settings.changed(),
             extra=_figures(result, rules, settings),
         )
-        higher = [
-            degree for degree in RULES if not isinstance(stated.quadrature, int) or degree > stated.quadrature
-        ]
+        rule = stated.rule
+        higher = [degree for degree in RULES if not isinstance(rule, int) or degree > rule]
         if watch.stopped or _agrees(solution) or not higher or result is None:
             break
         rules.append(higher[0])

@@ -153,7 +153,7 @@ class ElementEnergies:
             self._law[elements] = number
             functions = [strain_energy(law)]
             if any(is_nonzero(component) for component in law.load):
-                functions.append(plain(*load_energy(law, problem.quadrature)))
+                functions.append(plain(*load_energy(law, problem.rule)))
             self._functions.append(functions)
 
     def at(self, values: Array) -> ElementEnergies:

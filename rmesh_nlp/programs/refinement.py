@@ -77,7 +77,7 @@ def edge_gains(problem: ContactProblem) -> Array:
     field = np.hstack([values, values[:, facets].mean(axis=1)])
     energies = ElementEnergies(problem, nodes, field)
     gain = np.zeros(facets.shape[1])
-    scale = max(float(np.max(np.abs(values), initial=0.0)), 1e-300)
+    scale = float(np.max(np.abs(values), initial=0.0)) or 1.0
     facet_of = _facet_numbers(facets, triangles, n)
     elements = np.tile(np.arange(triangles.shape[1]), 3)
     for i in range(problem.components):

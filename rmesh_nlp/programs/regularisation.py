@@ -49,7 +49,7 @@ class GainEstimate:
 
 def gain_estimate(problem: ContactProblem) -> GainEstimate:
     """Estimate the error of the energy of the mesh as given, with an accurate rule, by two contact solves."""
-    rule = problem.quadrature
+    rule = problem.rule
     accurate = replace(problem, quadrature=max(rule, LEAST_DEGREE) if isinstance(rule, int) else LEAST_DEGREE)
     fine = refined(accurate)
     here = ContactModel(accurate).solve(accurate.mesh.p).energy

@@ -104,7 +104,7 @@ def error_of(problem: ContactProblem, energy: float, local: Array) -> tuple[floa
 
 
 def _accurate(problem: ContactProblem) -> ContactProblem:
-    rule = problem.quadrature
+    rule = problem.rule
     return replace(problem, quadrature=max(rule, 6) if isinstance(rule, int) else 6)
 
 
