@@ -71,7 +71,7 @@ class ContactModel:
     def __init__(self, problem: ContactProblem) -> None:
         self.problem = problem
         self.displacement, self.n_u = displacement_field(problem)
-        self.contact_nodes = problem.contact_nodes
+        self._sets, self.contact_nodes = problem.contact_sets, problem.contact_nodes
         n_nodes = problem.mesh.p.shape[1]
         positions = unknown_field((2, n_nodes), parameter=True)
         u, X = ca.MX.sym("u", self.n_u), ca.MX.sym("X", 2 * n_nodes)
@@ -148,7 +148,7 @@ class ContactModel:
 
     def _directions(self, nodes: Array) -> Array:
         """Unit normals (components, gaps) at node positions (2, nodes)."""
-        parts = [part.obstacle.normals(nodes[:, part.nodes]) for part in self.problem.contact_sets]
+        parts = [part.obstacle.normals(nodes[:, part.nodes]) for part in self._sets]
         return np.hstack([np.zeros((self.problem.components, 0)), *parts])
 
     def _tangents(self, normals: Array) -> sp.csr_array:

@@ -86,6 +86,7 @@ def test_the_adjoint_gradient_is_of_second_order(make: Make, objective: str) -> 
     assert rates(left)[-1] >= 1.9, rates(left)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", GEOMETRIES)
 def test_strategies_agree(make: Make) -> None:
     problem = make()
@@ -237,3 +238,12 @@ def test_a_point_load_pins_its_node_and_does_its_work() -> None:
         replace(problem, point_loads=(PointLoad(999, (0.0, 1.0)),))
     with pytest.raises(ValueError, match="under a point load and cannot move"):
         freedoms(replace(problem, motion=Motion(0.05, free=(node,))))
+
+
+def test_a_point_load_is_not_certified() -> None:
+    from rmesh_nlp.certificate.certify import certify
+    from rmesh_nlp.certificate.conditions import NotCertifiableError
+
+    problem = replace(punch_held_by_symmetry(), dirichlet=("left",))
+    with pytest.raises(NotCertifiableError, match="point load"):
+        certify(fixed.solve(problem))
