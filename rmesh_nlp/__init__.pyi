@@ -24,9 +24,12 @@ from rmesh_nlp.problem import Motion as Motion
 from rmesh_nlp.problem import Obstacle as Obstacle
 from rmesh_nlp.problem import PlaneStrain as PlaneStrain
 from rmesh_nlp.problem import PlaneStress as PlaneStress
+from rmesh_nlp.problem import PointLoad as PointLoad
 from rmesh_nlp.problem import ProblemError as ProblemError
 from rmesh_nlp.problem import Relative as Relative
 from rmesh_nlp.problem import Traction as Traction
+from rmesh_nlp.problem import Units as Units
+from rmesh_nlp.problem import where as where
 from rmesh_nlp.solution.solution import Solution as Solution
 from rmesh_nlp.solution.verification import verify_gradient as verify_gradient
 
