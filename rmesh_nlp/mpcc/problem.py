@@ -11,7 +11,7 @@ that is ``G_i >= 0``, ``H_i >= 0`` and ``G_i H_i = 0`` for every pair i.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.extension import extended_derivatives
 from rmesh_nlp.mpcc.mixed import completion, pair_bound, split
-from rmesh_nlp.optimize.nlp import Derivatives
+from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,8 @@ class MPCC:
     completion : casadi.Function, optional
         ``(x, p) -> starts`` of the last unknowns, which :meth:`mixed` has added to the user's: a start
         may then be given for the user's own unknowns alone, which come first.
+    parts : mapping of str to expression, optional
+        Parts of the unknowns by name.
 
     Raises
     ------
@@ -67,6 +70,7 @@ class MPCC:
     p: Any = None
     derivatives: Derivatives | None = None
     completion: ca.Function | None = None
+    parts: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
         kind = type(self.x).__name__
@@ -111,6 +115,72 @@ class MPCC:
             raise ValueError(
                 f"derivatives.jac_g gives a Jacobian of shape {tuple(got)}, vertcat(g, G, H) needs {expected}"
             )
+
+    def extended(
+        self,
+        *,
+        x: Any = None,
+        p: Any = None,
+        f: Any = 0,
+        g: Any = None,
+        G: Any = None,
+        H: Any = None,
+        lbx: ArrayLike = -np.inf,
+        ubx: ArrayLike = np.inf,
+        lbg: ArrayLike = -np.inf,
+        ubg: ArrayLike = np.inf,
+    ) -> MPCC:
+        """Append unknowns, parameters, constraint rows and pairs, and add a term to the objective.
+
+        Assembled derivatives of what was there are kept, as by :meth:`rmesh_nlp.optimize.nlp.NLP.extended`.
+        Expressions may use old and new symbols; those of a program that was built by name are in ``parts``.
+
+        Parameters
+        ----------
+        x, p : symbols to append to the unknowns and to the parameters
+        f : term added to the objective
+        g : rows appended to the constraints
+        G, H : members of further pairs
+        lbx, ubx, lbg, ubg : bounds of the appended unknowns and rows
+
+        Raises
+        ------
+        ValueError
+            As the constructor.
+        """
+        kind = type(self.x)
+        empty = kind(0, 1)
+        new_x, new_p = (empty if part is None else ca.vertcat(part) for part in (x, p))
+        rows = [empty if part is None else ca.vertcat(kind(part)) for part in (g, G, H)]
+        derivatives = None
+        if self.derivatives is not None:
+            none = np.zeros(0)
+            column = ca.vertcat(self.g, self.G, self.H)
+            oracle = NLP(self.x, self.p, self.f, column, none, none, none, none, self.derivatives)
+            derivatives = extended_derivatives(
+                oracle, new_x, new_p, kind(f), (rows[0], rows[1], rows[2]), (self.n_g, self.n_pairs)
+            )
+        bounds: dict[str, Any] = {
+            name: np.append(getattr(self, name), np.broadcast_to(np.asarray(value, dtype=float), (size,)))
+            for name, value, size in (
+                ("lbx", lbx, int(new_x.shape[0])),
+                ("ubx", ubx, int(new_x.shape[0])),
+                ("lbg", lbg, int(rows[0].shape[0])),
+                ("ubg", ubg, int(rows[0].shape[0])),
+            )
+        }
+        return replace(
+            self,
+            x=ca.vertcat(self.x, new_x),
+            p=ca.vertcat(self.p, new_p),
+            f=self.f + f,
+            g=ca.vertcat(self.g, rows[0]),
+            G=ca.vertcat(self.G, rows[1]),
+            H=ca.vertcat(self.H, rows[2]),
+            derivatives=derivatives,
+            completion=None,
+            **bounds,
+        )
 
     @property
     def n_x(self) -> int:

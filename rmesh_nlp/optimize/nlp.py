@@ -142,6 +142,8 @@ class NLP:
         Assembled derivatives of exactly this ``f`` and ``g``. None: CasADi derives them.
         To add a term or a constraint use :meth:`extended`, which keeps them; if you
         ``dataclasses.replace`` ``f`` or ``g``, set ``derivatives=None`` as well.
+    parts : mapping of str to expression
+        Parts of the unknowns by name.
     """
 
     x: Any
@@ -154,6 +156,7 @@ class NLP:
     ubg: Array
     derivatives: Derivatives | None = None
     _of: tuple[int, int] = field(default=(0, 0), repr=False)
+    parts: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         of = (_identity(self.f), _identity(self.g))

@@ -141,6 +141,13 @@ def relocation(problem: ContactProblem, objective: Objective = ENERGY) -> Reloca
         lbg=np.concatenate([np.zeros(n_rows), area_bound]),
         ubg=np.full(n_rows + n_valid, np.inf),
         derivatives=assembled.derivatives,
+        parts=dict(
+            zip(
+                ("q", "u", "slip"),
+                ca.vertsplit(x, [0, free.n, free.n + n_u, free.n + n_u + n_s]),
+                strict=True,
+            )
+        ),
     )
     return Relocation(
         problem=problem,

@@ -166,8 +166,19 @@ def bilevel(
         lbg=np.concatenate([np.zeros(n_equations), area_bound]),
         ubg=np.concatenate([np.zeros(n_equations), np.full(area_bound.size, np.inf)]),
         derivatives=assembled.derivatives,
+        parts=_parts(x, free.n, n_u, n_c, n_s),
     )
     return Bilevel(mpcc, free.n, n_u, n_c, problem.friction_rows, length, force, value)
+
+
+def _parts(x: ca.MX, n_q: int, n_u: int, n_c: int, n_s: int) -> dict[str, ca.MX]:
+    """The unknowns by name, in the units of the program; those of friction only where there is some."""
+    names = ["q", "u", "normal_force"]
+    sizes = [n_q, n_u, n_c]
+    if n_s:
+        names += ["slip", "friction_minus", "friction_plus"]
+        sizes += [n_s] * 3
+    return dict(zip(names, ca.vertsplit(x, np.cumsum([0, *sizes]).tolist()), strict=True))
 
 
 def _in_units(field: Field, unit: float) -> Field:

@@ -349,8 +349,11 @@ def test_files(tmp_path: Path) -> None:
     assert len((tmp_path / "table.csv").read_text().splitlines()) == 3
 
 
-def test_the_best_of_a_block_is_the_success_of_lowest_energy() -> None:
-    low, lower = joint_61(energy=-1.2, key="a"), joint_61(energy=-1.3, key="b", formulation="nested")
-    failed = joint_61(energy=-1.9, key="c", formulation="mpcc", success=False)
+def test_the_best_of_a_block_is_the_success_of_lowest_audited_energy() -> None:
+    low, lower = (
+        joint_61(energy_audited=-1.2, key="a"),
+        joint_61(energy_audited=-1.3, key="b", formulation="nested"),
+    )
+    failed = joint_61(energy_audited=-1.9, key="c", formulation="mpcc", success=False)
     (block,) = blocks([fixed_61(), low, failed, lower])
     assert block.best is lower

@@ -1,0 +1,37 @@
+"""Theorem 4.1 of a solution, and a strategy's own residuals beside the referee's."""
+
+from __future__ import annotations
+
+import pytest
+
+from formulations import fixed, joint, mpcc
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.solution.theorem41 import error_terms
+
+
+def test_the_terms_sum_to_the_energy_above_the_exact_one() -> None:
+    problem = EXAMPLES["6.1"](4)
+    before, after = error_terms(fixed.solve(problem)), error_terms(joint.solve(problem))
+    assert before is not None
+    assert after is not None
+    for terms in (before, after):
+        assert terms.I3 == 0
+        assert min(terms.I1, terms.I2) > 0
+        # what is left is the audit's quadrature of the load
+        assert terms.total == pytest.approx(terms.above_exact, rel=1e-5)
+    assert after.total < before.total
+
+
+def test_without_an_exact_solution_there_are_no_terms() -> None:
+    assert error_terms(fixed.solve(EXAMPLES["6.2"]((6, 4)))) is None
+
+
+@pytest.mark.parametrize("strategy", [joint, mpcc])
+def test_own_residuals_are_those_of_the_strategy_s_own_forces(strategy) -> None:
+    record = strategy.solve(EXAMPLES["6.3"]((6, 4))).record()
+    for kind in ("equilibrium", "complementarity"):
+        own, referee = record[f"own_{kind}_residual"], record[f"referee_{kind}_residual"]
+        # an interior point is right to its tolerance, a contact solve to rounding: not one number twice
+        assert 0 <= own <= 1e-6
+        assert 0 <= referee <= 1e-9
+    assert record["own_equilibrium_residual"] != record["referee_equilibrium_residual"]
