@@ -27,6 +27,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from rmesh_nlp.certificate.conditions import NotCertifiableError
 from rmesh_nlp.certificate.skeleton import AFTER, Skeleton
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import triangle_rule
@@ -256,7 +257,10 @@ class JohnsonMercier:
         right = np.concatenate(
             [np.broadcast_to(forces[:, :FREE].T, (len(A), FREE, 12)), by_load[:, :, None]], axis=2
         )
-        root = np.linalg.cholesky(A[:, :FREE, :FREE])
+        try:
+            root = np.linalg.cholesky(A[:, :FREE, :FREE])
+        except np.linalg.LinAlgError:
+            raise NotCertifiableError("an element is so thin that rounding loses its stresses") from None
         solved = np.linalg.solve(root, right)
         return np.asarray(root, dtype=float), solved[:, :, :12], -solved[:, :, 12]
 

@@ -165,6 +165,21 @@ def test_two_foundations():
     assert fine.upper - fine.lower < 0.3 * (found.upper - found.lower)
 
 
+def test_an_element_of_no_thickness_is_refused_or_flagged():
+    """Never a bound that rounding has made."""
+    for thin in (1e-3, 1e-5, 1e-8):
+        mesh = rectangle(3, 3)
+        p = mesh.p.copy()
+        p[1, np.isclose(p[1], 2 / 3)] = 1 / 3 + thin
+        problem = block(mesh=replace(mesh, doflocs=p))
+        try:
+            found = bracket_of(problem)
+        except NotCertifiableError as error:
+            assert "thin" in str(error)  # noqa: PT017
+        else:
+            assert found.residual < 1e-10 or not found.guaranteed_lower
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
