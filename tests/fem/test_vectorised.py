@@ -66,6 +66,7 @@ def test_an_unknown_operation_is_noticed() -> None:
     assert not is_vectorisable(ca.Function("f", [x], [ca.sinh(x)]).wrap())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "size"), [("6.1", 24), ("6.3", (32, 18))])
 def test_derivatives_of_a_large_mesh_do_not_depend_on_it(name, size, monkeypatch) -> None:
     problem = EXAMPLES[name](size)

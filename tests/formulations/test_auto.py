@@ -20,6 +20,7 @@ def no_boxes(problem: ContactProblem) -> ContactProblem:
     return replace(problem, motion=replace(problem.motion, delta=None, min_area_fraction=0.01))
 
 
+@pytest.mark.slow
 def test_large_moves_of_example_61_and_what_the_record_says_of_them() -> None:
     problem = no_boxes(EXAMPLES["6.1"](n=16))
     seen = []
@@ -39,6 +40,7 @@ def test_large_moves_of_example_61_and_what_the_record_says_of_them() -> None:
     assert np.all(signed_areas(solution.mesh.p, problem.triangles) > 0)
 
 
+@pytest.mark.slow
 def test_what_a_prolonged_map_is_worth_before_any_iteration() -> None:
     problem = replace(no_boxes(EXAMPLES["6.1"](n=32)), quadrature=6)
     finest = cascade(problem, CascadeSettings(brief=1)).levels[-1]

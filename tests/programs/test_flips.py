@@ -53,6 +53,7 @@ def test_flips_lower_the_energy_by_at_least_what_they_say(seed: int) -> None:
         assert areas[0] == pytest.approx(areas[1])
 
 
+@pytest.mark.slow
 def test_flips_gain_beyond_relocation_and_refer_to_the_mesh_as_given() -> None:
     problem = no_boxes(EXAMPLES["6.3"]())
     plain, flipped = auto.solve(problem), auto.solve(problem, flips=True)
@@ -72,6 +73,7 @@ def test_flips_gain_beyond_relocation_and_refer_to_the_mesh_as_given() -> None:
     np.testing.assert_allclose(flipped.mesh.p[:, top], problem.mesh.p[:, top], atol=1e-14)
 
 
+@pytest.mark.slow
 def test_any_strategy_flips() -> None:
     problem = replace(EXAMPLES["6.1"](n=4), motion=Motion(None), quadrature=4)
     options = {"regularisation": 0.1, "outer": "newton"}
