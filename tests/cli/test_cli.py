@@ -32,7 +32,23 @@ def run(*arguments: str) -> int:
 
 
 def test_solve_writes_record_solution_and_history() -> None:
-    assert run("solve", "6.1", "--formulation", "joint", "--n", "4", "--delta", "0.05", "--out", "one") == 0
+    assert (
+        run(
+            "solve",
+            "6.1",
+            "--formulation",
+            "joint",
+            "--n",
+            "4",
+            "--delta",
+            "0.05",
+            "--quadrature",
+            "6",
+            "--out",
+            "one",
+        )
+        == 0
+    )
     record = json.loads(Path("one/record.json").read_text())
     assert set(REQUIRED) <= set(record)
     assert (record["example"], record["formulation"], record["n"]) == ("6.1", "joint", "4")
@@ -74,7 +90,12 @@ def test_options_reach_the_strategy() -> None:
 def test_compare_writes_everything_and_table_and_figures_remake_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert run("compare", "6.1", "--formulations", "fixed,joint", "--n", "3", "--out", "all") == 0
+    assert (
+        run(
+            "compare", "6.1", "--formulations", "fixed,joint", "--n", "3", "--quadrature", "6", "--out", "all"
+        )
+        == 0
+    )
     out = Path("all")
     printed = capsys.readouterr()
     assert printed.out == (out / "table.md").read_text()
