@@ -19,7 +19,7 @@ SMALL: dict[str, Any] = {"6.1": 4, "6.2": (6, 4), "6.3": (6, 4)}
 
 
 def coarse(name: str) -> ContactProblem:
-    """An example on a coarse grid; on those the midpoint rule of 6.1 is exploited, so a better one is used."""
+    """An example on a coarse grid, with a rule that is not exploited there as the midpoint rule is on 6.1."""
     return replace(EXAMPLES[name](SMALL[name]), quadrature=6)
 
 
