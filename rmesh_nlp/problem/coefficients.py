@@ -49,7 +49,7 @@ def at(coefficient: Coefficient, x: Any, y: Any) -> Any:
 
 BRANCH = (
     "a function of position cannot branch on x or y with if, and, or, min or max: use "
-    "rmesh_nlp.problem.where(condition, a, b), casadi.logic_and, casadi.fmin or casadi.fmax"
+    "rmesh_nlp.where(condition, a, b), casadi.logic_and, casadi.fmin or casadi.fmax"
 )
 
 NOT_SYMBOLIC = (
