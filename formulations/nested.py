@@ -140,6 +140,7 @@ def solve(
         program = reduced_nlp(referee.relocation, function, referee.is_valid, residual.unit, tolerance)
     begin = beginning(referee, start, seed, objective=objective, time_limit_s=time_limit_s)
     recorder = _Recorder(referee, function, residual, on_step, time_limit_s)
+    program = replace(program, out_of_time=lambda: recorder.remaining == 0.0)
     finish = recorder.run(lambda: _run(outer, program, begin.q, recorder, chosen))
     if finish is None or recorder.stopped is not None:
         q, status = recorder.best(function, begin.q), recorder.stopped or Status.FAILED

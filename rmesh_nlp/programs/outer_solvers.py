@@ -20,6 +20,7 @@ from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.newton import Evaluation
 from rmesh_nlp.optimize.newton import minimise as newton
+from rmesh_nlp.optimize.newton_step import Model
 from rmesh_nlp.optimize.nlp import NLP, Derivatives, Solver, Status
 from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.curvature import Curvature
@@ -124,6 +125,7 @@ class ReducedProgram:
     is_valid: Callable[[Array], bool]
     unit: float
     tolerance: float
+    out_of_time: Callable[[], bool] = lambda: False
 
 
 @dataclass(frozen=True)
@@ -263,6 +265,26 @@ def _newton_pair(
     return descent(q, gain=settings.tight, reference=here.value)
 
 
+@dataclass(frozen=True)
+class _Timed:
+    """A model whose products end the solve when its time is over.
+
+    One step may take hundreds of products and projections on linearised element areas: where no node has a
+    box and many elements are small, a single step of a mesh of 60 elements took minutes.
+    """
+
+    model: Model
+    out_of_time: Callable[[], bool]
+
+    def __call__(self, d: Array) -> Array:
+        if self.out_of_time():
+            raise StoppedError
+        return self.model(d)
+
+    def diagonal(self) -> Array:
+        return self.model.diagonal()
+
+
 class _Descent:
     """Newton-CG on the reduced objective from any start; iterations are counted over all of them."""
 
@@ -314,7 +336,11 @@ class _Descent:
         if not self.is_valid(q):
             return None
         point = self._function(q)
-        return Evaluation(point.value, point.gradient, lambda: self._curvature.at(point))
+        return Evaluation(
+            point.value,
+            point.gradient,
+            lambda: _Timed(self._curvature.at(point), self._program.out_of_time),
+        )
 
 
 def _scipy(method: str) -> OuterSolver:
