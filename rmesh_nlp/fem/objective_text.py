@@ -46,7 +46,7 @@ def parse_objective(text: str | Objective) -> Objective:
     for part in _split(text, "+"):
         weight, objective = _weighted(part, text)
         if not np.isfinite(weight) or weight == 0 or (weight < 0 and _minimised_only(objective)):
-            raise ValueError(f"the weight {weight:g} in {text!r} must be positive and finite")
+            raise ValueError(f"the weight {_split(part, '*')[0]!r} in {text!r} must be positive and finite")
         terms += (weight * objective).terms
     return Objective(tuple(terms))
 
