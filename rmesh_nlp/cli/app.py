@@ -187,6 +187,7 @@ def _rmesh(
     rmesh table results                               tables again, without solving
     rmesh figures results                             figures again, without solving
     rmesh report results                              one HTML page of all that is there
+    rmesh reproduce                                   the paper's figures, printed and computed
 
     Exit code: 0 if every requested solve succeeded, 1 if one did not, 2 for bad input,
     130 after Ctrl-C.
@@ -497,6 +498,26 @@ def report(folder: Folder) -> None:
     rmesh report results
     """
     _study_commands().report(folder)
+
+
+@app.command()
+def reproduce(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path(
+        "reproduction"
+    ),
+    quick: Annotated[bool, typer.Option("--quick", help="One random start instead of 40.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Derive again every statement about the paper's figures: printed value, ours, met or not, and why.
+
+    Writes DIR/reproduction.md and DIR/reproduction.html. Exit code 0 if all statements could be
+    examined, also where a printed value cannot be met.
+
+    \b
+    rmesh reproduce --out reproduction
+    rmesh reproduce --quick --out reproduction
+    """
+    raise typer.Exit(_study_commands().reproduce(out, quick, quiet))
 
 
 @app.command()

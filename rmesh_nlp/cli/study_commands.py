@@ -19,6 +19,8 @@ from rmesh_nlp.study import engine
 from rmesh_nlp.study.guess import seconds_of_plan
 from rmesh_nlp.study.plan import PlannedSolve, make_plan
 from rmesh_nlp.study.progress import StudyProgress
+from rmesh_nlp.study.reproduction import reproduce as derive
+from rmesh_nlp.study.reproduction_page import NAMES, write_page
 from rmesh_nlp.study.schema import StudyTable
 from rmesh_nlp.study.study_file import read_study
 from rmesh_nlp.study.template import template
@@ -103,6 +105,23 @@ def export(folder: Path, path: Path) -> None:
     except ImportError:
         raise BadInputError("--parquet needs pyarrow: pip install 'rmesh-nlp[study]'") from None
     print(f"wrote {path}: {len(records)} rows")
+
+
+def reproduce(out: Path, quick: bool, quiet: bool) -> int:
+    """Derive the statements about the paper again and write their page."""
+    with writable(out, NAMES):
+        statements = derive(quick=quick, say=(lambda text: None) if quiet else _note)
+        paths = write_page(out, statements, quick)
+    if not quiet:
+        for one in statements:
+            print(f"{one.example}, {one.what}: printed {one.printed}, here {one.ours} {one.verdict}".rstrip())
+        print("wrote", ", ".join(map(str, paths)))
+    return SUCCESS
+
+
+def _note(text: str) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{text:<60}", end="", file=sys.stderr, flush=True)
 
 
 def _dry_run(

@@ -60,17 +60,17 @@ PAPER = {
         (0.15667, 0.07333),
         -4.8541,
         -4.9188,
-        remark="It lies below what 40 random starts of an independent prototype reached under the printed "
-        "boxes (-4.9103); with boxes 1.5 times as large -4.9179 is reached.",
+        remark="No descent from the given mesh or from 40 random starts reaches it under the printed boxes, "
+        "and none under boxes 1.5 times as large: docs/reproduction.md, by rmesh reproduce.",
     ),
     "6.3": PaperValues(
         (12, 6),
         (0.08333, 0.04166),
         -0.6099,
         -0.6211,
-        remark="It lies below what any random start of an independent prototype reached under the printed "
-        "boxes (-0.6153), and with boxes 4 times as large (-0.6170); it is reached only if the friction "
-        "weights omega_i are wrongly held fixed.",
+        remark="No descent from the given mesh or from 40 random starts reaches it under the printed boxes, "
+        "and none under boxes 4 times as large; it is reached if the friction weights omega_i are wrongly "
+        "held fixed: docs/reproduction.md, by rmesh reproduce.",
     ),
 }
 

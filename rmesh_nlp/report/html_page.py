@@ -108,10 +108,10 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
-        f"<title>{escape(title)}</title><style>{_resource('html_page.css')}</style></head><body>"
+        f"<title>{escape(title)}</title><style>{resource('html_page.css')}</style></head><body>"
         f'<h1>{escape(title)}</h1><p class="question">{escape(question)}</p><nav>{links}</nav>{bodies}'
         f'<p class="note">Made by rmesh report, rmesh-nlp {escape(__version__)}.</p>'
-        f"<script>{_resource('html_page.js')}</script></body></html>\n"
+        f"<script>{resource('html_page.js')}</script></body></html>\n"
     )
 
 
@@ -259,5 +259,6 @@ def _flat(value: Any) -> str:
     return str(value)
 
 
-def _resource(name: str) -> str:
+def resource(name: str) -> str:
+    """A style sheet or script of this package."""
     return files("rmesh_nlp.report").joinpath(name).read_text(encoding="utf-8")

@@ -89,7 +89,7 @@ def _initial(block: Block, paper: PaperValues) -> list[str]:
     notes = []
     given = next((r["energy_initial"] for r in block.records if r["energy_initial"] is not None), None)
     if given is not None:
-        met = _truncated(given) == _truncated(paper.energy_initial)
+        met = truncated(given) == truncated(paper.energy_initial)
         notes.append(_met(f"printed initial energy {paper.energy_initial:.4f}", met, f"{given:.6f}"))
     fixed = next((r for r in block.succeeded if r["formulation"] == "fixed"), None)
     if fixed is not None and paper.u_min_initial is not None and paper.u_max_initial is not None:
@@ -108,9 +108,9 @@ def _final(block: Block, paper: PaperValues) -> list[str]:
     best = min(moved, key=lambda record: record["energy"])
     ours = f"the lowest here is {best['energy']:.6f} ({label(best)})"
     printed = f"printed final energy {paper.energy_final:.4f}"
-    if _truncated(best["energy"]) > _truncated(paper.energy_final):
+    if truncated(best["energy"]) > truncated(paper.energy_final):
         return [f"{printed} is NOT reached: {ours}. {paper.remark}".rstrip()]
-    if _truncated(best["energy"]) == _truncated(paper.energy_final):
+    if truncated(best["energy"]) == truncated(paper.energy_final):
         return [f"{printed} is met: {ours}."]
     notes = [f"{printed} is passed: {ours}."]
     if paper.u_min_final is not None and paper.u_max_final is not None:
@@ -126,7 +126,7 @@ def _met(printed: str, met: bool, ours: str) -> str:
     return f"{printed}: {'met' if met else 'NOT met'}, here {ours}."
 
 
-def _truncated(value: float) -> int:
+def truncated(value: float) -> int:
     """The value in units of the last printed digit, cut off toward zero."""
     # a printed value such as -1.1246 is not a binary fraction: nudge before cutting
     return math.trunc(value * 10**PRINTED_DIGITS + math.copysign(1e-6, value))

@@ -1,0 +1,80 @@
+"""Statements about the paper: each with a verdict that follows from its figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rmesh_nlp.cli import app as cli
+from rmesh_nlp.examples import EXAMPLES, PAPER
+from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.study import frozen_friction
+from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, Statement, reproduce
+from rmesh_nlp.study.reproduction_page import markdown
+
+
+@pytest.fixture(scope="module")
+def statements() -> list[Statement]:
+    return reproduce(quick=True)
+
+
+@pytest.mark.slow
+def test_what_is_printed_of_the_given_meshes_is_met(statements: list[Statement]) -> None:
+    initial = [one for one in statements if "initial" in one.what]
+    assert len(initial) == 5
+    assert {one.verdict for one in initial} == {MET}
+
+
+@pytest.mark.slow
+def test_a_verdict_follows_from_its_figures(statements: list[Statement]) -> None:
+    final = [one for one in statements if one.what.startswith("final")]
+    assert {one.example for one in final} == {"6.1", "6.2", "6.3"}
+    for one in final:
+        ours, printed = float(one.ours.split()[0]), float(one.printed)
+        assert printed == PAPER[one.example].energy_final
+        assert one.verdict == (NOT_MET if ours > printed else PASSED), one
+
+
+@pytest.mark.slow
+def test_only_frozen_friction_weights_lead_below_the_printed_energy(statements: list[Statement]) -> None:
+    """6.3: neither its boxes nor larger ones do."""
+    found = {one.what: one.verdict for one in statements if one.example == "6.3" and "final" in one.what}
+    assert found.pop("final energy, friction weights wrongly held fixed") == PASSED
+    assert set(found.values()) == {NOT_MET}
+
+
+@pytest.mark.slow
+def test_every_statement_is_on_the_page(statements: list[Statement]) -> None:
+    text = markdown(statements, quick=True)
+    for one in statements:
+        assert one.ours in text
+        assert one.evidence in text
+
+
+def test_the_frozen_weights_change_nothing_on_the_given_mesh_and_something_elsewhere() -> None:
+    import casadi as ca
+    import numpy as np
+
+    problem = EXAMPLES["6.3"](n=(4, 2))
+    program = relocation(problem)
+    term = ca.Function("term", [program.nlp.x], [frozen_friction._difference(problem, program)])
+    x = np.ones(program.nlp.x.shape[0])
+    x[: program.n_q] = 0.0
+    assert float(term(x)) == 0.0
+    # all slips one: the weights sum to the length of the boundary, wherever its inner nodes are
+    moved = np.ones(x.size)
+    moved[: program.n_q] = np.linspace(-0.1, 0.1, program.n_q)
+    total = float(term(moved))
+    moved[-1] = 3.0
+    assert float(term(moved)) != total
+
+
+def test_the_page_is_written_by_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = Statement("6.1", "initial <energy>", "-1.0000", "-1.000001", MET, "by hand")
+    monkeypatch.setattr("rmesh_nlp.cli.study_commands.derive", lambda **_: [one])
+    assert cli.run(["reproduce", "--out", str(tmp_path / "r"), "--quiet"]) == 0
+    assert "initial <energy>" in (tmp_path / "r" / "reproduction.md").read_text()
+    page = (tmp_path / "r" / "reproduction.html").read_text()
+    assert "initial &lt;energy&gt;" in page
+    assert "http" not in page
