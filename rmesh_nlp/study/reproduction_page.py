@@ -23,7 +23,7 @@ NAMES = ("reproduction.md", "reproduction.html")
 INTRODUCTION = (
     "Haslinger, Neittaanmäki and Salmenjoki, Applications of Mathematics 37 (1992) 105-122, section 6. "
     "The paper truncates its digits. Met: the same to the printed digits. Passed: a lower energy was found, "
-    "which a minimisation may. Cannot be met: no descent tried here reaches it, which is evidence and not a proof."
+    "which a minimisation may. Cannot be met: no descent tried here reaches it, which is evidence, no proof."
 )
 
 
