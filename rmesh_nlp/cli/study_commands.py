@@ -14,13 +14,13 @@ from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.io.files import safe_name, write_new, write_whole
 from rmesh_nlp.io.results import ROWS, SOLUTIONS, read_rows
 from rmesh_nlp.report.html_page import write_report
+from rmesh_nlp.report.reproduction_page import NAMES, write_page
 from rmesh_nlp.report.tables import frame
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.guess import seconds_of_plan
 from rmesh_nlp.study.plan import PlannedSolve, make_plan
 from rmesh_nlp.study.progress import StudyProgress
 from rmesh_nlp.study.reproduction import reproduce as derive
-from rmesh_nlp.study.reproduction_page import NAMES, write_page
 from rmesh_nlp.study.schema import StudyTable
 from rmesh_nlp.study.study_file import read_study
 from rmesh_nlp.study.template import template

@@ -6,6 +6,7 @@ value problems by FEM", Applications of Mathematics 37 (1992) 105-122, section 6
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Integral, Real
@@ -74,11 +75,20 @@ PAPER = {
     ),
 }
 
+PRINTED_DIGITS = 4
+"""Decimals of the paper's figures; it truncates, so that -1.124602 is printed as -1.1246."""
+
 EXACT_ENERGY_61 = -(625 / 2016 + 125 * np.pi**2 / 202752 + 125 * (220 + 7 * np.pi**2) / 22176)
 """J(u) of Example 6.1, -1.9456096613, as printed in closed form in section 6."""
 
 MATERIAL = PlaneStrain(lame_lambda=1.15e4, lame_mu=0.83e4)
 LOAD = 57.5
+
+
+def truncated(value: float) -> int:
+    """The value in units of the last printed digit, cut off toward zero."""
+    # a printed value such as -1.1246 is not a binary fraction: nudge before cutting
+    return math.trunc(value * 10**PRINTED_DIGITS + math.copysign(1e-6, value))
 
 
 def exact_displacement_61(x: Any, y: Any) -> Any:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from rmesh_nlp.examples import PaperValues
+from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
 from rmesh_nlp.io.results import Record
 from rmesh_nlp.report.blocks import Block, audited, blocks, label
-
-PRINTED_DIGITS = 4
-"""Decimals of the paper's figures; it truncates, so that -1.124602 is printed as -1.1246."""
 
 ROUNDING = 1e-9
 """An energy is below a bound if by more than this part of it."""
@@ -124,9 +121,3 @@ def _final(block: Block, paper: PaperValues) -> list[str]:
 
 def _met(printed: str, met: bool, ours: str) -> str:
     return f"{printed}: {'met' if met else 'NOT met'}, here {ours}."
-
-
-def truncated(value: float) -> int:
-    """The value in units of the last printed digit, cut off toward zero."""
-    # a printed value such as -1.1246 is not a binary fraction: nudge before cutting
-    return math.trunc(value * 10**PRINTED_DIGITS + math.copysign(1e-6, value))

@@ -14,7 +14,7 @@ from statistics import median
 
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.examples import EXAMPLES, PAPER
-from rmesh_nlp.report.notes import PRINTED_DIGITS, truncated
+from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
 from rmesh_nlp.solution.solution import Solution
 from rmesh_nlp.study.frozen_friction import least_energy
 

@@ -9,9 +9,9 @@ import pytest
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.examples import EXAMPLES, PAPER
 from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.report.reproduction_page import markdown
 from rmesh_nlp.study import frozen_friction
 from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, Statement, reproduce
-from rmesh_nlp.study.reproduction_page import markdown
 
 
 @pytest.fixture(scope="module")
