@@ -39,7 +39,10 @@ class SignalWatch:
     def __exit__(self, *exception: object) -> None:
         if callable(self._before):
             signal.signal(signal.SIGINT, self._before)
-        if self._interrupted:
+        inside = self._callback is not None and self._callback.interrupted
+        if self._callback is not None:
+            self._callback.stop = self._callback.interrupted = False  # it may serve another solve
+        if self._interrupted or inside:
             raise KeyboardInterrupt from None
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
@@ -58,7 +61,7 @@ class IterationCallback(ca.Callback):
         self._sizes = {"x": n_x, "f": 1, "g": n_g, "lam_x": n_x, "lam_g": n_g, "lam_p": n_p}
         self._monitor = monitor
         self._iteration = 0
-        self.stop = False
+        self.stop = self.interrupted = False
         self.construct("monitor", {})
 
     def get_n_in(self) -> int:
@@ -83,7 +86,10 @@ class IterationCallback(ca.Callback):
 
     def eval(self, arg: list[ca.DM]) -> list[int]:
         """Pass the iterate on."""
-        enough = self._monitor(self._iteration, flat(arg[0]), float(arg[1]))
+        try:
+            enough = self._monitor(self._iteration, flat(arg[0]), float(arg[1]))
+        except KeyboardInterrupt:  # CasADi would take it for a failed evaluation
+            enough = self.interrupted = True
         self._iteration += 1
         self.stop = self.stop or bool(enough)
         return [int(self.stop)]

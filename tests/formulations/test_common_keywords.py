@@ -1,0 +1,146 @@
+"""What all strategies share: keywords, clock, starts, limits."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from formulations import fixed, joint, mpcc, nested
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.problem import Motion
+from rmesh_nlp.solution.clock import Clock
+from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solution.solution import Step
+
+STRATEGIES = [fixed, nested, joint, mpcc]
+COMMON = {"settings", "tolerance", "max_iterations", "time_limit_s", "start", "seed", "on_step", "objective"}
+SMALL = EXAMPLES["6.2"]((4, 2))
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_the_same_keywords_and_one_clock(strategy: Any) -> None:
+    assert set(inspect.signature(strategy.solve).parameters) >= COMMON
+    record = strategy.solve(SMALL).record()
+    parts = [record[f"{name}_time_s"] for name in ("build", "solve", "audit")]
+    assert min(parts) > 0
+    assert record["wall_time_s"] == pytest.approx(sum(parts))
+    assert record["contact_time_s"] > 0
+    assert record["start"] == "given"
+    assert record["settings"] == {}
+    assert record["gain_audited"] == record["energy_initial_audited"] - record["energy_audited"]
+
+
+def test_phases_add_up_to_what_has_passed(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr("time.perf_counter", lambda: now[0])
+    clock = Clock()
+    now[0] = 1.0
+    clock.enter("solve")
+    now[0] = 3.0
+    with clock.during("audit"):
+        now[0] = 7.0
+    now[0] = 15.0
+    assert [clock.seconds(phase) for phase in ("build", "solve", "audit")] == [1.0, 10.0, 4.0]
+    assert clock.elapsed == 11.0
+
+
+def test_the_unit_of_cost_is_one_cold_contact_solve(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr("time.perf_counter", lambda: now[0])
+    from rmesh_nlp.contact.model import ContactModel
+
+    real = ContactModel.solve
+
+    def solve(self: ContactModel, *arguments: Any) -> Any:
+        now[0] += 2.0
+        return real(self, *arguments)
+
+    monkeypatch.setattr(ContactModel, "solve", solve)
+    referee = Referee(SMALL)
+    q = np.zeros(referee.relocation.n_q)
+    solution = referee.judge(
+        "x", q, status=Status.CONVERGED, history=[], iterations=0, contact_solves=0, relocates=False
+    )
+    assert solution.contact_time_s == 2.0
+
+
+@pytest.mark.parametrize("strategy", [nested, joint, mpcc])
+def test_a_time_limit_keeps_a_valid_mesh(strategy: Any) -> None:
+    solution = strategy.solve(SMALL, time_limit_s=1e-6)
+    assert solution.status is Status.TIME_LIMIT
+    assert solution.valid
+    assert solution.success
+    assert solution.energy <= solution.energy_initial + 1e-9
+
+
+@pytest.mark.parametrize("strategy", [nested, joint, mpcc])
+def test_an_interruption_keeps_the_best_valid_mesh(strategy: Any) -> None:
+    seen: list[Step] = []
+
+    def interrupt(step: Step) -> None:
+        seen.append(step)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    solution = strategy.solve(SMALL, on_step=interrupt)
+    assert solution.status is Status.INTERRUPTED
+    assert solution.valid
+    assert len(seen) >= 3
+
+
+@pytest.mark.parametrize("strategy", [nested, joint])
+def test_starts_are_positions_names_and_solutions(strategy: Any) -> None:
+    end = strategy.solve(SMALL)
+    for start, name in (
+        (np.asarray(end.mesh.p), "positions"),
+        (end, f"solution of {end.formulation}"),
+        ("fixed", "fixed"),
+        ("given", "given"),
+    ):
+        solution = strategy.solve(SMALL, start=start)
+        assert solution.start == name
+        assert solution.success
+    assert strategy.solve(SMALL, start=end).iterations <= end.iterations + 20
+    with pytest.raises(BadInputError, match="unknown start 'jiont': did you mean joint"):
+        strategy.solve(SMALL, start="jiont")
+    with pytest.raises(BadInputError, match="the start has 3 nodes, the problem 15"):
+        strategy.solve(SMALL, start=np.zeros((2, 3)))
+
+
+def test_settings_are_checked_and_recorded() -> None:
+    solution = joint.solve(SMALL, settings={"tol": 1e-8}, max_iterations=500)
+    assert solution.record()["settings"] == {"tol": 1e-8, "max_iterations": 500}
+    with pytest.raises(BadInputError, match="unknown setting 'tl': did you mean tol"):
+        joint.solve(SMALL, settings={"tl": 1.0})
+    with pytest.raises(BadInputError, match="tol must be positive"):
+        joint.solve(SMALL, settings={"tol": -1.0})
+    for name in ("tolerance", "time_limit_s"):
+        with pytest.raises(BadInputError, match=f"{name} must be positive"):
+            nested.solve(SMALL, **{name: 0.0})
+
+
+@pytest.mark.parametrize("outer", ["trust-constr", "slsqp", "ipopt", "newton"])
+def test_nothing_to_move_is_no_crash(outer: str) -> None:
+    still = replace(SMALL, motion=Motion(0.1, pinned=tuple(range(SMALL.mesh.p.shape[1]))))
+    solution = nested.solve(still, outer=outer)
+    assert solution.status is Status.CONVERGED
+    assert solution.energy == solution.energy_initial
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_one_contact_node_and_no_load_are_solved(strategy: Any) -> None:
+    assert np.isfinite(strategy.solve(EXAMPLES["6.1"](2)).energy)
+    unloaded = strategy.solve(replace(SMALL, tractions=()))
+    assert unloaded.status is Status.CONVERGED
+    assert unloaded.success
+
+
+def test_a_nested_solver_that_stops_early_is_not_converged() -> None:
+    solution = nested.solve(SMALL, outer="ipopt", max_iterations=1)
+    assert solution.status is Status.ITERATION_LIMIT
