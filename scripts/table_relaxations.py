@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--objectives", nargs="+", default=list(OBJECTIVES))
     parser.add_argument("--relaxations", nargs="+", default=list(RELAXATIONS), choices=list(RELAXATIONS))
     parser.add_argument("--n", type=int, help="columns of the grid (6.2, 6.3: half as many rows)")
+    parser.add_argument("--degree", type=int, help="of the rule for loads; by default the paper's midpoints")
     parser.add_argument("--reference", action="store_true", help="errors of 6.2 and 6.3, slow")
     parser.add_argument("--out", type=Path, default=Path("relaxations"))
     options = parser.parse_args(arguments)
@@ -91,6 +93,8 @@ def main(arguments: list[str] | None = None) -> int:
     for name in options.examples:
         size = None if options.n is None else options.n if name == "6.1" else (options.n, options.n // 2)
         problem = EXAMPLES[name]() if size is None else EXAMPLES[name](size)
+        if options.degree is not None:
+            problem = replace(problem, quadrature=options.degree)
         for objective in options.objectives:
             needs_exact = parse_objective(objective).needs_exact
             if needs_exact and problem.exact is None and not options.reference:
