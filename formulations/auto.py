@@ -45,6 +45,10 @@ AGREEMENT = 0.01
 CORRECTIONS = 10
 """Iterations of the descent that follows a change of the rule."""
 
+HELD = 10.0
+"""Factor of the weight of the distortion between flips, where it is against the mesh of the last round: with
+1 the elements degenerate further in each round (Example 6.1, of 1 and 10)."""
+
 SCHEDULE = (1.0, 0.1, 0.01)
 """Weights of the distortion where constraints must hold and ``joint`` is run."""
 
@@ -265,7 +269,7 @@ def _flipped(
 
 
 def _distorted(problem: ContactProblem, gain: float, settings: CascadeSettings) -> ReducedEnergy:
-    objective = regularised(gain, settings.regularisation, settings.distortion)
+    objective = regularised(gain, HELD * settings.regularisation, settings.distortion)
     return ReducedEnergy(relocation(problem, objective))
 
 
