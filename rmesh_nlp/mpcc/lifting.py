@@ -249,11 +249,13 @@ def _lifted_nlp(
     derivatives = Derivatives(
         grad_f=ca.Function("nlp_grad_f", [z, weighted], [f_value, ca.vertcat(gradient, ca.MX.zeros(n_s, 1))]),
         jac_g=ca.Function(
-            "nlp_jac_g", [z, weighted], [g_value[kept] - slack, ca.horzcat(jacobian[kept, :], -shift)]
+            "nlp_jac_g",
+            [z, weighted],
+            [ca.densify(g_value[kept] - slack), ca.horzcat(jacobian[kept, :], -shift)],
         ),
         hess_lag=hess_lag,
         kernels=base.kernels,
     )
     none = np.zeros(0)
-    f, g = w * ca.densify(objective(x, p)), constraints(x, p)[kept] - slack
+    f, g = w * ca.densify(objective(x, p)), ca.densify(constraints(x, p)[kept] - slack)
     return NLP(x=z, p=weighted, f=f, g=g, lbx=none, ubx=none, lbg=none, ubg=none, derivatives=derivatives)

@@ -15,6 +15,7 @@ from rmesh_nlp.mpcc.linearisation import linearisation
 from rmesh_nlp.mpcc.polish import polish, project
 from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.mpcc.solver import _failure
 from rmesh_nlp.mpcc.stationarity import Label
 from rmesh_nlp.optimize.nlp import Status
 
@@ -244,3 +245,19 @@ def test_one_nlp_has_a_limit_that_does_not_grow_with_the_problem():
     options = Options()
     assert options.relaxed(10, warm=False)["max_iter"] <= 310
     assert options.relaxed(100_000, warm=False)["max_iter"] <= 600
+
+
+def test_what_ends_at_a_feasible_point_is_not_called_infeasible():
+    failed = [homotopy.Path(failure=Status.INFEASIBLE)]
+    assert _failure(failed, excess=0.5) is Status.STALLED
+    assert _failure(failed, excess=5.0) is Status.INFEASIBLE
+    assert _failure([homotopy.Path(failure=Status.STALLED)], excess=5.0) is Status.INFEASIBLE
+    assert _failure([homotopy.Path(failure=Status.ITERATION_LIMIT)], excess=5.0) is Status.ITERATION_LIMIT
+
+
+def test_rows_that_are_zero_by_structure():
+    """A constraint and a member whose expressions CasADi knows to be zero."""
+    rows = np.array([[0.0, 0, 0], [1, 0, 0]]) @ XYZ
+    assert classify(MPCC(XYZ, x + y + z, rows, y, z, lbg=0), np.zeros(3)).stationarity == "S"
+    zero = ca.vertcat(0 * z, x)
+    assert solve(MPCC(XYZ, (x - 1) ** 2 + y**2 + z**2, None, zero, ca.vertcat(y, z)), 0.5).success
