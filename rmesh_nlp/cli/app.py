@@ -141,6 +141,10 @@ Certify = Annotated[
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve, compare or study wrote.")]
 
 
+def _mpcc_commands() -> ModuleType:
+    return importlib.import_module("rmesh_nlp.mpcc.command")
+
+
 def _commands() -> ModuleType:
     """The module that does the work, loaded only when a command runs: it brings CasADi and all."""
     return importlib.import_module("rmesh_nlp.cli.commands")
@@ -484,8 +488,7 @@ def mpcc(context: typer.Context) -> None:
     rmesh mpcc --help
     rmesh mpcc problem.nl
     """
-    command = importlib.import_module("rmesh_nlp.mpcc.command")
-    raise typer.Exit(command.main(context.args))
+    raise typer.Exit(_mpcc_commands().main(context.args))
 
 
 @app.command()
