@@ -182,7 +182,8 @@ def body(columns: tuple[Column, ...], block: Block) -> list[list[str]]:
     # one unit of cost for all: on a busy machine each row would have one of its own
     units = [record["contact_time_s"] for record in block.records if record.get("contact_time_s")]
     common = {"contact_time_s": statistics.median(units)} if units else {}
-    rows = [[column.cell({**record, **common}) for column in columns] for record in block.records]
+    records = [{**record, **common} if record.get("contact_time_s") else record for record in block.records]
+    rows = [[column.cell(record) for column in columns] for record in records]
     if columns is ENERGIES and block.paper is not None:
         rows = [*_paper_rows(block.paper), *rows]
     return rows
