@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -127,14 +129,15 @@ def _client(distributed: Any, jobs: int, scheduler: str | None) -> Iterator[Any]
     try:
         try:
             if scheduler is None:
-                cluster = distributed.LocalCluster(
-                    n_workers=jobs,
-                    threads_per_worker=1,
-                    processes=True,
-                    dashboard_address=None,
-                    memory_limit=0,
-                    silence_logs=logging.CRITICAL,
-                )
+                with _deaf_to_interrupts():
+                    cluster = distributed.LocalCluster(
+                        n_workers=jobs,
+                        threads_per_worker=1,
+                        processes=True,
+                        dashboard_address=None,
+                        memory_limit=0,
+                        silence_logs=logging.CRITICAL,
+                    )
             client = distributed.Client(cluster or scheduler, timeout=START_S, set_as_default=False)
             client.wait_for_workers(1, timeout=START_S)
         except (OSError, ValueError, TimeoutError) as error:
@@ -144,6 +147,19 @@ def _client(distributed: Any, jobs: int, scheduler: str | None) -> Iterator[Any]
         for one in (client, cluster):
             if one is not None:
                 one.close(timeout=10)
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes that are started now ignore Ctrl-C: it is for the client, which then ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _distributed_module() -> Any:
