@@ -200,7 +200,7 @@ def test_random_edits_never_end_in_a_traceback() -> None:
 
 
 def test_starts_and_levels_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    size = ["--n", "4", "--delta", "0.05", "--out", str(tmp_path)]
+    size = ["--n", "4", "--quadrature", "6", "--delta", "0.05", "--out", str(tmp_path)]
     assert cli.run(["solve", "6.1", "--starts", "2", *size]) == 0
     record = json.loads((tmp_path / "record.json").read_text())
     assert record["start_seeds"] == [None, 1, 2]
