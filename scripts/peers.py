@@ -41,7 +41,7 @@ from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.optimize.nlp import IPOPT_OPTIONS, Solver
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain, signed_areas
 from rmesh_nlp.programs.energy_program import relocation
-from rmesh_nlp.programs.outer_solvers import SCIPY_MAX_ITERATIONS, SCIPY_TOLERANCE
+from rmesh_nlp.programs.outer_solvers import NestedSettings
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.solution.referee import Referee
 
@@ -281,8 +281,8 @@ def scipy_minimize(method: str, derivative: str) -> Callable[[Case], Finish]:
                 jac="2-point" if derivative == "2-point" else lambda q: reduced(q).gradient / unit,
                 method=method,
                 bounds=Bounds(-bound, bound),
-                tol=SCIPY_TOLERANCE,
-                options={"maxiter": SCIPY_MAX_ITERATIONS},
+                tol=NestedSettings().scipy_tol,
+                options={"maxiter": 500},
             )
             q, status = result.x, "converged" if result.success else str(result.message)
         except OutOfTimeError:

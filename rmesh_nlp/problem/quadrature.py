@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear
+from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, at
 
 MIDPOINT = "midpoint"
 """The three edge midpoints, exact to degree 2."""
@@ -50,9 +50,9 @@ def polynomial_degree(coefficient: Coefficient) -> int | None:
         return 1 if not coefficient.kinks else None
     point = ca.SX.sym("point", 2)
     try:
-        derivatives = ca.SX(coefficient(point[0], point[1]))
-    except (NotImplementedError, RuntimeError, TypeError):
-        return None  # a function of MX alone
+        derivatives = ca.SX(at(coefficient, point[0], point[1]))
+    except (NotImplementedError, RuntimeError, TypeError, ValueError):
+        return None  # a function of MX alone, or one that the assembly refuses with a reason
     for degree in range(HIGHEST_POLYNOMIAL + 1):
         if ca.Function("count", [point], [derivatives]).n_nodes() > LARGEST_EXPRESSION:
             return None

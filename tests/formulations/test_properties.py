@@ -97,7 +97,8 @@ def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(SEEDS, st.sampled_from([joint, nested]))
 def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, strategy: Any) -> None:
-    problem = random_problem(seed)
+    # a rule of high degree: with the degree 3 of these problems some optima are those of the rule
+    problem = replace(random_problem(seed), quadrature=8)
     solution = strategy.solve(problem)
     assert solution.success, solution.status
     assert solution.energy <= solution.energy_initial + 1e-9 * abs(solution.energy_initial)
