@@ -25,7 +25,7 @@ def test_without_peers_ours_has_its_rows(
     collection = tmp_path / "collection.py"
     collection.write_text(MPCC_COLLECTION)
     monkeypatch.setattr(benchmark, "is_installed", lambda solver: solver not in benchmark.NEEDS)
-    arguments = ["--groups", "joint", "mpcc", "--n", "3", "--repeat", "1", "--out", str(tmp_path)]
+    arguments = ["--groups", "joint", "mpcc", "--n", "8", "--repeat", "1", "--out", str(tmp_path)]
     assert benchmark.main([*arguments, "--collection", str(collection)]) == 0
     lines = (tmp_path / "peers.md").read_text().splitlines()
     rows = [[cell.strip() for cell in line.split("|")[2:-1]] for line in lines[4:]]
