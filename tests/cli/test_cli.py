@@ -277,6 +277,8 @@ def test_interrupt_keeps_finished_rows(formulation: str) -> None:
         [sys.executable, "-c", "from rmesh_nlp.cli.app import main; main()", *arguments],
         stderr=subprocess.PIPE,
         text=True,
+        # a test run in the background of a script ignores SIGINT, and so would its children
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:
         assert process.stderr is not None
         assert "6.1 fixed: converged" in process.stderr.readline()  # the other solve begins now
