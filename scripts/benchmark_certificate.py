@@ -20,6 +20,7 @@ Ends with code 1 if a bound is violated.
 from __future__ import annotations
 
 import argparse
+import json
 import resource
 import statistics
 import sys
@@ -27,9 +28,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from numpy.typing import NDArray
 from skfem import MeshTri
 
 import formulations.fixed
@@ -108,47 +111,101 @@ def compared(rough: Bracket, fine: Bracket) -> Comparison:
     return Comparison(bool(violated), ratio)
 
 
-def random_part(kinds: Sequence[str], seeds: Sequence[int], relocate_every: int) -> int:
-    """Random problems of each kind; returns the number of violations."""
-    print("\nkind              problems  violated  guaranteed l., u.  residual  ratio: median, 90 %, worst")
-    violations = 0
+Row = dict[str, Any]
+"""What is known of one random problem: kind, seed, moved, and the figures of its brackets."""
+
+
+def random_row(kind: str, seed: int, moved: bool) -> Row:
+    """One random problem against the grid that is 16 times as fine."""
+    problem = problem_of(seed, kind)
+    row: Row = {"kind": kind, "seed": seed, "moved": moved}
+    if moved:
+        solution = formulations.joint.solve(problem)
+        if not solution.audit.min_area_ratio > 0:
+            return {**row, "refused": "no valid relocated mesh"}
+        problem = replace(problem, mesh=solution.mesh)
+    row["aspect"] = float(np.max(aspects(problem.mesh)))
+    row["materials"] = len(problem.laws)
+    try:
+        rough = bracket_of(problem)
+        fine = bracket_of(replace(problem, mesh=problem.mesh.refined(FINER)))
+    except NotCertifiableError as error:
+        return {**row, "refused": str(error)}
+    found = compared(rough, fine)
+    return {
+        **row,
+        "violated": found.violated,
+        "ratio": found.ratio,
+        "lower": rough.guaranteed_lower,
+        "upper": rough.guaranteed_upper,
+        "residual": rough.residual,
+        "why": "; ".join(rough.why),
+    }
+
+
+def aspects(mesh: MeshTri) -> NDArray[np.float64]:
+    """(elements,) longest edge over the height on it."""
+    corners = mesh.p[:, mesh.t]
+    longest = np.max(np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=0), axis=0)
+    return np.asarray(longest / (2 * np.abs(signed_areas(mesh.p, mesh.t))))
+
+
+def random_part(
+    kinds: Sequence[str], seeds: Sequence[int], relocate_every: int, keep: Path | None = None
+) -> int:
+    """Random problems of each kind; returns the number of violations.
+
+    With a file the rows are added to those that it has, problems that it has are not computed
+    again, and the table is of all of them.
+    """
+    rows: list[Row] = []
+    if keep is not None and keep.exists():
+        rows = [json.loads(line) for line in keep.read_text().splitlines()]
+    done = {(row["kind"], row["seed"], row["moved"]) for row in rows}
     for kind in kinds:
         for moved in (False, True):
-            rows, brackets = [], []
             for seed in seeds:
-                if moved and seed % relocate_every:
+                if (moved and seed % relocate_every) or (kind, seed, moved) in done:
                     continue
-                problem = problem_of(seed, kind)
-                if moved:
-                    solution = formulations.joint.solve(problem)
-                    if not solution.audit.min_area_ratio > 0:
-                        continue
-                    problem = replace(problem, mesh=solution.mesh)
-                try:
-                    rough = bracket_of(problem)
-                    fine = bracket_of(replace(problem, mesh=problem.mesh.refined(FINER)))
-                except NotCertifiableError as error:
-                    print(f"{kind}, seed {seed}: no certificate: {error}")
-                    continue
-                rows.append(compared(rough, fine))
-                brackets.append(rough)
-            violations += report(f"{kind}{', relocated' if moved else ''}", rows, brackets)
-    return violations
+                rows.append(random_row(kind, seed, moved))
+                if keep is not None:
+                    with keep.open("a") as file:
+                        file.write(json.dumps(rows[-1]) + "\n")
+    return report(rows)
 
 
-def report(name: str, rows: Sequence[Comparison], brackets: Sequence[Bracket]) -> int:
+def report(rows: Sequence[Row]) -> int:
+    """The table of random problems; returns the number of violations."""
+    print("\nratio: computed over true gap, where the finer grid knows the true one")
+    print(
+        "kind                 problems  violated  lower guaranteed  upper  residual  worst aspect"
+        "  ratio: least, 10 %, median, 90 %, 99 %, worst (of)"
+    )
+    for kind in KINDS:
+        for moved in (False, True):
+            some = [row for row in rows if row["kind"] == kind and row["moved"] == moved]
+            found = [row for row in some if "refused" not in row]
+            for row in some:
+                if "refused" in row:
+                    print(f"{kind}, seed {row['seed']}: no certificate: {row['refused']}")
+            if found:
+                print(report_line(f"{kind}{', relocated' if moved else ''}", found))
+    for row in rows:
+        if row.get("why"):
+            print(f"{row['kind']}, seed {row['seed']}{', relocated' * row['moved']}: {row['why']}")
+    return sum(row.get("violated", False) for row in rows)
+
+
+def report_line(name: str, rows: Sequence[Row]) -> str:
     """One line of the table of random problems."""
-    wrong = sum(row.violated for row in rows)
-    ratios = [row.ratio for row in rows if row.ratio is not None]
-    sides = [sum(getattr(one, f"guaranteed_{side}") for one in brackets) for side in ("lower", "upper")]
-    figures = ""
-    if ratios:
-        figures = (
-            f"{np.median(ratios):.2f}, {np.quantile(ratios, 0.9):.2f}, {max(ratios):.2f} ({len(ratios)})"
-        )
-    worst = max((one.residual for one in brackets), default=0.0)
-    print(f"{name:20s} {len(rows):5d} {wrong:5d}  {sides[0]:5d}, {sides[1]:5d}  {worst:.0e}   {figures}")
-    return wrong
+    ratios = [row["ratio"] for row in rows if row["ratio"] is not None]
+    shown = ", ".join(f"{x:.2f}" for x in np.quantile(ratios, (0, 0.1, 0.5, 0.9, 0.99, 1))) if ratios else "-"
+    wrong, lower, upper = (sum(row[key] for row in rows) for key in ("violated", "lower", "upper"))
+    residual, aspect = (max(row[key] for row in rows) for key in ("residual", "aspect"))
+    return (
+        f"{name:20s} {len(rows):8d} {wrong:9d} {lower:17d} {upper:6d} {residual:9.0e} {aspect:13.0f}"
+        f"  {shown} ({len(ratios)})"
+    )
 
 
 def exact_part(sizes: Sequence[int], figure: Path | None) -> int:
@@ -270,6 +327,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--relocate-every", type=int, default=10)
+    parser.add_argument("--keep", type=Path, help="JSON lines file that random problems are kept in")
     parser.add_argument("--n", type=int, nargs="+", default=[4, 8, 16, 32], help="grids of Example 6.1")
     parser.add_argument("--figure", type=Path, help="draw the brackets of Example 6.1 to this PNG file")
     options = parser.parse_args(arguments)
@@ -278,7 +336,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if "exact" in options.parts:
         violations += exact_part(options.n, options.figure)
     if "random" in options.parts:
-        violations += random_part(options.kinds, seeds, options.relocate_every)
+        violations += random_part(options.kinds, seeds, options.relocate_every, options.keep)
     if "cost" in options.parts:
         cost_part()
     if "degradation" in options.parts:

@@ -3,18 +3,18 @@
 With a field sigma in equilibrium with the simplified load (f_h, g_h), pressure p >= 0 and friction
 |q| <= s, every admissible displacement v obeys
 
-    J(v) = D(sigma) - (f - f_h, v) - (g - g_h, v) + 1/2 |v - C^-1 sigma|^2 + contact(v),
+    J(v) = D(sigma) - (f - f_h, v) - (g - g_h, v) + 1/2 |eps(v) - C^-1 sigma|^2 + contact(v),
     D(sigma) = -1/2 |C^-1 sigma|^2 + int R . u_D - int p offset,
     contact(v) = int p (n . v + offset) + int (s |v_t| + q v_t)   >= 0.
 
-The simplified loads are the best linear approximations, so that the load terms vanish for the
-computed displacement u, which is linear on each element. With v = u + w they are bounded element by
-element by ``r_T |w|_T``, which gives
+The simplified loads are the best linear approximations, so that on each element a linear function w can be
+taken off v in the load terms, which are then bounded by ``r_T |v - w|_T``. With that w whose strain is
+the mean of ``C^-1 sigma``,
 
     min J >= D(sigma) - sum_T (eta_T r_T + r_T^2 / 2),
 
-eta_T the norm of ``u - C^-1 sigma`` on the element. If u is admissible, J(u) is the upper bound, and
-half the square of the error of u in the energy norm is at most the difference.
+eta_T the distance of sigma from its mean on the element, in the energy norm. If u is admissible, J(u) is
+the upper bound, and half the square of the error of u in the energy norm is at most the difference.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Bracket:
     why : tuple of str
         What stands in the way of a guarantee.
     local : (elements,) array
-        What each element adds to upper - lower.
+        What each element adds to upper - lower; not negative if the displacement is admissible.
     field : (2 or 3, elements) array
         Mean equilibrated flux, or stress xx, yy, xy.
     norm : float
@@ -113,7 +113,7 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
     u = potential(problem, skeleton, conditions, load, guess.displacement)
     contact = _contact_gap(skeleton, conditions, field, guess, u)
     r = _oscillation(skeleton, conditions, field)
-    spread = field.defect * r + r**2 / 2
+    spread = field.variation * r + r**2 / 2
     pressure_work = float(
         np.sum(field.balance.pressure * conditions.offset * skeleton.lengths[conditions.contact])
     )

@@ -51,12 +51,14 @@ def equilibrated_stress(
     coefficients = elements.coefficients(found.traces)
     correction = elements.stress(coefficients)
     stress, forces = computed + correction, exerted + elements.forces(coefficients)
+    mean = stress[:, 3:].mean(axis=(0, 1))  # exact for quadratic stresses
     beyond = np.maximum(load.square - np.sum(load.moments * linear, axis=(0, 1)), 0.0)
     softest = np.minimum(2 * mu, 2 * (lam + mu))
     return EquilibratedField(
-        values=stress[:, 3:].mean(axis=(0, 1)),  # exact for quadratic stresses
+        values=mean,
         energy=elements.energy(stress),
         defect=np.sqrt(2 * elements.energy(correction)),
+        variation=np.sqrt(2 * elements.energy(stress - mean)),
         forces=forces,
         balance=found,
         residual=residual(elements, stress, forces),

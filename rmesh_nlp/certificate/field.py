@@ -42,6 +42,8 @@ class EquilibratedField:
         Complementary energy, half the square of the energy norm of the field.
     defect : (elements,) array
         Distance in the energy norm from the flux or stress of the computed displacement.
+    variation : (elements,) array
+        Distance in the energy norm from the nearest field that is constant on the element.
     forces : (elements, local traces) array
         Tractions at the ends of the edges of each element times the length of the edge.
     balance : Balance
@@ -61,6 +63,7 @@ class EquilibratedField:
     values: Array
     energy: Array
     defect: Array
+    variation: Array
     forces: Array
     balance: Balance
     residual: float

@@ -68,7 +68,8 @@ def test_bounds_of_random_problems_hold_on_finer_meshes(kind, seed):
     assert rough.lower <= close.upper
     assert close.upper - close.lower < 0.25 * (rough.upper - rough.lower)
     assert np.sum(rough.local) == pytest.approx(rough.upper - rough.lower, rel=1e-6)
-    assert np.all(rough.local > -1e-12)
+    if rough.guaranteed_upper:  # else contact may work on a gap that is negative between the nodes
+        assert np.all(rough.local > -1e-12)
 
 
 def test_bracket_does_not_depend_on_the_frame():
