@@ -328,11 +328,11 @@ def survivors(
             running[process.sentinel] = process, mutant, checkout
         for sentinel in connection.wait(list(running)) if running else ():
             assert isinstance(sentinel, int)
-            process, mutant, checkout = running.pop(sentinel)
-            process.join()
+            ended, mutant, checkout = running.pop(sentinel)
+            ended.join()
             (checkout / mutant.path).write_text((ROOT / mutant.path).read_text())
             free.append(checkout)
-            yield mutant, process.exitcode == 0
+            yield mutant, ended.exitcode == 0
 
 
 def _copy(target: Path) -> Path:
