@@ -43,7 +43,7 @@ _NAMES = {
     # solving it
     "Comparison": "rmesh_nlp.api.comparison",
     "Solution": "rmesh_nlp.solution.solution",
-    "certify": "rmesh_nlp.certificate",
+    "certify": "rmesh_nlp.solution.certify",
     "compare": "rmesh_nlp.api.comparison",
     "objective": "rmesh_nlp.fem.objective_text",
     "solve": "rmesh_nlp.api.solving",

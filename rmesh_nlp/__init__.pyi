@@ -8,7 +8,6 @@ from rmesh_nlp.api.files import read_records as read_records
 from rmesh_nlp.api.pictures import plot as plot
 from rmesh_nlp.api.solving import solve as solve
 from rmesh_nlp.api.solving import strategies as strategies
-from rmesh_nlp.certificate import certify as certify
 from rmesh_nlp.examples import EXAMPLES as EXAMPLES
 from rmesh_nlp.fem import objective_text
 from rmesh_nlp.fem import quantities as quantities
@@ -30,6 +29,7 @@ from rmesh_nlp.problem import Relative as Relative
 from rmesh_nlp.problem import Traction as Traction
 from rmesh_nlp.problem import Units as Units
 from rmesh_nlp.problem import where as where
+from rmesh_nlp.solution.certify import certify as certify
 from rmesh_nlp.solution.solution import Solution as Solution
 from rmesh_nlp.solution.verification import verify_gradient as verify_gradient
 

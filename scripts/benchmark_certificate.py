@@ -37,9 +37,8 @@ from skfem import MeshTri
 
 import formulations.fixed
 import formulations.joint
-from rmesh_nlp.certificate import NotCertifiableError, certify
 from rmesh_nlp.certificate.bracket import Bracket, bracket
-from rmesh_nlp.certificate.certify import contact_solution
+from rmesh_nlp.certificate.conditions import NotCertifiableError
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import EXACT_ENERGY_61
@@ -49,6 +48,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.report.errors import bracket_figure
 from rmesh_nlp.report.style import SETTINGS, save
+from rmesh_nlp.solution.certify import certify, contact_solution
 
 KINDS = ("scalar", "membrane", "elastic", "rough")
 FINER = 2

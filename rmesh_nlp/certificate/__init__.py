@@ -1,6 +1,4 @@
-"""Guaranteed bounds of the energy, and so of the error of a solution in the energy norm."""
+"""Guaranteed bounds of the least energy by fields in equilibrium.
 
-from rmesh_nlp.certificate.certify import Certificate, certify
-from rmesh_nlp.certificate.conditions import NotCertifiableError
-
-__all__ = ["Certificate", "NotCertifiableError", "certify"]
+:func:`rmesh_nlp.solution.certify.certify` bounds the error of a solution with them.
+"""

@@ -10,7 +10,6 @@ import meshio
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.certificate.certify import Certificate
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.stress import stresses, von_mises
@@ -20,6 +19,7 @@ from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.programs.freedoms import freedoms, least_angles
+from rmesh_nlp.solution.certify import Certificate
 from rmesh_nlp.solution.solution import Solution, Step
 
 if TYPE_CHECKING:

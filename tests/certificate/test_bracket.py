@@ -12,10 +12,9 @@ from support.certificates import distorted, guess_on
 
 import formulations.fixed
 import formulations.joint
-from rmesh_nlp.certificate import NotCertifiableError, certify
 from rmesh_nlp.certificate import bracket as module
 from rmesh_nlp.certificate.bracket import Bracket, bracket, edge_residual
-from rmesh_nlp.certificate.conditions import conditions_of
+from rmesh_nlp.certificate.conditions import NotCertifiableError, conditions_of
 from rmesh_nlp.certificate.elastic import equilibrated_stress
 from rmesh_nlp.certificate.field import loads
 from rmesh_nlp.certificate.integrals import over_triangles
@@ -34,6 +33,7 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     Traction,
 )
+from rmesh_nlp.solution.certify import certify
 
 TURNED = Frame(np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, -2.0]))
 

@@ -241,8 +241,8 @@ def test_a_point_load_pins_its_node_and_does_its_work() -> None:
 
 
 def test_a_point_load_is_not_certified() -> None:
-    from rmesh_nlp.certificate.certify import certify
     from rmesh_nlp.certificate.conditions import NotCertifiableError
+    from rmesh_nlp.solution.certify import certify
 
     problem = replace(punch_held_by_symmetry(), dirichlet=("left",))
     with pytest.raises(NotCertifiableError, match="point load"):
