@@ -132,6 +132,12 @@ class ContactModel:
             self._rigid(nodes) if self._floats else None,
         )
 
+    def slips(self, nodes: Array, u: Array) -> Array:
+        """Displacements (gaps,) along the tangents at node positions (2, nodes)."""
+        straight = not (self._curved and self._friction)
+        tangents = self.tangents if straight else self._tangents(self._directions(nodes))
+        return np.asarray(tangents @ u)
+
     def solve(self, nodes: Array, start: ActiveSet | None = None) -> Equilibrium:
         """Contact solve at node positions (2, nodes)."""
         return solve(self.system(nodes), start)

@@ -12,7 +12,7 @@ from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 
 
-def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Array, Array]:
+def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Array, Array, Array]:
     """Adjoint of the contact solution with its active set held.
 
     Solves ``K p = right`` over the displacements that the active set leaves free, p = 0 in
@@ -23,39 +23,53 @@ def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Arr
     p : (m,) array
     reaction : (contact nodes,) array
         ``right - K p`` in the normal direction of touching nodes, zero at the others.
+    friction : (contact nodes,) array
+        The same in the tangential direction of sticking nodes.
     """
     rotated = system.rotated
     turned = right if rotated.basis is None else rotated.basis.T @ right
     inside, factor = rotated.factor(active)
     p = np.zeros(turned.size)
     p[inside] = factor.solve(turned[inside])
-    reaction = np.where(active.touching, (turned - rotated.K @ p)[rotated.normal], 0.0)
-    return p if rotated.basis is None else rotated.basis @ p, reaction
+    left = turned - rotated.K @ p
+    reaction = np.where(active.touching, left[rotated.normal], 0.0)
+    friction = np.where(_sticking(system, active), left[rotated.tangent], 0.0)
+    return p if rotated.basis is None else rotated.basis @ p, reaction, friction
+
+
+def _sticking(system: ContactSystem, active: ActiveSet) -> NDArray[np.bool_]:
+    """Nodes whose slip the active set holds."""
+    if not system.slip_bound.size:
+        return np.zeros(active.touching.size, dtype=bool)
+    return system.rotated.slips & (active.sliding == 0)
 
 
 def tangent_response(
     system: ContactSystem, active: ActiveSet
-) -> Callable[[Array, Array], tuple[Array, Array]]:
-    """First-order change of displacement and normal force with the active set held.
+) -> Callable[[Array, Array, Array], tuple[Array, Array, Array]]:
+    """First-order change of displacement and contact forces with the active set held.
 
-    The returned function takes the change of the out-of-balance force ``K u - F`` at fixed
-    displacement and the change of the gaps, and gives those of ``u`` and ``lambda``.
+    The returned function takes the changes of the out-of-balance force ``K u - F``, of the gaps and of the
+    slips, all at fixed displacement, and gives those of ``u``, of the normal forces, and of the tangential
+    forces of sticking nodes (zero at the others).
     """
     rotated = system.rotated
     inside, factor = rotated.factor(active)
-    touching = rotated.normal[active.touching]
-    # the columns of touching nodes carry the change of the gaps, their rows the change of the forces
-    columns = sp.csr_array(rotated.K[:, touching])
-    rows = sp.csr_array(rotated.K.T[touching])
+    sticking, n_touching = _sticking(system, active), int(active.touching.sum())
+    held = np.concatenate([rotated.normal[active.touching], rotated.tangent[sticking]])
+    # the columns of held unknowns carry the change of gaps and slips, their rows the change of the forces
+    columns = sp.csr_array(rotated.K[:, held])
+    rows = sp.csr_array(rotated.K.T[held])
 
-    def respond(force: Array, gap: Array) -> tuple[Array, Array]:
+    def respond(force: Array, gap: Array, slip: Array) -> tuple[Array, Array, Array]:
         turned = force if rotated.basis is None else rotated.basis.T @ force
         w = np.zeros(turned.size)
-        w[touching] = -gap[active.touching]
-        w[inside] = factor.solve(-(turned + columns @ w[touching])[inside])
-        change = np.zeros(gap.size)
-        change[active.touching] = rows @ w + turned[touching]
-        return (w if rotated.basis is None else rotated.basis @ w), change
+        w[held] = -np.concatenate([gap[active.touching], slip[sticking]])
+        w[inside] = factor.solve(-(turned + columns @ w[held])[inside])
+        change = rows @ w + turned[held]
+        normal, tangential = np.zeros((2, gap.size))
+        normal[active.touching], tangential[sticking] = np.split(change, [n_touching])
+        return (w if rotated.basis is None else rotated.basis @ w), normal, tangential
 
     return respond
 

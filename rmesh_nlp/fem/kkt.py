@@ -67,7 +67,7 @@ def _contact_force(obstacle: Obstacle) -> ca.Function:
     force = -pressure * obstacle.direction(X[0], X[1])
     if not obstacle.frictional:
         return ca.Function("contact_force", [X, pressure], [0, force])
-    force += (minus - plus) * ca.DM(obstacle.tangent)
+    force += (minus - plus) * obstacle.tangential(X[0], X[1])
     return ca.Function("contact_force", [X, pressure, minus, plus], [0, force])
 
 

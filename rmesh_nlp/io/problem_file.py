@@ -231,16 +231,16 @@ def _obstacle(table: ContactTable, components: int) -> Obstacle:
     friction = 0.0 if table.friction is None else table.friction
     boundary = str(table.boundary)
     if table.circle is not None or table.curve is not None:
-        if table.friction is not None:
-            raise ValueError("friction needs a foundation with one normal, not a circle or a curve")
         if components == 1:
             raise ValueError("a circle or a curve needs an elastic body")
         if table.circle is not None:
             circle = table.circle
-            return Obstacle.circle(boundary, circle.centre, circle.radius, inside=circle.inside)
+            return Obstacle.circle(
+                boundary, circle.centre, circle.radius, inside=circle.inside, friction=friction
+            )
         if not callable(table.curve):
             raise ValueError("expected an expression of x and y that is zero on the curve")
-        return Obstacle.curve(boundary, table.curve)
+        return Obstacle.curve(boundary, table.curve, friction)
     if table.line is not None:
         return Obstacle.line(boundary, table.line.point, table.line.normal, friction)
     if table.height is not None:

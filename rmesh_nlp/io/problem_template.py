@@ -58,7 +58,7 @@ height = -0.05                   # foundation below the graph y = height: number
 # circle = {{ centre = [2, -9], radius = 9 }}   # or a rigid disc; inside = true for a round hole
 # curve = "y - 0.01*x**2"        # or any curve: zero on it, positive where the body may be
 # offset = 0.05                  # or the initial gap itself, along normal = [0, 1]
-# friction = 10.0                # Tresca bound: number or expression; not on a circle or a curve
+# friction = 10.0                # Tresca bound: number or expression
 # For a scalar problem with u >= psi in the whole domain, instead of boundary:  interior = "..."
 
 [motion]

@@ -14,7 +14,7 @@ from rmesh_nlp.meshes.geometry import overlapping, signed_areas
 from rmesh_nlp.problem.coefficients import at, on_points
 from rmesh_nlp.problem.obstacle import Place
 from rmesh_nlp.problem.rigid import NO_MOTION, rigid_motions, seen_by_contact
-from rmesh_nlp.problem.statement import ContactSet, Statement
+from rmesh_nlp.problem.statement import NO_NORMAL, ContactSet, Statement
 
 ROUNDING = 1e-10
 """Part of the distances below which a gap is zero."""
@@ -211,7 +211,7 @@ def _check_friction(problem: Statement, held: NDArray[np.bool_], value: Array) -
         if not part.obstacle.frictional:
             continue
         nodes = part.nodes
-        oblique = np.all(np.array(part.obstacle.normal) != 0)
+        oblique = np.all(np.abs(part.obstacle.normals(problem.mesh.p[:, nodes])) > NO_NORMAL, axis=0)
         bad = nodes[np.any(held[:, nodes] & (oblique | (value[:, nodes] != 0)), axis=0)]
         if bad.size:
             raise ProblemError(

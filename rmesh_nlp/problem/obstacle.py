@@ -32,7 +32,8 @@ class Obstacle:
 
     A foundation with a ``level`` function phi, positive where the body may be, has a normal of its own
     at every place: the gap is the linearisation of ``phi(X + u) >= 0`` at the undeformed node,
-    ``(phi(X) + grad phi(X) . u) / |grad phi(X)|``, a distance along the curve's normal there.
+    ``(phi(X) + grad phi(X) . u) / |grad phi(X)|``, a distance along the curve's normal there. Friction acts
+    along the curve's tangent at the same place, so that slip, too, is linear in the displacement.
 
     Attributes
     ----------
@@ -44,7 +45,7 @@ class Obstacle:
     offset : float or function of position
         Initial distance to the foundation, in units of length. Not used with a ``level`` function.
     friction : float or function of position
-        Tresca bound g >= 0 in N/m^2, 0 without friction. It acts along the tangent, ``normal``
+        Tresca bound g >= 0 in N/m^2, 0 without friction. It acts along the tangent, the normal
         turned by -90 degrees.
     kinks : tuple of float
         Values of x_1 where the offset has a kink, found for a :class:`PiecewiseLinear` one.
@@ -75,10 +76,6 @@ class Obstacle:
             raise ValueError(f"the friction bound must not be negative, got {self.friction}")
         if self.frictional and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
             raise ValueError("friction needs a problem with two displacement components")
-        if self.frictional and self.level is not None:
-            raise ValueError(
-                "friction needs a foundation with one normal: a line, a graph or an offset, not a curve"
-            )
 
     @classmethod
     def line(
@@ -119,17 +116,23 @@ class Obstacle:
         return cls(boundary, (0.0, 1.0), distance, friction, kinks, fixed_in_space=True)
 
     @classmethod
-    def curve(cls, boundary: str, level: PositionFunction) -> Obstacle:
+    def curve(cls, boundary: str, level: PositionFunction, friction: Coefficient = 0.0) -> Obstacle:
         """A foundation bounded by the curve ``level(x, y) = 0``, with ``level > 0`` where the body may be.
 
-        The gap is measured along the curve's normal at the undeformed node, linearly in the
-        displacement, without friction. Scale and kind of ``level`` do not matter to first order.
+        The gap is measured along the curve's normal at the undeformed node, the slip along its tangent
+        there, both linearly in the displacement. Scale and kind of ``level`` do not matter to first order.
         """
-        return cls(boundary, level=level, fixed_in_space=True)
+        return cls(boundary, friction=friction, level=level, fixed_in_space=True)
 
     @classmethod
     def circle(
-        cls, boundary: str, centre: tuple[float, float], radius: float, *, inside: bool = False
+        cls,
+        boundary: str,
+        centre: tuple[float, float],
+        radius: float,
+        *,
+        inside: bool = False,
+        friction: Coefficient = 0.0,
     ) -> Obstacle:
         """A rigid disc that the body touches from outside, or a round hole with the body ``inside``.
 
@@ -145,7 +148,7 @@ class Obstacle:
         def distance(x: Any, y: Any) -> Any:
             return sign * (ca.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) - radius)
 
-        return cls.curve(boundary, distance)
+        return cls.curve(boundary, distance, friction)
 
     @classmethod
     def interior(cls, psi: Coefficient) -> Obstacle:
@@ -175,6 +178,11 @@ class Obstacle:
             return ca.DM(self.normal)
         slope = ca.vertcat(*_gradient(self.level)(x, y))
         return slope / ca.norm_2(slope)
+
+    def tangential(self, x: Any, y: Any) -> Any:
+        """Unit tangent at a point as a CasADi column, the normal turned by -90 degrees."""
+        normal = self.direction(x, y)
+        return ca.vertcat(normal[1], -normal[0])
 
     def distance(self, x: Any, y: Any) -> Any:
         """The gap without displacement at a point."""
@@ -219,7 +227,7 @@ class Obstacle:
 
     @property
     def tangent(self) -> tuple[float, ...]:
-        """Unit tangent; (1, 0) for the normal (0, 1), empty for a scalar problem."""
+        """Unit tangent of a foundation with one normal; (1, 0) for (0, 1), empty for a scalar problem."""
         if len(self.normal) == 1:
             return ()
         return (self.normal[1], -self.normal[0])

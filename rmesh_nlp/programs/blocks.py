@@ -8,25 +8,29 @@ from itertools import pairwise
 import numpy as np
 import scipy.sparse as sp
 
+from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
 from rmesh_nlp.programs.energy_program import Relocation
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Blocks of the Hessian of ``J - lambda . gap`` in moves q, displacement u and slip s.
+    """Blocks of the Hessian of ``J - lambda . gap - tau . u_t`` in moves q, displacement u and slip s.
 
     Attributes
     ----------
     qq, qu, qs : sparse arrays
     gap : (contact nodes, n_q) sparse array
         Derivative of the gaps by the moves.
+    slip : (n_s, n_q) sparse array
+        Derivative of the slips u_t by the moves; zero where no foundation is curved.
     """
 
     qq: sp.csc_array
     qu: sp.csc_array
     qs: sp.csc_array
     gap: sp.csc_array
+    slip: sp.csc_array
 
 
 class SecondDerivatives:
@@ -45,12 +49,18 @@ class SecondDerivatives:
         upper = numbered(hessian.sparsity_out(0))
         self._qq = Symmetric(upper, rel.n_q)
         self._qu, self._qs = Block(upper, q, u), Block(upper, q, s)
-        self._gap = Block(numbered(jacobian.sparsity_out(1)), rel.gap_rows, q)
+        first = numbered(jacobian.sparsity_out(1))
+        self._gap, self._slip = Block(first, rel.gap_rows, q), Block(first, rel.slip_rows, q)
 
-    def __call__(self, x: Array, normal_force: Array) -> Blocks:
-        """At unknowns ``x = (q, u, s)`` and contact forces (contact nodes,)."""
-        rows = np.zeros(self._relocation.nlp.n_g)
-        rows[self._relocation.gap_rows] = -normal_force
+    def __call__(self, x: Array, equilibrium: Equilibrium) -> Blocks:
+        """At unknowns ``x = (q, u, s)`` of a contact solution."""
+        rel = self._relocation
+        rows = np.zeros(rel.nlp.n_g)
+        rows[rel.gap_rows] = -equilibrium.normal_force
+        if rel.n_s:
+            rows[rel.slip_rows] = -equilibrium.tangential_force[rel.friction_rows]
         (values,) = self._hessian(x, [], 1.0, rows)
-        _, gap = self._jacobian(x, [])
-        return Blocks(self._qq(values), self._qu(values), self._qs(values), self._gap(gap))
+        _, first = self._jacobian(x, [])
+        return Blocks(
+            self._qq(values), self._qu(values), self._qs(values), self._gap(first), self._slip(first)
+        )

@@ -2,10 +2,11 @@
 
 With the active set of the contact solution held, and Lambda the Lagrangian of the energy program,
 
-    L'' d = Lambda_qq d + Lambda_qu u' + Lambda_qs s' - gamma_q^T lambda',
+    L'' d = Lambda_qq d + Lambda_qu u' + Lambda_qs s' - gamma_q^T lambda' - sigma_q^T tau',
 
-where ``u', s', lambda'`` are the first-order changes of displacement, slip and contact force when
-the nodes move along d: one more solve with the factorised stiffness of the contact solve.
+where ``u', s', lambda', tau'`` are the first-order changes of displacement, slip, normal and tangential
+contact force when the nodes move along d: one more solve with the factorised stiffness of the contact
+solve. The slips at fixed displacement, sigma, move where a foundation is curved.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class Curvature:
         """L'' at a point, ready for products."""
         x = self._energy.point(point.q, point.equilibrium)
         rows = self._energy.relocation.friction_rows
-        return Hessian(point, self._derivatives(x, point.equilibrium.normal_force), rows)
+        return Hessian(point, self._derivatives(x, point.equilibrium), rows)
 
 
 class Hessian:
@@ -44,7 +45,9 @@ class Hessian:
         self.qq = blocks.qq.T  # the same matrix, but by rows: a product takes half the time
         self._qu, self._qs = blocks.qu, blocks.qs
         self._uq, self._sq, self._gap, self._gap_q = blocks.qu.T, blocks.qs.T, blocks.gap, blocks.gap.T
+        self._slip, self._slip_q = blocks.slip, blocks.slip.T
         self._active = point.equilibrium.active
+        self._rows = friction_rows
         self._tangents = point.system.tangents[friction_rows]
         self._sliding = self._active.sliding[friction_rows] if friction_rows.size else np.zeros(0)
         self._respond = tangent_response(point.system, self._active)
@@ -56,11 +59,14 @@ class Hessian:
 
     def __call__(self, d: Array) -> Array:
         """``L'' d``."""
-        out_of_balance = self._uq @ d
+        out_of_balance, slip = self._uq @ d, np.zeros(self._active.touching.size)
         if self._sliding.size:
-            out_of_balance = out_of_balance + self._tangents.T @ (self._sliding * (self._sq @ d))
-        u, force = self._respond(out_of_balance, self._gap @ d)
-        result = self.qq @ d + self._qu @ u - self._gap_q @ force
+            bound = self._sliding * (self._sq @ d)  # change of the friction of sliding nodes
+            out_of_balance = out_of_balance + self._tangents.T @ bound
+            slip[self._rows] = self._slip @ d
+        u, normal, tangential = self._respond(out_of_balance, self._gap @ d, slip)
+        result = self.qq @ d + self._qu @ u - self._gap_q @ normal
         if self._sliding.size:
-            result += self._qs @ (self._sliding * (self._tangents @ u))
+            result += self._qs @ (self._sliding * (self._tangents @ u + slip[self._rows]))
+            result += self._slip_q @ (bound - tangential[self._rows])
         return np.asarray(result)

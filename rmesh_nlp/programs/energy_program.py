@@ -79,6 +79,11 @@ class Relocation:
         return slice(0, self.n_contact)
 
     @property
+    def slip_rows(self) -> slice:
+        """Rows ``s + u_t >= 0``; those of ``s - u_t >= 0`` are before them."""
+        return slice(self.n_contact + self.n_s, self.n_contact + 2 * self.n_s)
+
+    @property
     def validity_rows(self) -> slice:
         """Rows of the element areas."""
         return slice(self.nlp.n_g - self.n_valid, self.nlp.n_g)
@@ -120,7 +125,7 @@ def relocation(problem: ContactProblem, objective: Objective = ENERGY) -> Reloca
         *bulk_groups(problem, free.positions, displacement),
         *gap_groups(problem, free.positions, displacement),
         *friction_groups(problem, free.positions, slip),
-        *slip_groups(problem, displacement, slip, first_row=n_contact),
+        *slip_groups(problem, free.positions, displacement, slip, first_row=n_contact),
     ]
     n_rows = n_contact + 2 * n_s
     groups += objective.position_groups(problem, free.positions, displacement, slip)
@@ -189,7 +194,7 @@ def _no_contact_field(problem: ContactProblem) -> Field:
 
 
 def slip_groups(
-    problem: ContactProblem, displacement: Field, slip: Field, first_row: int
+    problem: ContactProblem, positions: Field, displacement: Field, slip: Field, first_row: int
 ) -> list[ElementGroup]:
     """Rows ``s - u_t >= 0`` of all contact nodes with friction, then ``s + u_t >= 0``."""
     groups, n_s = [], problem.friction_rows.size
@@ -197,14 +202,14 @@ def slip_groups(
         if part.obstacle.frictional:
             nodes = part.nodes[None, :]
             rows = first_row + np.arange(nodes.size) + np.array([[0], [n_s]])
-            local = (displacement.at(nodes), slip.component(part.number).at(nodes))
+            local = (positions.at(nodes), displacement.at(nodes), slip.component(part.number).at(nodes))
             groups.append(ElementGroup(slip_function(part.obstacle), local, rows))
             first_row += nodes.size
     return groups
 
 
 def slip_function(obstacle: Obstacle) -> ca.Function:
-    """``(u_i, s_i) -> (0, (s - u_t, s + u_t))`` of one contact node."""
-    u, s = ca.SX.sym("u", 2), ca.SX.sym("s")
-    slip = ca.dot(ca.DM(obstacle.tangent), u)
-    return ca.Function("slip", [u, s], [0, ca.vertcat(s - slip, s + slip)])
+    """``(X_i, u_i, s_i) -> (0, (s - u_t, s + u_t))`` of one contact node."""
+    X, u, s = ca.SX.sym("X", 2), ca.SX.sym("u", 2), ca.SX.sym("s")
+    slip = ca.dot(obstacle.tangential(X[0], X[1]), u)
+    return ca.Function("slip", [X, u, s], [0, ca.vertcat(s - slip, s + slip)])

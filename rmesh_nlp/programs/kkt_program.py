@@ -140,7 +140,7 @@ def bilevel(
     n_equations, n_g = n_g, n_g + area_bound.size
     pairs = [
         *gap_groups(problem, free.positions, displacement, first_row=n_g),
-        *slip_groups(problem, displacement, slip, first_row=n_g + n_c),
+        *slip_groups(problem, free.positions, displacement, slip, first_row=n_g + n_c),
     ]
     groups += [_in_units_of_rows(group, length) for group in pairs]
     n_pairs = n_c + 2 * n_s

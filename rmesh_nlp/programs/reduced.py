@@ -48,7 +48,7 @@ class ReducedEnergy:
     If the program's objective has terms in the positions alone, such as a distortion, they are part of
     value and gradient. The gradient of the energy is (5.7), (5.11): the partial derivative of the
     Lagrangian of the inner problem with respect to the positions, at fixed displacement and multipliers.
-    It includes the motion of the gap and of the friction weights.
+    It includes the motion of the gap, of the friction weights, and of a curved foundation's tangent.
 
     Attributes
     ----------
@@ -63,11 +63,17 @@ class ReducedEnergy:
         self._active: ActiveSet | None = None
         self._last: ReducedPoint | None = None
         nlp = relocation.nlp
-        lam = ca.MX.sym("lam", relocation.n_contact)
-        gap_jacobian = relocation.derivatives.jac_g(nlp.x, nlp.p)[1][relocation.gap_rows, : relocation.n_q]
-        energy_gradient = relocation.derivatives.grad_f(nlp.x, nlp.p)[1][: relocation.n_q]
-        gradient = energy_gradient - gap_jacobian.T @ lam
-        self._gradient = Evaluator(ca.Function("reduced_gradient", [nlp.x, lam], [ca.densify(gradient)]))
+        normal, tangential = (
+            ca.MX.sym("normal", relocation.n_contact),
+            ca.MX.sym("tangential", relocation.n_s),
+        )
+        jacobian = relocation.derivatives.jac_g(nlp.x, nlp.p)[1][:, : relocation.n_q]
+        gradient = relocation.derivatives.grad_f(nlp.x, nlp.p)[1][: relocation.n_q]
+        gradient -= jacobian[relocation.gap_rows, :].T @ normal
+        gradient -= jacobian[relocation.slip_rows, :].T @ tangential
+        self._gradient = Evaluator(
+            ca.Function("reduced_gradient", [nlp.x, normal, tangential], [ca.densify(gradient)])
+        )
         fields = (relocation.freedoms.positions, relocation.displacement, relocation.slip)
         self._position_terms = element_values(
             relocation.objective.position_groups(relocation.problem, *fields)
@@ -100,23 +106,25 @@ class ReducedEnergy:
 
     def at(self, q: Array, system: ContactSystem, equilibrium: Equilibrium) -> ReducedPoint:
         """Value and gradient where the contact solution is known."""
-        (gradient,) = self._gradient(self.point(q, equilibrium), equilibrium.normal_force)
+        friction = equilibrium.tangential_force[self.relocation.friction_rows]
+        (gradient,) = self._gradient(self.point(q, equilibrium), equilibrium.normal_force, friction)
         value = equilibrium.energy + self.of_positions(q)
         return ReducedPoint(np.array(q), value, gradient, system, equilibrium, True)
 
     def point(self, q: Array, equilibrium: Equilibrium) -> Array:
         """The unknowns ``(q, u, s)`` of the energy program at a contact solution."""
-        slip = np.abs(self.model.tangents @ equilibrium.u)[self.relocation.friction_rows]
-        return np.concatenate([q, equilibrium.u, slip])
+        rows = self.relocation.friction_rows
+        slip = self.model.slips(self.relocation.nodes(q), equilibrium.u)[rows] if rows.size else np.zeros(0)
+        return np.concatenate([q, equilibrium.u, np.abs(slip)])
 
 
 class ReducedObjective:
     """Any outer objective F(X, u(X)) with its gradient by the adjoint.
 
-    With the active set held, ``dF/dq = F_q - R_q^T p - gamma_q^T r``, where K p = F_u on the
-    displacements that are free, R is the out-of-balance force and r the adjoint reaction at
-    touching nodes (:func:`rmesh_nlp.contact.model.adjoint`). That is the gradient wherever
-    strict complementarity holds.
+    With the active set held, ``dF/dq = F_q - R_q^T p - gamma_q^T r - sigma_q^T t``, where K p = F_u on
+    the displacements that are free, R is the out-of-balance force, r and t are the adjoint reactions at
+    touching and at sticking nodes (:func:`rmesh_nlp.contact.sensitivity.adjoint`), gamma the gaps and sigma
+    the slips at fixed displacement. That is the gradient wherever strict complementarity holds.
     """
 
     def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
@@ -153,12 +161,14 @@ class ReducedObjective:
         rows = rel.friction_rows
         if rel.n_s:
             tangents = system.tangents[rows]
-            f_u = f_u + tangents.T @ (np.sign(tangents @ state.u) * f_s)
-        p, reaction = adjoint(system, state.active, f_u)
-        blocks = self._derivatives(x, state.normal_force)
+            by_slip = np.sign(tangents @ state.u) * f_s
+            f_u = f_u + tangents.T @ by_slip
+        p, reaction, friction = adjoint(system, state.active, f_u)
+        blocks = self._derivatives(x, state)
         total = f_q - blocks.qu @ p - blocks.gap.T @ reaction
         if rel.n_s:
             total -= blocks.qs @ (state.active.sliding[rows] * (tangents @ p))
+            total += blocks.slip.T @ (by_slip - friction[rows])
         return ReducedPoint(np.array(q), float(value[0]), total, system, state, False)
 
 

@@ -12,6 +12,7 @@ from support.contact_geometry import (
     block_between_two_foundations,
     block_in_a_corner,
     block_on_a_circle,
+    block_sliding_on_a_circle,
     punch_held_by_symmetry,
 )
 
@@ -19,6 +20,7 @@ from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import (
     ContactProblem,
     Dirichlet,
@@ -73,7 +75,9 @@ def test_the_curvature_is_the_derivative_of_the_gradient(make: Make) -> None:
     assert rates(left)[-1] >= 1.9, rates(left)
 
 
-@pytest.mark.parametrize("make", [block_on_a_circle, block_between_two_foundations])
+@pytest.mark.parametrize(
+    "make", [block_on_a_circle, block_sliding_on_a_circle, block_between_two_foundations]
+)
 @pytest.mark.parametrize("objective", ["error-l2", "contact"])
 def test_the_adjoint_gradient_is_of_second_order(make: Make, objective: str) -> None:
     exact = ExactSolution(lambda x, y: ca.vertcat(-1e-3 * x * y, -1e-2 * x * x), 0.0)
@@ -90,8 +94,11 @@ def test_the_adjoint_gradient_is_of_second_order(make: Make, objective: str) -> 
 @pytest.mark.parametrize("make", GEOMETRIES)
 def test_strategies_agree(make: Make) -> None:
     problem = make()
-    solutions = [module.solve(problem) for module in (joint, nested, mpcc)]
-    assert all(solution.success for solution in solutions)
+    first = joint.solve(problem)
+    # with friction on the circle there are several local minima, 0.2 % of the gain apart
+    start = first if make is block_sliding_on_a_circle else None
+    solutions = [first, *(module.solve(problem, start=start) for module in (nested, mpcc))]
+    assert all(solution.success and solution.status is Status.CONVERGED for solution in solutions)
     gain = solutions[0].energy_initial - solutions[0].energy
     assert gain > 0
     for other in solutions[1:]:
@@ -215,9 +222,65 @@ def test_a_scalar_node_cannot_obey_two_foundations() -> None:
         )
 
 
-def test_friction_on_a_curve_is_refused() -> None:
-    with pytest.raises(ValueError, match="foundation with one normal"):
-        Obstacle("a", friction=1.0, level=lambda x, y: y)
+def tilted(obstacle: Obstacle) -> ContactProblem:
+    """A block turned by 0.3 on a foundation along its lower side, pressed down and pushed along it."""
+    flat = rectangle(6, 3, x=(0, 2))
+    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    down, along = turn @ [0, -1], turn @ [1, 0]
+    return ContactProblem(
+        mesh=replace(flat, doflocs=turn @ flat.p),
+        law=LAW,
+        dirichlet=("left",),
+        obstacle=obstacle,
+        motion=Motion(0.04, pinned=("top",)),
+        tractions=(Traction("top", tuple(120 * down + 90 * along)),),
+    )
+
+
+NORMAL = (-np.sin(0.3), np.cos(0.3))
+
+
+def test_friction_on_a_straight_curve_is_that_on_the_line() -> None:
+    line = tilted(Obstacle.line("bottom", (0, 0), NORMAL, friction=70.0))
+    curve = tilted(Obstacle.curve("bottom", lambda x, y: 3 * (NORMAL[0] * x + NORMAL[1] * y), friction=70.0))
+    before, after = (joint.solve(problem) for problem in (line, curve))
+    sliding = ContactModel(curve).solve(curve.mesh.p).active.sliding
+    assert np.any(sliding != 0)
+    assert np.any(sliding == 0)
+    assert after.energy == pytest.approx(before.energy, rel=1e-8)
+    np.testing.assert_allclose(after.mesh.p, before.mesh.p, atol=1e-5)
+    np.testing.assert_allclose(after.tangential_stress, before.tangential_stress, atol=1e-2)
+
+
+def test_friction_on_a_wide_circle_tends_to_that_on_its_tangent() -> None:
+    line = fixed.solve(tilted(Obstacle.line("bottom", (0, 0), NORMAL, friction=70.0)))
+    assert np.max(np.abs(line.tangential_stress)) > 1.0
+
+    def distance(radius: float) -> float:
+        centre = (-radius * NORMAL[0], -radius * NORMAL[1])
+        round_one = fixed.solve(tilted(Obstacle.circle("bottom", centre, radius, friction=70.0)))
+        assert round_one.success
+        return abs(round_one.energy - line.energy)
+
+    # the gap differs by x**2 / (2 radius)
+    assert distance(1e7) < 0.15 * distance(1e6) < 1e-2 * abs(line.energy)
+
+
+def test_friction_on_a_circle_pulls_along_its_tangent() -> None:
+    problem = block_sliding_on_a_circle()
+    model = ContactModel(problem)
+    state = model.solve(problem.mesh.p)
+    system = model.system(problem.mesh.p)
+    out_of_balance = model.displacement.values(system.stiffness @ state.u - system.load)
+    sliding = np.flatnonzero((state.active.sliding != 0) & ~state.active.touching)
+    assert sliding.size
+    for row in sliding:
+        node = problem.contact_nodes[row]
+        radius = problem.mesh.p[:, node] - (1.4, -3.004)
+        force = out_of_balance[:, node]
+        assert abs(force @ radius) < 1e-9 * np.linalg.norm(force) * np.linalg.norm(radius)
+        slip = np.array([radius[1], -radius[0]]) @ model.displacement.values(state.u)[:, node]
+        assert slip * (np.array([radius[1], -radius[0]]) @ force) < 0
 
 
 def test_a_point_load_pins_its_node_and_does_its_work() -> None:

@@ -44,6 +44,8 @@ def test_weights_that_do_not_move_would_be_noticed() -> None:
     smooth = replace(problem, obstacle=replace(problem.obstacle, friction=1e-12))
     point = Referee(smooth).reduced
     (still,) = point._gradient(
-        referee.reduced.point(np.zeros(moving.size), referee.initial), referee.initial.normal_force
+        referee.reduced.point(np.zeros(moving.size), referee.initial),
+        referee.initial.normal_force,
+        referee.initial.tangential_force,
     )
     assert np.max(np.abs(moving - still)) > 0.1 * np.max(np.abs(moving))

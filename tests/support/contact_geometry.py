@@ -34,6 +34,21 @@ def block_on_a_circle(n: int = 4) -> ContactProblem:
     )
 
 
+def block_sliding_on_a_circle(n: int = 3) -> ContactProblem:
+    """The block on the disc with friction, of which some contact nodes stick and some slide."""
+    return ContactProblem(
+        mesh=rectangle(2 * n, n, x=(0, 2)),
+        law=LAW,
+        dirichlet=("left",),
+        obstacle=Obstacle.circle(
+            "bottom", (1.4, -3.004), 3.0, friction=lambda x, y: 60.0 + 200 * (x - 1) ** 2
+        ),
+        motion=Motion(Relative(0.3), pinned=("top",)),
+        tractions=(Traction("top", (-20.0, -120.0)),),
+        name="sliding",
+    )
+
+
 def block_between_two_foundations(n: int = 4) -> ContactProblem:
     """A block that swells against a flat foundation below, with friction, and a curved one above."""
     return ContactProblem(
@@ -83,6 +98,7 @@ def punch_held_by_symmetry(n: int = 4) -> ContactProblem:
 
 GEOMETRIES = (
     block_on_a_circle,
+    block_sliding_on_a_circle,
     block_between_two_foundations,
     block_in_a_corner,
     punch_held_by_symmetry,
