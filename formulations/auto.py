@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from formulations import joint, nested
+from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.nlp import Status
@@ -24,7 +25,6 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.cascade import CascadeResult, CascadeSettings, cascade
 from rmesh_nlp.programs.energy_flips import flips_and_moves
 from rmesh_nlp.programs.energy_program import relocation
-from rmesh_nlp.programs.freedoms import freedoms
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import regularised

@@ -24,13 +24,13 @@ from matplotlib.figure import Figure
 
 from formulations import auto, nested
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objectives import error_energy
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
-from rmesh_nlp.programs.freedoms import least_angles
 from rmesh_nlp.programs.hr import hr
 from rmesh_nlp.programs.refinement import locally_refined, marked, residual_indicators
 

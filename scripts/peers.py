@@ -35,7 +35,6 @@ from rmesh_nlp.contact.model import ContactModel, solve
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.energy import displacement_field
 from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.optimize.nlp import IPOPT_OPTIONS, Solver
@@ -131,7 +130,7 @@ def program_of(problem: ContactProblem) -> Program:
         raise ValueError("only for boxes that exclude inverted elements, and without friction")
     return Program(
         positions=rel.freedoms.positions,
-        displacement=displacement_field(problem, first=rel.n_q)[0],
+        displacement=rel.displacement,
         triangles=problem.triangles.T,
         contact=problem.contact_nodes,
         bound=rel.nlp.ubx,

@@ -18,6 +18,8 @@ from rmesh_nlp.cli.commands import exit_code, say_certificate
 from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.cli.study_commands import check as check_study
 from rmesh_nlp.contact.setup_warnings import setup_warnings
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.discretisation.freedoms import Mobility
 from rmesh_nlp.display import rich_table
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.io.export import Series, write_mesh
@@ -28,7 +30,6 @@ from rmesh_nlp.io.problem_template import template
 from rmesh_nlp.io.results import Results, to_json, write_single
 from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.freedoms import Mobility, freedoms, validity_group
 from rmesh_nlp.report.before_after import PICTURES, write_pictures
 from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.problem_picture import draw_problem
@@ -61,12 +62,13 @@ def check(path: Path, picture: Path | None = None) -> int:
     if is_study(path):
         return check_study(path)
     problem = _load(path)
-    free = freedoms(problem)
+    parts = discretise(problem)
+    free = parts.freedoms
     rows = problem.summary()
     for kind in Mobility:
         rows.append((f"nodes {kind.name.lower()}", str(int((free.mobility == kind).sum()))))
     rows.append(("moves", str(free.n)))
-    rows.append(("validity constraints", str(validity_group(problem, free)[1].size)))
+    rows.append(("validity constraints", str(parts.validity.size)))
     try:
         found = [warning.message for warning in setup_warnings(problem)]
     except ValueError as error:

@@ -27,9 +27,9 @@ import scipy.sparse as sp
 from rmesh_nlp.contact.first_guess import first_set
 from rmesh_nlp.contact.floating import check_load, check_unique, holding
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
 from rmesh_nlp.fem.assembly import assemble
-from rmesh_nlp.fem.energy import bulk_groups, displacement_field, friction_groups, gap_groups
 from rmesh_nlp.fem.fields import unknown_field
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
@@ -48,7 +48,7 @@ class ContactModel:
 
     Parameters
     ----------
-    problem : ContactProblem
+    problem : ContactProblem or Discretisation
 
     Raises
     ------
@@ -68,16 +68,17 @@ class ContactModel:
         Those of the contact system on the initial mesh; where no foundation is curved, on every mesh.
     """
 
-    def __init__(self, problem: ContactProblem) -> None:
-        self.problem = problem
-        self.displacement, self.n_u = displacement_field(problem)
-        self._sets, self.contact_nodes = problem.contact_sets, problem.contact_nodes
+    def __init__(self, problem: ContactProblem | Discretisation) -> None:
+        self.discretisation = parts = discretise(problem)
+        self.problem = problem = parts.problem
+        self.displacement, self.n_u = parts.displacement, parts.n_u
+        self._sets, self.contact_nodes = problem.contact_sets, parts.contact_nodes
         n_nodes = problem.mesh.p.shape[1]
         positions = unknown_field((2, n_nodes), parameter=True)
         u, X = ca.MX.sym("u", self.n_u), ca.MX.sym("X", 2 * n_nodes)
         groups = [
-            *bulk_groups(problem, positions, self.displacement),
-            *gap_groups(problem, positions, self.displacement),
+            *parts.bulk(positions, self.displacement),
+            *(term.on(positions, self.displacement) for term in parts.gaps),
         ]
         inner = assemble(groups, u, X, self.contact_nodes.size)
         zero = ca.MX.zeros(self.n_u)
@@ -94,12 +95,13 @@ class ContactModel:
         normals = self._directions(problem.mesh.p)
         self.normals, self.tangents = self._unit_rows(normals), self._tangents(normals)
         self.frictional = np.zeros(self.contact_nodes.size, dtype=bool)
-        self.frictional[problem.friction_rows] = True
+        self.frictional[parts.friction_rows] = True
         self._friction = problem.frictional
         if self._friction:
             shape = (len(problem.obstacles), n_nodes)
             slip = ca.MX.sym("s", shape[0] * n_nodes)
-            friction = assemble(friction_groups(problem, positions, unknown_field(shape)), slip, X, 0)
+            terms = [term.on(positions, unknown_field(shape)) for term in parts.friction]
+            friction = assemble(terms, slip, X, 0)
             weights = friction.grad_f(ca.MX.zeros(slip.shape[0]), X)[1]
             self._kernels += friction.kernels
             self._weights = Evaluator(ca.Function("weights", [X], [weights]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.energy import contact_edges
+from rmesh_nlp.fem.contact_terms import contact_edges
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 
 _FRACTIONS = np.arange(9) / 8

@@ -14,8 +14,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.fem.contact_terms import contact_edges
 from rmesh_nlp.fem.element import plain
-from rmesh_nlp.fem.energy import contact_edges, load_energy, objective_group, strain_energy
+from rmesh_nlp.fem.energy import load_energy, objective_group, strain_energy
 from rmesh_nlp.fem.fields import ElementGroup, Field
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.problem import ContactProblem, Law

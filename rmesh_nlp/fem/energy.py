@@ -1,4 +1,4 @@
-"""Element potential energies as CasADi Functions of (X_e, u_e), and their element groups.
+"""Energies of elements and loads as CasADi Functions of (X_e, u_e), and where they are on a mesh.
 
 All energies are per unit thickness, in N m/m. Columns run node by node:
 ``X_e = (x_1, y_1, x_2, y_2, ...)``, and ``u_e`` likewise with one or two components.
@@ -15,11 +15,10 @@ from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.element import PointValues
-from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, Index, constant_field
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, ElementTerm, Field, Index, constant_field
 from rmesh_nlp.problem import ContactProblem, PointLoad, Traction
 from rmesh_nlp.problem.coefficients import Coefficient, at, is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
-from rmesh_nlp.problem.obstacle import Obstacle, Place
 
 HIGHEST_TABULATED_DEGREE = 19
 """Highest degree of scikit-fem's triangle rules."""
@@ -150,91 +149,41 @@ def _work(load: tuple[Coefficient, ...], X: ca.SX, u: ca.SX, barycentric: Array,
     return work
 
 
-def friction_energy(obstacle: Obstacle) -> ca.Function:
-    """``(X_e, s_e) -> (energy, empty)`` on one contact edge.
-
-    |e| / 2 (g_1 s_1 + g_2 s_2), where s_i stands for |u_t,i|: the trapezoidal rule of (5.9),
-    whose weights omega_i move with the nodes.
-    """
-    X, s = ca.SX.sym("X", 2, 2), ca.SX.sym("s", 2)
-    length = ca.norm_2(X[:, 1] - X[:, 0])
-    slip = sum(at(obstacle.friction, X[0, i], X[1, i]) * s[i] for i in range(2))
-    return ca.Function("friction_energy", [ca.vec(X), s], [length * slip / 2, ca.SX(0, 1)])
-
-
-def gap_function(obstacle: Obstacle, components: int) -> ca.Function:
-    """``(X_i, u_i) -> (0, gap)`` of one contact node: normal(X) . u + distance(X)."""
-    X, u = ca.SX.sym("X", 2), ca.SX.sym("u", components)
-    gap = ca.dot(obstacle.direction(X[0], X[1]), u) + obstacle.distance(X[0], X[1])
-    return ca.Function("gap", [X, u], [0, gap])
-
-
-def contact_edges(problem: ContactProblem, obstacle: Obstacle | None = None) -> Index:
-    """(2, edges) node numbers of one contact boundary, or of all; none for an obstacle in the interior."""
-    chosen = problem.obstacles if obstacle is None else (obstacle,)
-    names = [part.boundary for part in chosen if not isinstance(part.boundary, Place)]
-    facets = [np.zeros(0, np.int64), *(np.asarray(problem.mesh.boundaries[name]) for name in names)]
-    return np.asarray(problem.mesh.facets[:, np.concatenate(facets)], dtype=np.int64)
-
-
-def bulk_groups(problem: ContactProblem, positions: Field, displacement: Field) -> list[ElementGroup]:
-    """Strain energy, source or body force, and tractions: J without friction."""
-    triangles, rule = problem.triangles, problem.rule
-    degree = TRACTION_DEGREE if isinstance(rule, str) else max(rule, TRACTION_DEGREE)
-    groups = []
-    for law, elements in problem.regions:
-        vertices = triangles[:, elements]
-        local = (positions.at(vertices), displacement.at(vertices))
-        groups.append(objective_group(strain_energy(law), local))
-        if any(is_nonzero(component) for component in law.load):
-            groups.append(_load_group(law, rule, vertices, positions, displacement))
-    for traction in problem.tractions:
-        edges = np.asarray(problem.mesh.facets[:, problem.mesh.boundaries[traction.boundary]], dtype=np.int64)
-        local = (positions.at(edges), displacement.at(edges))
-        groups.append(objective_group(traction_energy(traction, degree), local))
-    for load in problem.point_loads:
-        groups.append(objective_group(point_energy(load), (displacement.at(np.array([[load.node]])),)))
-    return groups
-
-
-def _load_group(
-    law: Law, quadrature: str | int, triangles: Index, positions: Field, displacement: Field
-) -> ElementGroup:
-    if quadrature == "midpoint":
-        edges = edges_with_opposite(triangles)
-        function, at_points = load_energy_of_edge(law)
-        return objective_group(function, (positions.at(edges), displacement.at(edges[:2])), at_points)
-    function, at_points = load_energy(law, quadrature)
-    return objective_group(function, (positions.at(triangles), displacement.at(triangles)), at_points)
-
-
-def friction_groups(problem: ContactProblem, positions: Field, slip: Field) -> list[ElementGroup]:
-    """Friction energy as a function of nodal slip magnitudes (obstacles, nodes)."""
-    groups = []
-    for part in problem.contact_sets:
-        if part.obstacle.frictional:
-            edges = contact_edges(problem, part.obstacle)
-            local = (positions.at(edges), slip.component(part.number).at(edges))
-            groups.append(objective_group(friction_energy(part.obstacle), local))
-    return groups
-
-
-def gap_groups(
-    problem: ContactProblem, positions: Field, displacement: Field, first_row: int = 0
-) -> list[ElementGroup]:
-    """One constraint row per contact node and obstacle: its gap."""
+def strain_terms(problem: ContactProblem) -> list[ElementTerm]:
+    """Strain energy of positions and displacement, a term per region."""
     return [
-        ElementGroup(
-            gap_function(part.obstacle, problem.components),
-            (positions.at(part.nodes[None, :]), displacement.at(part.nodes[None, :])),
-            first_row + part.rows[None, :],
-        )
-        for part in problem.contact_sets
+        ElementTerm(strain_energy(law), (problem.triangles[:, elements],) * 2)
+        for law, elements in problem.regions
     ]
 
 
-def displacement_field(problem: ContactProblem, first: int = 0) -> tuple[Field, int]:
-    """The displacement as unknowns numbered from ``first``, fixed where it is given.
+def load_terms(problem: ContactProblem, rule: str | int) -> list[ElementTerm]:
+    """Minus the work of source or body force, tractions and point loads, of positions and displacement."""
+    terms = [
+        _load_term(law, rule, problem.triangles[:, elements])
+        for law, elements in problem.regions
+        if any(is_nonzero(component) for component in law.load)
+    ]
+    degree = TRACTION_DEGREE if isinstance(rule, str) else max(rule, TRACTION_DEGREE)
+    for traction in problem.tractions:
+        edges = np.asarray(problem.mesh.facets[:, problem.mesh.boundaries[traction.boundary]], dtype=np.int64)
+        terms.append(ElementTerm(traction_energy(traction, degree), (edges, edges)))
+    for load in problem.point_loads:
+        terms.append(ElementTerm(point_energy(load), (None, np.array([[load.node]]))))
+    return terms
+
+
+def _load_term(law: Law, rule: str | int, triangles: Index) -> ElementTerm:
+    if rule == "midpoint":
+        edges = edges_with_opposite(triangles)
+        function, at_points = load_energy_of_edge(law)
+        return ElementTerm(function, (edges, edges[:2]), at_points=at_points)
+    function, at_points = load_energy(law, rule)
+    return ElementTerm(function, (triangles, triangles), at_points=at_points)
+
+
+def displacement_field(problem: ContactProblem) -> tuple[Field, int]:
+    """The displacement as unknowns numbered from zero, fixed where it is given.
 
     Returns the field (components, nodes) and the number of unknowns.
     """
@@ -245,7 +194,7 @@ def displacement_field(problem: ContactProblem, first: int = 0) -> tuple[Field, 
     count = int(movable.sum())
     # node by node, so that the unknowns of a node stay together
     index = np.full(held.T.shape, CONSTANT)
-    index[movable.T] = first + np.arange(count)
+    index[movable.T] = np.arange(count)
     return Field(index.T, field.scale, field.offset), count
 
 

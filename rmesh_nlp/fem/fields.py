@@ -53,6 +53,15 @@ class Field:
         part = slice(number, number + 1)
         return Field(self.index[part], self.scale[part], self.offset[part], self.parameter)
 
+    def numbered_from(self, first: int) -> Field:
+        """The same field, its unknowns numbered from ``first`` instead of from zero."""
+        index = np.where(self.index == CONSTANT, CONSTANT, self.index + first)
+        return Field(index, self.scale, self.offset, self.parameter)
+
+    def in_units(self, unit: float) -> Field:
+        """The same field of unknowns that are measured in ``unit``."""
+        return Field(self.index, self.scale * unit, self.offset, self.parameter)
+
     def values(self, w: Array) -> Array:
         """The field itself, (components, nodes), for a numeric vector ``w``."""
         moving = self.index != CONSTANT
@@ -111,3 +120,37 @@ def without_elements(group: ElementGroup) -> ElementGroup:
     return ElementGroup(
         group.function, tuple(empty(field) for field in group.arguments), group.rows[:, :0], group.at_points
     )
+
+
+@dataclass(frozen=True)
+class ElementTerm:
+    """A local function and the nodes that it takes values at: an element group of fields to be named.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        See :class:`ElementGroup`.
+    nodes : tuple of (nodes per element, elements) int arrays or None
+        For each field of :meth:`on` the nodes at which the function takes it; None if it does not.
+    rows : (len(g), elements) int array, optional
+        Constraint rows, numbered from zero; none by default.
+    component : int, optional
+        The last field has one component per obstacle: take this one.
+    at_points : PointValues, optional
+    """
+
+    function: ca.Function
+    nodes: tuple[Index | None, ...]
+    rows: Index | None = None
+    component: int | None = None
+    at_points: PointValues | None = None
+
+    def on(self, *fields: Field, first_row: int = 0) -> ElementGroup:
+        """The element group on these fields, its rows numbered from ``first_row``."""
+        if self.component is not None:
+            fields = (*fields[:-1], fields[-1].component(self.component))
+        chosen = zip(fields, self.nodes, strict=True)
+        local = tuple(field.at(nodes) for field, nodes in chosen if nodes is not None)
+        none = np.zeros((0, local[0].index.shape[1]), dtype=np.int64)
+        rows = none if self.rows is None else first_row + self.rows
+        return ElementGroup(self.function, local, rows, self.at_points)

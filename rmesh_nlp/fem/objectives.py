@@ -20,14 +20,9 @@ import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
+from rmesh_nlp.fem.contact_terms import contact_edges, friction_terms
 from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
-from rmesh_nlp.fem.energy import (
-    bulk_groups,
-    contact_edges,
-    friction_groups,
-    objective_group,
-    triangle_rule,
-)
+from rmesh_nlp.fem.energy import load_terms, objective_group, strain_terms, triangle_rule
 from rmesh_nlp.fem.fields import ElementGroup, Field, Index
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, Obstacle
@@ -42,7 +37,11 @@ SPLINE_DEGREE = 5
 
 def energy(problem: ContactProblem, positions: Field, displacement: Field, slip: Field) -> list[ElementGroup]:
     """The total potential energy (3.3), (3.15)."""
-    return [*bulk_groups(problem, positions, displacement), *friction_groups(problem, positions, slip)]
+    bulk = [*strain_terms(problem), *load_terms(problem, problem.rule)]
+    return [
+        *(term.on(positions, displacement) for term in bulk),
+        *(term.on(positions, slip) for term in friction_terms(problem)),
+    ]
 
 
 def error_energy(

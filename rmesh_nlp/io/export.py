@@ -11,6 +11,8 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation.freedoms import freedoms
+from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.io.files import write_text, write_whole
@@ -18,7 +20,6 @@ from rmesh_nlp.io.vtu import fields_of, point_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
-from rmesh_nlp.programs.freedoms import freedoms, least_angles
 from rmesh_nlp.solution.certify import Certificate
 from rmesh_nlp.solution.solution import Solution, Step
 

@@ -1,4 +1,4 @@
-"""What a user says about the motion of nodes; :mod:`rmesh_nlp.programs.freedoms` turns it into unknowns."""
+"""What a user says about the motion of nodes, see :mod:`rmesh_nlp.discretisation.freedoms`."""
 
 from __future__ import annotations
 

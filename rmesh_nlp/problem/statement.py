@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -140,14 +141,14 @@ class Statement:
         """The law of each region."""
         return tuple(self.law.values()) if isinstance(self.law, Mapping) else (self.law,)
 
-    @property
+    @cached_property
     def regions(self) -> tuple[tuple[Law, NDArray[np.int64]], ...]:
         """Each law with the numbers of its elements."""
         if not isinstance(self.law, Mapping):
             return ((self.law, np.arange(self.mesh.t.shape[1])),)
         return tuple((law, np.asarray(self.mesh.subdomains[name])) for name, law in self.law.items())
 
-    @property
+    @cached_property
     def rule(self) -> str | int:
         """The quadrature rule itself: "midpoint" or a degree."""
         if self.quadrature != "auto":
@@ -177,7 +178,7 @@ class Statement:
         zero = (0.0,) * self.components
         return tuple(Dirichlet(d, zero) if isinstance(d, str) else d for d in self.dirichlet)
 
-    @property
+    @cached_property
     def triangles(self) -> NDArray[np.int64]:
         """(3, elements) vertex numbers, each triangle counter-clockwise."""
         return counter_clockwise(self.mesh.p, self.mesh.t)
@@ -191,6 +192,10 @@ class Statement:
 
     def held(self) -> tuple[NDArray[np.bool_], Array]:
         """Where displacement components are given, and their values: two (components, nodes) arrays."""
+        return self._held
+
+    @cached_property
+    def _held(self) -> tuple[NDArray[np.bool_], Array]:
         shape = (self.components, self.mesh.p.shape[1])
         held, value = np.zeros(shape, dtype=bool), np.zeros(shape)
         for support in self.supports:
@@ -212,7 +217,7 @@ class Statement:
                 held[i, nodes], value[i, nodes] = True, given
         return held, value
 
-    @property
+    @cached_property
     def contact_sets(self) -> tuple[ContactSet, ...]:
         """Per obstacle the nodes whose gap depends on a displacement that is not given."""
         held, _ = self.held()

@@ -18,19 +18,17 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
+from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.fem.element import local_symbols
-from rmesh_nlp.fem.energy import bulk_groups, displacement_field, friction_groups, gap_groups
-from rmesh_nlp.fem.fields import ElementGroup, Field, Index
+from rmesh_nlp.fem.fields import ElementGroup, Index
 from rmesh_nlp.fem.kkt import bound_force_groups, contact_force_groups, gradient_group, identity_group
 from rmesh_nlp.fem.objective import Objective, scaled_group
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.energy_program import contact_field, slip_field, slip_groups
-from rmesh_nlp.programs.freedoms import freedoms, validity_group
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ class Bilevel:
 
 
 def bilevel(
-    problem: ContactProblem,
+    problem: ContactProblem | Discretisation,
     objective: Objective = ENERGY,
     *,
     length: float = 1.0,
@@ -110,47 +108,50 @@ def bilevel(
 
     Parameters
     ----------
-    problem : ContactProblem
+    problem : ContactProblem or Discretisation
     objective : Objective
         Outer objective; the energy by default.
     length, force, value : float
         Units of displacement, of nodal force, and of the objective.
     """
-    free = freedoms(problem)
-    n_c, n_s = problem.contact_nodes.size, problem.friction_rows.size
-    displacement, n_u = displacement_field(problem, first=free.n)
-    displacement = _in_units(displacement, length)
+    parts = discretise(problem)
+    free, n_u, n_c, n_s = parts.freedoms, parts.n_u, parts.n_contact, parts.n_s
     first = free.n + n_u
-    normal_force = contact_field(problem, first)
-    slip = _in_units(slip_field(problem, first + n_c), length)
-    friction = (slip_field(problem, first + n_c + n_s), slip_field(problem, first + n_c + 2 * n_s))
+    displacement = parts.displacement.in_units(length).numbered_from(free.n)
+    normal_force = parts.contact_force.numbered_from(first)
+    slip = parts.slip.in_units(length).numbered_from(first + n_c)
+    friction = (
+        parts.slip.numbered_from(first + n_c + n_s),
+        parts.slip.numbered_from(first + n_c + 2 * n_s),
+    )
     n_x = first + n_c + 3 * n_s
 
     # rows of g: equilibrium, slip stationarity, areas; then G: gaps, slips; then H: their forces
-    equilibrium_rows = np.where(displacement.index < 0, -1, displacement.index - free.n)
-    inner = bulk_groups(problem, free.positions, displacement)
-    groups = [gradient_group(group, 1 if len(group.arguments) > 1 else 0, -free.n, force) for group in inner]
-    groups += contact_force_groups(problem, equilibrium_rows, free.positions, normal_force, friction)
-    for weights in friction_groups(problem, free.positions, slip):
-        groups.append(gradient_group(weights, 1, n_u - (first + n_c), force))
-    groups += bound_force_groups(problem, n_u, friction)
-    n_g = n_u + n_s
-    validity, area_bound = validity_group(problem, free, first_row=n_g)
-    groups.append(validity)
-    n_equations, n_g = n_g, n_g + area_bound.size
+    groups = [
+        gradient_group(group, len(group.arguments) - 1, -free.n, force)
+        for group in parts.bulk(free.positions, displacement)
+    ]
+    groups += contact_force_groups(
+        parts.problem, parts.displacement.index, free.positions, normal_force, friction
+    )
+    for weights in parts.friction:
+        groups.append(gradient_group(weights.on(free.positions, slip), 1, n_u - (first + n_c), force))
+    groups += bound_force_groups(parts.problem, n_u, friction)
+    n_equations, area_bound = n_u + n_s, parts.validity.bound
+    validity = parts.validity.group
+    groups.append(replace(validity, rows=validity.rows + n_equations))
+    n_g = n_equations + area_bound.size
     pairs = [
-        *gap_groups(problem, free.positions, displacement, first_row=n_g),
-        *slip_groups(problem, free.positions, displacement, slip, first_row=n_g + n_c),
+        *(term.on(free.positions, displacement, first_row=n_g) for term in parts.gaps),
+        *(term.on(free.positions, displacement, slip, first_row=n_g + n_c) for term in parts.slips),
     ]
     groups += [_in_units_of_rows(group, length) for group in pairs]
     n_pairs = n_c + 2 * n_s
     first_h = n_g + n_pairs
     groups.append(identity_group(first, first_h + np.arange(n_c)))
     groups.append(identity_group(first + n_c + n_s, first_h + n_c + np.arange(2 * n_s)))
-    groups += [
-        scaled_group(group, 1 / value)
-        for group in objective.groups(problem, free.positions, displacement, slip)
-    ]
+    outer = parts.objective(objective, free.positions, displacement, slip)
+    groups += [scaled_group(group, 1 / value) for group in outer]
 
     x = ca.MX.sym("x", n_x)
     assembled = assemble(groups, x, ca.MX(0, 1), n_g + 2 * n_pairs)
@@ -168,7 +169,7 @@ def bilevel(
         derivatives=assembled.derivatives,
         parts=_parts(x, free.n, n_u, n_c, n_s),
     )
-    return Bilevel(mpcc, free.n, n_u, n_c, problem.friction_rows, length, force, value)
+    return Bilevel(mpcc, free.n, n_u, n_c, parts.friction_rows, length, force, value)
 
 
 def _parts(x: ca.MX, n_q: int, n_u: int, n_c: int, n_s: int) -> dict[str, ca.MX]:
@@ -179,10 +180,6 @@ def _parts(x: ca.MX, n_q: int, n_u: int, n_c: int, n_s: int) -> dict[str, ca.MX]
         names += ["slip", "friction_minus", "friction_plus"]
         sizes += [n_s] * 3
     return dict(zip(names, ca.vertsplit(x, np.cumsum([0, *sizes]).tolist()), strict=True))
-
-
-def _in_units(field: Field, unit: float) -> Field:
-    return Field(field.index, field.scale * unit, field.offset)
 
 
 def _in_units_of_rows(group: ElementGroup, unit: float) -> ElementGroup:

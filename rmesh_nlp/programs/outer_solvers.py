@@ -16,7 +16,6 @@ from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.newton import Evaluation
 from rmesh_nlp.optimize.newton import minimise as newton
@@ -148,9 +147,8 @@ def reduced_nlp(
     rel: Relocation, function: Reduced, is_valid: Callable[[Array], bool], unit: float, tolerance: float
 ) -> ReducedProgram:
     """The NLP ``min F(q)`` over boxes and element areas; its objective is a contact solve."""
-    q, p = ca.MX.sym("q", rel.n_q), ca.MX(0, 1)
-    bound = rel.nlp.lbg[rel.validity_rows]
-    areas = assemble([rel.validity], q, p, bound.size)
+    q, p = rel.validity.q, ca.MX(0, 1)
+    areas, bound = rel.validity.assembled, rel.validity.bound
     oracle = _Oracle(function, rel.n_q)
     value, gradient = oracle(q)
     nlp = NLP(

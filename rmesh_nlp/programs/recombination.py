@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rmesh_nlp.discretisation.validity import area_ratios
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import CONSTANT, Field
-from rmesh_nlp.fem.objectives import energy
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.programs.energy_program import Relocation
 
@@ -34,7 +34,7 @@ class Recombination:
         self.relocation = relocation
         problem = relocation.problem
         fields = (relocation.freedoms.positions, relocation.displacement, relocation.slip)
-        groups = energy(problem, *fields)
+        groups = relocation.discretisation.energy(*fields)
         self._values = element_values(groups)
         self._unknowns = [np.concatenate([field.index for field in g.arguments]) for g in groups]
         self._node = np.zeros(relocation.nlp.n_x, dtype=np.int64)
@@ -78,8 +78,7 @@ class Recombination:
             total += np.bincount(owner % total.size, after - before, total.size)
         rel = self.relocation
         triangles = rel.problem.triangles
-        areas = signed_areas(rel.nodes(trial[: rel.n_q]), triangles)
-        small = areas < rel.problem.motion.min_area_fraction * self._area
+        small = area_ratios(rel.problem, rel.nodes(trial[: rel.n_q])) < rel.problem.motion.min_area_fraction
         if np.any(small):
             of_node = np.full(rel.problem.mesh.p.shape[1], -1)
             np.maximum.at(of_node, self._node, block)

@@ -58,7 +58,7 @@ class ReducedEnergy:
 
     def __init__(self, relocation: Relocation, model: ContactModel | None = None) -> None:
         self.relocation = relocation
-        self.model = model or ContactModel(relocation.problem)
+        self.model = model or ContactModel(relocation.discretisation)
         self.contact_solves = 0
         self._active: ActiveSet | None = None
         self._last: ReducedPoint | None = None
@@ -132,7 +132,7 @@ class ReducedObjective:
         rel = energy.relocation
         nlp = rel.nlp
         fields = (rel.freedoms.positions, rel.displacement, rel.slip)
-        outer = assemble(objective.groups(rel.problem, *fields), nlp.x, nlp.p, 0)
+        outer = assemble(rel.discretisation.objective(objective, *fields), nlp.x, nlp.p, 0)
         self._kernels = outer.kernels
         self._outer = Evaluator(outer.grad_f)
         self._has_barrier = objective.has_barrier

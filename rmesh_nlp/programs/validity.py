@@ -1,24 +1,20 @@
 """Element validity as walls of a descent.
 
-The rows are those of :func:`rmesh_nlp.programs.freedoms.validity_group`, less their bounds: areas are
+The rows are those of :mod:`rmesh_nlp.discretisation.validity`, less their bounds: areas are
 bilinear in the moves, so a step along their linearisation may invert elements. Evaluating them costs
 nothing beside a contact solve, so what a step violates is taken back on the rows themselves.
 """
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from rmesh_nlp.discretisation.validity import ROUNDING
 from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
-from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.optimize.polyhedron import Polyhedron
 from rmesh_nlp.optimize.smooth_constraints import Wall
 from rmesh_nlp.programs.energy_program import Relocation
-
-CLEAR = 1e-9
-"""Slack, in units of the initial area, of a row that holds: valid in spite of rounding, and active."""
 
 KEPT = 0.01
 """Part of its slack that a step leaves to an element: far away the linearisation is not to be trusted ..."""
@@ -39,10 +35,8 @@ class Validity:
     """
 
     def __init__(self, relocation: Relocation) -> None:
-        q, p = ca.MX.sym("q", relocation.n_q), ca.MX(0, 1)
-        rows = assemble([relocation.validity], q, p, relocation.n_valid)
-        self._kernels = rows.kernels
-        self._bound = relocation.nlp.lbg[relocation.validity_rows]
+        self._validity = relocation.validity
+        rows, self._bound = relocation.validity.assembled, relocation.validity.bound
         self._first, self._second = Evaluator(rows.jac_g), Evaluator(rows.hess_lag)
         self._jacobian = Block(numbered(rows.jac_g.sparsity_out(1)), slice(None), slice(None))
         self._hessian = Symmetric(numbered(rows.hess_lag.sparsity_out(0)))
@@ -50,7 +44,7 @@ class Validity:
     def at(self, q: Array) -> Wall:
         """The rows at valid moves ``q``."""
         slack, jacobian = self._rows(q)
-        return Wall(slack, np.where(slack > NEAR, KEPT * slack, np.minimum(CLEAR, slack)), jacobian)
+        return Wall(slack, np.where(slack > NEAR, KEPT * slack, np.minimum(ROUNDING, slack)), jacobian)
 
     def hessian(self, q: Array, multipliers: Array) -> sp.csc_array:
         """The Hessian of ``multipliers . rows``."""
@@ -59,7 +53,7 @@ class Validity:
 
     def back(self, q: Array, wall: Wall, lower: Array, upper: Array, scale: Array) -> Array | None:
         """Moves near ``q`` that are valid, by Newton's method on the rows; None if it fails."""
-        enough = np.minimum(wall.floor, 0.5 * CLEAR)
+        enough = np.minimum(wall.floor, 0.5 * ROUNDING)
         for _ in range(RETURNS):
             slack, jacobian = self._rows(q)
             if np.all(slack >= enough):

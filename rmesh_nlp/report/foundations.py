@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.energy import contact_edges
+from rmesh_nlp.fem.contact_terms import contact_edges
 from rmesh_nlp.problem import ContactProblem
 
 FAR = 1.0

@@ -12,8 +12,8 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.problem.units import bracketed
-from rmesh_nlp.programs.freedoms import Mobility, freedoms
 from rmesh_nlp.report.style import MAP
 from rmesh_nlp.solution.solution import Solution
 

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from rmesh_nlp.discretisation.freedoms import Freedoms, Mobility, freedoms
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.problem.units import bracketed
-from rmesh_nlp.programs.freedoms import Freedoms, Mobility, freedoms
 from rmesh_nlp.report.foundations import foundations
 from rmesh_nlp.report.style import FOUNDATION
 

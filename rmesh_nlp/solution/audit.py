@@ -7,15 +7,16 @@ a rule of high degree on the final mesh.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration, penetration_excess
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
+from rmesh_nlp.discretisation.validity import least_area_ratio
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem import ContactProblem
 
 AUDIT_DEGREE = 20
 """Degree of the quadrature rule of the audit."""
@@ -59,9 +60,8 @@ class Auditor:
 
     def __init__(self, problem: ContactProblem, model: ContactModel) -> None:
         self.problem, self.model = problem, model
-        self.accurate_problem = replace(problem, quadrature=AUDIT_DEGREE)
-        self.accurate = ContactModel(self.accurate_problem)
-        self._initial_areas = signed_areas(problem.mesh.p, problem.triangles)
+        self.accurate = ContactModel(model.discretisation.with_rule(AUDIT_DEGREE))
+        self.accurate_problem = self.accurate.problem
 
     def solve(self, nodes: Array) -> Equilibrium:
         """Contact solution by the rule of the audit at node positions (2, nodes)."""
@@ -71,13 +71,12 @@ class Auditor:
         """Audit a contact solution on a mesh; ``accurate`` is that of :meth:`solve`."""
         u, normal_force, tangential_force = found.u, found.normal_force, found.tangential_force
         system = self.model.system(nodes)
-        ratio = signed_areas(nodes, self.problem.triangles) / self._initial_areas
         displacement = self.model.displacement.values(u)
         return Audit(
             energy_audited=accurate.energy,
             equilibrium_residual=equilibrium_residual(system, u, normal_force, tangential_force),
             complementarity_residual=law_residual(system, u, normal_force, tangential_force),
-            min_area_ratio=float(np.min(ratio)),
+            min_area_ratio=least_area_ratio(self.problem, nodes),
             penetration=penetration(self.problem, nodes, displacement),
             penetration_excess=penetration_excess(self.problem, nodes, displacement),
         )

@@ -16,16 +16,17 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration_work
 from rmesh_nlp.contact.setup_warnings import bought_gain, penetration_warnings, setup_warnings
 from rmesh_nlp.contact.system import Equilibrium
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.discretisation.validity import is_valid, least_area_ratio
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.energy import contact_edges
+from rmesh_nlp.fem.contact_terms import contact_edges
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem, Place, signed_areas
 from rmesh_nlp.programs.energy_program import Relocation, relocation
-from rmesh_nlp.programs.freedoms import least_angles
 from rmesh_nlp.programs.multipliers import multipliers
 from rmesh_nlp.programs.reduced import Reduced, ReducedEnergy, ReducedObjective
 from rmesh_nlp.programs.residual import OuterResidual, size_of
@@ -50,10 +51,6 @@ PROVED = ("S", "B")
 """Labels of an MPCC that prove first-order optimality where strict complementarity fails, and with it the
 gradient of an objective other than the energy."""
 
-ROUNDING = 1e-9
-"""Part of its initial area, and radians, by which an element may fall short: a solution that has elements at
-their bounds is valid to start from."""
-
 STATIONARY = 1e-6
 """Default of ``tolerance`` in every strategy: the largest first-order residual of a stationary point."""
 
@@ -64,6 +61,8 @@ class Referee:
     Attributes
     ----------
     problem : ContactProblem
+    discretisation : Discretisation
+        Its fields, element terms and validity rows, for all programs of the strategy.
     model : ContactModel
         Contact solves with the problem's own quadrature.
     relocation : Relocation
@@ -80,9 +79,10 @@ class Referee:
         self.clock = Clock()
         self.problem = problem
         self._last_function: tuple[str | Objective, ReducedObjective] | None = None
-        self.model = ContactModel(problem)
+        self.discretisation = discretise(problem)
+        self.model = ContactModel(self.discretisation)
         outer = parse_objective(objective)
-        self.relocation: Relocation = relocation(problem, outer if outer.collapses else ENERGY)
+        self.relocation: Relocation = relocation(self.discretisation, outer if outer.collapses else ENERGY)
         self.reduced = ReducedEnergy(self.relocation, self.model)
         with self.clock.during("audit"):
             self._auditor = Auditor(problem, self.model)
@@ -129,22 +129,9 @@ class Referee:
         return q
 
     def is_valid(self, q: Array) -> bool:
-        """Whether all elements keep the least area and angle that the motion asks for, up to ``ROUNDING``."""
-        motion = self.problem.motion
-        by_barrier = self.relocation.objective.has_barrier and motion.min_angle == 0
-        least = self.least_area_ratio(q)
-        if not (least > 0 if by_barrier else least >= motion.min_area_fraction - ROUNDING):
-            return False
-        if motion.min_angle == 0:
-            return True
-        angle = least_angles(self.relocation.nodes(q), self.problem.triangles)
-        return bool(np.min(angle) >= motion.min_angle - np.rad2deg(ROUNDING))
-
-    def least_area_ratio(self, q: Array) -> float:
-        """Least signed element area over its initial value."""
-        triangles = self.problem.triangles
-        areas = signed_areas(self.relocation.nodes(q), triangles)
-        return float(np.min(areas / signed_areas(self.problem.mesh.p, triangles)))
+        """Whether all elements are valid at moves ``q``, see :mod:`rmesh_nlp.discretisation.validity`."""
+        barrier = self.relocation.objective.has_barrier
+        return is_valid(self.problem, self.relocation.nodes(q), by_barrier=barrier)
 
     def judge(
         self,
@@ -250,7 +237,7 @@ class Referee:
             energy_initial_audited=start.energy,
             contact_time_s=self._contact_time,
         )
-        ratio = self.least_area_ratio(q)
+        ratio = least_area_ratio(self.problem, nodes)
         if not ratio > 0:
             return _without_solution(common, self.problem, ratio)
         exact, accurate = self.reduced(q), self._auditor.solve(nodes)
@@ -307,7 +294,7 @@ class Referee:
             success=judged.success,
             stationarity=stationarity,
             stationarity_residual=residual,
-            multipliers=multipliers(self.relocation, q, point.gradient),
+            multipliers=multipliers(self.reduced, q, point.gradient),
             detail=detail,
         )
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from formulations import joint, nested
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.examples.random_problems import Frame, random_problem
 from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.optimize.nlp import Status
@@ -20,7 +21,6 @@ from rmesh_nlp.problem import (
     NO_CONTACT,
     signed_areas,
 )
-from rmesh_nlp.programs.freedoms import least_angles
 from rmesh_nlp.solution.audit import equilibrium_residual, law_residual
 from rmesh_nlp.solution.referee import Referee
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from formulations import joint, mpcc, nested
+from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem, Motion
-from rmesh_nlp.programs.freedoms import least_angles
 from rmesh_nlp.programs.regularisation import gain_estimate
 
 

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from formulations import joint, nested
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
+from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -18,7 +21,6 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     Relative,
 )
-from rmesh_nlp.programs.freedoms import Mobility, freedoms, least_angles, validity_group
 from rmesh_nlp.solution.referee import Referee
 
 
@@ -133,7 +135,7 @@ def test_without_a_box_validity_alone_limits_and_says_where() -> None:
     p = problem(Motion(None, min_area_fraction=0.3), law=Laplace(lambda x, y: 100 * x**4))
     free = freedoms(p)
     assert np.all(np.isinf(free.bound))
-    assert validity_group(p, free)[1].size == p.mesh.t.shape[1]
+    assert discretise(p).validity.size == p.mesh.t.shape[1]
     one = joint.solve(p)
     two = nested.solve(p, start=one.mesh.p)  # of several minima the same
     assert one.success

@@ -7,11 +7,11 @@ import pytest
 
 from formulations import auto, nested
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.energy import bulk_groups
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.io.export import cell_data, point_data
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
@@ -29,7 +29,7 @@ def test_element_energies_sum_to_the_energy_of_the_body(seed: int) -> None:
     values = np.random.default_rng(seed).uniform(-1, 1, (problem.components, problem.mesh.p.shape[1]))
     energies = ElementEnergies(problem, problem.mesh.p, values)
     found = energies(problem.triangles, np.arange(problem.mesh.t.shape[1])).sum()
-    groups = bulk_groups(problem, constant_field(problem.mesh.p), constant_field(values))
+    groups = discretise(problem).bulk(constant_field(problem.mesh.p), constant_field(values))
     expected = sum(part.sum() for part in element_values(groups)(np.zeros(0)))
     assert found == pytest.approx(expected, rel=1e-12)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from formulations import nested
+from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import signed_areas
-from rmesh_nlp.programs.freedoms import least_angles
 from rmesh_nlp.programs.recombination import Recombination
 from rmesh_nlp.solution.referee import Referee
 

@@ -1,19 +1,21 @@
 """Newton-CG within walls: projections, element validity as walls, and descents that end at them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from support.quadratics import quadratic
 
 from formulations import joint, nested
+from rmesh_nlp.discretisation.validity import ROUNDING, least_angles
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.newton import minimise
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.optimize.polyhedron import Polyhedron
 from rmesh_nlp.optimize.smooth_constraints import Wall
 from rmesh_nlp.problem import ContactProblem, Motion
-from rmesh_nlp.programs.freedoms import least_angles
-from rmesh_nlp.programs.validity import CLEAR, Validity
+from rmesh_nlp.programs.validity import Validity
 from rmesh_nlp.solution.referee import STATIONARY, Referee
 
 LARGE_BOXES = {
@@ -116,8 +118,7 @@ def test_a_wall_that_is_not_met_changes_nothing() -> None:
 
 
 def with_angles() -> ContactProblem:
-    problem = EXAMPLES["6.1"](6, 0.08)
-    return ContactProblem(**{**vars(problem), "motion": Motion(0.08, min_angle=30.0)})
+    return replace(EXAMPLES["6.1"](6, 0.08), motion=Motion(0.08, min_angle=30.0))
 
 
 @pytest.mark.parametrize("make", [LARGE_BOXES["6.2, boxes of 0.9 edges"], with_angles])
@@ -155,7 +156,7 @@ def test_newton_converges_where_areas_are_at_their_bounds(name: str, outer: str)
     assert solution.success, solution.status
     assert solution.stationarity_residual <= STATIONARY
     fraction = problem.motion.min_area_fraction
-    assert fraction * (1 - 1e-9) <= solution.audit.min_area_ratio <= fraction + 10 * CLEAR
+    assert fraction * (1 - 1e-9) <= solution.audit.min_area_ratio <= fraction + 10 * ROUNDING
     assert np.any(solution.multipliers.area > 0)
     # boxes of nearly an edge have many local minima; joint's is another one, here the better by up to 12 %
     best = joint.solve(problem)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
 from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem, ExactSolution, Laplace
-from rmesh_nlp.programs.freedoms import freedoms
 
 
 def evaluate(problem: ContactProblem, text: str, nodes: np.ndarray, u: np.ndarray) -> float:

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skfem import MeshTri
 
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
-from rmesh_nlp.programs.freedoms import Mobility, constrained_elements, freedoms, validity_group
 
 
 def test_the_paper_counts_126_degrees_of_freedom() -> None:
@@ -73,21 +73,20 @@ def test_moves_are_recovered_from_positions(sloped: ContactProblem) -> None:
 
 def test_small_boxes_need_no_validity_rows_and_large_ones_do() -> None:
     small, large = EXAMPLES["6.1"](), EXAMPLES["6.1"](8, 0.2)
-    assert constrained_elements(small, freedoms(small)).size == 0
+    assert discretise(small).validity.size == 0
     # boxes of 1.6 edges: any element can be turned inside out
-    np.testing.assert_array_equal(constrained_elements(large, freedoms(large)), np.arange(128))
+    np.testing.assert_array_equal(discretise(large).validity.elements, np.arange(128))
 
 
 def test_scaled_areas_are_those_of_the_moved_mesh() -> None:
     problem = EXAMPLES["6.1"](4, 0.6)
     free = freedoms(problem)
-    group, bounds = validity_group(problem, free)
-    q = ca.MX.sym("q", free.n)
-    rows = assemble([group], q, ca.MX(0, 1), bounds.size).g
+    validity = discretise(problem).validity
     value = np.random.default_rng(2).uniform(-1, 1, free.n)
     areas = signed_areas(free.positions.values(value), problem.triangles)
     ratio = areas / signed_areas(problem.mesh.p, problem.triangles)
-    np.testing.assert_allclose(ca.Function("a", [q], [rows])(value).full().ravel(), ratio, atol=1e-13)
+    rows = ca.Function("rows", [validity.q], [validity.assembled.g])(value)
+    np.testing.assert_allclose(rows.full().ravel(), ratio, atol=1e-13)
 
 
 def test_inverted_elements_are_counted_by_their_signed_area() -> None:
@@ -117,7 +116,7 @@ def test_elements_without_a_validity_row_never_fail(seed: int, fraction_of_h: fl
         motion=Motion((fraction_of_h / 4, fraction_of_h / 3)),
     )
     free = freedoms(problem)
-    watched = constrained_elements(problem, free)
+    watched = discretise(problem).validity.elements
     q = np.sign(rng.uniform(-1, 1, free.n))
     initial = signed_areas(problem.mesh.p, problem.triangles)
     ratio = signed_areas(free.positions.values(q), problem.triangles) / initial
@@ -129,7 +128,7 @@ def test_elements_with_a_validity_row_can_fail() -> None:
     """Each of them does at some corner of its boxes: none is watched for nothing."""
     problem = EXAMPLES["6.1"](4, 0.11)
     free = freedoms(problem)
-    watched = constrained_elements(problem, free)
+    watched = discretise(problem).validity.elements
     assert 0 < watched.size < problem.mesh.t.shape[1]
     initial = signed_areas(problem.mesh.p, problem.triangles)
     for element in watched:

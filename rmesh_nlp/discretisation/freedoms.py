@@ -1,18 +1,16 @@
-"""The admissible set M: which nodes move, in which direction, how far, and element validity."""
+"""The admissible set M: which nodes move, in which direction, and how far."""
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from enum import IntEnum
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field
-from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.fem.fields import CONSTANT, Field
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import sliding_directions
 from rmesh_nlp.problem.motion import Relative, Where
 
@@ -175,94 +173,3 @@ def _units(problem: ContactProblem) -> Array:
     np.minimum.at(shortest, b, length)
     fraction = delta.fraction if isinstance(delta, Relative) else 1.0
     return np.vstack([fraction * shortest] * 2)
-
-
-def validity_group(problem: ContactProblem, free: Freedoms, first_row: int = 0) -> tuple[ElementGroup, Array]:
-    """Constraints on the elements that the boxes alone do not keep valid.
-
-    ``signed area >= bound`` for each, and with a least angle theta also, at each vertex,
-    ``cross(a, b) cos(theta) - dot(a, b) sin(theta) >= 0`` for its edges a and b, which is
-    |a| |b| sin(angle - theta). All rows are in units of the initial area.
-
-    The signed area is affine in each coordinate by itself, so its least value over the
-    boxes is at one of their corners; elements that cannot fail there need no constraint.
-
-    Returns
-    -------
-    group : ElementGroup
-        One row per constrained element (four with a least angle), numbered from ``first_row``
-        element by element.
-    bounds : (rows,) array
-        Lower bounds of the rows.
-    """
-    triangles, motion = problem.triangles, problem.motion
-    at_risk = constrained_elements(problem, free)
-    initial = signed_areas(problem.mesh.p, triangles)
-    function = _validity(np.deg2rad(motion.min_angle))
-    scale = Field(np.full((1, at_risk.size), CONSTANT), np.ones((1, at_risk.size)), initial[at_risk][None, :])
-    per_element = function.size1_out(1)
-    rows = first_row + np.arange(per_element * at_risk.size).reshape(-1, per_element).T
-    group = ElementGroup(function, (free.positions.at(triangles[:, at_risk]), scale), rows)
-    bounds = np.zeros((at_risk.size, per_element))
-    bounds[:, 0] = motion.min_area_fraction
-    if motion.min_angle > 0:
-        _check_initial_angles(problem)
-    return group, bounds.ravel()
-
-
-def constrained_elements(problem: ContactProblem, free: Freedoms) -> NDArray[np.int64]:
-    """Numbers of the elements that have rows in :func:`validity_group`, in their order."""
-    triangles = problem.triangles
-    if problem.motion.min_angle > 0:
-        return np.flatnonzero(np.any(free.positions.index[:, triangles] != CONSTANT, axis=(0, 1)))
-    initial = signed_areas(problem.mesh.p, triangles)
-    return np.flatnonzero(_least_areas(free, triangles) < problem.motion.min_area_fraction * initial)
-
-
-def _validity(angle: float) -> ca.Function:
-    X, area0 = ca.SX.sym("X", 2, 3), ca.SX.sym("area0")
-
-    def cross_and_dot(i: int) -> tuple[ca.SX, ca.SX]:
-        a, b = X[:, (i + 1) % 3] - X[:, i], X[:, (i + 2) % 3] - X[:, i]
-        return a[0] * b[1] - a[1] * b[0], ca.dot(a, b)
-
-    rows = [cross_and_dot(0)[0] / (2 * area0)]
-    if angle > 0:
-        for i in range(3):
-            cross, dot = cross_and_dot(i)
-            rows.append((cross * np.cos(angle) - dot * np.sin(angle)) / (2 * area0))
-    return ca.Function("validity", [ca.vec(X), area0], [0, ca.vertcat(*rows)])
-
-
-def least_angles(nodes: Array, triangles: NDArray) -> Array:
-    """Smallest angle of each triangle in degrees."""
-    p = nodes[:, triangles]
-    angles = []
-    for i in range(3):
-        a, b = p[:, (i + 1) % 3] - p[:, i], p[:, (i + 2) % 3] - p[:, i]
-        angles.append(np.arctan2(np.abs(a[0] * b[1] - a[1] * b[0]), np.sum(a * b, axis=0)))
-    return np.rad2deg(np.min(angles, axis=0))
-
-
-def _check_initial_angles(problem: ContactProblem) -> None:
-    angle = least_angles(problem.mesh.p, problem.triangles)
-    if np.min(angle) < problem.motion.min_angle:
-        raise ValueError(
-            f"min_angle is {problem.motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
-            f"initial mesh has an angle of {np.min(angle):.4g}"
-        )
-
-
-def _least_areas(free: Freedoms, triangles: NDArray) -> Array:
-    """Least signed area of each element over the boxes; -infinity where a vertex has no box."""
-    index = free.positions.index
-    bound = np.append(free.bound, 0.0)[index]  # CONSTANT is -1, the appended zero
-    boundless = np.any(np.isinf(bound[:, triangles]), axis=(0, 1))
-    reach = np.where(np.isinf(bound), 0.0, bound) * np.abs(free.positions.scale)
-    least = np.full(triangles.shape[1], np.inf)
-    for signs in itertools.product((-1.0, 1.0), repeat=6):
-        corner = np.reshape(signs, (2, 3, 1))
-        local = free.positions.offset[:, triangles] + corner * reach[:, triangles]
-        a, b, c = local[:, 0], local[:, 1], local[:, 2]
-        least = np.minimum(least, 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])))
-    return np.where(boundless, -np.inf, least)

@@ -1,0 +1,189 @@
+"""When an element is valid: the one place for its least area and its least angle.
+
+An element is valid if its signed area is at least a fraction of the initial one and, where the motion asks
+for it, each of its angles is at least ``min_angle``. As constraints on the moves (:func:`validity`) both are
+rows of order one; the measures of a given mesh (:func:`least_area_ratio`, :func:`least_angles`) decide what
+is accepted as a start and as a solution.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.discretisation.freedoms import Freedoms
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.assembly import Assembled, assemble
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, constant_field, without_elements
+from rmesh_nlp.problem import ContactProblem, signed_areas
+
+ROUNDING = 1e-9
+"""Slack of a validity row that counts as none, in parts of the initial area or in radians. An element whose
+row falls short by less is still valid; a descent keeps its active rows above their bound by so much."""
+
+
+@dataclass(frozen=True)
+class Validity:
+    """Constraints on the elements that the boxes alone do not keep valid, as functions of the moves.
+
+    ``signed area >= bound`` for each, and with a least angle theta also, at each vertex,
+    ``cross(a, b) cos(theta) - dot(a, b) sin(theta) >= 0`` for its edges a and b, which is
+    |a| |b| sin(angle - theta). All rows are in units of the initial area.
+
+    Attributes
+    ----------
+    elements : (constrained elements,) int array
+    group : ElementGroup
+        One row per constrained element (four with a least angle), numbered from zero element by element.
+    bound : (rows,) array
+        Lower bounds of the rows.
+    n_q : int
+        Number of moves.
+    """
+
+    elements: NDArray[np.int64]
+    group: ElementGroup
+    bound: Array
+    n_q: int
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return int(self.bound.size)
+
+    @property
+    def rows_per_element(self) -> int:
+        """1, or 4 with a least angle."""
+        return int(self.group.function.size1_out(1))
+
+    @cached_property
+    def q(self) -> ca.MX:
+        """The symbol of the moves in ``assembled``."""
+        return ca.MX.sym("q", self.n_q)
+
+    @cached_property
+    def assembled(self) -> Assembled:
+        """The rows and their derivatives as functions of ``q`` and an empty ``p``."""
+        return assemble([self.group], self.q, ca.MX(0, 1), self.size)
+
+    def without_rows(self) -> Validity:
+        """No rows at all, where a barrier stands in their place."""
+        none = np.zeros(0)
+        return Validity(none.astype(np.int64), without_elements(self.group), none, self.n_q)
+
+
+def validity(problem: ContactProblem, free: Freedoms) -> Validity:
+    """The validity rows of a problem.
+
+    The signed area is affine in each coordinate by itself, so its least value over the
+    boxes is at one of their corners; elements that cannot fail there need no constraint.
+
+    Raises
+    ------
+    ValueError
+        If the mesh as given has a smaller angle than the motion asks for.
+    """
+    triangles, motion = problem.triangles, problem.motion
+    at_risk = _elements_at_risk(problem, free)
+    initial = signed_areas(problem.mesh.p, triangles)
+    function = _rows(np.deg2rad(motion.min_angle))
+    per_element = function.size1_out(1)
+    rows = np.arange(per_element * at_risk.size).reshape(-1, per_element).T
+    arguments = (free.positions.at(triangles[:, at_risk]), constant_field(initial[at_risk]))
+    bound = np.zeros((at_risk.size, per_element))
+    bound[:, 0] = motion.min_area_fraction
+    if motion.min_angle > 0:
+        _check_initial_angles(problem)
+    return Validity(at_risk, ElementGroup(function, arguments, rows), bound.ravel(), free.n)
+
+
+def area_ratios(problem: ContactProblem, nodes: Array) -> Array:
+    """Signed element areas at ``nodes`` (2, nodes) over those of the mesh as given."""
+    triangles = problem.triangles
+    return np.asarray(signed_areas(nodes, triangles) / signed_areas(problem.mesh.p, triangles))
+
+
+def least_area_ratio(problem: ContactProblem, nodes: Array) -> float:
+    """The least of :func:`area_ratios`; not positive if an element is inverted."""
+    return float(np.min(area_ratios(problem, nodes)))
+
+
+def is_valid(problem: ContactProblem, nodes: Array, *, by_barrier: bool = False) -> bool:
+    """Whether all elements keep the least area and angle that the motion asks for, up to ``ROUNDING``.
+
+    With ``by_barrier`` a distortion in the objective keeps elements from degenerating: where no least
+    angle is asked for they need a positive area only.
+    """
+    motion = problem.motion
+    least = least_area_ratio(problem, nodes)
+    if by_barrier and motion.min_angle == 0:
+        return least > 0
+    if not least >= motion.min_area_fraction - ROUNDING:
+        return False
+    if motion.min_angle == 0:
+        return True
+    angle = least_angles(nodes, problem.triangles)
+    return bool(np.min(angle) >= motion.min_angle - np.rad2deg(ROUNDING))
+
+
+def least_angles(nodes: Array, triangles: NDArray) -> Array:
+    """Smallest angle of each triangle in degrees."""
+    p = nodes[:, triangles]
+    angles = []
+    for i in range(3):
+        a, b = p[:, (i + 1) % 3] - p[:, i], p[:, (i + 2) % 3] - p[:, i]
+        angles.append(np.arctan2(np.abs(a[0] * b[1] - a[1] * b[0]), np.sum(a * b, axis=0)))
+    return np.rad2deg(np.min(angles, axis=0))
+
+
+def _elements_at_risk(problem: ContactProblem, free: Freedoms) -> NDArray[np.int64]:
+    """Elements that the boxes do not keep valid; all that move if a least angle is asked for."""
+    triangles = problem.triangles
+    if problem.motion.min_angle > 0:
+        return np.flatnonzero(np.any(free.positions.index[:, triangles] != CONSTANT, axis=(0, 1)))
+    initial = signed_areas(problem.mesh.p, triangles)
+    return np.flatnonzero(_least_areas(free, triangles) < problem.motion.min_area_fraction * initial)
+
+
+def _rows(angle: float) -> ca.Function:
+    X, area0 = ca.SX.sym("X", 2, 3), ca.SX.sym("area0")
+
+    def cross_and_dot(i: int) -> tuple[ca.SX, ca.SX]:
+        a, b = X[:, (i + 1) % 3] - X[:, i], X[:, (i + 2) % 3] - X[:, i]
+        return a[0] * b[1] - a[1] * b[0], ca.dot(a, b)
+
+    rows = [cross_and_dot(0)[0] / (2 * area0)]
+    if angle > 0:
+        for i in range(3):
+            cross, dot = cross_and_dot(i)
+            rows.append((cross * np.cos(angle) - dot * np.sin(angle)) / (2 * area0))
+    return ca.Function("validity", [ca.vec(X), area0], [0, ca.vertcat(*rows)])
+
+
+def _check_initial_angles(problem: ContactProblem) -> None:
+    angle = least_angles(problem.mesh.p, problem.triangles)
+    if np.min(angle) < problem.motion.min_angle:
+        raise ValueError(
+            f"min_angle is {problem.motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
+            f"initial mesh has an angle of {np.min(angle):.4g}"
+        )
+
+
+def _least_areas(free: Freedoms, triangles: NDArray) -> Array:
+    """Least signed area of each element over the boxes; -infinity where a vertex has no box."""
+    index = free.positions.index
+    bound = np.append(free.bound, 0.0)[index]  # CONSTANT is -1, the appended zero
+    boundless = np.any(np.isinf(bound[:, triangles]), axis=(0, 1))
+    reach = np.where(np.isinf(bound), 0.0, bound) * np.abs(free.positions.scale)
+    least = np.full(triangles.shape[1], np.inf)
+    for signs in itertools.product((-1.0, 1.0), repeat=6):
+        corner = np.reshape(signs, (2, 3, 1))
+        local = free.positions.offset[:, triangles] + corner * reach[:, triangles]
+        a, b, c = local[:, 0], local[:, 1], local[:, 2]
+        least = np.minimum(least, 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])))
+    return np.where(boundless, -np.inf, least)
