@@ -130,7 +130,7 @@ def _with_worth(problem: ContactProblem, solution: Solution) -> Solution:
     began = time.perf_counter()
     stated = replace(problem, quadrature=solution.problem.quadrature)
     energies = solution.energy_initial_audited, solution.audit.energy_audited
-    found = worth(stated, *energies, solution.contact_solves)
+    found = worth(stated, solution.mesh, *energies, solution.contact_solves)
     if found is None:
         return solution
     return replace(

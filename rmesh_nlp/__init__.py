@@ -23,12 +23,14 @@ __version__ = "0.1.0"
 
 _NAMES = {
     # stating a problem
+    "Circle": "rmesh_nlp.meshes.curves",
     "ContactProblem": "rmesh_nlp.problem",
     "Dirichlet": "rmesh_nlp.problem",
     "ExactSolution": "rmesh_nlp.problem",
     "Laplace": "rmesh_nlp.problem",
     "Motion": "rmesh_nlp.problem",
     "Obstacle": "rmesh_nlp.problem",
+    "Parametrised": "rmesh_nlp.meshes.curves",
     "PointLoad": "rmesh_nlp.problem",
     "Units": "rmesh_nlp.problem",
     "where": "rmesh_nlp.problem",
@@ -36,6 +38,7 @@ _NAMES = {
     "PlaneStress": "rmesh_nlp.problem",
     "ProblemError": "rmesh_nlp.problem",
     "Relative": "rmesh_nlp.problem",
+    "Spline": "rmesh_nlp.meshes.curves",
     "Traction": "rmesh_nlp.problem",
     "EXAMPLES": "rmesh_nlp.examples",
     "read_mesh": "rmesh_nlp.meshes",

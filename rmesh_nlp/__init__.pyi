@@ -14,6 +14,9 @@ from rmesh_nlp.fem import quantities as quantities
 from rmesh_nlp.io.export import write_solution as write_solution
 from rmesh_nlp.meshes import read_mesh as read_mesh
 from rmesh_nlp.meshes import shapes as shapes
+from rmesh_nlp.meshes.curves import Circle as Circle
+from rmesh_nlp.meshes.curves import Parametrised as Parametrised
+from rmesh_nlp.meshes.curves import Spline as Spline
 from rmesh_nlp.mpcc import MPCC as MPCC
 from rmesh_nlp.problem import ContactProblem as ContactProblem
 from rmesh_nlp.problem import Dirichlet as Dirichlet

@@ -26,7 +26,7 @@ class ProblemError(ValueError):
     """A problem that contradicts itself.
 
     ``part`` names the part of the statement that is at fault: mesh, law, dirichlet, obstacle,
-    friction, motion or tractions.
+    friction, motion, curves or tractions.
     """
 
     def __init__(self, part: str, message: str) -> None:

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT, Field
+from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, Bends, Field
+from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.lines import sliding_directions
+from rmesh_nlp.problem.lines import on_curve, sliding_directions
 from rmesh_nlp.problem.motion import Relative, Where
+from rmesh_nlp.problem.on_curves import parameters_of
 
 
 class Mobility(IntEnum):
@@ -26,10 +28,11 @@ class Mobility(IntEnum):
 
 @dataclass(frozen=True)
 class Freedoms:
-    """The moves of all nodes as a few unknowns q: X = X0 + P q.
+    """The moves of all nodes as a few unknowns q: X = X0 + P q, and X = c(t0 + q) along curves.
 
     q is measured in units of the node's own box, so that its bounds are -1 <= q <= 1; without
-    a box it is measured in units of the shortest edge at the node and unbounded.
+    a box it is measured in units of the shortest edge at the node and unbounded. Along a curve the box
+    is measured as length of the curve.
 
     Attributes
     ----------
@@ -40,18 +43,26 @@ class Freedoms:
         Length of q.
     bound : (n,) array
         ``-bound <= q <= bound``; 1, or infinity without a box.
+    curves : tuple of Curve
+        Curve number k owns the functions 2 k (x) and 2 k + 1 (y) of ``positions.bends``.
     """
 
     mobility: NDArray[np.int64]
     positions: Field
     n: int
     bound: Array
+    curves: tuple[Curve, ...] = ()
 
     def q_of(self, nodes: Array) -> Array:
         """The unknowns q that give these positions (2, nodes), in the least-squares sense."""
         index, scale = self.positions.index, self.positions.scale
         moving = index != CONSTANT
-        shift = (nodes - self.positions.offset)[moving] * scale[moving]
+        affine = np.array(nodes, dtype=float)
+        if self.positions.bends is not None:  # there it is the parameter of the curve that is affine in q
+            for number, curve in enumerate(self.curves):
+                here = self.positions.bends.which[0] == 2 * number
+                affine[:, here] = curve.near(affine[:, here], self.positions.offset[0, here])
+        shift = (affine - self.positions.offset)[moving] * scale[moving]
         weight = scale[moving] ** 2
         q = np.bincount(index[moving], shift, self.n) / np.bincount(index[moving], weight, self.n)
         return np.asarray(q)
@@ -82,11 +93,21 @@ def freedoms(problem: ContactProblem) -> Freedoms:
     step = reach * tangent[:, sliding]
     index[:, sliding] = np.where(step != 0, first[:-1][sliding], CONSTANT)
     scale[:, sliding] = np.where(step != 0, step, 1.0)
+    offset, which = np.array(mesh.p, dtype=float), np.full((2, n_nodes), STRAIGHT)
+    curves = tuple(problem.motion.curves.values())
+    along = np.where(sliding, on_curve(problem), -1)
+    for number, curve in enumerate(curves):
+        here = np.flatnonzero(along == number)
+        t, speed = parameters_of(curve, mesh.p[:, here])
+        index[:, here], offset[:, here] = first[:-1][here], t
+        scale[:, here] = np.min(unit[:, here], axis=0) / speed
+        which[:, here] = np.array([[2 * number], [2 * number + 1]])
     for node, leader in problem.motion.tied:
         index[:, node], scale[:, node] = index[:, leader], scale[:, leader]
     bound = np.full(int(first[-1]), np.inf if problem.motion.delta is None else 1.0)
-    positions = Field(index, scale, np.array(mesh.p, dtype=float))
-    return Freedoms(mobility, positions, int(first[-1]), bound)
+    bends = Bends(which, tuple(f for curve in curves for f in curve.functions)) if curves else None
+    positions = Field(index, scale, offset, bends=bends)
+    return Freedoms(mobility, positions, int(first[-1]), bound, curves)
 
 
 def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
@@ -94,6 +115,11 @@ def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
     mesh, motion = problem.mesh, problem.motion
     on_line, tangent = sliding_directions(problem)
     any_tangent = sliding_directions(problem, geometry_only=True)[1]
+    along = on_curve(problem)
+    for number, curve in enumerate(problem.motion.curves.values()):
+        nodes = np.flatnonzero(along == number)
+        velocity = curve.velocity(curve.nearest(mesh.p[:, nodes]))
+        tangent[:, nodes] = any_tangent[:, nodes] = velocity / np.linalg.norm(velocity, axis=0)
     mobility = np.full(mesh.p.shape[1], int(Mobility.FREE))
     mobility[on_line] = Mobility.PINNED
     mobility[np.any(tangent != 0, axis=0)] = Mobility.SLIDING
@@ -123,11 +149,11 @@ def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
         x, y = mesh.p[:, node]
         raise ValueError(
             f"node {node} at ({x:.6g}, {y:.6g}) is to slide, but it is on no straight piece of boundary "
-            "or interface"
+            "or interface, and on no curve that is given"
         )
     tangent = np.where(forced, any_tangent, tangent)
     for node, leader in motion.tied:
-        _check_tie(problem, mobility, tangent, node, leader)
+        _check_tie(problem, mobility, tangent, along, node, leader)
     for node, _ in motion.tied:
         mobility[node] = Mobility.TIED
     return mobility, tangent
@@ -147,14 +173,16 @@ def _nodes_at(problem: ContactProblem, place: Where) -> NDArray[np.int64]:
     return np.array([place])
 
 
-def _check_tie(problem: ContactProblem, mobility: NDArray, tangent: Array, node: int, leader: int) -> None:
-    """A tied node must be able to make the moves of its leader."""
+def _check_tie(
+    problem: ContactProblem, mobility: NDArray, tangent: Array, along: NDArray, node: int, leader: int
+) -> None:
+    """A tied node must be able to make the moves of its leader, which are straight."""
     if node == leader or leader in {n for n, _ in problem.motion.tied}:
         raise ValueError(f"node {node} cannot be tied to node {leader}, which is tied itself")
     if mobility[leader] == Mobility.PINNED or mobility[node] == Mobility.FREE:
         return
     one, two = tangent[:, node], tangent[:, leader]
-    parallel = mobility[node] == mobility[leader] == Mobility.SLIDING
+    parallel = mobility[node] == mobility[leader] == Mobility.SLIDING and along[leader] < 0
     if not (parallel and abs(one[0] * two[1] - one[1] * two[0]) < 1e-8):
         raise ValueError(
             f"node {node} cannot be tied to node {leader}: it cannot make the moves of that node"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.discretisation.freedoms import Freedoms
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import Assembled, assemble
-from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, constant_field, without_elements
+from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_field, without_elements
 from rmesh_nlp.problem import ContactProblem, signed_areas
 
 ROUNDING = 1e-9
@@ -179,6 +179,8 @@ def _least_areas(free: Freedoms, triangles: NDArray) -> Array:
     index = free.positions.index
     bound = np.append(free.bound, 0.0)[index]  # CONSTANT is -1, the appended zero
     boundless = np.any(np.isinf(bound[:, triangles]), axis=(0, 1))
+    if free.positions.bends is not None:  # along a curve the area is not affine
+        boundless |= np.any(free.positions.bends.which[0][triangles] != STRAIGHT, axis=0)
     reach = np.where(np.isinf(bound), 0.0, bound) * np.abs(free.positions.scale)
     least = np.full(triangles.shape[1], np.inf)
     for signs in itertools.product((-1.0, 1.0), repeat=6):

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bending import straightened
 from rmesh_nlp.fem.element import plain
 from rmesh_nlp.fem.fields import ElementGroup
 from rmesh_nlp.fem.kernels import Kernel, LocalKernels
@@ -55,7 +56,7 @@ def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) ->
     n_rows : int
         Number of constraints; rows that no group touches are zero.
     """
-    local = [LocalKernels(group) for group in groups if group.size > 0]
+    local = [LocalKernels(part) for group in groups if group.size > 0 for part in straightened(group)]
     large = any(group.size >= WORTHWHILE for group in groups)
     inputs = [x, p, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)]
     n_x = int(x.shape[0])

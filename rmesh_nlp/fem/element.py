@@ -20,7 +20,7 @@ class PointValues:
     Attributes
     ----------
     points : casadi.Function
-        ``(*columns) -> (2, points)``, affine in the columns.
+        ``(*columns) -> (2, points)``.
     function : casadi.Function
         ``(x, y) -> column`` of values at one point.
     """
@@ -116,6 +116,8 @@ class _Chain:
         self._curvature = ca.hessian(ca.dot(self._weights, value), self._position)[0]
         self._points = ca.horzsplit(points)
         self._moves = [ca.jacobian(point, local) for point in self._points]
+        pull = kind.sym("pull", 2)
+        self._pull, self._bend = pull, [ca.hessian(ca.dot(pull, point), local)[0] for point in self._points]
         self.values = ca.vertcat(*[self._at(value, point) for point in self._points])
         self.slope = ca.vertcat(
             *[self._at(self._slope, p) @ m for p, m in zip(self._points, self._moves, strict=True)]
@@ -124,13 +126,16 @@ class _Chain:
     def curvature(self, weights: Any) -> Any:
         """Second derivative of ``weights . values``, the weights held."""
         total = 0
-        for point, move, weight in zip(
-            self._points, self._moves, ca.vertsplit(weights, self._weights.shape[0]), strict=True
+        for point, move, bend, weight in zip(
+            self._points, self._moves, self._bend, ca.vertsplit(weights, self._weights.shape[0]), strict=True
         ):
             here = ca.substitute(
                 self._curvature, ca.vertcat(self._position, self._weights), ca.vertcat(point, weight)
             )
             total = total + move.T @ here @ move
+            if bend.nnz():  # a point that does not move affinely: a node of the element is on a curve
+                slope = self._at(self._slope, point)
+                total = total + ca.substitute(bend, self._pull, slope.T @ weight)
         return total
 
     def _at(self, expression: Any, point: Any) -> Any:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -10,10 +11,56 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.element import PointValues
+from rmesh_nlp.meshes.curves import on_values
 
 Index = NDArray[np.int64]
 CONSTANT = -1
 """Index of a local value that does not depend on any unknown or parameter."""
+
+
+@dataclass(frozen=True)
+class Bends:
+    """Values of a field that are functions of an affine one, as coordinates of a curve are of its parameter.
+
+    Attributes
+    ----------
+    which : int array of the field's shape
+        Number of the function; ``STRAIGHT`` for the affine value itself.
+    functions : tuple of casadi.Function
+        ``t -> value``, scalar and twice differentiable.
+    """
+
+    which: Index
+    functions: tuple[ca.Function, ...]
+
+    @cached_property
+    def _slopes(self) -> tuple[ca.Function, ...]:
+        return tuple(_slope(function) for function in self.functions)
+
+    def applied(self, t: Array) -> Array:
+        """Values of the field where its affine part has the values ``t``."""
+        return self._put(self.functions, t, t)
+
+    def slopes(self, t: Array) -> Array:
+        """Derivatives of the values by the affine part, 1 where the field is affine."""
+        return self._put(self._slopes, t, np.ones(t.shape))
+
+    def _put(self, functions: tuple[ca.Function, ...], t: Array, straight: Array) -> Array:
+        result = np.array(straight)
+        for number, function in enumerate(functions):
+            here = self.which == number
+            result[here] = on_values(function, t[here])
+        return result
+
+
+def _slope(function: ca.Function) -> ca.Function:
+    kind = ca.SX if function.is_a("SXFunction") else ca.MX
+    t = kind.sym("t")
+    return ca.Function("slope", [t], [ca.jacobian(function(t), t)])
+
+
+STRAIGHT = -1
+"""Number of no function in :class:`Bends`."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +75,15 @@ class Field:
         ``CONSTANT`` where the field is fixed at ``offset``.
     scale, offset : (components, nodes) arrays
     parameter : bool
+    bends : Bends, optional
+        Where the value is not this affine function but a function of it.
     """
 
     index: Index
     scale: Array
     offset: Array
     parameter: bool = False
+    bends: Bends | None = None
 
     def at(self, nodes: Index) -> Field:
         """Local values on elements.
@@ -46,24 +96,41 @@ class Field:
         def pick(a: NDArray) -> NDArray:
             return np.moveaxis(a[:, nodes], 0, 1).reshape(shape)
 
-        return Field(pick(self.index), pick(self.scale), pick(self.offset), self.parameter)
+        bends = self.bends and Bends(pick(self.bends.which), self.bends.functions)
+        return Field(pick(self.index), pick(self.scale), pick(self.offset), self.parameter, bends)
 
     def component(self, number: int) -> Field:
         """One component as a field of its own."""
         part = slice(number, number + 1)
-        return Field(self.index[part], self.scale[part], self.offset[part], self.parameter)
+        bends = self.bends and Bends(self.bends.which[part], self.bends.functions)
+        return Field(self.index[part], self.scale[part], self.offset[part], self.parameter, bends)
+
+    def elements(self, chosen: Index) -> Field:
+        """Some columns of a field of local values."""
+        bends = self.bends and Bends(self.bends.which[:, chosen], self.bends.functions)
+        part = (self.index[:, chosen], self.scale[:, chosen], self.offset[:, chosen])
+        return Field(*part, self.parameter, bends)
 
     def numbered_from(self, first: int) -> Field:
         """The same field, its unknowns numbered from ``first`` instead of from zero."""
         index = np.where(self.index == CONSTANT, CONSTANT, self.index + first)
-        return Field(index, self.scale, self.offset, self.parameter)
+        return replace(self, index=index)
 
     def in_units(self, unit: float) -> Field:
         """The same field of unknowns that are measured in ``unit``."""
-        return Field(self.index, self.scale * unit, self.offset, self.parameter)
+        return replace(self, scale=self.scale * unit)
 
     def values(self, w: Array) -> Array:
         """The field itself, (components, nodes), for a numeric vector ``w``."""
+        result = self._affine(w)
+        return result if self.bends is None else self.bends.applied(result)
+
+    def slopes(self, w: Array) -> Array:
+        """Derivative (components, nodes) of each value by its own unknown, zero where it has none."""
+        slope = np.where(self.index != CONSTANT, self.scale, 0.0)
+        return slope if self.bends is None else slope * self.bends.slopes(self._affine(w))
+
+    def _affine(self, w: Array) -> Array:
         moving = self.index != CONSTANT
         result = self.offset.copy()
         result[moving] += self.scale[moving] * np.asarray(w)[self.index[moving]]
@@ -113,13 +180,13 @@ class ElementGroup:
 
 def without_elements(group: ElementGroup) -> ElementGroup:
     """The same group of no elements at all."""
+    return some_elements(group, np.zeros(0, np.int64))
 
-    def empty(field: Field) -> Field:
-        return Field(field.index[:, :0], field.scale[:, :0], field.offset[:, :0], field.parameter)
 
-    return ElementGroup(
-        group.function, tuple(empty(field) for field in group.arguments), group.rows[:, :0], group.at_points
-    )
+def some_elements(group: ElementGroup, chosen: Index) -> ElementGroup:
+    """The same group of some of its elements."""
+    arguments = tuple(field.elements(chosen) for field in group.arguments)
+    return ElementGroup(group.function, arguments, group.rows[:, chosen], group.at_points)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from pydantic import ValidationError
 from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.io.problem_curves import curve_of
 from rmesh_nlp.io.problem_messages import (
     ProblemFileError,
     as_text,
@@ -71,6 +73,7 @@ _KEY_OF_PART = {
     "obstacle": "contact",
     "friction": "contact.friction",
     "motion": "motion",
+    "curves": "curves",
     "tractions": "tractions",
 }
 
@@ -130,6 +133,9 @@ def build(table: ProblemTable, path: Path) -> ContactProblem:
             supports.append(symmetric(mesh, name, n) if value == SYMMETRY else Dirichlet(name, value))
     with at_key(path, "motion", table):
         motion = _motion(table.motion)
+    for name, curve in table.curves.items():
+        with at_key(path, f"curves.{name}", table):
+            motion = replace(motion, curves={**motion.curves, name: curve_of(curve, mesh, name)})
     try:
         problem = ContactProblem(
             mesh=mesh,
@@ -276,6 +282,7 @@ def _check_names(table: ProblemTable, mesh: MeshTri, path: Path) -> None:
     boundaries, subdomains = sorted(mesh.boundaries or {}), sorted(mesh.subdomains or {})
     used = [(f"dirichlet.{name}", name) for name in table.dirichlet]
     used += [(f"tractions.{name}", name) for name in table.tractions]
+    used += [(f"curves.{name}", name) for name in table.curves]
     for rule in ("pinned", "slides", "free"):
         used += [(f"motion.{rule}", name) for name in getattr(table.motion, rule) if isinstance(name, str)]
     for number, contact in enumerate(table.contact):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from rmesh_nlp.io.problem_values import (
     Angle,
@@ -26,6 +26,7 @@ from rmesh_nlp.io.problem_values import (
     Seed,
     Text,
     Ties,
+    Triple,
     Vector,
 )
 
@@ -154,6 +155,43 @@ class MotionTable(Table):
     min_angle: Angle = 0.0
 
 
+class CurveTable(Table):
+    """One of ``[curves]``: a circle, the points of a spline, or two expressions of t."""
+
+    circle: Triple | None = None
+    spline: Points | None = None
+    x: Text | None = None
+    y: Text | None = None
+    t: Pair | None = None
+    closed: Flag = False
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> CurveTable:
+        by_parameter = [part is not None for part in (self.x, self.y, self.t)]
+        kinds = [self.circle is not None, self.spline is not None, any(by_parameter)]
+        if sum(kinds) != 1 or (any(by_parameter) and not all(by_parameter)):
+            raise ValueError(
+                "expected circle = [cx, cy, r], spline = [[x, y], ...], or x, y and t = [from, to]"
+            )
+        return self
+
+
+def _curve(value: Any) -> Any:
+    """A table, or the word for what is fitted to the nodes; one sentence says what is wrong."""
+    if value in ("circle", "spline"):
+        return value
+    if not isinstance(value, dict):
+        raise ValueError("expected 'circle', 'spline' or a table such as {circle = [0.0, 0.0, 1.0]}")
+    try:
+        return CurveTable.model_validate(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        text = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
+        text = text.removeprefix("Value error, ")
+        raise ValueError(f"{key}: {text}" if key else text) from None
+
+
 class SolveTable(Table):
     """``[solve]``: defaults of ``rmesh solve`` for this file."""
 
@@ -196,6 +234,7 @@ class ProblemTable(Table):
     contact: Annotated[tuple[ContactTable, ...], BeforeValidator(_as_list)] = ()
     units: UnitsTable = UnitsTable()
     motion: MotionTable = MotionTable()
+    curves: dict[str, Annotated[Any, BeforeValidator(_curve)]] = Field(default_factory=dict)
     solve: SolveTable = SolveTable()
     path: PathTable | None = None
 

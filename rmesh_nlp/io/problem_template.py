@@ -70,6 +70,11 @@ pinned = ["top"]                 # boundaries, or node numbers, that do not move
 min_area_fraction = 0.01         # least area of an element over its initial one
 # min_angle = 5.0                # least angle of an element in degrees
 
+# [curves]                       # what boundaries are parts of; their nodes slide along it
+# hole = {{ circle = [5.0, 5.0, 2.5] }}   # centre and radius; or "circle", fitted to the nodes
+# rim = {{ spline = [[0, 0], [1, 0.2], [2, 0.3], [3, 0.2]] }}   # or "spline", through the nodes
+# cam = {{ x = "2*cos(t)", y = "sin(t)", t = [0, 6.2832], closed = true }}
+
 # [units]                        # names for texts and pictures; nothing is converted
 # length = "mm"
 # force = "N"

@@ -57,6 +57,14 @@ def _pair(value: Any) -> tuple[float, float]:
     return tuple(_number_or(v, "expected two numbers such as [0.0, 1.0]") for v in value)  # type: ignore[return-value]
 
 
+def _triple(value: Any) -> tuple[float, float, float]:
+    expected = "expected centre and radius such as [0.0, 0.0, 1.0]"
+    if not isinstance(value, list) or len(value) != 3:
+        raise ValueError(expected)
+    x, y, radius = (_number_or(v, expected) for v in value)
+    return x, y, _positive_or(radius, expected)
+
+
 def _points(value: Any) -> list[tuple[float, float]]:
     if not isinstance(value, list) or len(value) < 2:
         raise ValueError("expected two or more points such as [[0, 0], [1, 0.1]]")
@@ -186,6 +194,7 @@ Positive = Annotated[Any, BeforeValidator(_positive)]
 Poisson = Annotated[Any, BeforeValidator(_poisson)]
 Count = Annotated[Any, BeforeValidator(_count)]
 Pair = Annotated[Any, BeforeValidator(_pair)]
+Triple = Annotated[Any, BeforeValidator(_triple)]
 Points = Annotated[Any, BeforeValidator(_points)]
 Scalar = Annotated[Any, BeforeValidator(_coefficient)]
 Condition = Annotated[Any, BeforeValidator(_condition)]

@@ -135,7 +135,7 @@ def _check_names(problem: Statement) -> None:
     known = sorted(mesh.boundaries or {})
     used = [("dirichlet", d if isinstance(d, str) else d.boundary) for d in problem.dirichlet]
     used += [("tractions", t.boundary) for t in problem.tractions]
-    used += [("motion", name) for name in problem.motion.names]
+    used += [("curves" if n in problem.motion.curves else "motion", n) for n in problem.motion.names]
     used += [("obstacle", o.boundary) for o in problem.obstacles if isinstance(o.boundary, str)]
     for part, name in used:
         if name not in known:

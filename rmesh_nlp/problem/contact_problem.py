@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from rmesh_nlp.display import html_table, plain_table, rich_table
+from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.problem.checks import check
+from rmesh_nlp.problem.on_curves import onto_curves
 from rmesh_nlp.problem.statement import Statement
 from rmesh_nlp.problem.summary import summary_of_problem
 
@@ -26,6 +28,10 @@ class ContactProblem(Statement):
 
     def __post_init__(self) -> None:
         check(self)
+        try:
+            object.__setattr__(self, "mesh", onto_curves(self.mesh, self.motion.curves))
+        except ValueError as error:
+            raise ProblemError("curves", str(error)) from error
 
     def summary(self) -> list[tuple[str, str]]:
         """What the problem says, as (label, value) rows for people."""

@@ -47,6 +47,28 @@ def sliding_directions(
     return on_line, tangent
 
 
+def on_curve(problem: ContactProblem) -> NDArray[np.int64]:
+    """Number (nodes,) of the curve of the motion that each node may slide along, -1 where there is none.
+
+    Such a node has exactly two facets on lines, of the same named parts and between the same
+    subdomains, and both are on the boundary that the curve is of: ends of parts stay.
+    """
+    mesh, curves = problem.mesh, problem.motion.curves
+    result = np.full(mesh.p.shape[1], -1)
+    if not curves:
+        return result
+    label = _labels(problem)
+    facets = np.flatnonzero(label > 0)
+    owner, one, two = _pairs(mesh.facets[:, facets])
+    alike = label[facets[one]] == label[facets[two]]
+    for number, name in enumerate(curves):
+        part = np.zeros(mesh.facets.shape[1], dtype=bool)
+        part[np.asarray(mesh.boundaries[name])] = True
+        here = alike & part[facets[one]] & part[facets[two]]
+        result[owner[here]] = np.where(result[owner[here]] < 0, number, result[owner[here]])
+    return result
+
+
 def line_facets(problem: ContactProblem) -> NDArray[np.int64]:
     """Numbers of the facets on lines."""
     return np.flatnonzero(_labels(problem) > 0)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any
 
 import numpy as np
+
+from rmesh_nlp.meshes.curves import Curve
 
 Where = str | int
 """A named boundary (or subdomain interface given by a boundary name), or a node number."""
@@ -47,6 +50,9 @@ class Motion:
         Smallest allowed signed area of an element, as a fraction of its initial one.
     min_angle : float
         Smallest allowed angle of an element in degrees; 0 for none.
+    curves : mapping from boundary names to Curve
+        Curves that the boundaries were made from: their nodes slide along them, and the mesh is refined
+        along them. A box is then measured along the curve.
     """
 
     delta: float | tuple[float, float] | Relative | None
@@ -56,6 +62,7 @@ class Motion:
     free: tuple[Where, ...] = ()
     tied: tuple[tuple[int, int], ...] = ()
     min_angle: float = 0.0
+    curves: Mapping[str, Curve] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         if isinstance(self.delta, Real):
@@ -71,11 +78,17 @@ class Motion:
             raise ValueError(f"min_area_fraction must lie between 0 and 1, got {self.min_area_fraction}")
         if not 0 <= self.min_angle < 60:
             raise ValueError(f"min_angle must be at least 0 and less than 60 degrees, got {self.min_angle}")
+        for name, curve in self.curves.items():
+            if not isinstance(curve, Curve):
+                raise ValueError(
+                    f"the curve of {name!r} must be a Circle, Spline or Parametrised, got {curve!r}"
+                )
 
     @property
     def names(self) -> tuple[str, ...]:
         """All boundary names that the rules mention."""
-        return tuple(w for w in (*self.pinned, *self.slides, *self.free) if isinstance(w, str))
+        places = (*self.pinned, *self.slides, *self.free, *self.curves)
+        return tuple(w for w in places if isinstance(w, str))
 
     @property
     def numbers(self) -> tuple[int, ...]:

@@ -73,4 +73,6 @@ def _motion(motion: Motion) -> str:
         places = getattr(motion, rule)
         if places:
             text += f"; {rule}: {', '.join(str(place) for place in places)}"
+    if motion.curves:
+        text += f"; along curves: {', '.join(motion.curves)}"
     return text + (f"; {len(motion.tied)} nodes tied" if motion.tied else "")

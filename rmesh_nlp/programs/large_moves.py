@@ -96,7 +96,7 @@ def node_widths(relocation: Relocation, q: Array) -> Array:
     moving = index != CONSTANT
     # a move behind both coordinates, or of several tied nodes, is as wide as the narrowest allows
     steps = np.zeros(q.size)
-    np.maximum.at(steps, index[moving], np.abs(positions.scale)[moving])
+    np.maximum.at(steps, index[moving], np.abs(positions.slopes(q))[moving])
     room = np.full(q.size, np.inf)
     np.minimum.at(room, index[moving], np.broadcast_to(least, index.shape)[moving])
     return np.asarray(room / np.maximum(steps, 1e-300))

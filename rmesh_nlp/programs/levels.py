@@ -11,7 +11,8 @@ from rmesh_nlp.meshes.decimation import Lines, decimated
 from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.meshes.unrefinement import Coarse, unrefined
 from rmesh_nlp.problem import ContactProblem, Relative
-from rmesh_nlp.problem.lines import line_facets, sliding_directions
+from rmesh_nlp.problem.lines import line_facets, on_curve, sliding_directions
+from rmesh_nlp.problem.on_curves import onto_curves
 
 COARSER = 4
 """How many times fewer nodes the next coarser mesh has."""
@@ -20,12 +21,19 @@ WORTHWHILE = 2.0
 """Least factor by which a coarser mesh must be coarser."""
 
 
-def refined(problem: ContactProblem) -> ContactProblem:
-    """The same problem with every triangle cut into four, names kept; boxes keep their widths."""
+def refined(problem: ContactProblem, *, polygon: bool = False) -> ContactProblem:
+    """The same problem with every triangle cut into four, names kept; boxes keep their widths.
+
+    New nodes of a boundary with a curve are on the curve. With ``polygon`` they stay on the edges that
+    they cut, and the motion has no curves: the domain is then that of the given mesh.
+    """
     motion = problem.motion
     if isinstance(motion.delta, Relative):
         motion = replace(motion, delta=Relative(2 * motion.delta.fraction))
     mesh = problem.mesh.refined(1)
+    if polygon:
+        motion = replace(motion, curves={})
+    mesh = onto_curves(mesh, motion.curves, anywhere=True)
     return replace(problem, mesh=mesh, motion=motion, size=f"{mesh.t.shape[1]} triangles")
 
 
@@ -69,7 +77,8 @@ def _decimated(problem: ContactProblem, target: int) -> Coarse:
     mesh, triangles = problem.mesh, problem.triangles
     on_line, tangent = sliding_directions(problem)
     kept = np.zeros(mesh.p.shape[1], dtype=bool)
-    kept[on_line] = ~np.any(tangent[:, on_line] != 0, axis=0)
+    slides = np.any(tangent[:, on_line] != 0, axis=0) | (on_curve(problem)[on_line] >= 0)
+    kept[on_line] = ~slides
     kept[list(problem.motion.numbers)] = True
     result = decimated(mesh.p, triangles, Lines(kept, mesh.facets[:, line_facets(problem)]), target)
     nodes = np.unique(result.triangles)

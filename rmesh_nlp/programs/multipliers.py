@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.discretisation.freedoms import Mobility
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT
+from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT
 from rmesh_nlp.optimize.smooth_constraints import is_inside
 from rmesh_nlp.programs.energy_program import Relocation
 from rmesh_nlp.programs.reduced import ReducedEnergy
@@ -62,10 +62,15 @@ def _by_node(relocation: Relocation, q: Array, rest: Array, stopped: NDArray[np.
     """What the boxes hold back, as energy per length, at the nodes that own the moves."""
     pull = np.where(stopped, np.maximum(-rest * np.sign(q), 0.0), 0.0)
     free = relocation.freedoms
-    index, scale = free.positions.index, free.positions.scale
+    index, scale = free.positions.index, free.positions.slopes(q)
     moving = (index != CONSTANT) & (free.mobility != Mobility.TIED)
     rate = np.zeros(index.shape)
-    rate[moving] = pull[index[moving]] / np.abs(scale[moving])
+    with np.errstate(divide="ignore"):
+        rate[moving] = pull[index[moving]] / np.abs(scale[moving])
     # one move behind both coordinates: the box along the longer step is the one that stops it
     slanted = np.all(moving, axis=0) & (index[0] == index[1])
+    if free.positions.bends is not None:  # along a curve the box is measured as its length
+        bent = free.positions.bends.which[0] != STRAIGHT
+        length = np.linalg.norm(scale, axis=0)
+        rate[:, bent] = pull[index[0, bent]] / length[bent]
     return np.asarray(np.where(slanted, rate.min(axis=0), rate.sum(axis=0)))

@@ -23,6 +23,7 @@ from rmesh_nlp.meshes.geometry import counter_clockwise
 from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem.on_curves import onto_curves
 from rmesh_nlp.programs.energy_flips import ElementEnergies
 
 SHARE = 0.5
@@ -54,6 +55,7 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
         boundaries[name] = np.array(edges)
     subdomains = {name: np.asarray(e) for name, e in (new.subdomains or {}).items()}
     mesh = from_arrays(new.p.T, counter_clockwise(new.p, new.t).T, boundaries, subdomains)
+    mesh = onto_curves(mesh, problem.motion.curves, anywhere=True)
     return replace(problem, mesh=mesh, size=f"{mesh.t.shape[1]} triangles")
 
 

@@ -51,7 +51,7 @@ def gain_estimate(problem: ContactProblem) -> GainEstimate:
     """Estimate the error of the energy of the mesh as given, with an accurate rule, by two contact solves."""
     rule = problem.rule
     accurate = replace(problem, quadrature=max(rule, LEAST_DEGREE) if isinstance(rule, int) else LEAST_DEGREE)
-    fine = refined(accurate)
+    fine = refined(accurate, polygon=True)
     here = ContactModel(accurate).solve(accurate.mesh.p).energy
     there = ContactModel(fine).solve(fine.mesh.p).energy
     floor = LEAST_GAIN * max(abs(here), abs(there), 1e-300)

@@ -71,7 +71,7 @@ def _draw_moves(axis: Axes, problem: ContactProblem, free: Freedoms) -> None:
         if not np.any(nodes):
             continue
         if kind is Mobility.SLIDING:
-            step = np.where(free.positions.index[:, nodes] >= 0, free.positions.scale[:, nodes], 0.0)
+            step = free.positions.slopes(np.zeros(free.n))[:, nodes]
             ends = np.stack([p[:, nodes] - step, p[:, nodes] + step])
             axis.add_collection(
                 LineCollection(list(ends.transpose(2, 0, 1)), color="black", linewidth=1.5, label=label)

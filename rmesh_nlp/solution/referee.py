@@ -281,6 +281,9 @@ class Referee:
             **self._residuals(nodes, own or found, exact.equilibrium),
             "warnings": self._warnings(nodes, found),
         }
+        if self.problem.motion.curves:
+            areas = (signed_areas(x, self.problem.triangles).sum() for x in (nodes, self.problem.mesh.p))
+            common["extra"]["domain_area_change"] = next(areas) / next(areas) - 1
         return Solution(
             **common,
             displacement=self.model.displacement.values(found.u),

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem import ContactProblem, Relative
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.levels import refined
 from rmesh_nlp.solution.registry import accepted
 from rmesh_nlp.solution.solution import Solution
 
@@ -87,11 +88,7 @@ def refine(problem: ContactProblem) -> ContactProblem:
     Boxes keep their widths in units of length: a relative delta is doubled, since edges are
     halved. Rules that name node numbers go on to hold for the same nodes.
     """
-    motion = problem.motion
-    if isinstance(motion.delta, Relative):
-        motion = replace(motion, delta=Relative(2 * motion.delta.fraction))
-    mesh = problem.mesh.refined(1)
-    return replace(problem, mesh=mesh, motion=motion, size=f"{mesh.t.shape[1]} triangles")
+    return refined(problem)
 
 
 def prolong(coarse: ContactProblem, nodes: Array, fine: ContactProblem) -> Array:

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from skfem import MeshTri
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.display import figure
@@ -24,6 +25,9 @@ from rmesh_nlp.programs.refinement import edge_gains
 REFINED_NODES = 5000
 """Largest mesh whose error is extrapolated from a uniform refinement; that of a larger one is estimated
 from the gains of new nodes on its edges."""
+
+REFINED_TWICE = 1500
+"""Largest number of nodes of a mesh that is refined twice for an extrapolation."""
 
 WORTHWHILE = 1.5
 """Factor by which an error must fall for a method to be recommended."""
@@ -44,6 +48,9 @@ class Worth:
     uniform_nodes, adaptive_nodes : int
         Nodes of a uniformly and of an ideally locally refined mesh with the error after.
     contact_solves : int
+    gain_geometry : float, optional
+        Where nodes slide along curves: part of the decrease of the energy that is due to another polygon, and
+        not to a better solution on it. Errors and factor are without it.
     """
 
     error_initial: float
@@ -54,6 +61,7 @@ class Worth:
     uniform_nodes: int
     adaptive_nodes: int
     contact_solves: int
+    gain_geometry: float | None = None
 
     def text(self) -> str:
         """In plain words."""
@@ -65,29 +73,59 @@ class Worth:
         errors = f"error of the energy {figure(self.error_initial)} before, {figure(self.error)} after ({by})"
         gain = f"{self.factor:.2g} times less on {self.nodes} nodes, for {self.contact_solves} contact solves"
         others = f"a uniform grid needs about {self.uniform_nodes} nodes for that"
-        return f"{errors}: {gain}; {others}, an ideally refined one {self.adaptive_nodes}"
+        text = f"{errors}: {gain}; {others}, an ideally refined one {self.adaptive_nodes}"
+        if self.gain_geometry is not None:
+            text += f"; another {figure(self.gain_geometry)} of energy came from the shape of the polygon"
+        return text
 
     def record(self) -> dict[str, Any]:
         """As plain values, with the text."""
         return {**asdict(self), "text": self.text()}
 
 
-def worth(problem: ContactProblem, initial: float, final: float, contact_solves: int) -> Worth | None:
+def worth(
+    problem: ContactProblem, mesh: MeshTri, initial: float, final: float, contact_solves: int
+) -> Worth | None:
     """What lowering the audited energy from ``initial`` to ``final`` is worth; None if nothing can be said.
 
     Parameters
     ----------
     problem : ContactProblem
         On the mesh as given.
+    mesh : MeshTri
+        The relocated one.
     """
     local = edge_gains(problem)
     before, source = error_of(problem, initial, local)
-    after = before - (initial - final)
+    geometry = gain_of_polygon(problem, mesh) if problem.motion.curves else None
+    after = before - (initial - final - (geometry or 0.0))
     if not before > 0 or not after > 0.01 * before:
         return None  # the estimate of the error is as small as its own error
     nodes, factor = int(problem.mesh.p.shape[1]), before / after
     same = round(nodes * factor), _ideal(nodes, local, factor)
-    return Worth(before, after, source, factor, nodes, *same, contact_solves)
+    return Worth(before, after, source, factor, nodes, *same, contact_solves, geometry)
+
+
+def gain_of_polygon(problem: ContactProblem, mesh: MeshTri) -> float:
+    """Decrease of the exact energy by another polygon in the place of a curved boundary.
+
+    Where nodes slide along a curve the polygon through them changes, its area by O(h^2), and with it the
+    exact energy of the discrete domain: as much as the error of the energy. Both exact energies are
+    extrapolated from refinements that keep the polygon.
+    """
+    return _limit(problem) - _limit(replace(problem, mesh=mesh))
+
+
+def _limit(problem: ContactProblem) -> float:
+    """The energy on the domain of the mesh, a polygon, extrapolated from two uniform refinements or one."""
+    fine = _accurate(problem)
+    energies = []
+    for _ in range(2 if problem.mesh.p.shape[1] <= REFINED_TWICE else 1):
+        fine = refined(fine, polygon=True)
+        energies.append(ContactModel(fine).solve(fine.mesh.p).energy)
+    if len(energies) == 1:
+        energies.insert(0, ContactModel(_accurate(problem)).solve(problem.mesh.p).energy)
+    return energies[1] + (energies[1] - energies[0]) / 3
 
 
 def error_of(problem: ContactProblem, energy: float, local: Array) -> tuple[float, str]:
@@ -96,7 +134,7 @@ def error_of(problem: ContactProblem, energy: float, local: Array) -> tuple[floa
         return energy - problem.exact.energy, "exact"
     if problem.mesh.p.shape[1] <= REFINED_NODES:
         accurate = _accurate(problem)
-        fine = refined(accurate)
+        fine = refined(accurate, polygon=True)
         models = (ContactModel(accurate), ContactModel(fine))
         here, there = (m.solve(m.problem.mesh.p).energy for m in models)
         return 4 / 3 * (here - there), "extrapolated"
@@ -160,7 +198,8 @@ def advise(problem: ContactProblem, settings: CascadeSettings | Mapping[str, Any
     chosen = CascadeSettings.of(settings)
     free = replace(problem, motion=replace(problem.motion, delta=None))
     given = _accurate(free)
-    grids = [given, refined(given), refined(refined(given))]
+    finer = refined(given, polygon=True)
+    grids = [given, finer, refined(finer)]
     energies = [ContactModel(grid).solve(grid.mesh.p).energy for grid in grids]
     first, second = energies[0] - energies[1], energies[1] - energies[2]
     rate = float(np.clip(np.log2(first / second) / 2, 0.2, 1.5)) if first > 0 and second > 0 else 1.0

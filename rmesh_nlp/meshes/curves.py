@@ -1,0 +1,275 @@
+"""Curves that a mesh was made from, along which its boundary nodes slide.
+
+A curve is a pair of functions ``x(t), y(t)`` of one parameter, twice differentiable: they enter the programs
+as CasADi Functions, so that derivatives of the positions are exact to second order.
+"""
+
+from __future__ import annotations
+
+import itertools
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.spatial import cKDTree
+
+from rmesh_nlp.evaluation import Array
+
+SAMPLES = 4000
+"""Points of a curve among which the nearest to a node is looked for, before Newton's method."""
+
+PERIODS = 3
+"""Times that a closed spline runs around: a node may slide across the place where it begins."""
+
+
+class Curve(ABC):
+    """A curve ``t -> (x, y)``.
+
+    Attributes
+    ----------
+    interval : (float, float)
+        Parameters of its ends.
+    closed : bool
+        Whether it goes on at the first point after the last one.
+    """
+
+    interval: tuple[float, float]
+    closed: bool
+
+    @cached_property
+    @abstractmethod
+    def functions(self) -> tuple[ca.Function, ca.Function]:
+        """``t -> x`` and ``t -> y``."""
+
+    @cached_property
+    def _derivatives(self) -> tuple[tuple[ca.Function, ca.Function], ...]:
+        return tuple(_two_derivatives(function) for function in self.functions)
+
+    def at(self, t: Array) -> Array:
+        """Points (2, n) at parameters (n,)."""
+        return np.stack([on_values(function, t) for function in self.functions])
+
+    def velocity(self, t: Array) -> Array:
+        """Derivatives (2, n) by the parameter."""
+        return np.stack([on_values(first, t) for first, _ in self._derivatives])
+
+    def nearest(self, points: Array) -> Array:
+        """Parameters (n,) of the points of the curve nearest to ``points`` (2, n)."""
+        low, high = self.interval
+        samples = np.linspace(low, high, SAMPLES)
+        t = samples[cKDTree(self.at(samples).T).query(np.asarray(points).T)[1]]
+        step = (high - low) / SAMPLES
+        for _ in range(20):
+            off = self.at(t) - points
+            velocity = self.velocity(t)
+            second = np.stack([on_values(function, t) for _, function in self._derivatives])
+            slope, square = np.sum(off * velocity, axis=0), np.sum(velocity**2, axis=0)
+            curvature = square + np.sum(off * second, axis=0)
+            move = -slope / np.where(curvature > 0.1 * square, curvature, square)
+            move = np.clip(move, -step, step)
+            t = t + move if self.closed else np.clip(t + move, low, high)
+            if np.max(np.abs(move), initial=0.0) < 1e-15 * (high - low):
+                break
+        return np.asarray(t)
+
+    def near(self, points: Array, t: Array) -> Array:
+        """Parameters of the nearest points, without a jump of whole turns from ``t``."""
+        found = self.nearest(points)
+        if self.closed:
+            period = self.interval[1] - self.interval[0]
+            found = found - period * np.round((found - t) / period)
+        return found
+
+
+def on_values(function: ca.Function, t: Array) -> Array:
+    """Values (n,) of a scalar Function of a scalar."""
+    t = np.asarray(t, dtype=float)
+    if t.size == 0:
+        return np.zeros(0)
+    return np.asarray(function(ca.DM(t).T).full(), dtype=float).ravel()
+
+
+def _two_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function]:
+    kind = ca.SX if function.is_a("SXFunction") else ca.MX
+    t = kind.sym("t")
+    first = ca.jacobian(function(t), t)
+    return ca.Function("first", [t], [first]), ca.Function("second", [t], [ca.jacobian(first, t)])
+
+
+@dataclass(frozen=True)
+class Circle(Curve):
+    """A circle; the parameter is the angle."""
+
+    centre: tuple[float, float]
+    radius: float
+
+    def __post_init__(self) -> None:
+        values = [*self.centre, self.radius]
+        if len(values) != 3 or not np.all(np.isfinite(values)) or not self.radius > 0:
+            raise ValueError(
+                f"a circle needs a finite centre and a positive radius, got {self.centre}, {self.radius}"
+            )
+
+    interval = (-np.pi, np.pi)
+    closed = True
+
+    @cached_property
+    def functions(self) -> tuple[ca.Function, ca.Function]:
+        """``t -> x`` and ``t -> y``."""
+        t = ca.SX.sym("t")
+        (x, y), r = self.centre, self.radius
+        return ca.Function("x", [t], [x + r * ca.cos(t)]), ca.Function("y", [t], [y + r * ca.sin(t)])
+
+    def nearest(self, points: Array) -> Array:
+        """Parameters (n,) of the points of the curve nearest to ``points`` (2, n)."""
+        return np.asarray(np.arctan2(points[1] - self.centre[1], points[0] - self.centre[0]))
+
+
+@dataclass(frozen=True)
+class Spline(Curve):
+    """The cubic spline through given points; the parameter is nearly its arc length.
+
+    Attributes
+    ----------
+    points : tuple of (float, float)
+        At least four, in order. The first is not repeated at the end of a closed spline.
+    closed : bool
+    """
+
+    points: tuple[tuple[float, float], ...]
+    closed: bool = False
+
+    def __post_init__(self) -> None:
+        p = np.asarray(self.points, dtype=float)
+        if p.ndim != 2 or p.shape[0] < 4 or p.shape[1] != 2 or not np.all(np.isfinite(p)):
+            raise ValueError("a spline needs four or more points of two finite numbers each")
+        step = np.diff(self._through, axis=0)
+        if np.min(np.linalg.norm(step, axis=1)) == 0:
+            raise ValueError("two points of a spline that follow each other are the same")
+
+    @property
+    def _through(self) -> Array:
+        p = np.asarray(self.points, dtype=float)
+        return np.vstack([p, p[:1]]) if self.closed else p
+
+    @cached_property
+    def interval(self) -> tuple[float, float]:  # type: ignore[override]
+        """Parameters of its ends."""
+        return float(self._knots[0]), float(self._knots[-1])
+
+    @cached_property
+    def _knots(self) -> Array:
+        """Parameters of the points: lengths of the spline between them, found in a few rounds."""
+        p = self._through
+        t = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+        for _ in range(3):
+            fine = np.concatenate(
+                [np.linspace(a, b, 20, endpoint=False) for a, b in itertools.pairwise(t)] + [t[-1:]]
+            )
+            length = np.linalg.norm(np.diff(self._spline(t)(fine), axis=0), axis=1)
+            t = np.concatenate([[0.0], np.cumsum(length.reshape(-1, 20).sum(axis=1))])
+        return t
+
+    def _spline(self, t: Array) -> BSpline:
+        p = self._through
+        return make_interp_spline(t, p, k=3, bc_type="periodic" if self.closed else "natural")
+
+    @cached_property
+    def functions(self) -> tuple[ca.Function, ca.Function]:
+        """``t -> x`` and ``t -> y``."""
+        spline = self._spline(self._knots)
+        if self.closed:  # around several times, so that no node comes to an end
+            low, high = self.interval
+            turns = np.arange(PERIODS) - PERIODS // 2
+            t = np.concatenate([*(self._knots[:-1] + turn * (high - low) for turn in turns)])
+            ends = turns[-1] * (high - low) + high
+            p = np.vstack([*(self._through[:-1] for _ in turns), self._through[:1]])
+            spline = make_interp_spline(np.append(t, ends), p, k=3, bc_type="periodic")
+        t = ca.MX.sym("t")
+        return tuple(
+            ca.Function(name, [t], [ca.bspline(t, column.tolist(), [spline.t.tolist()], [3], 1)])
+            for name, column in zip("xy", spline.c.T, strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class Parametrised(Curve):
+    """A curve by two functions of a parameter, made of CasADi or numpy operations on it.
+
+    Attributes
+    ----------
+    x, y : functions of t
+        Twice differentiable.
+    interval : (float, float)
+    closed : bool
+    """
+
+    x: Callable[[Any], Any]
+    y: Callable[[Any], Any]
+    interval: tuple[float, float]
+    closed: bool = False
+
+    def __post_init__(self) -> None:
+        low, high = self.interval
+        if not (np.isfinite(low) and np.isfinite(high) and low < high):
+            raise ValueError(f"the interval of a curve must increase and be finite, got {self.interval}")
+        ends = self.at(np.array([low, high]))
+        if not np.all(np.isfinite(self.at(np.linspace(low, high, 50)))):
+            raise ValueError("a curve must be finite over its interval")
+        if self.closed and np.max(np.abs(ends[:, 0] - ends[:, 1])) > 1e-9 * np.max(np.abs(ends) + 1e-300):
+            raise ValueError("a closed curve must end where it begins")
+
+    @cached_property
+    def functions(self) -> tuple[ca.Function, ca.Function]:
+        """``t -> x`` and ``t -> y``."""
+        t = ca.SX.sym("t")
+        return ca.Function("x", [t], [self.x(t)]), ca.Function("y", [t], [self.y(t)])
+
+
+def fitted_circle(points: Array) -> Circle:
+    """The circle through ``points`` (2, n) in the least-squares sense (I. Kasa, IEEE Trans. Instrum. Meas.
+    25 (1976) 8-14).
+    """  # noqa: D205
+    if points.shape[1] < 3:
+        raise ValueError(f"a circle cannot be fitted to {points.shape[1]} nodes")
+    middle = points.mean(axis=1)
+    x, y = points - middle[:, None]
+    matrix = np.column_stack([2 * x, 2 * y, np.ones(x.size)])
+    (a, b, c), _, rank, _ = np.linalg.lstsq(matrix, x**2 + y**2, rcond=1e-10)
+    if rank < 3:
+        raise ValueError("a circle cannot be fitted to nodes on a straight line")
+    return Circle((float(middle[0] + a), float(middle[1] + b)), float(np.sqrt(c + a**2 + b**2)))
+
+
+def spline_through(points: Array, edges: NDArray) -> Spline:
+    """The spline through the nodes of a boundary, its edges (2, edges) between columns of ``points``."""
+    order, closed = _chain(np.asarray(edges))
+    return Spline(tuple((float(a), float(b)) for a, b in points[:, order].T), closed)
+
+
+def _chain(edges: NDArray) -> tuple[list[int], bool]:
+    """Node numbers along a boundary of one piece, and whether it is closed."""
+    neighbours: dict[int, list[int]] = {}
+    for a, b in edges.T.tolist():
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
+    ends = [node for node, near in neighbours.items() if len(near) == 1]
+    if any(len(near) > 2 for near in neighbours.values()) or len(ends) not in (0, 2):
+        raise ValueError("a spline needs a boundary of one piece without branches")
+    first = min(ends) if ends else min(neighbours)
+    order, last, here = [first], -1, first
+    while True:
+        further = [node for node in neighbours[here] if node != last]
+        if not further or further[0] == first:
+            break
+        last, here = here, further[0]
+        order.append(here)
+    if len(order) < len(neighbours):
+        raise ValueError("a spline needs a boundary of one piece")
+    return order, not ends
