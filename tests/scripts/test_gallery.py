@@ -103,3 +103,43 @@ def test_own_parts(load: Callable[[str], ModuleType], tmp_path: Path) -> None:
         normals = solution.problem.obstacles[0].normals(solution.mesh.p[:, nodes])
         vertical = normals[1] @ (solution.pressure[nodes] * weights)
         assert vertical == pytest.approx(load_of, rel=1e-6), name
+
+
+def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink(
+    load: Callable[[str], ModuleType], tmp_path: Path
+) -> None:
+    module = load("seal")
+    solutions = module.main(4, picture=tmp_path / "seal.png", outer_solvers=["newton"])
+    best = solutions["mpcc"]
+    assert best.success
+    assert best.extra["b_stationary"]
+    assert len(best.extra["biactive_nodes"]) == len(module.seal_nodes(best.problem)) == 3
+    early = [stage for stage in best.extra["stages"] if stage["phase"] == "relaxed"]
+    assert len(early) >= 2
+    for stage in early:  # the relaxation acts: without it the pairs would open further
+        assert stage["product"] >= stage["t"] / 2
+        assert stage["multiplier"] > 1e-3
+        assert stage["biactive"] == 3
+    for kink in module.kinks(best):
+        # either way costs, at different rates; a gradient would give rates that differ in their signs alone
+        assert kink.up > 0
+        assert kink.down > 0
+        assert min(abs(kink.gradient - kink.up), abs(kink.gradient + kink.down)) < 0.1 * kink.up
+        assert kink.down > 2 * kink.up
+    stalled = solutions["nested, newton"]
+    assert stalled.status.value not in ("converged", "not_stationary")
+    assert stalled.extra["objective_value"] > best.extra["objective_value"]
+    again = solutions["mpcc from the end of nested, newton"]
+    assert again.extra["objective_value"] == pytest.approx(best.extra["objective_value"], rel=1e-6)
+    assert (tmp_path / "seal.png").stat().st_size > 10_000
+
+
+def test_labels_tell_traps_from_minima(load: Callable[[str], ModuleType]) -> None:
+    cases = {case.name: case for case in load("mpcc_traps").main()}
+    for name, case in cases.items():
+        assert case.corner.stationarity == name[0]
+        assert case.corner.b_stationary == ("trap" not in name)
+        left = max(abs(value) for value in case.solved.x) > 1e-4
+        assert left == ("trap" in name)
+        assert case.solved.b_stationary
+    assert cases["C, trap"].plain_is_trapped

@@ -1,0 +1,100 @@
+"""What the labels of stationarity tell apart: five programs, one corner, four labels.
+
+All are programs in x and y (and z) with the pair 0 <= x _|_ y >= 0, looked at where x = y = 0. There both
+members vanish, and what counts are the signs of their multipliers:
+
+    S          (x + 1)^2 + (y + 1)^2       both negative: the minimum
+    M, minimum x + y - z, z <= 4x, 4y      one of them zero; no multipliers of S exist, and still the minimum
+    M, trap    x^2 + (y - 1)^2             one of them zero, yet it descends along the y-axis
+    C, trap    300 (x - y)^2 - (x + y)     both positive, yet it descends along both axes
+    W, trap    (x + 1)^2 + (y - 1)^2       of different signs, and it descends along the y-axis
+
+So only S proves a minimum to first order; below S it takes the linear program over both branches that decides
+B-stationarity. The second program is Example 3 of Scheel and Scholtes, Math. Oper. Res. 25 (2000). In the
+C-trap the relaxations x y <= t have a minimum at x = y = sqrt(t): a plain loop of them ends in the
+trap, and would be called converged.
+
+    python scripts/gallery/mpcc_traps.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+import rmesh_nlp as rm
+from rmesh_nlp.mpcc.plain import PlainResult, plain_loop
+
+START = 0.5
+"""Every unknown of the start of the plain loop."""
+
+NEAR = 1e-3
+"""Distance up to which a point counts as the corner: relaxed solutions are sqrt(t) = 1e-4 away from it."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One program, looked at in its corner.
+
+    Attributes
+    ----------
+    name : str
+    corner : Classification
+        Of the point x = y = 0.
+    plain : PlainResult
+        A loop of relaxations down to t = 1e-8.
+    solved : MPCCResult
+        The solver, started in the corner.
+    """
+
+    name: str
+    corner: rm.mpcc.Classification
+    plain: PlainResult
+    solved: rm.mpcc.MPCCResult
+
+    @property
+    def plain_is_trapped(self) -> bool:
+        """Whether the loop ended in a corner that is no minimum."""
+        return bool(np.max(np.abs(self.plain.x)) < NEAR) and not self.corner.b_stationary
+
+
+def programs() -> dict[str, rm.MPCC]:
+    """The programs by name."""
+    x, y, z = (ca.SX.sym(name) for name in "xyz")
+    rows = ca.vertcat(z - 4 * x, z - 4 * y)
+    both, none = ca.vertcat(x, y), ca.SX(0, 1)
+    return {
+        "S": rm.MPCC(both, (x + 1) ** 2 + (y + 1) ** 2, none, [x], [y]),
+        "M, minimum": rm.MPCC(ca.vertcat(x, y, z), x + y - z, rows, [x], [y], lbg=-np.inf, ubg=0),
+        "M, trap": rm.MPCC(both, x**2 + (y - 1) ** 2, none, [x], [y]),
+        "C, trap": rm.MPCC(both, 300 * (x - y) ** 2 - (x + y), none, [x], [y]),
+        "W, trap": rm.MPCC(both, (x + 1) ** 2 + (y - 1) ** 2, none, [x], [y]),
+    }
+
+
+def main() -> list[Case]:
+    """Label the corners, solve from there, and print a line each."""
+    cases = []
+    print(f"{'program':12} {'corner':9} {'plain loop':24} solver from the corner")
+    for name, program in programs().items():
+        n = program.x.shape[0]
+        corner = rm.mpcc.classify(program, np.zeros(n))
+        case = Case(name, corner, plain_loop(program, np.full(n, START)), rm.solve_mpcc(program, np.zeros(n)))
+        cases.append(case)
+        label = f"{corner.stationarity}, {'B' if corner.b_stationary else 'not B'}"
+        trapped = " trapped" if case.plain_is_trapped else ""
+        print(
+            f"{name:12} {label:9} {_point(case.plain.x) + trapped:24} "
+            f"{_point(case.solved.x)} {case.solved.label}"
+        )
+    return cases
+
+
+def _point(x: np.ndarray) -> str:
+    return "(" + ", ".join(f"{abs(value):.4f}" for value in x[:2]) + ")"
+
+
+if __name__ == "__main__":
+    main()
