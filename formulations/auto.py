@@ -27,12 +27,13 @@ from rmesh_nlp.programs.energy_flips import flips_and_moves
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.programs.regularisation import regularised
+from rmesh_nlp.programs.regularisation import regularised, weights
 from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solution.beginning import Start
 from rmesh_nlp.solution.flipping import check_flips, with_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
+from rmesh_nlp.solution.regularised import Regularisation
 from rmesh_nlp.solution.solution import Solution, Step
 from rmesh_nlp.solution.worth import worth
 
@@ -58,6 +59,7 @@ def solve(
     *,
     objective: str | Objective = "energy",
     settings: CascadeSettings | Mapping[str, Any] | None = None,
+    regularisation: Regularisation = None,
     flips: bool = False,
     tolerance: float = STATIONARY,
     time_limit_s: float = TIME_LIMIT_S,
@@ -74,6 +76,8 @@ def solve(
         The energy; with another one ``nested`` is run as it is.
     settings : CascadeSettings or mapping, optional
         Of the cascade, where it runs.
+    regularisation : float or sequence of float, optional
+        Final weight of the distortion in the place of that of the settings, or a whole schedule.
     flips : bool
         Flip edges by energy between relocations, until neither gains; without boxes only.
     tolerance : float
@@ -88,7 +92,7 @@ def solve(
         Called after each iteration, with the moves on the given mesh only.
     """
     check_positive(tolerance=tolerance, time_limit_s=time_limit_s)
-    chosen = CascadeSettings.of(settings)
+    chosen = _weighted(CascadeSettings.of(settings), regularisation)
     common: dict[str, Any] = {
         "tolerance": tolerance,
         "time_limit_s": time_limit_s,
@@ -100,12 +104,15 @@ def solve(
     if flips:
         check_flips(problem)
     if str(objective) != "energy":
-        found = nested.solve(problem, objective=objective, flips=flips, **common)
+        found = nested.solve(
+            problem, objective=objective, flips=flips, regularisation=regularisation, **common
+        )
         return _chosen(found, "nested: the objective is not the energy")
     if motion.delta is not None:
-        return _chosen(joint.solve(problem, **common), "joint: nodes have boxes")
+        found = joint.solve(problem, flips=flips, regularisation=regularisation, **common)
+        return _chosen(found, "joint: nodes have boxes")
     if motion.min_angle > 0:
-        found = joint.solve(problem, regularisation=SCHEDULE, flips=flips, **common)
+        found = joint.solve(problem, regularisation=regularisation or SCHEDULE, flips=flips, **common)
         return _chosen(
             found, "joint, regularised: a least angle is asked for, which must hold as a constraint"
         )
@@ -119,6 +126,15 @@ def solve(
     if flips:
         found = _flipped(problem, found, chosen, tolerance, time_limit_s)
     return _with_worth(problem, found)
+
+
+def _weighted(settings: CascadeSettings, regularisation: Regularisation) -> CascadeSettings:
+    """The settings with another final weight, or with another schedule."""
+    if regularisation is None:
+        return settings
+    *before, last = weights(regularisation)
+    schedules = (tuple(before),) if before else settings.schedules
+    return replace(settings, regularisation=last, schedules=schedules)
 
 
 def _chosen(solution: Solution, why: str) -> Solution:

@@ -19,6 +19,7 @@ from rmesh_nlp.cli.inputs import (
     parse_seed,
     parse_settings,
     parse_size,
+    parse_weights,
 )
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 
@@ -77,6 +78,18 @@ Seeds = Annotated[
     typer.Option(
         "--seed", metavar="N[,N...]", help="Start from random node positions; several seeds in one table."
     ),
+]
+Regularisation = Annotated[
+    str | None,
+    typer.Option(
+        "--regularisation",
+        metavar="W[,W...]",
+        help="Weight of the distortion in the energy, relative to the error of the energy, or a schedule of "
+        "weights such as 1,0.1,0.01: for large moves, without boxes.",
+    ),
+]
+Flips = Annotated[
+    bool, typer.Option("--flips", help="Flip edges by energy between relocations, until neither gains.")
 ]
 Starts = Annotated[
     int | None,
@@ -220,6 +233,8 @@ def solve(
     objective: Objective = None,
     relaxation: Relaxation = None,
     outer: Outer = None,
+    regularisation: Regularisation = None,
+    flips: Flips = False,
     starts: Starts = None,
     levels: Levels = None,
     certify: Certify = False,
@@ -266,6 +281,8 @@ def solve(
         objective=objective,
         relaxation=relaxation,
         outer=outer,
+        regularisation=parse_weights(regularisation),
+        flips=flips or None,
         starts=starts,
         levels=levels,
         time_limit_s=time_limit,
@@ -407,6 +424,8 @@ def compare(
     objective: Objectives = None,
     relaxation: Relaxation = None,
     outer: Outer = None,
+    regularisation: Regularisation = None,
+    flips: Flips = False,
     starts: Starts = None,
     levels: Levels = None,
     certify: Certify = False,
@@ -444,6 +463,8 @@ def compare(
         objective=objective,
         relaxation=relaxation,
         outer=outer,
+        regularisation=parse_weights(regularisation),
+        flips=flips or None,
         starts=starts,
         levels=levels,
         time_limit_s=time_limit,

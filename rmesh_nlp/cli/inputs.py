@@ -73,6 +73,22 @@ def parse_settings(given: list[str]) -> dict[str, Any]:
     return found
 
 
+def parse_weights(text: str | None) -> tuple[float, ...] | None:
+    """``0.01`` or a schedule ``1,0.1,0.01``."""
+    if text is None:
+        return None
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = (math.nan,)
+    if not all(math.isfinite(w) and w >= 0 for w in found) or 0 in found[:-1]:
+        raise BadInputError(
+            "--regularisation must be positive numbers such as 1,0.1,0.01, of which the last may be 0, "
+            f"got {text!r}"
+        )
+    return found
+
+
 def parse_names(option: str, text: str) -> tuple[str, ...]:
     """A list separated by commas, without repetitions, in the order given."""
     names = [part.strip() for part in text.split(",")]

@@ -127,10 +127,10 @@ def solve(
     name = formulation or table.solve.formulation
     function = strategies.load(name)
     plan = table.solve
-    wanted = {"objective": plan.objective, "seed": plan.seed, "starts": plan.starts, "levels": plan.levels}
+    wanted = plan.model_dump(exclude={"formulation", "certify"})
     wanted.update({key: value for key, value in options.items() if value is not None})
     # the defaults need not be known to every strategy, what was asked for must be
-    default = {"objective": "energy", "starts": 0, "levels": 0, "seed": None}
+    default = {"objective": "energy", "starts": 0, "levels": 0, "flips": False}
     asked = {key for key, value in wanted.items() if value != default.get(key)}
     taken = strategies.accepted(function, asked)
     asked -= set(FLAGS) - taken  # a limit of what is finite anyway is none

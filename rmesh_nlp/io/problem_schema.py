@@ -28,6 +28,7 @@ from rmesh_nlp.io.problem_values import (
     Ties,
     Triple,
     Vector,
+    Weights,
 )
 
 
@@ -200,6 +201,8 @@ class SolveTable(Table):
     seed: Seed | None = None
     starts: Seed = 0
     levels: Levels = 0
+    regularisation: Weights | None = None
+    flips: Flag = False
     certify: bool = False
 
     @model_validator(mode="after")

@@ -90,6 +90,8 @@ formulation = "auto"             # chosen for the problem; or fixed, nested, joi
 # objective = "energy"
 # seed = 1                       # a random start instead of the mesh as given
 # starts = 4                     # as many random starts besides; the best counts, the spread is reported
+# regularisation = 0.01          # weight of the distortion, for large moves without boxes; or a schedule
+# flips = true                   # flip edges by energy between relocations
 # levels = 1                     # optimise on this mesh, refine it, go on; as many times
 # certify = true                 # bound the error in the energy norm, before and after
 """

@@ -182,6 +182,17 @@ def _seed(value: Any) -> int:
     return value
 
 
+def _weights(value: Any) -> tuple[float, ...]:
+    """Positive weights, of which the last may be 0."""
+    expected = (
+        "expected a positive number, or a list of them such as [1, 0.1, 0.01], of which the last may be 0"
+    )
+    found = tuple(_number_or(v, expected) for v in (value if isinstance(value, list) else [value]))
+    if not found or min(found) < 0 or 0 in found[:-1]:
+        raise ValueError(expected)
+    return found
+
+
 def _levels(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 4:
         raise ValueError("expected a whole number from 0 to 4")
@@ -207,5 +218,6 @@ Ties = Annotated[Any, BeforeValidator(_ties)]
 Fraction = Annotated[Any, BeforeValidator(_fraction)]
 Angle = Annotated[Any, BeforeValidator(_angle)]
 Seed = Annotated[Any, BeforeValidator(_seed)]
+Weights = Annotated[Any, BeforeValidator(_weights)]
 Levels = Annotated[Any, BeforeValidator(_levels)]
 Quadrature = Annotated[Any, BeforeValidator(_quadrature)]

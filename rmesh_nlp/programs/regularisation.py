@@ -58,15 +58,18 @@ def gain_estimate(problem: ContactProblem) -> GainEstimate:
     return GainEstimate(here, there, max(EXTRAPOLATION * (here - there), floor))
 
 
-def weights(regularisation: float | Sequence[float], name: str = "regularisation") -> tuple[float, ...]:
+def weights(regularisation: float | str | Sequence[float], name: str = "regularisation") -> tuple[float, ...]:
     """A schedule of relative weights, checked: positive and finite numbers, of which the last may be zero.
+
+    A text has its numbers separated by commas.
 
     Raises
     ------
     BadInputError
         If it is none.
     """
-    given = regularisation if isinstance(regularisation, Sequence) else (regularisation,)
+    text = regularisation.split(",") if isinstance(regularisation, str) else regularisation
+    given = text if isinstance(text, Sequence) else (text,)
     try:
         values = tuple(float(value) for value in given)
     except (TypeError, ValueError):
