@@ -141,7 +141,7 @@ def solve(
     value = function(np.zeros(at.q.size)).value
     with referee.clock.during("build"):
         two_level = bilevel(
-            problem,
+            referee.discretisation,
             outer,
             length=float(np.max(np.abs(contact.equilibrium.u))) or 1.0,
             force=contact.system.force_scale,

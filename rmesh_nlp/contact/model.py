@@ -18,6 +18,7 @@ References
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import casadi as ca
@@ -76,11 +77,10 @@ class ContactModel:
         n_nodes = problem.mesh.p.shape[1]
         positions = unknown_field((2, n_nodes), parameter=True)
         u, X = ca.MX.sym("u", self.n_u), ca.MX.sym("X", 2 * n_nodes)
-        groups = [
-            *parts.bulk(positions, self.displacement),
-            *(term.on(positions, self.displacement) for term in parts.gaps),
-        ]
-        inner = assemble(groups, u, X, self.contact_nodes.size)
+        terms = (*parts.strain, *parts.gaps)
+        inner = assemble(
+            [term.on(positions, self.displacement) for term in terms], u, X, self.contact_nodes.size
+        )
         zero = ca.MX.zeros(self.n_u)
         value, gradient = inner.grad_f(zero, X)
         gap = ca.densify(
@@ -88,8 +88,9 @@ class ContactModel:
         )  # a constant gap may be a sparse zero
         no_rows = ca.MX.zeros(self.contact_nodes.size)
         hessian = inner.hess_lag(zero, X, 1.0, no_rows)
-        self._kernels = inner.kernels
+        self._kept = [inner]
         self._evaluate = Evaluator(ca.Function("contact_system", [X], [hessian, -gradient, value, gap]))
+        self._loads = _Loads(parts)
         self._stiffness = Symmetric(numbered(hessian.sparsity()))
         self._curved = any(part.level is not None for part in problem.obstacles)
         normals = self._directions(problem.mesh.p)
@@ -100,22 +101,36 @@ class ContactModel:
         if self._friction:
             shape = (len(problem.obstacles), n_nodes)
             slip = ca.MX.sym("s", shape[0] * n_nodes)
-            terms = [term.on(positions, unknown_field(shape)) for term in parts.friction]
-            friction = assemble(terms, slip, X, 0)
+            groups = [term.on(positions, unknown_field(shape)) for term in parts.friction]
+            friction = assemble(groups, slip, X, 0)
             weights = friction.grad_f(ca.MX.zeros(slip.shape[0]), X)[1]
-            self._kernels += friction.kernels
+            self._kept.append(friction)
             self._weights = Evaluator(ca.Function("weights", [X], [weights]))
             numbers = [np.full(part.nodes.size, part.number) for part in problem.contact_sets]
             self._weight_of = self.contact_nodes * shape[0] + np.concatenate(numbers)
         self._floats = rigid_motions(problem).size > 0
+        self._check()
+
+    def with_rule(self, rule: str | int) -> ContactModel:
+        """The same with loads by another quadrature rule; all that does not depend on it is shared."""
+        other = copy(self)
+        other.discretisation = self.discretisation.with_rule(rule)
+        other.problem = other.discretisation.problem
+        other._loads = _Loads(other.discretisation)
+        other._check()
+        return other
+
+    def _check(self) -> None:
+        """Whether the load presses a body on that contact alone holds."""
         if self._floats:
-            system = self.system(problem.mesh.p)
+            system = self.system(self.problem.mesh.p)
             check_load(system)
             check_unique(system, solve(system))
 
     def system(self, nodes: Array) -> ContactSystem:
         """The quadratic program at node positions (2, nodes)."""
-        hessian, load, constant, offset = self._evaluate(nodes)
+        hessian, held, constant, offset = self._evaluate(nodes)
+        work, load = self._loads(nodes)
         stiffness = self._stiffness(hessian)
         bound = self._weights(nodes)[0][self._weight_of] if self._friction else np.zeros(0)
         normals, tangents = self.normals, self.tangents
@@ -124,8 +139,8 @@ class ContactModel:
             normals, tangents = self._unit_rows(directions), self._tangents(directions)
         return ContactSystem(
             stiffness,
-            load,
-            float(constant[0]),
+            held + load,
+            float(constant[0]) + work,
             normals,
             tangents,
             offset,
@@ -172,6 +187,23 @@ class ContactModel:
         row = np.broadcast_to(np.arange(index.shape[1]), index.shape)
         used = (np.abs(vectors) > NO_NORMAL) & (index >= 0)
         return sp.csr_array((vectors[used], (row[used], index[used])), shape=(index.shape[1], self.n_u))
+
+
+class _Loads:
+    """The loads of a discretisation at node positions, by its quadrature rule."""
+
+    def __init__(self, parts: Discretisation) -> None:
+        n_nodes = parts.problem.mesh.p.shape[1]
+        positions = unknown_field((2, n_nodes), parameter=True)
+        u, X = ca.MX.sym("u", parts.n_u), ca.MX.sym("X", 2 * n_nodes)
+        self._kept = assemble([term.on(positions, parts.displacement) for term in parts.loads], u, X, 0)
+        value, gradient = self._kept.grad_f(ca.MX.zeros(parts.n_u), X)
+        self._evaluate = Evaluator(ca.Function("loads", [X], [ca.densify(value), -ca.densify(gradient)]))
+
+    def __call__(self, nodes: Array) -> tuple[float, Array]:
+        """Minus the work of the loads on the given displacements, and the nodal forces (n_u,)."""
+        value, force = self._evaluate(nodes)
+        return float(value[0]), force
 
 
 def solve(

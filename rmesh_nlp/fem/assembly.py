@@ -10,7 +10,7 @@ number of elements; the sparsity never changes.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 
@@ -24,25 +24,77 @@ from rmesh_nlp.fem.vectorised import WORTHWHILE, columnwise
 from rmesh_nlp.optimize.nlp import Derivatives
 
 
-@dataclass(frozen=True)
 class Assembled:
     """Global objective and constraints as MX expressions, and their derivatives.
 
-    ``kernels`` must live as long as any Function made of the derivatives: some are Python
-    callbacks, which CasADi does not own.
+    Each is stated when it is first asked for. This object must live as long as any Function made of the
+    derivatives: some are Python callbacks, which CasADi does not own.
+
+    Attributes
+    ----------
+    f, g : MX
+        Objective and constraints.
     """
 
-    f: ca.MX
-    g: ca.MX
-    grad_f: ca.Function
-    jac_g: ca.Function
-    hess_lag: ca.Function
-    kernels: tuple[ca.Function, ...]
+    def __init__(self, groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> None:
+        present = [group for group in groups if group.size > 0]
+        self._local = [LocalKernels(part) for group in present for part in straightened(group)]
+        self._large = any(group.size >= WORTHWHILE for group in groups)
+        self._inputs = [x, p, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)]
+        self._n_x, self._n_rows = int(x.shape[0]), n_rows
+        self._in_casadi = InCasadi(self._inputs)
+        self._kept: list[ca.Function] = []
+
+    @cached_property
+    def _values(self) -> list[ca.MX]:
+        return self._in_casadi([(1, 1), (self._n_rows, 1)], [part.values() for part in self._local])
+
+    @property
+    def f(self) -> ca.MX:
+        """The objective."""
+        return self._values[0]
+
+    @property
+    def g(self) -> ca.MX:
+        """The constraints."""
+        return self._values[1]
+
+    @cached_property
+    def grad_f(self) -> ca.Function:
+        """``(x, p) -> (f, gradient)``."""
+        shapes = [(1, 1), (self._n_x, 1)]
+        return self._function("nlp_grad_f", 2, shapes, [part.gradient() for part in self._local])
+
+    @cached_property
+    def jac_g(self) -> ca.Function:
+        """``(x, p) -> (g, Jacobian)``."""
+        shapes = [(self._n_rows, 1), (self._n_rows, self._n_x)]
+        return self._function("nlp_jac_g", 2, shapes, [part.jacobian() for part in self._local])
+
+    @cached_property
+    def hess_lag(self) -> ca.Function:
+        """``(x, p, lam_f, lam_g) ->`` upper triangle of the Hessian of the Lagrangian."""
+        shapes = [(self._n_x, self._n_x)]
+        return self._function("nlp_hess_l", 4, shapes, [part.hessian() for part in self._local])
+
+    @property
+    def kernels(self) -> tuple[ca.Function, ...]:
+        """The callbacks behind the derivatives that were asked for so far."""
+        return tuple(self._kept)
 
     @property
     def derivatives(self) -> Derivatives:
         """The derivative Functions in the form that nlpsol takes."""
         return Derivatives(self.grad_f, self.jac_g, self.hess_lag, self.kernels)
+
+    def _function(
+        self, name: str, n_in: int, shapes: list[tuple[int, int]], kernels: list[Kernel]
+    ) -> ca.Function:
+        inputs = self._inputs[:n_in]
+        if not self._large:
+            return ca.Function(name, inputs, self._in_casadi(shapes, kernels))
+        self._kept.append(in_numpy(name, inputs, shapes, kernels))
+        return ca.Function(name, inputs, self._kept[-1].call(inputs))
 
 
 def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> Assembled:
@@ -56,28 +108,7 @@ def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) ->
     n_rows : int
         Number of constraints; rows that no group touches are zero.
     """
-    local = [LocalKernels(part) for group in groups if group.size > 0 for part in straightened(group)]
-    large = any(group.size >= WORTHWHILE for group in groups)
-    inputs = [x, p, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)]
-    n_x = int(x.shape[0])
-    in_casadi = InCasadi(inputs)
-    kept: list[ca.Function] = []
-
-    def function(name: str, n_in: int, shapes: list[tuple[int, int]], kernels: list[Kernel]) -> ca.Function:
-        if not large:
-            return ca.Function(name, inputs[:n_in], in_casadi(shapes, kernels))
-        kept.append(in_numpy(name, inputs[:n_in], shapes, kernels))
-        return ca.Function(name, inputs[:n_in], kept[-1].call(inputs[:n_in]))
-
-    f, g = in_casadi([(1, 1), (n_rows, 1)], [part.values() for part in local])
-    return Assembled(
-        f=f,
-        g=g,
-        grad_f=function("nlp_grad_f", 2, [(1, 1), (n_x, 1)], [part.gradient() for part in local]),
-        jac_g=function("nlp_jac_g", 2, [(n_rows, 1), (n_rows, n_x)], [part.jacobian() for part in local]),
-        hess_lag=function("nlp_hess_l", 4, [(n_x, n_x)], [part.hessian() for part in local]),
-        kernels=tuple(kept),
-    )
+    return Assembled(groups, x, p, n_rows)
 
 
 def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Array]]:

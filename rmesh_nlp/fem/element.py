@@ -40,10 +40,14 @@ def plain(function: ca.Function, at_points: PointValues | None) -> ca.Function:
     if at_points is None:
         return function
     columns = local_symbols(function)[:-1]
-    kind = type(columns[0])
+    return ca.Function(function.name(), columns, ca.cse(function(*columns, values_at(at_points, columns))))
+
+
+def values_at(at_points: PointValues, columns: list[Any]) -> Any:
+    """Values at all points of an element, one below the other."""
     points = ca.horzsplit(at_points.points(*columns))
-    values = ca.vertcat(kind(0, 1), *[at_points.function(*ca.vertsplit(point)) for point in points])
-    return ca.Function(function.name(), columns, ca.cse(function(*columns, values)))
+    values = [at_points.function(*ca.vertsplit(point)) for point in points]
+    return ca.vertcat(type(columns[0])(0, 1), *values)
 
 
 class Differentiated:
@@ -78,7 +82,13 @@ class Differentiated:
         lagrangian = self.lam_f * f + ca.dot(self.lam_g, g)
         gradient, jacobian = ca.gradient(f, local), ca.jacobian(g, local)
         hessian = ca.hessian(lagrangian, local)[0]
-        if at_points is not None:
+        if at_points is not None and not ca.jacobian(at_points.points(*self.columns), local).nnz():
+            # the points stay where they are: their values are constants
+            there = values_at(at_points, self.columns)
+            f, g, gradient, jacobian, hessian = ca.substitute(
+                [f, g, gradient, jacobian, hessian], [symbols[-1]], [there]
+            )
+        elif at_points is not None:
             values = symbols[-1]
             chain = _Chain(at_points, self.columns, local)
             gradient += chain.slope.T @ ca.gradient(f, values)

@@ -133,7 +133,7 @@ class ReducedObjective:
         nlp = rel.nlp
         fields = (rel.freedoms.positions, rel.displacement, rel.slip)
         outer = assemble(rel.discretisation.objective(objective, *fields), nlp.x, nlp.p, 0)
-        self._kernels = outer.kernels
+        self._kept = outer
         self._outer = Evaluator(outer.grad_f)
         self._has_barrier = objective.has_barrier
         self._derivatives = SecondDerivatives(rel)

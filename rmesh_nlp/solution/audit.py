@@ -60,7 +60,7 @@ class Auditor:
 
     def __init__(self, problem: ContactProblem, model: ContactModel) -> None:
         self.problem, self.model = problem, model
-        self.accurate = ContactModel(model.discretisation.with_rule(AUDIT_DEGREE))
+        self.accurate = model.with_rule(AUDIT_DEGREE)
         self.accurate_problem = self.accurate.problem
 
     def solve(self, nodes: Array) -> Equilibrium:

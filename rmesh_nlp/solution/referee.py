@@ -356,7 +356,7 @@ class Referee:
     def _advice(self, nodes: Array, gain: float) -> str:
         """The least degree of quadrature that gives the gain of the audit on this mesh to one per cent."""
         for degree in DEGREES:
-            model = ContactModel(replace(self.problem, quadrature=degree))
+            model = self.model.with_rule(degree)
             own = model.solve(np.asarray(self.problem.mesh.p)).energy - model.solve(nodes).energy
             if abs(own - gain) <= 0.01 * max(abs(own), abs(gain)):
                 return f"Here degree {degree} suffices."
