@@ -14,7 +14,7 @@ from rmesh_nlp.optimize.nlp import NLPResult, Status
 
 _MAX_RETREATS = 3
 _PIVOT, _NEAR = 1e-4, 0.05  # from this t on branches are descended over, from points not worse than this
-_CORNER = 3.0  # pairs this close to the corner, in units of sqrt(t), may belong into it
+CORNER = 3.0  # pairs this close to the corner, in units of sqrt(t), may belong into it
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
 
@@ -66,7 +66,7 @@ def follow(
             before, sides = sides, _sides(run.programs, result.x)
             final = run.exact(result.x) or t <= options.t_final
             settled = before is not None and t <= options.crossover and _settled(before, sides)
-            warm, corner = run.programs.without_relaxation(relaxation, result, t), _CORNER * np.sqrt(t)
+            warm, corner = run.programs.without_relaxation(relaxation, result, t), CORNER * np.sqrt(t)
             if final:
                 path.finish = _better(
                     path.finish, finish(run, result.x, search=True, warm=warm, corner=corner)

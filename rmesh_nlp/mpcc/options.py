@@ -16,6 +16,7 @@ _RELAXED: Mapping[str, Any] = {
     "mu_oracle": "quality-function",
 }
 _FIRST: Mapping[str, Any] = {"mu_strategy": "monotone", "mu_init": 0.1}
+_UNLIFTED: Mapping[str, Any] = {"tol": 1e-8, "bound_relax_factor": 1e-8}
 _EXACT: Mapping[str, Any] = {
     "tol": 1e-10,
     "constr_viol_tol": 1e-9,
@@ -73,6 +74,9 @@ class Options:
     tie_barrier : bool
         Let Ipopt's barrier parameter begin at t (at most 0.1, at least 1e-9) and solve each relaxation only
         to a tenth of it: t and the barrier go down together. For ``warm_duals`` and a ``factor`` of 0.1.
+    second_path : bool
+        Follow a second trajectory to ``crossover``, in the unknowns as they were given, and keep the lower
+        end of the two. Needs expressions: with assembled derivatives there is none.
     time_limit_s : float
         Wall time after which the best point so far is returned, with status ``time_limit``. Nothing
         else depends on the clock.
@@ -112,6 +116,7 @@ class Options:
     warm_finish: bool = True
     newton_finish: bool = True
     tie_barrier: bool = False
+    second_path: bool = True
     time_limit_s: float = math.inf
     max_iterations: int | None = None
     feasibility: float = 1e-8
@@ -155,6 +160,10 @@ class Options:
         if barrier is not None:
             options.update(mu_strategy="monotone", mu_init=barrier, tol=max(0.1 * barrier, options["tol"]))
         return {**options, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {})}
+
+    def unlifted(self, n: int) -> dict[str, Any]:
+        """Ipopt options of the second trajectory of ``n`` unknowns: its defaults."""
+        return {"max_iter": _iterations(n), **_UNLIFTED}
 
     def exact(self, n: int, warm: bool = False) -> dict[str, Any]:
         """Ipopt options of the exact NLP of ``n`` unknowns, started with multipliers if ``warm``."""

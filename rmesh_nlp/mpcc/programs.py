@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array, Evaluator
-from rmesh_nlp.mpcc.lifting import Lifted, lift
+from rmesh_nlp.mpcc.lifting import Lifted, lift, warm_start
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
-from rmesh_nlp.mpcc.result import Residuals, excess, residuals
+from rmesh_nlp.mpcc.result import Duals, Residuals, excess, residuals
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver
 
@@ -36,6 +36,7 @@ class Programs:
         relaxation(options.relaxation)  # an unknown name is an error now, not at the first solve
         self._relaxations: dict[str, Relaxed] = {}
         self._solvers: dict[tuple[Any, ...], _Tolerant] = {}
+        self._unlifted: NLP | None = None
         self._watch = Watch()
         self.build_seconds = time.perf_counter() - began
 
@@ -75,6 +76,25 @@ class Programs:
         key = (name, warm is not None, barrier, first)
         lam = {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
         return self._solver(key, nlp, options, monitor is not None)(z, p=np.append(p, t), **lam)
+
+    def unlifted(self, x: Array, p: Array, t: float, monitor: Monitor | None = None) -> NLPResult:
+        """Solve Scholtes' relaxation in the unknowns of the source problem, by Ipopt's default settings.
+
+        The point and the multipliers are given as those of the lifted program.
+        """
+        self._watch.monitor = monitor
+        source, lifted = self.lifted.source, self.lifted
+        if self._unlifted is None:
+            self._unlifted = unlifted_program(source)
+        options = self.options.unlifted(source.n_x)
+        solver = self._solver(("unlifted",), self._unlifted, options, monitor is not None)
+        result = solver(x, p=np.append(p, t))
+        ends = np.cumsum([source.n_g, source.n_pairs, source.n_pairs])
+        g, G, H, products = np.split(result.lam_g, ends)
+        _, G_value, H_value, _ = np.split(result.g, ends)
+        duals = Duals(result.lam_x, g, G + products * H_value, H + products * G_value)
+        warm = warm_start(lifted, lifted.start(result.x, p[:-1]), 1.0, duals)
+        return replace(result, x=warm.x, lam_x=warm.lam_x, lam_g=warm.lam_g, g=warm.g)
 
     def branch(
         self,
@@ -207,6 +227,26 @@ def relaxed_program(lifted: Lifted, name: str) -> Relaxed:
     total = parts.penalty + (ca.dot(lam, parts.rows) if n_rows else 0)
     forces = [ca.densify(ca.gradient(ca.MX(total), member)) for member in (a, b)]
     return Relaxed(nlp, Evaluator(ca.Function("pull", [a, b, s, lam], forces)))
+
+
+def unlifted_program(mpcc: MPCC) -> NLP:
+    """Scholtes' relaxation as one writes it first: rows ``g``, ``G >= 0``, ``H >= 0``, ``G H <= t``.
+
+    Parameters after those of the source problem: weight of the objective, and t.
+    """
+    kind, n = type(mpcc.x), mpcc.n_pairs
+    w, t = kind.sym("w"), kind.sym("t")
+    free, zero = np.full(2 * n, np.inf), np.zeros(n)
+    return NLP(
+        x=mpcc.x,
+        p=ca.vertcat(mpcc.p, w, t),
+        f=w * mpcc.f,
+        g=ca.vertcat(mpcc.g, mpcc.G, mpcc.H, mpcc.G * mpcc.H - t),
+        lbx=np.asarray(mpcc.lbx),
+        ubx=np.asarray(mpcc.ubx),
+        lbg=np.concatenate([np.asarray(mpcc.lbg), np.zeros(2 * n), np.full(n, -np.inf)]),
+        ubg=np.concatenate([np.asarray(mpcc.ubg), free, zero]),
+    )
 
 
 class _Tolerant:

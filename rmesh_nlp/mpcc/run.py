@@ -113,6 +113,10 @@ class Run:
         monitor = self._monitor("relaxed", t)
         return self._ended("relaxed", t, self.programs.relaxed(name, z, self.p, t, warm, monitor, first))
 
+    def unlifted(self, x: Array, t: float) -> NLPResult:
+        """Solve Scholtes' relaxation in the source problem's own unknowns; the result is a lifted one."""
+        return self._ended("second", t, self.programs.unlifted(x, self.p, t, self._monitor("second", t)))
+
     def branch(
         self,
         z: Array,

@@ -18,8 +18,10 @@ from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.result import Duals, MPCCResult, Step
 from rmesh_nlp.mpcc.run import Iterate, LimitReachedError, Observers, Progress, Run
+from rmesh_nlp.mpcc.second import second_look
 from rmesh_nlp.optimize.nlp import Status
 
+_LOWER = 1e-7  # of two stationary points the later one is taken if it is lower by this, relative
 _HUGE = 1e15  # |f| or |x| beyond this: the iterates diverge
 
 
@@ -60,21 +62,31 @@ class MPCCSolver:
         show = print if progress is True else (progress or None)
         run = Run(self.programs, parameters, Observers(show, on_step, on_iteration), weight)
         paths: list[Path] = []
-        limit = None
+        limit, rescues = None, 0
         try:
             if first is not None:
                 paths.append(Path(finish=polished(run, z0, first)))
-            for relaxation, t0 in self._attempts():
-                if paths and paths[-1].ended:
+            for number, (relaxation, t0) in enumerate(self._attempts()):
+                if any(path.ended for path in paths):
                     break
+                rescues = number
                 path = Path()
                 paths.append(path)
                 follow(run, path, relaxation, z0, t0, first)
+                if number == 0 and self._looks_twice(path):
+                    paths.append(Path())
+                    second_look(run, paths[-1], given, path.finish)
         except LimitReachedError as stop:
             limit = stop.status
         total = time.perf_counter() - began
         build = self.programs.build_seconds - built
-        return _result(run, _end(run, paths, z0, limit), build, total, len(paths) - (first is not None))
+        return _result(run, _end(run, paths, z0, limit), build, total, rescues)
+
+    def _looks_twice(self, path: Path) -> bool:
+        """Whether another trajectory may end lower, and can be had."""
+        ended = path.finish is not None and path.finish.status is Status.UNBOUNDED
+        has_expressions = self.mpcc.derivatives is None
+        return self.options.second_path and has_expressions and self.mpcc.n_pairs > 0 and not ended
 
     def _attempts(self) -> list[tuple[str, float]]:
         """The homotopy asked for, then the rescues; a rescue by the same relaxation and t is left out."""
@@ -180,7 +192,7 @@ def _failure(paths: list[Path], excess: float) -> Status:
     return next((status for status in ends if status not in ended), Status.FAILED)
 
 
-def _result(run: Run, reached: _End, build: float, total: float, attempts: int) -> MPCCResult:
+def _result(run: Run, reached: _End, build: float, total: float, rescues: int) -> MPCCResult:
     """Measure the point on the source problem and put everything together."""
     lifted, mpcc = run.programs.lifted, run.programs.lifted.source
     end, z, status = reached.finish, reached.z, reached.status
@@ -201,7 +213,7 @@ def _result(run: Run, reached: _End, build: float, total: float, attempts: int) 
     history = tuple(run.steps)
     phases = {"homotopy": 0.0, "finish": 0.0}
     for step in history:
-        phases["homotopy" if step.phase == "relaxed" else "finish"] += step.seconds
+        phases["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
     return MPCCResult(
         x=z[: mpcc.n_x],
         f=f,
@@ -227,18 +239,27 @@ def _result(run: Run, reached: _End, build: float, total: float, attempts: int) 
             "ipopt_iterations": sum(step.iterations for step in history),
             "pivots": 0 if end is None else end.pivots,
             "lpecs": 0 if end is None else end.lpecs,
-            "rescues": max(attempts - 1, 0),
+            "rescues": rescues,
         },
         seconds={"build": build, **phases, "total": total},
     )
 
 
 def _choose(paths: list[Path]) -> Path | None:
-    """The path with a solved or unbounded finish (it is the last one), else that with the best finish."""
-    ended = [path for path in paths if path.finish is not None]
-    if not ended:
-        return None
-    last = ended[-1].finish
-    if last is not None and last.status is Status.UNBOUNDED:
-        return ended[-1]
-    return max(ended, key=lambda path: (False, False, -np.inf) if path.finish is None else path.finish.rank)
+    """The path that ended lowest, the earlier of equals; an unbounded one if none is stationary."""
+    best: Path | None = None
+    for path in paths:
+        end = path.finish
+        if end is None:
+            continue
+        if best is None or best.finish is None or _beats(end, best.finish):
+            best = path
+    return best
+
+
+def _beats(end: Finish, best: Finish) -> bool:
+    if end.solved and best.solved:
+        return end.f < best.f - _LOWER * (1 + abs(best.f))
+    if end.solved != best.solved:
+        return end.solved
+    return (end.status is Status.UNBOUNDED, end.rank) > (best.status is Status.UNBOUNDED, best.rank)

@@ -150,7 +150,8 @@ def test_another_relaxation_comes_to_the_rescue(monkeypatch):
     monkeypatch.setattr(
         "rmesh_nlp.mpcc.homotopy.finish", lambda run, point, **_: _nothing(run, point, finish)
     )
-    result = solve(MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y), [0.5, 0.6])
+    mpcc = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y)
+    result = solve(mpcc, [0.5, 0.6], second_path=False)
     assert result.success
     assert result.counts["rescues"] == 1
     assert "steffensen-ulbrich" in {name for name, *_ in calls}

@@ -1,0 +1,78 @@
+"""The second trajectory: the lower end counts, and it stops where it cannot help."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.mpcc import MPCC, Options, solve
+from rmesh_nlp.mpcc.finish import Finish
+from rmesh_nlp.mpcc.homotopy import Path
+from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.mpcc.second import second_look
+from rmesh_nlp.mpcc.solver import _choose
+from rmesh_nlp.optimize.nlp import Status
+
+x, y = ca.SX.sym("x"), ca.SX.sym("y")
+XY = ca.vertcat(x, y)
+POOR = Finish(np.array([0.0, 1.0]), 4.0, Status.CONVERGED)
+
+
+def two_minima():
+    """(0, 1) with f = 4 and (2, 0) with f = 1; the distances to (2, 1) are weighted."""
+    return MPCC(XY, (x - 2) ** 2 + (y - 1) ** 2, None, x, y)
+
+
+def looked(first, start=(0.5, 0.5), **options):
+    run, path = Run(Programs(two_minima(), Options(**options)), np.zeros(0)), Path()
+    second_look(run, path, np.array(start), first)
+    return run, path
+
+
+def test_a_lower_minimum_than_the_first_is_found_and_chosen():
+    run, path = looked(POOR)
+    assert path.finish.solved
+    assert path.finish.f == pytest.approx(1.0)
+    ts = [step.t for step in run.steps if step.phase == "second"]
+    assert ts == pytest.approx([1.0, 0.1, 0.01])  # to the crossover, no further
+    assert _choose([Path(finish=POOR), path]) is path
+
+
+def test_of_equal_ends_the_first_is_kept():
+    path, again = Path(finish=POOR), Path(finish=POOR)
+    assert _choose([path, again]) is path
+    failed = Path(finish=Finish(POOR.z, -9.0, Status.STALLED))
+    assert _choose([path, failed]) is path
+    assert _choose([failed, path]) is path
+
+
+def test_it_ends_where_it_lies_above_the_first():
+    good = Finish(np.array([2.0, 0.0]), 0.0, Status.CONVERGED)
+    run, path = looked(good)
+    assert path.finish is None
+    assert len(run.steps) == 1
+
+
+def test_it_ends_without_a_finish_in_the_branch_of_the_first():
+    same = Finish(np.array([2.0, 0.0]), 1.0 + 1e-4, Status.CONVERGED)
+    run, path = looked(same)
+    assert path.finish is None
+    assert [step.phase for step in run.steps] == ["second"] * 3
+
+
+def test_multipliers_are_those_of_the_lifted_program():
+    """The gradient of the Lagrangian vanishes at the relaxed point up to what the product row exerts."""
+    run = Run(Programs(two_minima(), Options()), np.zeros(0))
+    result = run.unlifted(np.array([0.5, 0.5]), 0.01)
+    _, gradient, _, jacobian = run.programs.lifted.linearise(result.x, run.p)
+    assert gradient + jacobian.T @ result.lam_g + result.lam_x == pytest.approx(np.zeros(2), abs=1e-6)
+
+
+def test_it_is_an_option_and_needs_expressions():
+    def phases(**options):
+        return {step.phase for step in solve(two_minima(), [0.5, 0.5], **options).history}
+
+    assert "second" in phases()
+    assert "second" not in phases(second_path=False)
+    pairless = solve(MPCC(XY, x**2 + y**2, None, None, None), 1.0)
+    assert "second" not in {step.phase for step in pairless.history}
