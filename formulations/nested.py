@@ -1,7 +1,7 @@
 """Nested: an exact contact solve inside, an outer NLP on the energy gradient (5.7), (5.11).
 
 u(X) is not differentiable where contact changes, L(X) = J(u(X); X) is: the term with U'
-drops out. Its second derivative jumps there; the default outer solver is a trust-region Newton method
+drops out. Its second derivative jumps there; the default outer solver is a Newton method
 with the second derivative of the active set at hand.
 """
 
@@ -73,8 +73,10 @@ def solve(
         Flip edges by energy between relocations, until neither gains; without boxes only.
     outer : str
         A name in ``rmesh_nlp.programs.outer_solvers.OUTER_SOLVERS``: "newton" (projected trust-region
-        Newton-CG), "newton-pair" (two such descents, recombined: for fine meshes, the energy
-        only), "ipopt" (limited-memory BFGS), "slsqp", "trust-constr" or "l-bfgs-b".
+        Newton-CG where boxes alone keep the elements valid, else an interior-point Newton method),
+        "newton-pair" (two descents of the first kind, recombined: for fine meshes, the energy only), "ipopt"
+        (with exact second derivatives, and with limited memory for many moves), "slsqp",
+        "trust-constr" or "l-bfgs-b".
     settings : NestedSettings or mapping, optional
     tolerance : float
         Largest first-order residual, measured by the referee, of a solution that is called converged.
@@ -158,7 +160,7 @@ def solve(
         start=begin.name,
         seed=seed,
         settings=chosen.changed(),
-        extra={"outer": outer, **_outer_figures(referee, function, q)},
+        extra={"outer": outer, **_method(finish), **_outer_figures(referee, function, q)},
     )
 
 
@@ -169,6 +171,11 @@ def _run(
         recorder(0, start, 0.0)
         return OuterResult(start, Status.CONVERGED, 0)
     return OUTER_SOLVERS[outer](program, start, recorder, settings)
+
+
+def _method(finish: OuterResult | None) -> dict[str, str]:
+    """Record entry of what an outer solver ran, where its name leaves that open."""
+    return {"outer_method": finish.method} if finish is not None and finish.method else {}
 
 
 def _outer_figures(referee: Referee, function: Reduced, q: Array) -> dict[str, Any]:

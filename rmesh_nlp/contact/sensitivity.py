@@ -51,7 +51,7 @@ def tangent_response(
 
     The returned function takes the changes of the out-of-balance force ``K u - F``, of the gaps and of the
     slips, all at fixed displacement, and gives those of ``u``, of the normal forces, and of the tangential
-    forces of sticking nodes (zero at the others).
+    forces of sticking nodes (zero at the others). Given matrices it does so column by column.
     """
     rotated = system.rotated
     inside, factor = rotated.factor(active)
@@ -63,11 +63,11 @@ def tangent_response(
 
     def respond(force: Array, gap: Array, slip: Array) -> tuple[Array, Array, Array]:
         turned = force if rotated.basis is None else rotated.basis.T @ force
-        w = np.zeros(turned.size)
+        w = np.zeros(turned.shape)
         w[held] = -np.concatenate([gap[active.touching], slip[sticking]])
         w[inside] = factor.solve(-(turned + columns @ w[held])[inside])
         change = rows @ w + turned[held]
-        normal, tangential = np.zeros((2, gap.size))
+        normal, tangential = np.zeros((2, *gap.shape))
         normal[active.touching], tangential[sticking] = np.split(change, [n_touching])
         return (w if rotated.basis is None else rotated.basis @ w), normal, tangential
 

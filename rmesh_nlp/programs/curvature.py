@@ -58,15 +58,16 @@ class Hessian:
         return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
 
     def __call__(self, d: Array) -> Array:
-        """``L'' d``."""
-        out_of_balance, slip = self._uq @ d, np.zeros(self._active.touching.size)
-        if self._sliding.size:
-            bound = self._sliding * (self._sq @ d)  # change of the friction of sliding nodes
+        """``L'' d`` for a vector (n,), or for each column of a matrix (n, k)."""
+        sliding = self._sliding if d.ndim == 1 else self._sliding[:, None]
+        out_of_balance, slip = self._uq @ d, np.zeros((self._active.touching.size, *d.shape[1:]))
+        if sliding.size:
+            bound = sliding * (self._sq @ d)  # change of the friction of sliding nodes
             out_of_balance = out_of_balance + self._tangents.T @ bound
             slip[self._rows] = self._slip @ d
         u, normal, tangential = self._respond(out_of_balance, self._gap @ d, slip)
         result = self.qq @ d + self._qu @ u - self._gap_q @ normal
-        if self._sliding.size:
-            result += self._qs @ (self._sliding * (self._tangents @ u + slip[self._rows]))
+        if sliding.size:
+            result += self._qs @ (sliding * (self._tangents @ u + slip[self._rows]))
             result += self._slip_q @ (bound - tangential[self._rows])
         return np.asarray(result)

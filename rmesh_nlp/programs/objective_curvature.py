@@ -98,7 +98,7 @@ class ObjectiveHessian:
         return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
 
     def __call__(self, d: Array) -> Array:
-        """``F'' d``."""
+        """``F'' d`` for a vector (n,), or for each column of a matrix (n, k)."""
         y = -self._factors.solve(self._of_q @ d)
         nu = -self._factors.solve(self._yq @ d + self._yy @ y, "T")
         return np.asarray(self.qq @ d + self._qy @ y + self._of_q_t @ nu)

@@ -1,34 +1,42 @@
 """Outer solvers of the nested strategy, by name.
 
-All but "newton-pair" take any outer objective. "newton" uses the second derivative of the reduced energy, and
-that of any other objective by a second-order adjoint (:mod:`rmesh_nlp.programs.objective_curvature`).
+All but "newton-pair" take any outer objective. "newton" and "ipopt" use the second derivative of the reduced
+energy, and that of any other objective by a second-order adjoint
+(:mod:`rmesh_nlp.programs.objective_curvature`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.newton import Evaluation
 from rmesh_nlp.optimize.newton import minimise as newton
 from rmesh_nlp.optimize.newton_step import Model
-from rmesh_nlp.optimize.nlp import NLP, Derivatives, Solver, Status
+from rmesh_nlp.optimize.nlp import Solver, Status
 from rmesh_nlp.programs.alternating import alternated
-from rmesh_nlp.programs.curvature import Curvature
-from rmesh_nlp.programs.energy_program import Relocation
+from rmesh_nlp.programs.curved_program import curvature_of, with_hessian
 from rmesh_nlp.programs.large_moves import LargeMoves
-from rmesh_nlp.programs.objective_curvature import ObjectiveCurvature
+from rmesh_nlp.programs.nested_settings import NestedSettings
 from rmesh_nlp.programs.recombination import Recombination
-from rmesh_nlp.programs.reduced import Reduced, ReducedEnergy
-from rmesh_nlp.settings import Settings, check_positive
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.reduced_program import ReducedProgram, reduced_nlp
+
+__all__ = [
+    "OUTER_SOLVERS",
+    "NestedSettings",
+    "OuterResult",
+    "OuterSolver",
+    "ReducedProgram",
+    "StoppedError",
+    "reduced_nlp",
+]
 
 NAN = float("nan")
 
@@ -38,102 +46,16 @@ line searches do not understand NaN or infinity."""
 
 
 @dataclass(frozen=True)
-class NestedSettings(Settings):
-    """Settings of the outer solvers; docs/notes/speed.md has the benchmarks that chose them.
-
-    Attributes
-    ----------
-    max_iterations : int or None
-        Of the outer solver; by default 500, and 200 for newton and newton-pair.
-    memory : int
-        Updates that Ipopt's limited-memory BFGS keeps: the flat directions of the mesh make short
-        memories stall.
-    tol : float
-        Ipopt's tolerance, in units of the objective on the given mesh. What the tolerance of the solve
-        amounts to would be 1e-8 to 1e-7, where limited-memory BFGS stalls: on 6.2 it took 852 contact
-        solves in place of 119, and the residual did not fall below 1e-4 of the initial one.
-    boxed_curvature : float
-        Curvature before any update where every node has a box. Moves are then in units of boxes and
-        the objective in units of its first value, and Ipopt's 1 would make the first steps tiny, or
-        all of them where the function is concave and no update is taken.
-    tight : float
-        newton ends where the point is stationary to the tolerance of the solve, and the model predicts
-        less than this part of the gain so far.
-    loose : float
-        The two descents of newton-pair end where the model predicts less than this part, stationary or
-        not.
-    alternating : float
-        Length of the alternating moves that one descent of newton-pair starts with, in boxes.
-    large_moves : float
-        newton with a distortion in the objective ends where the model predicts less than this part of the
-        gain so far.
-    blocks : tuple of int
-        Nodes across the blocks that newton-pair recombines, one size after the other.
-    scipy_tol : float
-        Tolerance of the solvers of scipy.optimize.
-    ipopt : mapping
-        Further Ipopt options, which override all others.
-    """
-
-    max_iterations: int | None = None
-    memory: int = 50
-    tol: float = 1e-6
-    boxed_curvature: float = 1e-2
-    tight: float = 1e-4
-    loose: float = 1.5e-3
-    alternating: float = 0.1
-    large_moves: float = 1e-15
-    blocks: tuple[int, ...] = (16, 8)
-    scipy_tol: float = 1e-8
-    ipopt: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        numbers = [f.name for f in fields(self) if f.name not in ("ipopt", "blocks")]
-        check_positive(**{name: getattr(self, name) for name in numbers})
-        if not self.blocks or not all(isinstance(size, int) and size > 0 for size in self.blocks):
-            raise BadInputError(f"blocks must be whole numbers above 0, got {self.blocks!r}")
-
-    def options(self, boxed: bool) -> dict[str, Any]:
-        """Ipopt's options."""
-        found = {
-            "hessian_approximation": "limited-memory",
-            "limited_memory_max_history": self.memory,
-            # after two skipped updates in a row Ipopt forgets the memory, and then crawls
-            "limited_memory_max_skipping": 1_000_000,
-            "tol": self.tol,
-            "max_iter": self.max_iterations or 500,
-        }
-        if boxed:
-            found["limited_memory_init_val"] = self.boxed_curvature
-        return {**found, **self.ipopt}
-
-
-@dataclass(frozen=True)
-class ReducedProgram:
-    """The outer problem: its NLP in the moves q and the function behind its objective.
-
-    A solver should end with a first-order residual of at most ``tolerance`` in units of ``unit``
-    (:class:`rmesh_nlp.programs.residual.OuterResidual`). ``oracle`` must live as long as the NLP: CasADi
-    does not own Python callbacks.
-    """
-
-    nlp: NLP
-    function: Reduced
-    areas: ca.Function
-    oracle: ca.Callback
-    is_valid: Callable[[Array], bool]
-    unit: float
-    tolerance: float
-    out_of_time: Callable[[], bool] = lambda: False
-
-
-@dataclass(frozen=True)
 class OuterResult:
-    """Where an outer solver stopped."""
+    """Where an outer solver stopped.
+
+    ``method`` names what it ran, where its name leaves that open.
+    """
 
     q: Array
     status: Status
     iterations: int
+    method: str = ""
 
 
 OuterSolver = Callable[[ReducedProgram, Array, Monitor, NestedSettings], OuterResult]
@@ -143,80 +65,50 @@ class StoppedError(Exception):
     """The monitor asked a solver to stop that has no other way to be told."""
 
 
-def reduced_nlp(
-    rel: Relocation, function: Reduced, is_valid: Callable[[Array], bool], unit: float, tolerance: float
-) -> ReducedProgram:
-    """The NLP ``min F(q)`` over boxes and element areas; its objective is a contact solve."""
-    q, p = rel.validity.q, ca.MX(0, 1)
-    areas, bound = rel.validity.assembled, rel.validity.bound
-    oracle = _Oracle(function, rel.n_q)
-    value, gradient = oracle(q)
-    nlp = NLP(
-        x=q,
-        p=p,
-        f=value,
-        g=areas.g,
-        lbx=-rel.freedoms.bound,
-        ubx=rel.freedoms.bound,
-        lbg=bound,
-        ubg=np.full(bound.size, np.inf),
-        derivatives=Derivatives(
-            grad_f=ca.Function("nlp_grad_f", [q, p], [value, gradient]),
-            jac_g=areas.jac_g,
-            hess_lag=None,
-            kernels=areas.kernels,
-        ),
-    )
-    return ReducedProgram(nlp, function, areas.jac_g, oracle, is_valid, unit, tolerance)
+INTERIOR = "interior point with exact Hessians"
 
-
-class _Oracle(ca.Callback):
-    """F(q) and its gradient as a CasADi Function, in units of ``|F(0)|``: a squared error may be small."""
-
-    def __init__(self, function: Reduced, n: int) -> None:
-        super().__init__()
-        self._function, self._n = function, n
-        self._scale = scale_of(function, n)
-        self.construct("reduced_energy", {})
-
-    def get_n_in(self) -> int:
-        return 1
-
-    def get_n_out(self) -> int:
-        return 2
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._n)
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._n if i else 1)
-
-    def eval(self, arg: list[ca.DM]) -> list[Any]:
-        q = arg[0].full().ravel()
-        if not self._function.is_defined(q):
-            return [np.nan, np.full(self._n, np.nan)]  # Ipopt then takes a shorter step
-        point = self._function(q)
-        return [point.value / self._scale, point.gradient / self._scale]
-
-
-def scale_of(function: Reduced, n: int) -> float:
-    """Size of the objective on the initial mesh, the unit in which it is minimised."""
-    return abs(function(np.zeros(n)).value) or 1.0
+LIMITED_MEMORY = "interior point with limited memory"
 
 
 def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
+    """Ipopt with exact Hessians if there are few enough moves, else with limited memory.
+
+    The limited-memory descent ends at a residual near 1e-4 of the first one (see ``NestedSettings.tol``);
+    where boxes alone keep the elements valid, Newton's steps take it from there.
+    """
+    if program.nlp.n_x <= settings.exact:
+        return _interior(program, start, monitor, settings)
     options = settings.options(boxed=bool(np.all(np.isfinite(program.nlp.ubx))))
     result = Solver(program.nlp, options=options, monitor=monitor)(start)
+    if not result.converged or program.nlp.n_g:
+        status = Status.CONVERGED if result.converged else result.status
+        return OuterResult(result.x, status, result.iterations, LIMITED_MEMORY)
+    end = _Descent(program, monitor, settings, result.iterations)(result.x, gain=settings.tight)
+    return replace(end, method=f"{LIMITED_MEMORY}, then newton")
+
+
+def _interior(
+    program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings
+) -> OuterResult:
+    """Ipopt with the Hessian of the reduced objective, a dense matrix."""
+    options = settings.exact_options(program.scale / program.unit)
+    result = Solver(with_hessian(program).nlp, options=options, monitor=monitor)(start)
     status = Status.CONVERGED if result.converged else result.status
-    return OuterResult(result.x, status, result.iterations)
+    return OuterResult(result.x, status, result.iterations, INTERIOR)
 
 
 def _newton(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
-    """Projected trust-region Newton-CG; the elements that the boxes do not keep valid are its walls."""
+    """Projected trust-region Newton-CG where boxes alone keep the elements valid.
+
+    Else an interior-point Newton method, if there are few enough moves: along many area constraints
+    conjugate gradients stall.
+    """
     function = program.function
     barrier = isinstance(function, ReducedEnergy) and function.relocation.objective.has_barrier
     if barrier and program.nlp.n_g == 0:
         return _large_moves(program, start, monitor, settings)
+    if program.nlp.n_g and program.nlp.n_x <= settings.exact:
+        return _interior(program, start, monitor, settings)
     return _Descent(program, monitor, settings)(start, gain=settings.tight)
 
 
@@ -284,20 +176,21 @@ class _Timed:
 
 
 class _Descent:
-    """Newton-CG on the reduced objective from any start; iterations are counted over all of them."""
+    """Newton-CG on the reduced objective from any start.
 
-    def __init__(self, program: ReducedProgram, monitor: Monitor, settings: NestedSettings) -> None:
+    Iterations are counted over all of them, and from what something else took before.
+    """
+
+    def __init__(
+        self, program: ReducedProgram, monitor: Monitor, settings: NestedSettings, iterations: int = 0
+    ) -> None:
         self._function = function = program.function
-        self._curvature: Curvature | ObjectiveCurvature
-        if isinstance(function, ReducedEnergy):
-            self.energy, self._curvature = function, Curvature(function)
-        else:
-            self.energy = function.energy
-            self._curvature = ObjectiveCurvature(function.energy, function.objective)
+        self.energy = function if isinstance(function, ReducedEnergy) else function.energy
+        self._curvature = curvature_of(program)
         self._program, self._monitor, self._settings = program, monitor, settings
         self._stopped = False
         self._walls = self.energy.validity if program.nlp.n_g else None
-        self._iterations = 0
+        self._iterations = iterations
 
     def __call__(
         self, start: Array, *, gain: float, stationary: float | None = None, reference: float | None = None
@@ -346,7 +239,7 @@ def _scipy(method: str) -> OuterSolver:
 
     def run(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
         nlp, function = program.nlp, program.function
-        constraints, scale = [], scale_of(function, nlp.n_x)
+        constraints, scale = [], program.scale
         if nlp.n_g:
             if method == "L-BFGS-B":
                 raise ValueError(

@@ -111,11 +111,8 @@ LARGE_BOXES = {
 def test_no_delta_however_large_inverts_an_element(name, strategy) -> None:
     problem = LARGE_BOXES[name]()
     solution = strategy(problem)
-    assert solution.success
-    # Newton stalls along the area constraints of 6.2 with these boxes, at a residual of 9e-6
-    if strategy is joint.solve:
-        check_record(solution)
-        assert solution.stationarity == "KKT"
+    check_record(solution)
+    assert solution.stationarity == "KKT"
     assert solution.audit.min_area_ratio > 0
     assert solution.audit.energy_audited < solution.energy_initial_audited
     if problem.exact is not None:  # a conforming method on a fixed domain stays above the exact energy

@@ -1,0 +1,102 @@
+"""Settings of the strategy nested."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.settings import Settings, check_positive
+
+
+@dataclass(frozen=True)
+class NestedSettings(Settings):
+    """Settings of the outer solvers; docs/notes/speed.md has the benchmarks that chose them.
+
+    Attributes
+    ----------
+    max_iterations : int or None
+        Of the outer solver; by default 500, and 200 for newton and newton-pair.
+    exact : int
+        Number of moves up to which ipopt, and newton where element areas are constraints, have the Hessian of
+        the objective as a dense matrix.
+    tol_exact, acceptable_tol_exact : float
+        Ipopt's tolerances then, in units of the gradient on the given mesh. Many constraints are weakly
+        active, and an interior point meets those only to the square root of its tolerance; where rounding
+        stops it before, the looser one will do.
+    memory : int
+        Updates that Ipopt's limited-memory BFGS keeps: the flat directions of the mesh make short
+        memories stall.
+    tol : float
+        Ipopt's tolerance, in units of the objective on the given mesh. What the tolerance of the solve
+        amounts to would be 1e-8 to 1e-7, where limited-memory BFGS stalls: on 6.2 it took 852 contact
+        solves in place of 119, and the residual did not fall below 1e-4 of the initial one.
+    boxed_curvature : float
+        Curvature before any update where every node has a box. Moves are then in units of boxes and
+        the objective in units of its first value, and Ipopt's 1 would make the first steps tiny, or
+        all of them where the function is concave and no update is taken.
+    tight : float
+        newton ends where the point is stationary to the tolerance of the solve, and the model predicts
+        less than this part of the gain so far.
+    loose : float
+        The two descents of newton-pair end where the model predicts less than this part, stationary or
+        not.
+    alternating : float
+        Length of the alternating moves that one descent of newton-pair starts with, in boxes.
+    large_moves : float
+        newton with a distortion in the objective ends where the model predicts less than this part of the
+        gain so far.
+    blocks : tuple of int
+        Nodes across the blocks that newton-pair recombines, one size after the other.
+    scipy_tol : float
+        Tolerance of the solvers of scipy.optimize.
+    ipopt : mapping
+        Further Ipopt options, which override all others.
+    """
+
+    max_iterations: int | None = None
+    exact: int = 1500
+    tol_exact: float = 1e-12
+    acceptable_tol_exact: float = 1e-9
+    memory: int = 50
+    tol: float = 1e-6
+    boxed_curvature: float = 1e-2
+    tight: float = 1e-4
+    loose: float = 1.5e-3
+    alternating: float = 0.1
+    large_moves: float = 1e-15
+    blocks: tuple[int, ...] = (16, 8)
+    scipy_tol: float = 1e-8
+    ipopt: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        numbers = [f.name for f in fields(self) if f.name not in ("ipopt", "blocks")]
+        check_positive(**{name: getattr(self, name) for name in numbers})
+        if not self.blocks or not all(isinstance(size, int) and size > 0 for size in self.blocks):
+            raise BadInputError(f"blocks must be whole numbers above 0, got {self.blocks!r}")
+
+    def options(self, boxed: bool) -> dict[str, Any]:
+        """Ipopt's options."""
+        found = {
+            "hessian_approximation": "limited-memory",
+            "limited_memory_max_history": self.memory,
+            # after two skipped updates in a row Ipopt forgets the memory, and then crawls
+            "limited_memory_max_skipping": 1_000_000,
+            "tol": self.tol,
+            "max_iter": self.max_iterations or 500,
+        }
+        if boxed:
+            found["limited_memory_init_val"] = self.boxed_curvature
+        return {**found, **self.ipopt}
+
+    def exact_options(self, factor: float) -> dict[str, Any]:
+        """Ipopt's options where it has exact Hessians, and ``factor`` times the objective."""
+        return {
+            "tol": self.tol_exact,
+            "acceptable_tol": self.acceptable_tol_exact,
+            "max_iter": self.max_iterations or 500,
+            "nlp_scaling_method": "none",
+            "obj_scaling_factor": factor,
+            **self.ipopt,
+        }
