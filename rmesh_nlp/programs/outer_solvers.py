@@ -80,7 +80,8 @@ def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor, settings: Ne
         return _interior(program, start, monitor, settings)
     options = settings.options(boxed=bool(np.all(np.isfinite(program.nlp.ubx))))
     result = Solver(program.nlp, options=options, monitor=monitor)(start)
-    if not result.converged or program.nlp.n_g:
+    ended = result.converged or result.status is Status.STALLED
+    if not ended or program.nlp.n_g:
         status = Status.CONVERGED if result.converged else result.status
         return OuterResult(result.x, status, result.iterations, LIMITED_MEMORY)
     end = _Descent(program, monitor, settings, result.iterations)(result.x, gain=settings.tight)

@@ -94,7 +94,6 @@ def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
         assert rest[0] <= 1e-7 * max(1.0, abs(here.value))
 
 
-@pytest.mark.slow  # Newton without boxes may take a minute on one of these
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(SEEDS, st.sampled_from([joint, nested]))
 def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, strategy: Any) -> None:
