@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
+from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.files import read_file
 from rmesh_nlp.meshes.geometry import counter_clockwise, overlapping, signed_areas
 
@@ -52,7 +53,7 @@ def from_arrays(
     ------
     ValueError
         If an array has the wrong shape or a value that is not finite, a triangle has a
-        missing or repeated node, no area, or covers another on the same edge, or a name is empty.
+        missing or repeated node, no area, or covers another, a node hangs on an edge, or a name is empty.
     """
     p, t = _nodes(nodes), _triangles(triangles, len(np.asarray(nodes)))
     p, t, number = _without_duplicates(p, t)
@@ -74,6 +75,9 @@ def from_arrays(
     edge = overlapping(t)
     if edge is not None:
         raise ValueError(f"triangles overlap at the edge between nodes {edge[0]} and {edge[1]}")
+    wrong = fault(mesh)
+    if wrong is not None:
+        raise ValueError(wrong)
     return _named(mesh, boundaries or {}, subdomains or {}, number)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import overlapping, signed_areas
 from rmesh_nlp.problem.coefficients import at, on_points
 from rmesh_nlp.problem.obstacle import Place
@@ -128,6 +129,9 @@ def _check_names(problem: Statement) -> None:
     edge = overlapping(problem.triangles)
     if edge is not None:
         raise ProblemError("mesh", f"the mesh is folded at the edge between nodes {edge[0]} and {edge[1]}")
+    wrong = fault(mesh)
+    if wrong is not None:
+        raise ProblemError("mesh", wrong)
     if not problem.dirichlet and not problem.obstacles:
         raise ProblemError(
             "dirichlet", "at least one boundary must be held (dirichlet), or the energy has no minimum"
