@@ -139,10 +139,11 @@ def solve(
     function = referee.function(objective)
     with referee.clock.during("build"):
         residual = referee.residual(function)
-        program = reduced_nlp(referee.relocation, function, referee.is_valid, residual.unit, tolerance)
+        program = reduced_nlp(referee.relocation, function, referee.is_valid, residual, tolerance)
     begin = beginning(referee, start, seed, objective=objective, time_limit_s=time_limit_s)
     recorder = _Recorder(referee, function, residual, on_step, time_limit_s)
-    program = replace(program, out_of_time=lambda: recorder.remaining == 0.0)
+    warm = begin.name not in ("given", "random")
+    program = replace(program, out_of_time=lambda: recorder.remaining == 0.0, warm=warm)
     finish = recorder.run(lambda: _run(outer, program, begin.q, recorder, chosen))
     if finish is None or recorder.stopped is not None:
         q, status = recorder.best(function, begin.q), recorder.stopped or Status.FAILED

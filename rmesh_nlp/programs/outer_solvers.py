@@ -91,11 +91,15 @@ def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor, settings: Ne
 def _interior(
     program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings
 ) -> OuterResult:
-    """Ipopt with the Hessian of the reduced objective, a dense matrix."""
-    options = settings.exact_options(program.scale / program.unit)
+    """Ipopt with the Hessian of the reduced objective, a dense matrix; never above the start."""
+    options = settings.exact_options(program.scale / program.unit, program.warm)
     result = Solver(with_hessian(program).nlp, options=options, monitor=monitor)(start)
     status = Status.CONVERGED if result.converged else result.status
-    return OuterResult(result.x, status, result.iterations, INTERIOR)
+    q = np.clip(result.x, program.nlp.lbx, program.nlp.ubx)
+    function = program.function
+    if not (np.isfinite(result.f) and function(q).value <= function(start).value):
+        return OuterResult(start, Status.STALLED if result.converged else status, result.iterations, INTERIOR)
+    return OuterResult(q, status, result.iterations, INTERIOR)
 
 
 def _newton(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:

@@ -14,15 +14,16 @@ from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.programs.energy_program import Relocation
 from rmesh_nlp.programs.reduced import Reduced
+from rmesh_nlp.programs.residual import OuterResidual
 
 
 @dataclass(frozen=True)
 class ReducedProgram:
     """The outer problem: its NLP in the moves q and the function behind its objective.
 
-    A solver should end with a first-order residual of at most ``tolerance`` in units of ``unit``
-    (:class:`rmesh_nlp.programs.residual.OuterResidual`). The objective of the NLP is in units of ``scale``.
-    ``oracle`` must live as long as the NLP: CasADi does not own Python callbacks.
+    A solver should end with a first-order ``residual`` of at most ``tolerance``. The objective of the NLP is
+    in units of ``scale``. ``oracle`` must live as long as the NLP: CasADi does not own Python callbacks.
+    ``warm`` says that the start is likely to be close to a minimiser.
     """
 
     nlp: NLP
@@ -30,14 +31,24 @@ class ReducedProgram:
     areas: ca.Function
     oracle: ca.Callback
     is_valid: Callable[[Array], bool]
-    unit: float
+    residual: OuterResidual
     scale: float
     tolerance: float
     out_of_time: Callable[[], bool] = lambda: False
+    warm: bool = False
+
+    @property
+    def unit(self) -> float:
+        """What the gradient is measured in."""
+        return self.residual.unit
 
 
 def reduced_nlp(
-    rel: Relocation, function: Reduced, is_valid: Callable[[Array], bool], unit: float, tolerance: float
+    rel: Relocation,
+    function: Reduced,
+    is_valid: Callable[[Array], bool],
+    residual: OuterResidual,
+    tolerance: float,
 ) -> ReducedProgram:
     """The NLP ``min F(q)`` over boxes and element areas; its objective is a contact solve."""
     q, p = rel.validity.q, ca.MX(0, 1)
@@ -61,7 +72,7 @@ def reduced_nlp(
             kernels=areas.kernels,
         ),
     )
-    return ReducedProgram(nlp, function, areas.jac_g, oracle, is_valid, unit, scale, tolerance)
+    return ReducedProgram(nlp, function, areas.jac_g, oracle, is_valid, residual, scale, tolerance)
 
 
 class _Oracle(ca.Callback):

@@ -20,8 +20,8 @@ PROBLEMS = {
 def program_of(problem: ContactProblem, objective: str) -> ReducedProgram:
     referee = Referee(problem, objective)
     function = referee.function(objective)
-    unit = referee.residual(function).unit
-    return with_hessian(reduced_nlp(referee.relocation, function, referee.is_valid, unit, STATIONARY))
+    residual = referee.residual(function)
+    return with_hessian(reduced_nlp(referee.relocation, function, referee.is_valid, residual, STATIONARY))
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
@@ -82,3 +82,13 @@ def test_a_limited_memory_descent_is_finished_by_newton() -> None:
     numbers = [step.iteration for step in solution.history]
     assert numbers == sorted(numbers)
     assert solution.iterations == numbers[-1]
+
+
+@pytest.mark.parametrize("outer", ["newton", "ipopt"])
+def test_a_start_at_a_minimiser_ends_there_and_never_higher(outer: str) -> None:
+    problem = EXAMPLES["6.2"]((6, 3), (1.0, 0.5))
+    first = nested.solve(problem)
+    again = nested.solve(problem, outer=outer, start=first)
+    np.testing.assert_allclose(again.mesh.p, first.mesh.p, atol=1e-6)
+    assert again.energy <= first.energy + 1e-12 * abs(first.energy)
+    assert again.record()["status"] == "converged"
