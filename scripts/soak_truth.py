@@ -6,7 +6,8 @@ Stiffness, loads, gaps and friction are assembled here with numpy, with a rule o
 the contact problem is solved by its dual, a bounded least-squares problem. Nothing of the package's energies,
 contact solver or audit is used. A success with a negative gain, with a gain that differs by more than a tenth
 from the one measured here, with a negative gap or an inverted element, or after more than 60 s is reported
-and makes the exit code 1.
+and makes the exit code 1. In one draw of fifteen no displacement is admissible: such a problem must be
+refused, or at least never be a success. With ``--out`` a run goes on where an earlier one ended.
 """
 
 from __future__ import annotations
@@ -28,15 +29,18 @@ from scipy.optimize import lsq_linear
 from skfem.quadrature import get_quadrature_tri
 
 from rmesh_nlp.api.solving import solve
+from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
+    Dirichlet,
     Laplace,
     Motion,
     Obstacle,
     PlaneStrain,
     PlaneStress,
     Relative,
+    Traction,
 )
 
 STRATEGIES: tuple[tuple[str, dict[str, Any]], ...] = (
@@ -62,6 +66,18 @@ class Source:
     offset: Callable[[Any, Any], Any]
     friction: float
     boundary: str
+    traction: np.ndarray  # (c, 2): values a + b x on the side "top", per component
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A random solve: how to state the problem, its data for the judge, and a strategy with its options."""
+
+    problem: Callable[[], ContactProblem]
+    source: Source
+    strategy: str
+    options: dict[str, Any]
+    feasible: bool
 
 
 def wave(a: np.ndarray, lib: Any) -> Callable[[Any, Any], Any]:
@@ -69,8 +85,26 @@ def wave(a: np.ndarray, lib: Any) -> Callable[[Any, Any], Any]:
     return lambda x, y: a[0] + a[1] * x * y + a[2] * lib.sin(a[3] * x) * lib.cos(a[4] * y)
 
 
-def draw(seed: int) -> tuple[ContactProblem, Source, str, dict[str, Any]]:
-    """A random problem, its data for the judge, and a strategy with its options."""
+def given(
+    seed: int, scalar: bool
+) -> tuple[tuple[str | Dirichlet, ...], tuple[Traction, ...], np.ndarray, bool]:
+    """Supports, tractions on the top, their coefficients (c, 2), and whether a displacement is admissible.
+
+    In one draw of fifteen the supports press a contact node into the foundation.
+    """
+    rng, n = np.random.default_rng([seed, 1]), 1 if scalar else 2
+    values = rng.uniform(-0.5, 0.5, (n, 2)) * rng.integers(2)
+    loads = tuple((lambda x, y, a=a, b=b: a + b * x) for a, b in values)
+    tractions = (Traction("top", loads),) if np.any(values) else ()
+    if rng.integers(15):
+        return ("left",), tractions, values, True
+    pressed = Dirichlet("top", (-0.2,)) if scalar else Dirichlet("left", (0.0, -0.2))
+    held = ("left", pressed) if scalar else (pressed,)
+    return held, () if scalar else tractions, values, False
+
+
+def draw(seed: int) -> Draw:
+    """A random solve."""
     rng = np.random.default_rng(seed)
     nx, ny = (int(k) for k in rng.integers(3, 7, 2))
     mesh = rectangle(nx, ny, x=(0, 2), diagonal=("rising", "falling")[rng.integers(2)])
@@ -82,6 +116,7 @@ def draw(seed: int) -> tuple[ContactProblem, Source, str, dict[str, Any]]:
             "left": lambda x: x[0] < 1e-9,
             "right": lambda x: x[0] > 2 - 1e-9,
             "bottom": lambda x: x[1] < 1e-9,
+            "top": lambda x: x[1] > 1 - 1e-9,
         }
     )
     smooth = bool(rng.integers(2))
@@ -117,19 +152,25 @@ def draw(seed: int) -> tuple[ContactProblem, Source, str, dict[str, Any]]:
         friction = float(rng.choice([0.0, 0.3]))
         obstacle = Obstacle("bottom", (0.0, 1.0), offset[ca], friction)
         normal, boundary = np.array([0.0, 1.0]), "bottom"
-    problem = ContactProblem(
-        mesh,
-        laws[0],
-        ("left",),
-        obstacle,
-        Motion(BOXES[rng.integers(len(BOXES))]),
-        quadrature=RULES[rng.integers(len(RULES))],
-        name=f"random {seed}",
-    )
-    rows = coefficients[: 1 if scalar else 2]
-    source = Source(tuple(wave(a, np) for a in rows), tensor, normal, offset[np], friction, boundary)
+    supports, tractions, values, feasible = given(seed, scalar)
+    motion, rule = Motion(BOXES[rng.integers(len(BOXES))]), RULES[rng.integers(len(RULES))]
+
+    def problem() -> ContactProblem:
+        return ContactProblem(
+            mesh,
+            laws[0],
+            supports,
+            obstacle,
+            motion,
+            tractions=tractions,
+            quadrature=rule,
+            name=f"random {seed}",
+        )
+
+    loads = tuple(wave(a, np) for a in coefficients[: 1 if scalar else 2])
+    source = Source(loads, tensor, normal, offset[np], friction, boundary, values)
     name, options = STRATEGIES[rng.integers(len(STRATEGIES))]
-    return problem, source, name, options
+    return Draw(problem, source, name, options, feasible)
 
 
 def energy(problem: ContactProblem, source: Source, nodes: np.ndarray) -> float:
@@ -149,6 +190,12 @@ def energy(problem: ContactProblem, source: Source, nodes: np.ndarray) -> float:
         values = load(where[0], where[1]) * np.ones(where.shape[1:])
         share = np.einsum("e,eq,aq,q->ae", 2 * area, values, BARYCENTRIC, WEIGHTS)
         np.add.at(F, c * t + component, share)
+    top = problem.mesh.facets[:, problem.mesh.boundaries["top"]]
+    along = np.linalg.norm(nodes[:, top[1]] - nodes[:, top[0]], axis=0)
+    for component, (a, b) in enumerate(source.traction):
+        one, two = a + b * nodes[0, top]  # at the ends of each edge, linear between them
+        np.add.at(F, c * top[0] + component, along * (2 * one + two) / 6)
+        np.add.at(F, c * top[1] + component, along * (one + 2 * two) / 6)
     edges = problem.mesh.facets[:, problem.mesh.boundaries[source.boundary]]
     length = np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
     weight = np.bincount(edges.ravel(), np.tile(length / 2, 2), n)
@@ -199,48 +246,87 @@ def faults(problem: ContactProblem, source: Source, solution: Any, seconds: floa
     return {"gain_here": gain, "gain_said": said, "faults": [name for name, bad in wrong.items() if bad]}
 
 
-def run(count: int, first: int, out: Path | None) -> int:
-    """The soak; returns the exit code."""
-    rows = []
+def judged(seed: int) -> dict[str, Any]:
+    """One solve, its record in short and what is wrong with it."""
+    one = draw(seed)
+    began = time.perf_counter()
+    row: dict[str, Any] = {"seed": seed, "strategy": one.strategy, **one.options, "feasible": one.feasible}
+    try:
+        problem = one.problem()
+        row.update(rule=str(problem.quadrature), box=str(problem.motion.delta))
+        solution = solve(problem, one.strategy, time_limit_s=0.8 * LONGEST, **one.options)
+        row["seconds"] = time.perf_counter() - began
+        row.update(status=solution.status.value, success=solution.success)
+        row.update(residual=solution.stationarity_residual)
+        row.update(faults(problem, one.source, solution, row["seconds"]) if one.feasible else {"faults": []})
+    except ProblemError as error:
+        row.update(status="refused", message=str(error), success=False)
+        row.update(faults=["refused"] if one.feasible else [])
+    except Exception as error:
+        row.update(status=f"{type(error).__name__}: {error}", success=False, faults=["crash"])
+    row.setdefault("seconds", time.perf_counter() - began)
+    if row["success"] and not one.feasible:
+        row["faults"] = [*row["faults"], "infeasible"]
+    return row
+
+
+def run(count: int, first: int, out: Path | None, longest: float) -> int:
+    """The soak; returns the exit code. It ends early after ``longest`` seconds."""
+    began, rows = time.perf_counter(), []
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        rows = read(out)
+    done = {row["seed"] for row in rows}
     for seed in range(first, first + count):
-        problem, source, name, options = draw(seed)
-        began = time.perf_counter()
-        row: dict[str, Any] = {"seed": seed, "strategy": name, **options, "rule": str(problem.quadrature)}
-        row["box"] = str(problem.motion.delta)
-        try:
-            solution = solve(problem, name, time_limit_s=0.8 * LONGEST, **options)
-            row["seconds"] = time.perf_counter() - began
-            row.update(status=solution.status.value, success=solution.success)
-            row.update(residual=solution.stationarity_residual)
-            row.update(faults(problem, source, solution, row["seconds"]))
-        except Exception as error:
-            row.update(status=f"{type(error).__name__}: {error}", success=False, faults=["crash"])
-            row["seconds"] = time.perf_counter() - began
+        if seed in done:
+            continue
+        if time.perf_counter() - began > longest:
+            print(f"stopped before seed {seed}")
+            break
+        row = judged(seed)
         rows.append(row)
-        bad = row["faults"] and (row["success"] or set(row["faults"]) & {"crash", "slow"})
-        if bad or not row["success"]:
+        hard = {"crash", "slow", "refused"}
+        if (row["feasible"] and (not row["success"] or row["faults"])) or hard & set(row["faults"]):
             print(json.dumps(row), flush=True)
         if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
-            (out / "soak.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+            with (out / "soak.jsonl").open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
     return summary(rows)
+
+
+def read(out: Path) -> list[dict[str, Any]]:
+    """Rows of earlier runs."""
+    file = out / "soak.jsonl"
+    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
 
 
 def summary(rows: list[dict[str, Any]]) -> int:
     """Print the figures; 1 if a success is wrong, a solve crashed or took too long."""
-    success = [row for row in rows if row["success"]]
-    wrong = Counter(fault for row in success for fault in row["faults"])
-    hard = Counter(fault for row in rows for fault in row["faults"] if fault in ("crash", "slow"))
-    auto = [row for row in rows if row["rule"] == "auto"]
-    print(f"{len(rows)} solves, slowest {max(row['seconds'] for row in rows):.1f} s")
-    for name, part in (("all", rows), ("with the rule chosen for the load", auto)):
+    feasible = [row for row in rows if row["feasible"]]
+    impossible = [row for row in rows if not row["feasible"]]
+    wrong = Counter(fault for row in rows if row["success"] for fault in row["faults"])
+    hard = Counter(f for row in rows for f in row["faults"] if f in ("crash", "slow", "refused"))
+    slowest = max(rows, key=lambda row: row["seconds"])
+    print(f"{len(rows)} solves, {len(feasible)} of feasible problems, {len(impossible)} of infeasible ones")
+    print(f"slowest {slowest['seconds']:.1f} s (seed {slowest['seed']})")
+    print(f"infeasible: {dict(Counter(row['status'] for row in impossible))}")
+    exact = [row for row in feasible if row.get("rule") == "auto"]
+    for name, part in (("feasible", feasible), ("feasible, rule chosen for the load", exact)):
         good = sum(row["success"] for row in part)
         met = sum(row["status"] == "converged" for row in part)
-        print(f"{name}: {good} of {len(part)} successes, {met} converged")
-    for outer in sorted({f"{row['strategy']} {row.get('outer', '')}".strip() for row in rows}):
-        part = [row for row in rows if f"{row['strategy']} {row.get('outer', '')}".strip() == outer]
-        print(f"  {outer}: {dict(Counter(row['status'] for row in part))}")
-    print(f"wrong successes: {dict(wrong) or 'none'}; crashes and slow solves: {dict(hard) or 'none'}")
+        n = max(len(part), 1)
+        print(f"{name}: {good} of {len(part)} ({good / n:.1%}) successes, {met} ({met / n:.1%}) converged")
+    for outer in sorted({f"{row['strategy']} {row.get('outer', '')}".strip() for row in feasible}):
+        part = [row for row in feasible if f"{row['strategy']} {row.get('outer', '')}".strip() == outer]
+        seconds = sorted(row["seconds"] for row in part)
+        print(
+            f"  {outer}: {dict(Counter(row['status'] for row in part))}, "
+            f"median {seconds[len(seconds) // 2]:.1f} s, most {seconds[-1]:.1f} s"
+        )
+    print(f"false successes: {sum(bool(row['faults']) for row in rows if row['success'])}")
+    for fault in ("negative gain", "gain off", "infeasible", "inverted", "slow"):
+        print(f"  {fault}: {wrong[fault]}")
+    print(f"crashes, refused problems, slow solves: {dict(hard) or 'none'}")
     return 1 if wrong or hard else 0
 
 
@@ -248,6 +334,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--count", type=int, default=60, help="number of solves")
     parser.add_argument("--first", type=int, default=0, help="seed of the first")
-    parser.add_argument("--out", type=Path, help="folder for soak.jsonl")
+    parser.add_argument(
+        "--out", type=Path, help="folder for soak.jsonl; seeds that are in it are not solved again"
+    )
+    parser.add_argument("--longest", type=float, default=float("inf"), help="seconds after which to stop")
     arguments = parser.parse_args()
-    sys.exit(run(arguments.count, arguments.first, arguments.out))
+    sys.exit(run(arguments.count, arguments.first, arguments.out, arguments.longest))
