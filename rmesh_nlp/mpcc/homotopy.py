@@ -15,6 +15,7 @@ from rmesh_nlp.optimize.nlp import NLPResult, Status
 _MAX_RETREATS = 3
 _PIVOT, _NEAR = 1e-4, 0.05  # from this t on branches are descended over, from points not worse than this
 CORNER = 3.0  # pairs this close to the corner, in units of sqrt(t), may belong into it
+ROUNDING = 1 + 1e-9  # 0.1 * 0.1 is more than 0.01
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
 
@@ -65,7 +66,7 @@ def follow(
             product, objective = run.steps[-1].product, run.steps[-1].objective * run.p[-1]
             before, sides = sides, _sides(run.programs, result.x)
             final = run.exact(result.x) or t <= options.t_final
-            settled = before is not None and t <= options.crossover and _settled(before, sides)
+            settled = before is not None and t <= options.crossover * ROUNDING and _settled(before, sides)
             warm, corner = run.programs.without_relaxation(relaxation, result, t), CORNER * np.sqrt(t)
             if final:
                 path.finish = _better(

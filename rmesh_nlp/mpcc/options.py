@@ -16,7 +16,7 @@ _RELAXED: Mapping[str, Any] = {
     "mu_oracle": "quality-function",
 }
 _FIRST: Mapping[str, Any] = {"mu_strategy": "monotone", "mu_init": 0.1}
-_UNLIFTED: Mapping[str, Any] = {"tol": 1e-8, "bound_relax_factor": 1e-8}
+_UNLIFTED: Mapping[str, Any] = {"tol": 1e-4, "bound_relax_factor": 1e-8}
 _EXACT: Mapping[str, Any] = {
     "tol": 1e-10,
     "constr_viol_tol": 1e-9,

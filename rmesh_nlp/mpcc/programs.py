@@ -20,6 +20,7 @@ from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver
 
 BoolArray = NDArray[np.bool_]
+_CLOCK = 2000  # unknowns of a problem whose clock is looked at after every iteration
 
 
 class Programs:
@@ -38,6 +39,7 @@ class Programs:
         self._solvers: dict[tuple[Any, ...], _Tolerant] = {}
         self._unlifted: NLP | None = None
         self._watch = Watch()
+        self.only_clock = False  # whether the monitors look at nothing but the clock
         self.build_seconds = time.perf_counter() - began
 
     def _relaxed(self, name: str) -> Relaxed:
@@ -47,12 +49,17 @@ class Programs:
         return self._relaxations[name]
 
     def _solver(self, key: tuple[Any, ...], nlp: NLP, options: dict[str, Any], watched: bool) -> _Tolerant:
-        key = (*key, watched)
+        every = self._every(nlp.n_x)
+        key = (*key, watched, every)
         if key not in self._solvers:
             began = time.perf_counter()
-            self._solvers[key] = _Tolerant(nlp, options, self._watch if watched else None)
+            self._solvers[key] = _Tolerant(nlp, options, self._watch if watched else None, every)
             self.build_seconds += time.perf_counter() - began
         return self._solvers[key]
+
+    def _every(self, n: int) -> int:
+        """Iterations between looks at the clock: of a small problem they are shorter than a callback."""
+        return int(np.clip(_CLOCK // max(n, 1), 1, 20)) if self.only_clock else 1
 
     def relaxed(
         self,
@@ -256,9 +263,11 @@ class _Tolerant:
     added only when a call needs them.
     """
 
-    def __init__(self, nlp: NLP, options: dict[str, Any], monitor: Monitor | None = None) -> None:
-        self.nlp, self._options, self._monitor = nlp, options, monitor
-        self._solver = Solver(nlp, options=options, monitor=monitor)
+    def __init__(
+        self, nlp: NLP, options: dict[str, Any], monitor: Monitor | None = None, every: int = 1
+    ) -> None:
+        self.nlp, self._options, self._monitor, self._every = nlp, options, monitor, every
+        self._solver = Solver(nlp, options=options, monitor=monitor, every=every)
         self._padded: Solver | None = None
 
     def __call__(self, z: Array, **arguments: Any) -> NLPResult:
@@ -274,7 +283,7 @@ class _Tolerant:
             idle = type(self.nlp.x).sym("idle", extra)
             free = np.full(extra, np.inf)
             padded = self.nlp.extended(x=idle, f=0.5 * (idle.T @ idle), lbx=-free, ubx=free)
-            self._padded = Solver(padded, options=self._options, monitor=self._monitor)
+            self._padded = Solver(padded, options=self._options, monitor=self._monitor, every=self._every)
         for name, fill in (("lbx", -np.inf), ("ubx", np.inf), ("lam_x0", 0.0)):
             if name in arguments:
                 arguments[name] = np.append(arguments[name], np.full(extra, fill))

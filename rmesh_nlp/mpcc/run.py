@@ -100,6 +100,7 @@ class Run:
         self._watched = (
             self._observers.iterate is not None or self._most is not None or np.isfinite(self._deadline)
         )
+        programs.only_clock = self._observers.iterate is None and self._most is None
         if self._observers.line is not None:
             self._observers.line(Step.HEADER)
 

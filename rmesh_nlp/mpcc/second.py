@@ -12,11 +12,11 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import Finish, finish
-from rmesh_nlp.mpcc.homotopy import CORNER, Path
+from rmesh_nlp.mpcc.homotopy import CORNER, ROUNDING, Path
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.nlp import NLPResult, Status
 
-_SAME = 1e-6  # relaxed solutions that are not lower than this, relative, end no lower either
+_SAME = 1e-4  # relaxed solutions that are not lower than this, relative, end no lower either
 
 
 def second_look(run: Run, path: Path, x0: Array, first: Finish | None) -> None:
@@ -46,7 +46,7 @@ def second_look(run: Run, path: Path, x0: Array, first: Finish | None) -> None:
             path.relaxed, path.failure = result, None
         if not np.all(np.isfinite(result.x)) or _pointless(run, result, known):
             return
-        if t <= options.crossover * (1 + 1e-9):  # 0.1 * 0.1 is more than 0.01
+        if t <= options.crossover * ROUNDING:
             break
         x, t = result.x[: x0.size], max(options.factor * t, options.t_final)
     if known is None or not _same_branch(run, result.x, known.z):

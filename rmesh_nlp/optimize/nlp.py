@@ -306,6 +306,8 @@ class Solver:
         Solver options without the plugin prefix; they add to and override ``IPOPT_OPTIONS``.
     monitor : callable, optional
         Called after each iteration.
+    every : int
+        Call the monitor at each of so many iterations only.
 
     Raises
     ------
@@ -322,6 +324,7 @@ class Solver:
         plugin: str = "ipopt",
         options: Mapping[str, Any] | None = None,
         monitor: Monitor | None = None,
+        every: int = 1,
     ) -> None:
         self.nlp = nlp
         settings: dict[str, Any] = {
@@ -343,6 +346,7 @@ class Solver:
         self._callback = None if monitor is None else IterationCallback(nlp.n_x, nlp.n_g, n_p, monitor)
         if self._callback is not None:
             settings["iteration_callback"] = self._callback
+            settings["iteration_callback_step"] = every
         problem = {"x": nlp.x, "p": nlp.p, "f": nlp.f, "g": nlp.g}
         try:
             with redirect_stdout(StringIO()):  # Ipopt prints the description of an option it refuses
