@@ -28,6 +28,7 @@ from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import regularised, weights
+from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solution.beginning import Start
 from rmesh_nlp.solution.flipping import check_flips, with_flips
@@ -81,8 +82,9 @@ def solve(
     flips : bool
         Flip edges by energy between relocations, until neither gains; without boxes only.
     tolerance : float
-        Largest first-order residual of a solution that is called converged. The finest mesh gets a few
-        iterations only, so that most solutions are successes that are not.
+        Largest first-order residual, of the energy with the distortion, of a solution that is called
+        converged. Up to ``settings.stationary`` nodes the descent goes on until then; larger meshes get a few
+        iterations only, so that their solutions are successes that are not.
     time_limit_s : float
         After it, as after Ctrl-C, the best mesh so far is the solution.
     start, seed : optional
@@ -178,17 +180,15 @@ def _large_moves(
     stated = replace(problem, quadrature=rule)
     result = watch.run(lambda: cascade(stated, settings, watch))
     objective = result.energy.relocation.objective if result else "energy"
-    solution, solves = None, sum(level.contact_solves for level in result.levels) + 2 if result else 0
+    solves = sum(level.contact_solves for level in result.levels) + 2 if result else 0
     q = watch.best(stated) if result is None else result.q
     rules = [rule]
-    while True:
-        referee = Referee(stated, objective)
-        q = q if referee.is_valid(q) else np.zeros(q.size)
-        status = watch.stopped or (result.status if result else Status.FAILED)
-        solution = referee.judge(
+
+    def judged(referee: Referee, q: Array, status: Status) -> Solution:
+        return referee.judge(
             "nested",
-            q,
-            status=status,
+            q if referee.is_valid(q) else np.zeros(q.size),
+            status=watch.stopped or status,
             tolerance=tolerance,
             objective=objective,
             history=watch.steps,
@@ -197,6 +197,11 @@ def _large_moves(
             settings=settings.changed(),
             extra=_figures(result, rules, settings),
         )
+
+    status = result.status if result else Status.FAILED
+    while True:
+        referee = Referee(stated, objective)
+        solution = judged(referee, q, status)
         rule = stated.rule
         higher = [degree for degree in RULES if not isinstance(rule, int) or degree > rule]
         if watch.stopped or _agrees(solution) or not higher or result is None:
@@ -206,12 +211,41 @@ def _large_moves(
         referee = Referee(stated, objective)
         q, status, more = _corrected(referee.reduced, q, result, settings, watch)
         solves += more
+    residual = solution.stationarity_residual
+    if result and not watch.stopped and residual > tolerance and q.size and _is_small(problem, settings):
+        began, before = time.process_time(), referee.reduced.contact_solves
+        last = finished(
+            referee.reduced,
+            q,
+            referee.residual(referee.reduced),
+            tolerance=tolerance,
+            reference=referee.reduced(q).value + result.gain_estimate,
+            max_iterations=settings.finish,
+            on_step=lambda iteration, x, value: watch(iteration, referee.reduced, x, value),
+        )
+        seconds = time.process_time() - began
+        more = referee.reduced.contact_solves - before
+        solves += more
+        better = judged(referee, last.result.x, last.result.status)
+        if better.success and (_agrees(better) or not _agrees(solution)):
+            figures = {
+                "iterations": last.result.iterations,
+                "products": last.result.products,
+                "contact_solves": more,
+                "factorisations": last.factorisations,
+                "seconds": seconds,
+            }
+            solution = replace(better, extra={**better.extra, "finish": figures})
     if not solution.energy_initial_audited >= solution.audit.energy_audited:
         # never a mesh that is worse than the one given
         solution = nested.solve(stated, max_iterations=1, tolerance=tolerance)
         solution = replace(solution, extra={**solution.extra, **_figures(result, rules, settings)})
     seconds = watch.seconds
     return replace(solution, solve_time_s=seconds)
+
+
+def _is_small(problem: ContactProblem, settings: CascadeSettings) -> bool:
+    return bool(problem.mesh.p.shape[1] <= settings.stationary)
 
 
 def _flipped(
@@ -320,6 +354,8 @@ def _figures(
         "regularisation": settings.regularisation,
         "distortion": settings.distortion,
         "rules": rules,
+        "stationary_for": f"the energy with {settings.distortion} weighted {settings.regularisation:g} of "
+        "its estimated error",
     }
     if result is not None:
         levels = result.record()
@@ -338,7 +374,7 @@ class _Watch:
         self._nodes, self._limit, self._on_step = problem.mesh.p.shape[1], limit, on_step
         self._began = time.perf_counter()
         self._last: tuple[float, Array] | None = None
-        self._before = 0
+        self._before = self._iteration = 0
         self.steps: list[Step] = []
         self.stopped: Status | None = None
 
@@ -353,8 +389,9 @@ class _Watch:
         return max((step.iteration for step in self.steps), default=0)
 
     def __call__(self, iteration: int, energy: ReducedEnergy, q: Array, value: float) -> bool:
-        if self.steps and iteration < self.steps[-1].iteration:
-            self._before = self.steps[-1].iteration - iteration
+        if self.steps and iteration < self._iteration:  # another descent begins
+            self._before = self.steps[-1].iteration
+        self._iteration = iteration
         step = Step(
             iteration=self._before + iteration,
             energy=energy(q).equilibrium.energy,

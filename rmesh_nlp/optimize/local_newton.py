@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.newton import SUFFICIENT, Evaluation, NewtonResult
 from rmesh_nlp.optimize.newton_step import BoxStep, Model
 from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.preconditioned_step import PreconditionedStep, Preconditioner
 
 ROUNDING = 1e-14
 """Error of the function relative to its value (A. R. Conn, N. I. M. Gould, Ph. L. Toint, Trust-region
@@ -69,6 +71,7 @@ def descend(
     forcing: float = 0.1,
     trust: Trust | None = None,
     on_step: Callable[[int, Array, Evaluation], bool | None] | None = None,
+    preconditioned: Callable[[Any, Array], Preconditioner | None] | None = None,
 ) -> NewtonResult:
     """Minimise in the box ``lower <= x <= upper`` from ``start``, where the function is defined.
 
@@ -91,6 +94,9 @@ def descend(
     trust : Trust, optional
     on_step : callable, optional
         Called with the iteration, the point and its evaluation; the descent stops if it returns True.
+    preconditioned : callable, optional
+        ``(model, widths) -> preconditioner`` of the conjugate gradients, in units of the widths; None, as by
+        default, for the diagonal of the model.
     """
     trust = trust or Trust()
     x = np.clip(start, lower, upper)
@@ -103,11 +109,14 @@ def descend(
             return NewtonResult(x, here.value, Status.INTERRUPTED, iteration, products)
         if iteration == max_iterations:
             break
-        model, there = here.model(), None
+        model, there, width = here.model(), None, widths(x)
+        preconditioner = None if preconditioned is None else preconditioned(model, width)
         while there is None:
-            width = widths(x)
             low, high = np.maximum((lower - x) / width, -radius), np.minimum((upper - x) / width, radius)
-            step = BoxStep(_Scaled(model, width), width * here.gradient)
+            scaled, slope = Scaled(model, width), width * here.gradient
+            step = BoxStep(scaled, slope)
+            if preconditioner is not None:
+                step = PreconditionedStep(scaled, slope, preconditioner)
             y, predicted = step.solve(low, high, forcing)
             products += step.products
             hidden = float(np.mean(np.abs(y) >= 0.999 * radius)) if y.size else 0.0
@@ -141,14 +150,16 @@ def descend(
     return NewtonResult(x, here.value, Status.ITERATION_LIMIT, max_iterations, products)
 
 
-class _Scaled:
-    """A model in units of the widths, in which the trust region is a cube."""
+class Scaled:
+    """A model in units of the widths, in which the trust region is a cube; see :class:`Model`."""
 
     def __init__(self, model: Model, width: Array) -> None:
         self._model, self._width = model, width
 
     def __call__(self, d: Array) -> Array:
+        """Hessian times ``d``."""
         return self._width * self._model(self._width * d)
 
     def diagonal(self) -> Array:
+        """That of the model."""
         return self._width**2 * self._model.diagonal()

@@ -64,6 +64,10 @@ class CascadeSettings(Settings):
     brief, brief_unnested : int
         Iterations on the other meshes, where they are uniform refinements of the next coarser one
         and where they are not: a map is then prolonged less well.
+    stationary : int
+        Largest number of nodes of a given mesh on which ``auto`` goes on to a stationary point.
+    finish : int
+        Limit of the iterations of that.
     """
 
     regularisation: float = 0.003
@@ -76,6 +80,8 @@ class CascadeSettings(Settings):
     iterations: int = 60
     brief: int = 8
     brief_unnested: int = 20
+    stationary: int = 1200
+    finish: int = 120
 
     def __post_init__(self) -> None:
         check_positive(
@@ -86,6 +92,7 @@ class CascadeSettings(Settings):
             iterations=self.iterations,
             brief=self.brief,
             brief_unnested=self.brief_unnested,
+            finish=self.finish,
         )
         regularised(1.0, self.regularisation, self.distortion)
         if not self.regularisation > 0:

@@ -12,6 +12,7 @@ solve. The slips at fixed displacement, sigma, move where a foundation is curved
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 
 from rmesh_nlp.contact.sensitivity import tangent_response
 from rmesh_nlp.evaluation import Array
@@ -51,11 +52,30 @@ class Hessian:
         self._tangents = point.system.tangents[friction_rows]
         self._sliding = self._active.sliding[friction_rows] if friction_rows.size else np.zeros(0)
         self._respond = tangent_response(point.system, self._active)
+        self._rotated = point.system.rotated
 
     def diagonal(self) -> Array:
         """Size of the diagonal of Lambda_qq, kept away from zero."""
         diagonal = np.abs(self.qq.diagonal())
         return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
+
+    def joint(self, width: Array) -> tuple[sp.csc_array, int]:
+        """Second derivatives in moves, in units of ``width``, and displacements that contact leaves free.
+
+        Its Schur complement in the moves is L'' where gaps and slips do not change with the moves and no
+        node slides against friction; elsewhere it is close.
+
+        Returns
+        -------
+        matrix : sparse array
+        n : int
+            The first n unknowns are the moves.
+        """
+        rotated, scale = self._rotated, sp.diags_array(width)
+        inside, _ = rotated.factor(self._active)
+        mixed = scale @ (self._qu if rotated.basis is None else self._qu @ rotated.basis)[:, inside]
+        corner = rotated.K[:, inside][inside]
+        return sp.csc_array(sp.block_array([[scale @ self.qq @ scale, mixed], [mixed.T, corner]])), width.size
 
     def __call__(self, d: Array) -> Array:
         """``L'' d`` for a vector (n,), or for each column of a matrix (n, k)."""

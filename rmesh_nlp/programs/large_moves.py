@@ -14,8 +14,9 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.optimize.local_newton import descend
 from rmesh_nlp.optimize.newton import Evaluation, NewtonResult
+from rmesh_nlp.optimize.preconditioned_step import Preconditioner
 from rmesh_nlp.problem import signed_areas
-from rmesh_nlp.programs.curvature import Curvature
+from rmesh_nlp.programs.curvature import Curvature, Hessian
 from rmesh_nlp.programs.energy_program import Relocation
 from rmesh_nlp.programs.reduced import ReducedEnergy
 
@@ -54,6 +55,8 @@ class LargeMoves:
         reference: float | None = None,
         max_iterations: int = 100,
         on_step: OnPoint | None = None,
+        forcing: float = 0.1,
+        preconditioned: Callable[[Hessian, Array], Preconditioner | None] | None = None,
     ) -> NewtonResult:
         """Descend from moves ``q``; see :func:`rmesh_nlp.optimize.local_newton.descend`."""
         bound, before = self.relocation.freedoms.bound, self.iterations
@@ -67,6 +70,8 @@ class LargeMoves:
             gain_tolerance=gain_tolerance,
             reference=reference,
             max_iterations=max_iterations,
+            forcing=forcing,
+            preconditioned=preconditioned,
             on_step=None if on_step is None else lambda i, x, here: on_step(before + i, x, here.value),
         )
         self.iterations += result.iterations

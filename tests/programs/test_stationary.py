@@ -1,0 +1,53 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.programs.cascade import cascade
+from rmesh_nlp.programs.curvature import Curvature
+from rmesh_nlp.programs.stationary import finished
+from rmesh_nlp.solution.referee import Referee
+
+
+@pytest.mark.parametrize(("name", "size"), [("6.1", 5), ("6.2", (6, 3)), ("6.3", (6, 3))])
+def test_the_way_from_a_cascade_to_a_stationary_point(name: str, size: int | tuple[int, int]) -> None:
+    problem = EXAMPLES[name](n=size)
+    problem = replace(problem, motion=replace(problem.motion, delta=None), quadrature=6)
+    start = cascade(problem)
+    referee = Referee(problem, start.energy.relocation.objective)
+    residual = referee.residual(referee.reduced)
+    before = start.energy(start.q).value
+    end = finished(
+        start.energy,
+        start.q,
+        residual,
+        tolerance=1e-6,
+        reference=before + start.gain_estimate,
+        max_iterations=80,
+    )
+    assert end.result.status is Status.CONVERGED
+    assert end.residual == residual(start.energy(end.result.x)) <= 1e-6
+    assert end.result.value <= before
+    # a minimum, not only a stationary point: no direction has negative curvature
+    hessian = Curvature(start.energy).at(start.energy(end.result.x))
+    matrix = np.column_stack([hessian(e) for e in np.eye(end.result.x.size)])
+    eigenvalues = np.linalg.eigvalsh((matrix + matrix.T) / 2)
+    assert eigenvalues.min() > -1e-6 * eigenvalues.max()
+
+
+def test_a_limit_of_iterations_is_said() -> None:
+    problem = EXAMPLES["6.1"](n=5)
+    problem = replace(problem, motion=replace(problem.motion, delta=None), quadrature=6)
+    start = cascade(problem)
+    end = finished(
+        start.energy,
+        np.zeros(start.q.size),
+        Referee(problem, start.energy.relocation.objective).residual(start.energy),
+        tolerance=1e-6,
+        reference=start.energy(np.zeros(start.q.size)).value + start.gain_estimate,
+        max_iterations=1,
+    )
+    assert end.result.status is Status.ITERATION_LIMIT
+    assert end.residual > 1e-6
