@@ -252,7 +252,11 @@ def minimise(
         unit = half_energy(contact) if areas else pull(contact.gradient)
     with referee.clock.during("build"):
         solver = Solver(relocation.nlp, options=settings.options(areas, unit), monitor=recorder)
-    return solver(referee.reduced.point(q, contact.equilibrium))
+    recorder.residual = referee.residual(referee.reduced).of_program
+    try:
+        return solver(referee.reduced.point(q, contact.equilibrium))
+    finally:
+        recorder.residual = None  # it may go on to watch another program
 
 
 def pull(gradient: Array) -> float:

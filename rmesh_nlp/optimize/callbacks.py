@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Callable
 from types import FrameType
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 
@@ -14,6 +14,14 @@ from rmesh_nlp.evaluation import Array, flat
 
 Monitor = Callable[[int, Array, float], bool | None]
 """Called as ``monitor(iteration, x, f)`` after each accepted iteration; True stops the solver."""
+
+
+@runtime_checkable
+class SeesMultipliers(Protocol):
+    """A monitor that is shown the multipliers of the constraints before each call."""
+
+    def see_multipliers(self, lam_g: Array) -> None:
+        """Take the multipliers (n_g,) of the iterate that comes next, with CasADi's signs."""
 
 
 class SignalWatch:
@@ -87,6 +95,8 @@ class IterationCallback(ca.Callback):
     def eval(self, arg: list[ca.DM]) -> list[int]:
         """Pass the iterate on."""
         try:
+            if isinstance(self._monitor, SeesMultipliers):
+                self._monitor.see_multipliers(flat(arg[ca.nlpsol_out().index("lam_g")]))
             enough = self._monitor(self._iteration, flat(arg[0]), float(arg[1]))
         except KeyboardInterrupt:  # CasADi would take it for a failed evaluation
             enough = self.interrupted = True

@@ -107,9 +107,21 @@ class ReducedEnergy:
     def at(self, q: Array, system: ContactSystem, equilibrium: Equilibrium) -> ReducedPoint:
         """Value and gradient where the contact solution is known."""
         friction = equilibrium.tangential_force[self.relocation.friction_rows]
-        (gradient,) = self._gradient(self.point(q, equilibrium), equilibrium.normal_force, friction)
+        gradient = self.gradient(self.point(q, equilibrium), equilibrium.normal_force, friction)
         value = equilibrium.energy + self.of_positions(q)
         return ReducedPoint(np.array(q), value, gradient, system, equilibrium, True)
+
+    def gradient(self, x: Array, normal_force: Array, friction: Array) -> Array:
+        """Derivative by the moves of the inner Lagrangian at unknowns ``x = (q, u, s)`` and contact forces.
+
+        Parameters
+        ----------
+        x : (n_q + n_u + n_s,) array
+        normal_force : (contact nodes,) array
+        friction : (n_s,) array
+            Tangential forces where friction may act.
+        """
+        return self._gradient(x, normal_force, friction)[0]
 
     def point(self, q: Array, equilibrium: Equilibrium) -> Array:
         """The unknowns ``(q, u, s)`` of the energy program at a contact solution."""

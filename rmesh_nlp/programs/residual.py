@@ -42,28 +42,50 @@ class OuterResidual:
 
     def __init__(self, energy: ReducedEnergy, given: ReducedPoint) -> None:
         self._energy = energy
-        released, _ = self._released(given)
+        released, _ = self._released(given.q, given.gradient)
         largest = float(np.max(np.abs(released), initial=0.0))
         self.unit = max(largest, FLOOR * size_of(given)) or 1.0
 
     def __call__(self, point: ReducedPoint) -> float:
         """The residual at a point of the objective; infinite if its gradient is not finite."""
-        if not np.all(np.isfinite(point.gradient)):
+        return self.at(point.q, point.gradient)
+
+    def of_program(self, x: Array, lam_g: Array) -> float:
+        """The residual at an iterate of the energy program, whose multipliers are the contact forces.
+
+        It costs no contact solve, and is that of :meth:`__call__` where equilibrium and contact law hold.
+
+        Parameters
+        ----------
+        x : (n_x,) array
+            Unknowns ``(q, u, s)``.
+        lam_g : (n_g,) array
+            Multipliers with CasADi's sign, negative at active lower bounds.
+        """
+        relocation = self._energy.relocation
+        n, n_s, box = relocation.n_contact, relocation.n_s, relocation.freedoms.bound
+        normal, minus, plus = np.split(-lam_g[: n + 2 * n_s], [n, n + n_s])
+        q = np.clip(x[: relocation.n_q], -box, box)  # an interior point may leave them by rounding
+        return self.at(q, self._energy.gradient(x, normal, plus - minus))
+
+    def at(self, q: Array, gradient: Array) -> float:
+        """The residual at moves ``q`` with a gradient; infinite if that is not finite."""
+        if not np.all(np.isfinite(gradient)):
             return float("inf")
         box = self._energy.relocation.freedoms.bound
-        released, law = self._released(point)
-        natural = np.abs(point.q - np.clip(point.q - released / self.unit, -box, box))
+        released, law = self._released(q, gradient)
+        natural = np.abs(q - np.clip(q - released / self.unit, -box, box))
         pairs = 0.0 if law is None else np.max(np.minimum(law[0], law[1] / self.unit), initial=0.0)
         return float(max(np.max(natural, initial=0.0), pairs))
 
-    def _released(self, point: ReducedPoint) -> tuple[Array, tuple[Array, Array] | None]:
+    def _released(self, q: Array, gradient: Array) -> tuple[Array, tuple[Array, Array] | None]:
         """The gradient less the pull of elements; slacks of the elements and their multipliers."""
         if not self._energy.relocation.n_valid:
-            return point.gradient, None
+            return gradient, None
         box = self._energy.relocation.freedoms.bound
-        rows = self._energy.validity.at(point.q)
-        multipliers = rows.fitted(point.gradient, is_inside(point.q, -box, box))
-        return point.gradient - rows.jacobian.T @ multipliers, (np.maximum(rows.slack, 0.0), multipliers)
+        rows = self._energy.validity.at(q)
+        multipliers = rows.fitted(gradient, is_inside(q, -box, box))
+        return gradient - rows.jacobian.T @ multipliers, (np.maximum(rows.slack, 0.0), multipliers)
 
 
 def size_of(point: ReducedPoint) -> float:

@@ -106,6 +106,12 @@ class Recorder(Watch):
         Value of the outer objective where the program's is one.
     is_energy : bool
         Whether the outer objective is the energy, which is then known at every iterate.
+
+    Attributes
+    ----------
+    residual : callable or None
+        ``(x, lam_g) ->`` first-order residual of the outer problem at an iterate, while a program runs whose
+        multipliers give it; None by default, and the histories then do not know it.
     """
 
     def __init__(
@@ -120,6 +126,12 @@ class Recorder(Watch):
         self._unit, self._is_energy = unit, is_energy
         self._before = 0
         self._steps: list[Step] = []
+        self.residual: Callable[[Array, Array], float] | None = None
+        self._lam_g: Array | None = None
+
+    def see_multipliers(self, lam_g: Array) -> None:
+        """Multipliers of the iterate that comes next."""
+        self._lam_g = lam_g
 
     def after(self, iterations: int) -> None:
         """Go on counting after so many iterations of something else."""
@@ -127,7 +139,9 @@ class Recorder(Watch):
 
     def __call__(self, iteration: int, x: Array, f: float) -> bool:
         """Note an iterate of an NLP without complementarity: its relaxation parameter is infinite."""
-        return self._note(iteration, x, f, t=math.inf)
+        known = self.residual is not None and self._lam_g is not None
+        residual = self.residual(x, self._lam_g) if known else NAN  # type: ignore[misc, arg-type]
+        return self._note(iteration, x, f, t=math.inf, residual=residual)
 
     def iterate(self, one: Iterate) -> None:
         """Note an iterate of a homotopy."""
@@ -148,6 +162,7 @@ class Recorder(Watch):
         f: float,
         *,
         t: float,
+        residual: float = NAN,
         violation: float = NAN,
         product: float = NAN,
         biactive: float = NAN,
@@ -158,7 +173,7 @@ class Recorder(Watch):
             energy=objective if self._is_energy else NAN,
             t=t,
             primal_residual=violation,
-            dual_residual=NAN,
+            dual_residual=residual,
             contact_solves=0,
             seconds=self.referee.clock.elapsed,
             objective=objective,
@@ -178,12 +193,9 @@ class Recorder(Watch):
         return Status.CONVERGED if result.converged else result.status
 
     def steps(self, result: NLPResult | None = None) -> list[Step]:
-        """The steps since the last call, with the residuals of an NLP solver filled in."""
+        """The steps since the last call, with the constraint violation of an NLP solver filled in."""
         steps, self._steps = self._steps, []
         if result is None:
             return steps
-        columns = zip(result.history["inf_pr"], result.history["inf_du"], strict=True)
-        return [
-            replace(step, primal_residual=primal, dual_residual=dual)
-            for step, (primal, dual) in zip(steps, columns, strict=False)
-        ]
+        violation = result.history["inf_pr"]
+        return [replace(step, primal_residual=v) for step, v in zip(steps, violation, strict=False)]

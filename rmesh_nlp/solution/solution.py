@@ -35,8 +35,11 @@ class Step:
         Relaxation parameter of the complementarity: finite and positive while a relaxation acts, ``inf``
         where the complementarity is not imposed, 0 where it holds exactly (contact solves, the
         exact finish of ``mpcc``).
-    primal_residual, dual_residual : float
-        Constraint violation and dual infeasibility as the solver scales them.
+    primal_residual : float
+        Constraint violation as the solver scales it; 0 where a contact solve is exact.
+    dual_residual : float
+        First-order residual of the outer problem, :mod:`rmesh_nlp.programs.residual`; of an all-at-once
+        solver at its own displacement and forces. NaN where it is not known.
     contact_solves : int
         Contact solves so far; 0 for the all-at-once strategies.
     seconds : float

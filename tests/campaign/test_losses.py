@@ -70,6 +70,7 @@ def test_resume_repairs_duplicates_and_a_cut_line(cases: list[Case], tmp_path: P
     assert (tmp_path / "records-damaged.txt").read_text() == whole[:50] + "\n"
 
 
+@pytest.mark.slow
 def test_two_runs_beside_files_of_the_user_s(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,6 +40,7 @@ def test_wrong_options_are_named(text: str, said: str) -> None:
         strategy_options(text)
 
 
+@pytest.mark.slow
 def test_an_objective_that_joint_refuses_is_a_dash_and_no_failure(tmp_path: Path) -> None:
     arguments = ["compare", "6.1", "--n", "4", "--quadrature", "6", "--formulations", "joint,nested"]
     arguments += ["--quiet"]

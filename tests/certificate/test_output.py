@@ -82,6 +82,7 @@ def test_brackets_of_several_meshes_are_drawn(certified):
     assert list(lower) == [record["energy_lower_bound"], finer["energy_lower_bound"]]
 
 
+@pytest.mark.slow
 def test_a_problem_file_may_ask_for_it_and_the_result_is_printed(tmp_path, capsys):
     (tmp_path / "my.toml").write_text(TOML)
     assert (
@@ -92,6 +93,7 @@ def test_a_problem_file_may_ask_for_it_and_the_result_is_printed(tmp_path, capsy
     assert "least energy between" in printed
 
 
+@pytest.mark.slow
 def test_without_a_certificate_the_reason_is_printed(tmp_path, capsys):
     curved = TOML.replace(
         "normal = [0.0, 1.0]\nfriction = 0.1", "circle = { centre = [1.0, -5.0], radius = 5.0 }"

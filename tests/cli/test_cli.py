@@ -119,6 +119,7 @@ def test_table_and_figures_take_a_single_solve() -> None:
     assert Path("one/figures/6.1-3-grid.png").exists()
 
 
+@pytest.mark.slow
 def test_an_option_goes_to_the_strategies_that_take_it() -> None:
     size = ("--n", "3", "--quadrature", "6")
     assert run("compare", "6.1", "--formulations", "fixed,joint", *size, "--seed", "1", "--out", "a") == 0
@@ -126,6 +127,7 @@ def test_an_option_goes_to_the_strategies_that_take_it() -> None:
     assert (fixed["seed"], joint["seed"]) == (None, 1)
 
 
+@pytest.mark.slow
 def test_a_refused_objective_is_a_row_of_dashes_and_no_failure(capsys: pytest.CaptureFixture[str]) -> None:
     code = run("compare", "6.1", "--formulations", "joint,fixed", "--n", "3", "--objective", "error-l2")
     assert code == 0
@@ -268,6 +270,7 @@ def test_help_loads_nothing_heavy() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("formulation", ["joint", "nested", "mpcc"])
 def test_interrupt_keeps_finished_rows(formulation: str) -> None:

@@ -25,6 +25,7 @@ def test_scattered_nodes_are_refused() -> None:
         reference_solution(replace(problem, mesh=replace(problem.mesh, doflocs=p)))
 
 
+@pytest.mark.slow
 def test_an_error_objective_goes_down_against_a_reference() -> None:
     problem = with_reference(EXAMPLES["6.3"]((4, 2)))
     record = mpcc.solve(problem, objective="error-l2").record()

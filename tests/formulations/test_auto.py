@@ -88,6 +88,7 @@ def test_the_rule_is_raised_until_the_audit_confirms_the_gain() -> None:
     assert abs(row["gain"] - row["gain_audited"]) <= 0.01 * row["gain_audited"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 5, 8])
 def test_random_problems_without_boxes_improve(seed: int) -> None:
     row = auto.solve(no_boxes(random_problem(seed))).record()

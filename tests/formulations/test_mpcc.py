@@ -28,6 +28,7 @@ def path(solution: Solution) -> list[tuple[float, float]]:
     return [(step.t, step.objective) for step in solution.history]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["6.1", "6.3"])
 @pytest.mark.parametrize("relaxation", RELAXATIONS)
 def test_every_relaxation_ends_near_joint_from_the_given_mesh(name: str, relaxation: str) -> None:
@@ -88,6 +89,7 @@ def test_no_other_program_is_solved(objective: str, monkeypatch: pytest.MonkeyPa
     assert record["iterations"] == sum(stage["iterations"] for stage in stages)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["6.1", "6.3"])
 @pytest.mark.parametrize("change", [{"t0": 1.0}, {"factor": 1e-4}, {"warm_duals": False}])
 def test_the_options_of_the_homotopy_change_its_path(name: str, change: dict[str, Any]) -> None:
@@ -139,6 +141,7 @@ def test_named_starts_are_solved_first_and_named(start: str) -> None:
     assert iterations[-1] == record["iterations"]
 
 
+@pytest.mark.slow
 def test_a_solution_and_positions_are_starts() -> None:
     problem = coarse("6.1")
     end = joint.solve(problem)

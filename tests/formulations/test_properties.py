@@ -65,6 +65,7 @@ def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
     )
 
 
+@pytest.mark.slow
 @FEW
 @given(SEEDS)
 def test_contact_law_and_equilibrium_hold_on_any_moved_mesh(seed: int) -> None:
@@ -76,6 +77,7 @@ def test_contact_law_and_equilibrium_hold_on_any_moved_mesh(seed: int) -> None:
     assert law_residual(system, state.u, state.normal_force, state.tangential_force) < 1e-9
 
 
+@pytest.mark.slow
 @FEW
 @given(SEEDS)
 def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
@@ -110,6 +112,7 @@ def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, st
         assert np.all(np.abs(solution.mesh.p - problem.mesh.p) <= np.array(delta)[:, None] * (1 + 1e-9))
 
 
+@pytest.mark.slow
 @FEW
 @given(SEEDS, st.floats(1, 25))
 def test_random_starts_keep_areas_and_angles(seed: int, angle: float) -> None:

@@ -38,6 +38,7 @@ def test_every_outer_solver_takes_the_barrier(outer: str) -> None:
     check(nested.solve(problem(), regularisation=0.1, outer=outer, max_iterations=60))
 
 
+@pytest.mark.slow
 def test_joint_and_nested_are_stationary_for_the_same_program() -> None:
     one = nested.solve(problem(), regularisation=(1.0, 0.1), outer="newton")
     two = joint.solve(problem(), regularisation=(1.0, 0.1))

@@ -50,6 +50,7 @@ def test_joint_and_mpcc_reach_the_same_low_energy(name: str) -> None:
     assert two.record()["equilibrium_multiplier"] <= 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
 @pytest.mark.parametrize(
     "strategy", [joint.solve, mpcc.solve, functools.partial(nested.solve, outer="newton")]
@@ -106,6 +107,7 @@ LARGE_BOXES = {
 """Boxes of several edges, in which elements could be turned inside out."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", [joint.solve, functools.partial(nested.solve, outer="newton")])
 @pytest.mark.parametrize("name", LARGE_BOXES)
 def test_no_delta_however_large_inverts_an_element(name, strategy) -> None:
@@ -119,6 +121,7 @@ def test_no_delta_however_large_inverts_an_element(name, strategy) -> None:
         assert solution.audit.energy_audited > problem.exact.energy
 
 
+@pytest.mark.slow
 def test_a_solution_with_elements_at_their_bounds_is_a_start() -> None:
     problem = EXAMPLES["6.1"](4, 0.9)
     end = joint.solve(problem)
@@ -138,6 +141,7 @@ def test_random_starts_are_repeatable_and_seeded() -> None:
     assert other.history[0].energy != one.history[0].energy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outer", [name for name in nested.OUTER_SOLVERS if name != "ipopt"])
 def test_other_outer_solvers_come_close(outer: str) -> None:
     problem = EXAMPLES["6.1"](4)
@@ -228,6 +232,7 @@ class TestOuterObjectives:
         assert record["objective_value"] <= 1.01 * 9.08e-4
         assert record["biactive_nodes"] == []
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("objective", ["error-h1", "contact", "energy + 0.1*quality"])
     def test_other_objectives_go_down(self, objective: str) -> None:
         problem = EXAMPLES["6.1"](4)

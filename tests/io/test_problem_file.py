@@ -98,6 +98,7 @@ def test_a_missing_file_and_a_mesh_that_cannot_be_read(tmp_path: Path) -> None:
         load_problem(write(tmp_path, text))
 
 
+@pytest.mark.slow
 def test_new_check_and_solve(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "mine.toml"
     assert problem_commands.new(path) == 0
@@ -159,6 +160,7 @@ def test_expressions_mean_what_they_say() -> None:
     assert np.isinf(Expression("9**9**9**9").on(points)).all()  # at once: whole numbers are floats
 
 
+@pytest.mark.slow
 def test_the_command_line_reads_problem_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = tmp_path / "mine.toml", tmp_path / "out"
     assert cli.run(["new", str(path)]) == 0
@@ -178,6 +180,7 @@ def test_the_command_line_reads_problem_files(tmp_path: Path, capsys: pytest.Cap
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("plan", "key"), [("starts = 2", "start_spread"), ("levels = 1", "level_energies")])
 def test_starts_and_levels_of_a_file(tmp_path: Path, plan: str, key: str) -> None:
     text = VALID.replace('formulation = "joint"', f'formulation = "joint"\n{plan}')
@@ -199,6 +202,7 @@ def test_random_edits_never_end_in_a_traceback() -> None:
     assert min(counts.values()) > 30
 
 
+@pytest.mark.slow
 def test_starts_and_levels_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     size = ["--n", "4", "--quadrature", "6", "--delta", "0.05", "--out", str(tmp_path)]
     assert cli.run(["solve", "6.1", "--starts", "2", *size]) == 0

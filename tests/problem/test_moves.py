@@ -131,6 +131,7 @@ def test_relative_boxes_follow_the_shortest_edge() -> None:
     np.testing.assert_allclose(moved[:, inner] - p.mesh.p[:, inner], 0.4 * 0.25)
 
 
+@pytest.mark.slow
 def test_without_a_box_validity_alone_limits_and_says_where() -> None:
     p = problem(Motion(None, min_area_fraction=0.3), law=Laplace(lambda x, y: 100 * x**4))
     free = freedoms(p)
@@ -165,6 +166,7 @@ def test_the_multiplier_of_a_box_is_the_rate_of_the_energy() -> None:
     assert solution.multipliers.box.sum() == pytest.approx(rate, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_a_least_angle_is_kept() -> None:
     loose = problem(Motion(None, min_area_fraction=0.05), law=Laplace(lambda x, y: 100 * x**4))
     tight = replace(loose, motion=replace(loose.motion, min_angle=20.0))

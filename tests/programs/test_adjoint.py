@@ -35,10 +35,25 @@ PROBLEMS = {
 }
 
 
+OBJECTIVES = ("error-l2", "error-energy", "contact", "energy", "energy + 0.1*quality")
+
+QUICK = {
+    ("6.1", "error-energy"),
+    ("6.1", "contact"),
+    ("6.3", "energy"),
+    ("sloped, stick and slip", "error-l2"),
+}
+"""Each objective and each kind of contact once; the other combinations are slow."""
+
+
 @pytest.mark.parametrize(
-    "objective", ["error-l2", "error-energy", "contact", "energy", "energy + 0.1*quality"]
+    ("name", "objective"),
+    [
+        pytest.param(name, objective, marks=() if (name, objective) in QUICK else pytest.mark.slow)
+        for name in PROBLEMS
+        for objective in OBJECTIVES
+    ],
 )
-@pytest.mark.parametrize("name", PROBLEMS)
 def test_adjoint_gradient_is_of_second_order(name: str, objective: str) -> None:
     referee = Referee(PROBLEMS[name]())
     function = ReducedObjective(referee.reduced, parse_objective(objective))

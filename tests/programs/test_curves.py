@@ -1,6 +1,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from support.curved import CURVES, HOLE, disc, plate, spline_of_the_hole
 
 from formulations import auto, joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
@@ -15,7 +16,6 @@ from rmesh_nlp.programs.refinement import locally_refined
 from rmesh_nlp.solution.solution import Solution
 from rmesh_nlp.solution.verification import verify_gradient
 from rmesh_nlp.solution.worth import gain_of_polygon
-from tests.support.curved import CURVES, HOLE, disc, plate, spline_of_the_hole
 
 ARC = Circle((0.0, 1.0), 1.0)
 

@@ -32,6 +32,7 @@ def test_products_are_derivatives_of_the_gradient(name: str, size: int, objectiv
     assert np.log2(errors[0] / errors[1]) > 1.9
 
 
+@pytest.mark.slow
 def test_newton_takes_a_true_error_and_needs_few_contact_solves() -> None:
     problem = EXAMPLES["6.1"](6)
     newton, ipopt = (nested.solve(problem, objective="error-l2", outer=o) for o in ("newton", "ipopt"))

@@ -60,6 +60,7 @@ def test_adaptive_refinement_beats_uniform_refinement(indicators) -> None:
     assert error(problem) < 0.7 * error(example(16))
 
 
+@pytest.mark.slow
 def test_edge_gains_estimate_the_error() -> None:
     for n in (8, 16, 32):
         assert edge_gains(example(n)).sum() == pytest.approx(EFFECTIVITY * error(example(n)), rel=0.15)
@@ -94,6 +95,7 @@ def test_hr_refuses_what_it_cannot_do() -> None:
         hr(EXAMPLES["6.1"](n=4), nodes=100)
 
 
+@pytest.mark.slow
 def test_what_a_solution_says_it_is_worth() -> None:
     found = auto.solve(example()).record()["worth"]
     assert found["source"] == "exact"
@@ -105,6 +107,7 @@ def test_what_a_solution_says_it_is_worth() -> None:
     assert found["nodes"] < found["adaptive_nodes"] < found["uniform_nodes"]
 
 
+@pytest.mark.slow
 def test_extrapolated_worth_is_close_to_the_exact_one() -> None:
     exact = auto.solve(example()).record()["worth"]
     other = auto.solve(replace(example(), exact=None)).record()["worth"]
@@ -112,6 +115,7 @@ def test_extrapolated_worth_is_close_to_the_exact_one() -> None:
     assert other["error_initial"] == pytest.approx(exact["error_initial"], rel=0.1)
 
 
+@pytest.mark.slow
 def test_advice() -> None:
     advice = advise(example(16))
     assert advice.relocation > 3

@@ -79,6 +79,7 @@ class Circle:
         return x if self.side * (x @ x - 1) >= 0 else x / np.linalg.norm(x) * (1 + self.side * 1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_newton_follows_a_curved_wall_and_converges_there(side: float) -> None:
     # the nearest point of the circle to one inside it, or outside

@@ -30,6 +30,7 @@ def membrane() -> ContactProblem:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [1, 2])
 @pytest.mark.parametrize("make", [block_between_two_foundations, membrane])
 def test_every_letter_is_legible_at_the_width_of_the_page(
@@ -41,6 +42,7 @@ def test_every_letter_is_legible_at_the_width_of_the_page(
         assert figure.get_size_inches()[0] <= page.width + 1e-9
 
 
+@pytest.mark.slow
 def test_a_solve_of_a_body_has_all_its_pictures(tmp_path: Path) -> None:
     problem = replace(block_between_two_foundations(), units=Units("mm", "N"))
     paths = write_pictures(joint.solve(problem), tmp_path)
@@ -49,6 +51,7 @@ def test_a_solve_of_a_body_has_all_its_pictures(tmp_path: Path) -> None:
     assert all(path.stat().st_size > 5000 for path in paths)
 
 
+@pytest.mark.slow
 def test_units_stand_on_the_axes_only_if_they_were_given() -> None:
     for units, words in ((Units(), False), (Units("mm", "N"), True)):
         problem = replace(block_between_two_foundations(), units=units)
@@ -93,6 +96,7 @@ def test_the_contact_set_of_a_membrane_is_where_it_touches() -> None:
         assert inside[np.argmin(np.linalg.norm(middle, axis=0))]
 
 
+@pytest.mark.slow
 def test_limits_name_boxes_and_areas() -> None:
     problem = membrane()
     tight = limits(joint.solve(replace(problem, motion=Motion(Relative(0.02)))))
@@ -104,6 +108,7 @@ def test_limits_name_boxes_and_areas() -> None:
     assert wide[corner] is Limit.PINNED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wanted", [True, False])
 def test_rmesh_solve_draws_unless_told_not_to(tmp_path: Path, wanted: bool) -> None:
     path, out = tmp_path / "my.toml", tmp_path / "out"

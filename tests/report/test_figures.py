@@ -41,6 +41,7 @@ def texts(figure: Figure) -> Iterator[matplotlib.text.Text]:
     return (t for t in figure.findobj(matplotlib.text.Text) if t.get_text() and t.get_visible())
 
 
+@pytest.mark.slow
 def test_every_example_has_its_figures(results: list[Result], tmp_path: Path) -> None:
     paths = write_figures(results, tmp_path)
     names = {path.name for path in paths}
@@ -61,6 +62,7 @@ def test_every_example_has_its_figures(results: list[Result], tmp_path: Path) ->
         assert head == (b"\x89PNG\r" if path.suffix == ".png" else b"%PDF-")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", ["6.1", "6.3"])
 def test_texts_are_legible_and_do_not_overlap(results: list[Result], example: str) -> None:
     for name, figure in figures(results, example).items():

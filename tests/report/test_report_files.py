@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from rmesh_nlp.campaign.cases import make_cases
@@ -13,10 +11,11 @@ from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.report.figures import write_figures
 
 
-@pytest.fixture
-def results(tmp_path: Path) -> list[Result]:
-    list(run(make_cases(["6.1"], ["fixed"], n=3), Results(tmp_path)))
-    return read_results(tmp_path)
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> list[Result]:
+    folder = tmp_path_factory.mktemp("results")
+    list(run(make_cases(["6.1"], ["fixed"], n=3), Results(folder)))
+    return read_results(folder)
 
 
 def test_nothing_is_solved_for_figures(results, tmp_path, monkeypatch):

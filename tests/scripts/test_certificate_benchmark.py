@@ -20,6 +20,7 @@ def benchmark(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("benchmark_certificate")
 
 
+@pytest.mark.slow
 def test_small_run_finds_no_violation(benchmark: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--parts", "exact", "random", "--kinds", "scalar", "--seeds", "1", "--n", "4"]
     assert benchmark.main(arguments) == 0

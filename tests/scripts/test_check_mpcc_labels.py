@@ -19,6 +19,7 @@ def script(monkeypatch):
     return module
 
 
+@pytest.mark.slow
 def test_labels_of_random_corners_and_solutions_agree_with_brute_force(script, capsys):
     assert script.main(["--problems", "40", "--pairs", "4", "--seed", "7"]) == 0
     out = capsys.readouterr().out
@@ -40,6 +41,7 @@ def test_the_brute_force_itself_on_a_corner_known_by_hand(script, slope, label, 
     assert (script.label(data), script.b_stationary(data)) == (label, b)
 
 
+@pytest.mark.slow
 def test_a_wrong_label_is_found_out(script, monkeypatch, capsys):
     honest = script.classify
 

@@ -33,6 +33,7 @@ def needs_gmsh() -> None:
         pytest.skip("gmsh is not installed")
 
 
+@pytest.mark.slow
 def test_l_shape(load: Callable[[str], ModuleType], tmp_path: Path) -> None:
     needs_gmsh()
     module = load("l_shape")
@@ -43,12 +44,14 @@ def test_l_shape(load: Callable[[str], ModuleType], tmp_path: Path) -> None:
     assert (tmp_path / "l.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_plate_with_hole(load: Callable[[str], ModuleType]) -> None:
     needs_gmsh()
     case = load("plate_with_hole").main(8)
     assert case.error_after < 0.7 * case.error_before
 
 
+@pytest.mark.slow
 def test_hertz(load: Callable[[str], ModuleType]) -> None:
     needs_gmsh()
     module = load("hertz")
@@ -58,22 +61,26 @@ def test_hertz(load: Callable[[str], ModuleType]) -> None:
     assert contact.peak == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.slow
 def test_wedge(load: Callable[[str], ModuleType]) -> None:
     case = load("wedge").main(3)
     assert case.error_after < 0.9 * case.error_before
 
 
+@pytest.mark.slow
 def test_free_boundary(load: Callable[[str], ModuleType]) -> None:
     module = load("free_boundary")
     case = module.main(10)
     assert module.radius(case) == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.slow
 def test_signorini(load: Callable[[str], ModuleType]) -> None:
     case = load("signorini").main(5)
     assert case.error_after < 0.85 * case.error_before
 
 
+@pytest.mark.slow
 def test_the_shaped_punch_has_a_lower_peak_by_both_strategies(load: Callable[[str], ModuleType]) -> None:
     solutions = load("punch").main(4)
     before, nested, mpcc = (solutions[name] for name in ("fixed", "nested", "mpcc"))
@@ -105,6 +112,7 @@ def test_own_parts(load: Callable[[str], ModuleType], tmp_path: Path) -> None:
         assert vertical == pytest.approx(load_of, rel=1e-6), name
 
 
+@pytest.mark.slow
 def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink(
     load: Callable[[str], ModuleType], tmp_path: Path
 ) -> None:
@@ -134,6 +142,7 @@ def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink(
     assert (tmp_path / "seal.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_labels_tell_traps_from_minima(load: Callable[[str], ModuleType]) -> None:
     cases = {case.name: case for case in load("mpcc_traps").main()}
     for name, case in cases.items():

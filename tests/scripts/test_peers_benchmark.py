@@ -19,6 +19,7 @@ def benchmark(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("benchmark_peers")
 
 
+@pytest.mark.slow
 def test_without_peers_ours_has_its_rows(
     benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

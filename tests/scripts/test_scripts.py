@@ -21,6 +21,7 @@ def script(name: str) -> ModuleType:
     return importlib.import_module(name)
 
 
+@pytest.mark.slow
 def test_a_study_then_its_tables_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study = str(tmp_path / "study")
     arguments = ["6.1", "--sizes", "7", "8", "--formulations", "fixed", "joint", "--out", study]
@@ -87,6 +88,7 @@ def test_the_short_table_shows_audited_energies() -> None:
     assert cells[1] == ["6.1, mpcc", *["-"] * 6, "failed"]
 
 
+@pytest.mark.slow
 def test_the_table_of_relaxations_keeps_every_combination(tmp_path: Path) -> None:
     out = tmp_path / "relaxations"
     arguments = ["--examples", "6.1", "6.3", "--n", "4", "--objectives", "energy", "contact"]
@@ -114,6 +116,7 @@ def test_the_scaling_benchmark_reports_every_strategy(tmp_path: Path) -> None:
     assert (tmp_path / "scaling.json").stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_a_strategy_that_fails_or_hangs_is_a_row_of_the_scaling_benchmark() -> None:
     benchmark = script("benchmark_scaling")
     unknown = benchmark.isolated(benchmark.Case("6.1", 4, "no such strategy"), limit=60)
@@ -123,6 +126,7 @@ def test_a_strategy_that_fails_or_hangs_is_a_row_of_the_scaling_benchmark() -> N
     assert "| - |" in benchmark.markdown([unknown, slow])
 
 
+@pytest.mark.slow
 def test_the_assembly_benchmark_compares_the_same_program(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,6 +28,7 @@ def evaluate(problem: ContactProblem, text: str, nodes: np.ndarray, u: np.ndarra
     return float(ca.Function("f", [x], [assemble(groups, x, ca.MX(0, 1), 0).f])(0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [None, 4])
 def test_theorem_41_on_the_initial_and_on_a_relocated_grid(seed: int | None) -> None:
     problem = replace(EXAMPLES["6.1"](), quadrature=20)

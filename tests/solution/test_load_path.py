@@ -26,6 +26,7 @@ def block(obstacle: Obstacle) -> ContactProblem:
     )
 
 
+@pytest.mark.slow
 def test_a_flat_plate_compresses_in_proportion() -> None:
     problem = block(Obstacle.line("top", (0, 1), (0, -1)))
     steps = list(load_path(problem, (0.0, -0.02), 4, joint.solve, relocate="never", hold=fixed.solve))
@@ -40,6 +41,7 @@ def test_a_flat_plate_compresses_in_proportion() -> None:
     assert [step.row()["touching_nodes"] for step in steps] == [7] * 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relocate", ["each", "once"])
 def test_relocation_gains_in_every_step(relocate: str) -> None:
     problem = block(Obstacle.circle("top", (0.0, 3.0), 2.0))
@@ -73,6 +75,7 @@ def test_a_wrong_path_is_refused(change: dict, message: str) -> None:
         list(load_path(block(Obstacle("top", (0.0, -1.0))), **given))
 
 
+@pytest.mark.slow
 def test_rmesh_path_writes_table_series_and_picture(tmp_path: Path) -> None:
     path, out = tmp_path / "press.toml", tmp_path / "out"
     path.write_text(

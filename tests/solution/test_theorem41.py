@@ -9,6 +9,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.solution.theorem41 import error_terms
 
 
+@pytest.mark.slow
 def test_the_terms_sum_to_the_energy_above_the_exact_one() -> None:
     problem = EXAMPLES["6.1"](4)
     before, after = error_terms(fixed.solve(problem)), error_terms(joint.solve(problem))

@@ -111,6 +111,7 @@ def test_a_worse_mesh_is_no_success_and_the_degree_to_take_is_named() -> None:
     assert better.status is not Status.QUADRATURE_EXPLOITED
 
 
+@pytest.mark.slow
 def test_the_audit_is_that_of_an_accurate_rule() -> None:
     problem = EXAMPLES["6.1"](4)
     accurate = fixed.solve(replace(problem, quadrature=25))
@@ -220,6 +221,7 @@ def test_a_problem_of_ones_own_gets_a_rule_that_is_exact_for_its_load() -> None:
 
 
 class TestResidual:
+    @pytest.mark.slow
     def test_it_is_one_on_the_given_mesh_of_any_fineness(self) -> None:
         for n in (3, 6, 12):
             referee = Referee(EXAMPLES["6.1"](n))
@@ -233,12 +235,23 @@ class TestResidual:
         assert np.any(solution.multipliers.area > 0)
         assert solution.history[-1].dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
 
+    @pytest.mark.parametrize("name", ["6.1", "6.3"])
+    def test_history_and_record_of_joint_agree(self, name: str) -> None:
+        """The program's own multipliers are the contact forces: no contact solve is needed on the way."""
+        solution = joint.solve(EXAMPLES[name](4) if name == "6.1" else EXAMPLES[name]((4, 3)))
+        first, last = solution.history[0], solution.history[-1]
+        assert first.dual_residual > 100 * last.dual_residual
+        # both are rounding of a minimiser, the contact forces of one an interior point's
+        assert abs(last.dual_residual - solution.stationarity_residual) <= 1e-8 + 0.01 * last.dual_residual
+
+    @pytest.mark.slow
     def test_an_objective_of_errors_has_one(self) -> None:
         solution = nested.solve(replace(EXAMPLES["6.1"](3), quadrature=8), objective="error-l2")
         assert solution.stationarity_residual < 1e-2
         given = fixed.solve(EXAMPLES["6.1"](3), objective="error-l2")
         assert given.stationarity_residual == pytest.approx(1.0)
 
+    @pytest.mark.slow
     def test_a_larger_tolerance_is_met_earlier(self) -> None:
         problem = EXAMPLES["6.2"]((6, 4))
         loose = nested.solve(problem, outer="newton", tolerance=1e-2, settings={"tight": 1.0})

@@ -65,6 +65,7 @@ def test_a_hang_a_leak_and_a_crash_are_a_row_each_and_the_next_solve_runs(
     assert len(read_results(tmp_path)) == 5  # rows that tables can read
 
 
+@pytest.mark.slow
 def test_a_study_by_command_runs_once_and_has_fields(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
