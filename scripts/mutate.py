@@ -222,13 +222,14 @@ class Reach:
     seconds: dict[str, float]
 
     def tests(self, mutant: Mutant, budget: float) -> list[str]:
-        """Those that reach the mutant's line, else those that reach its file, the shortest first."""
+        """Those that reach the mutant's line, else its file: those of its own wing first, then by time."""
         lines = self.lines.get(mutant.path, {})
         own = {test for line in range(mutant.line, mutant.last_line + 1) for test in lines.get(line, ())}
         of_the_file = {test for tests in lines.values() for test in tests}
         total = 0.0
         chosen: list[str] = []
-        for test in sorted(own or of_the_file, key=self.seconds.__getitem__):
+        wing = f"tests/{Path(mutant.path).parts[1]}/"
+        for test in sorted(own or of_the_file, key=lambda t: (not t.startswith(wing), self.seconds[t])):
             total += self.seconds[test]
             if total > budget and chosen:
                 break
