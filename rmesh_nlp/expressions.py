@@ -135,7 +135,15 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _walk(node: ast.AST, names: dict[str, Any]) -> Any:
-    """Value of a syntax tree as a CasADi expression."""
+    """Value of a syntax tree as a CasADi expression; a part that is finite nowhere is refused."""
+    value = _value(node, names)
+    constant = isinstance(value, (ca.SX, ca.DM)) and value.is_constant()
+    if constant and not np.isfinite(float(value)):
+        raise ValueError(f"{ast.unparse(node)[:60]!r} is not a finite number")
+    return value
+
+
+def _value(node: ast.AST, names: dict[str, Any]) -> Any:
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitXor):
         raise ValueError(f"{ast.unparse(node)[:60]!r}: powers are written with **, not ^")
     if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):

@@ -22,6 +22,7 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.freedoms import Mobility
 from rmesh_nlp.display import rich_table
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.export import Series, write_mesh
 from rmesh_nlp.io.files import safe_name, write_new, write_whole
 from rmesh_nlp.io.problem_file import build, read_table
@@ -62,6 +63,7 @@ def check(path: Path, picture: Path | None = None) -> int:
     if is_study(path):
         return check_study(path)
     problem = _load(path)
+    _plan(path, None, {})
     parts = discretise(problem)
     free = parts.freedoms
     rows = problem.summary()
@@ -124,23 +126,10 @@ def solve(
     """
     table = read_table(path)
     problem = _load(path, notes=voice == "text")
-    name = formulation or table.solve.formulation
-    function = strategies.load(name)
-    plan = table.solve
-    wanted = plan.model_dump(exclude={"formulation", "certify"})
-    wanted.update({key: value for key, value in options.items() if value is not None})
-    # the defaults need not be known to every strategy, what was asked for must be
-    default = {"objective": "energy", "starts": 0, "levels": 0, "flips": False}
-    asked = {key for key, value in wanted.items() if value != default.get(key)}
-    taken = strategies.accepted(function, asked)
-    asked -= set(FLAGS) - taken  # a limit of what is finite anyway is none
-    refused = asked - taken
-    if refused:
-        raise BadInputError(f"{path}: the formulation {name!r} takes no {sorted(refused)[0]}")
+    name, keywords = _plan(path, formulation, options)
     series = Series(problem)
-    keywords: dict[str, Any] = {key: wanted[key] for key in asked}
-    case = Case(problem, name, keywords, certify or plan.certify)
-    watched = not asked & {"starts", "levels"}
+    case = Case(problem, name, keywords, certify or table.solve.certify)
+    watched = not keywords.keys() & {"starts", "levels"}
     folder = Path("results") / safe_name(problem.name) if out is None else out
     with writable(folder, FILES) as results:
         with CampaignProgress(1, quiet=voice != "text") as progress:
@@ -198,6 +187,38 @@ def _write(results: Results, outcome: campaign.Outcome, series: Series, page: Pa
 def _warn(messages: Sequence[str]) -> None:
     for message in messages:
         print(f"warning: {message}")
+
+
+def _plan(path: Path, formulation: str | None, options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Strategy and keywords of ``[solve]``, overridden by what is given on the command line.
+
+    Raises
+    ------
+    BadInputError
+        If there is no such strategy or objective, or the strategy does not take a keyword.
+    """
+    plan = read_table(path).solve
+    name = formulation or plan.formulation
+    try:
+        function = strategies.load(name)
+    except BadInputError as error:
+        raise BadInputError(str(error) if formulation else f"{path}: solve.formulation: {error}") from error
+    wanted = plan.model_dump(exclude={"formulation", "certify"})
+    wanted.update({key: value for key, value in options.items() if value is not None})
+    if options.get("objective") is None:
+        try:
+            parse_objective(plan.objective)
+        except ValueError as error:
+            raise BadInputError(f"{path}: solve.objective: {one_line(error)}") from error
+    # the defaults need not be known to every strategy, what was asked for must be
+    default = {"objective": "energy", "starts": 0, "levels": 0, "flips": False}
+    asked = {key for key, value in wanted.items() if value != default.get(key)}
+    taken = strategies.accepted(function, asked)
+    asked -= set(FLAGS) - taken  # a limit of what is finite anyway is none
+    refused = asked - taken
+    if refused:
+        raise BadInputError(f"{path}: the formulation {name!r} takes no {sorted(refused)[0]}")
+    return name, {key: wanted[key] for key in asked}
 
 
 def _load(path: Path, notes: bool = True) -> ContactProblem:

@@ -73,3 +73,20 @@ def test_a_body_that_the_load_pulls_off_is_bad_input(block: Path, capsys: pytest
     block.write_text(BLOCK.replace("[0, -10]", "[0, 10]"))
     assert cli.run(["check", str(block)]) == 2
     assert "the load does not press it on them" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("solve", "message"),
+    [
+        ('formulation = "<svg>"', "solve.formulation: unknown formulation '<svg>'"),
+        ('objective = "energie"', "solve.objective: unknown objective 'energie'"),
+        ('formulation = "fixed"\nflips = true', "the formulation 'fixed' takes no flips"),
+    ],
+)
+def test_check_refuses_what_solve_would_refuse(
+    solve: str, message: str, block: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    block.write_text(f"{BLOCK}[solve]\n{solve}\n")
+    for command in (["check", str(block)], ["solve", str(block)]):
+        assert cli.run(command) == 2
+        assert message in " ".join(capsys.readouterr().err.split())

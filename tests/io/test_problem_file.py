@@ -1,5 +1,6 @@
 import importlib.util
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,7 @@ def test_a_scalar_problem_with_an_obstacle_in_the_interior(tmp_path: Path) -> No
 def test_a_constant_expression_is_a_number(tmp_path: Path) -> None:
     problem = load_problem(write(tmp_path, SCALAR.replace("left = 0", 'left = "2*sin(pi/6) - 1 + 0*y"')))
     assert problem.supports[0].value == (pytest.approx(0.0, abs=1e-15),)
-    with pytest.raises(ProblemFileError, match=r"dirichlet.left = '1/0': expected a finite number"):
+    with pytest.raises(ProblemFileError, match=r"dirichlet.left = '1/0': '1 / 0' is not a finite number"):
         load_problem(write(tmp_path, SCALAR.replace("left = 0", 'left = "1/0"')))
 
 
@@ -157,7 +158,25 @@ def test_expressions_mean_what_they_say() -> None:
         ("x == 0.1 + 0.2 or y != 0.5", (x == 0.3) | (y != 0.5)),
     ]:  # fmt: skip
         np.testing.assert_allclose(Expression(text).on(points), expected, atol=1e-15)
-    assert np.isinf(Expression("9**9**9**9").on(points)).all()  # at once: whole numbers are floats
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("where(x > 0, 1/0, 1)", "1 / 0"),
+        ("x*log(0)", "log(0)"),
+        ("y + sqrt(2 - 3)", "sqrt(2 - 3)"),
+        ("where(x > 0, x/(2 - 2), 1)", "x / (2 - 2)"),
+        ("9**9**9**9", "9 ** 9 ** 9"),  # at once: whole numbers are floats
+    ],
+)
+def test_a_part_that_is_finite_nowhere_is_refused_by_name(text: str, part: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=rf"'{re.escape(part)}' is not a finite number"):
+        Expression(text)
+    # a where of which one branch has a pole elsewhere is a function like any other
+    assert np.all(np.isfinite(Expression("where(x > 0, 1/(x + 1), 1)").on(np.array([[0.5, -1.0], [0, 0]]))))
+    with pytest.raises(ProblemFileError, match=re.escape(part)):
+        load_problem(write(tmp_path, SCALAR.replace("left = 0", f'left = "{text}"')))
 
 
 @pytest.mark.slow
