@@ -18,6 +18,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.outer_function import Reduced
 from rmesh_nlp.programs.outer_solvers import (
     OUTER_SOLVERS,
     NestedSettings,
@@ -25,7 +26,6 @@ from rmesh_nlp.programs.outer_solvers import (
     ReducedProgram,
     reduced_nlp,
 )
-from rmesh_nlp.programs.reduced import Reduced
 from rmesh_nlp.programs.residual import OuterResidual
 from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solution.beginning import Start, beginning
@@ -156,7 +156,7 @@ def solve(
         tolerance=tolerance,
         history=recorder.steps,
         iterations=begin.iterations + max((step.iteration for step in recorder.steps), default=0),
-        contact_solves=begin.contact_solves + referee.reduced.contact_solves,
+        contact_solves=begin.contact_solves + function.contact_solves,
         objective=objective,
         start=begin.name,
         seed=seed,

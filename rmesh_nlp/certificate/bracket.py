@@ -26,8 +26,8 @@ import numpy as np
 from rmesh_nlp.certificate.admissibility import displacement_faults
 from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError, conditions_of
 from rmesh_nlp.certificate.elastic import equilibrated_stress
-from rmesh_nlp.certificate.equilibration import edge_loads
 from rmesh_nlp.certificate.field import EquilibratedField, Guess, loads
+from rmesh_nlp.certificate.hybrid import edge_loads
 from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.potential import Potential, potential
 from rmesh_nlp.certificate.scalar import equilibrated_flux

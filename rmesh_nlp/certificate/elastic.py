@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rmesh_nlp.certificate.conditions import Conditions
-from rmesh_nlp.certificate.equilibration import LocalSystems, balance
+from rmesh_nlp.certificate.equilibration import balance
 from rmesh_nlp.certificate.field import (
     EquilibratedField,
     Guess,
@@ -14,6 +14,7 @@ from rmesh_nlp.certificate.field import (
     end_values,
     gradients,
 )
+from rmesh_nlp.certificate.hybrid import LocalSystems
 from rmesh_nlp.certificate.johnson_mercier import JohnsonMercier, divergence, jumps, thirds, traction
 from rmesh_nlp.certificate.oscillation import korn
 from rmesh_nlp.certificate.skeleton import AFTER, Skeleton

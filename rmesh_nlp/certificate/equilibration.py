@@ -20,11 +20,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from rmesh_nlp.certificate.conditions import linear_values
-from rmesh_nlp.certificate.traces import Numbers, TraceSpace
+from rmesh_nlp.certificate.hybrid import Hybrid, InteriorObstacle, LocalSystems, hybrid
+from rmesh_nlp.certificate.traces import TraceSpace
 from rmesh_nlp.contact.first_guess import DualEnergy
 from rmesh_nlp.contact.model import solve
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem
@@ -33,49 +31,6 @@ from rmesh_nlp.optimize.newton_step import BoxStep
 
 FORCING = 0.1
 """Part of the residual at which conjugate gradients stop."""
-
-
-@dataclass(frozen=True)
-class LocalSystems:
-    """The elements after their stresses are eliminated.
-
-    Attributes
-    ----------
-    stiffness : (elements, k, k) array
-    source : (elements, k) array
-        Forces through the edges are ``stiffness @ traces - source``, traces counted from the base.
-    base : (components, 2, edges) array
-        Moments of the displacement from which traces are counted.
-    """
-
-    stiffness: Array
-    source: Array
-    base: Array
-
-
-@dataclass(frozen=True)
-class InteriorObstacle:
-    """An obstacle in the interior; moments of the displacement of each element are further unknowns.
-
-    Arrays run over the vertices of each element; moments are against their linear functions and
-    divided by the area.
-
-    Attributes
-    ----------
-    sign : float
-        1 for an obstacle below, -1 above.
-    gap : (elements, 3) array
-        Moments of the gap of the base.
-    load : (elements, 3) array
-        Values of the source, times the area.
-    touching : (elements, 3) bool array
-        Where the elements touch at first.
-    """
-
-    sign: float
-    gap: Array
-    load: Array
-    touching: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -122,88 +77,33 @@ def balance(
     interior : InteriorObstacle, optional
         Its problem is solved exactly, for its forces are as many as the elements.
     """
-    conditions, lengths = space.conditions, space.skeleton.lengths
-    S, b, turned, rotation = _turned(space, local)
-    numbers, size = space.of_elements, space.size
-    start = space.vector(local.base)
-    applied = space.vector(edge_loads(conditions.traction) * lengths)
-    held = space.held
-    if interior is not None:
-        added = size + np.arange(3 * len(numbers))
-        numbers, size = np.hstack([numbers, added.reshape(-1, 3)]), size + added.size
-        start, applied = np.append(start, np.zeros(added.size)), np.append(applied, interior.load.ravel())
-        held = np.append(held, np.zeros(added.size, dtype=bool))
-
-    def through(traces: Array) -> Array:
-        """Sum of the forces through each edge."""
-        forces = np.einsum("eij,ej->ei", S, traces[numbers]) - b
-        return np.asarray(np.bincount(numbers.ravel(), forces.ravel(), size), dtype=float)
-
-    W, given = np.zeros(size), np.flatnonzero(held)
-    W[given] = space.vector(conditions.given)[given] - start[given]
-    free = np.flatnonzero(~held)
-    index = np.full(size, -1, dtype=np.int64)
-    index[free] = np.arange(free.size)
-    K, load = assembled(index[numbers], S, free.size), (applied - through(W))[free]
+    found = hybrid(space, local, interior)
+    edge = space.skeleton.lengths[space.conditions.contact]
     if interior is None:
-        contact = _boundary_contact(space, index, start, free.size)
-        system = ContactSystem(K, load, 0.0, *contact)
-        slip = start[space.of_contact(0)].ravel()
-        edge = lengths[conditions.contact]
+        slip = found.start[space.of_contact(0)].ravel()
         guess = (pressure * edge).ravel(), (friction * edge).ravel()
-        W[free], (y, z) = improved(system, slip, *guess, products)
-        shape = (2, conditions.contact.size)
-        pressure = y.reshape(shape) / edge
-        friction = z.reshape(shape) / edge if z.size else np.zeros(shape)
-        force = np.zeros((len(numbers), 3))
-    else:
-        on_edges, tangents, gap, _ = _boundary_contact(space, index, start, free.size)
-        rows = sp.csr_array(sp.vstack([_rows(index[added], free.size) * interior.sign, on_edges]))
-        gaps = np.concatenate([interior.gap.ravel(), gap])
-        touching = np.concatenate([interior.touching.ravel(), pressure.ravel() > 0])
-        system = ContactSystem(K, load, 0.0, rows, tangents, gaps, np.zeros(0))
-        found = solve(system, ActiveSet(touching, np.zeros(0, dtype=np.int8)))
-        W[free], forces = found.u, np.maximum(found.normal_force, 0.0)
-        force = forces[: added.size].reshape(-1, 3)
-        pressure = forces[added.size :].reshape(pressure.shape) / lengths[conditions.contact]
-        friction = np.zeros(pressure.shape)
-    reaction = (through(W) - applied)[held] @ (W + start)[held]
-    traces = W[numbers]
-    if turned.size:
-        traces[turned] = np.einsum("eji,ej->ei", rotation, traces[turned])
-    return Balance(traces, pressure, friction, float(reaction), force)
+        u, (y, z) = improved(found.system, slip, *guess, products)
+        return balanced(found, u, y, z)
+    touching = np.concatenate([interior.touching.ravel(), pressure.ravel() > 0])
+    solved = solve(found.system, ActiveSet(touching, np.zeros(0, dtype=np.int8)))
+    return balanced(found, solved.u, np.maximum(solved.normal_force, 0.0), np.zeros(0))
 
 
-def _turned(space: TraceSpace, local: LocalSystems) -> tuple[Array, Array, NDArray[np.int64], Array]:
-    """Matrices and sources along the axes of the contact edges, which elements that concerns, and how."""
-    S, b = local.stiffness, local.source
-    turned, rotation = space.rotations()
-    if turned.size:
-        S, b = S.copy(), b.copy()
-        S[turned] = rotation @ S[turned] @ rotation.transpose(0, 2, 1)
-        b[turned] = np.einsum("eij,ej->ei", rotation, b[turned])
-    return S, b, turned, rotation
-
-
-def _boundary_contact(
-    space: TraceSpace, index: Numbers, start: Array, size: int
-) -> tuple[sp.csr_array, sp.csr_array, Array, Array]:
-    """Normals, tangents, gaps and friction bounds of the contact edges, end by end."""
-    conditions = space.conditions
-    edge = space.skeleton.lengths[conditions.contact]
-    along_normal = space.of_contact(space.components - 1)
-    gap = (conditions.offset + start[along_normal]).ravel()
-    normals = _rows(index[along_normal].ravel(), size)
-    if not np.any(conditions.friction > 0):
-        return normals, sp.csr_array((0, size)), gap, np.zeros(0)
-    tangent = index[space.of_contact(0)].ravel()
-    bound = np.where(tangent >= 0, (conditions.friction * edge).ravel(), 0.0)
-    return normals, _rows(tangent, size), gap, bound
-
-
-def edge_loads(moments: Array) -> Array:
-    """Values at the ends of edges (components, 2, edges) of the linear functions with these moments."""
-    return np.stack([linear_values(part) for part in moments])
+def balanced(found: Hybrid, u: Array, force: Array, friction: Array) -> Balance:
+    """What the free traces and the contact forces say of elements and edges."""
+    conditions = found.space.conditions
+    edge, shape = found.space.skeleton.lengths[conditions.contact], (2, conditions.contact.size)
+    W = found.traces(u)
+    reaction = (found.through(W) - found.applied)[found.held] @ (W + found.start)[found.held]
+    return Balance(
+        traces=found.of_elements(W),
+        pressure=force[found.inside :].reshape(shape) / edge,
+        friction=friction.reshape(shape) / edge if friction.size else np.zeros(shape),
+        reaction_work=float(reaction),
+        obstacle_force=force[: found.inside].reshape(-1, 3)
+        if found.inside
+        else np.zeros((len(found.numbers), 3)),
+    )
 
 
 def improved(
@@ -225,20 +125,3 @@ def improved(
         s, _ = step.solve(lower - y, upper - y, FORCING)
         y = np.clip(y + s, lower, upper)
     return dual.refined(y), (y[: pressure.size], y[pressure.size :])
-
-
-def assembled(numbers: Numbers, S: Array, size: int) -> sp.csc_array:
-    """Sum of element matrices (elements, k, k) over their numbers (elements, k); -1 drops a row."""
-    k = numbers.shape[1]
-    row = np.broadcast_to(numbers[:, :, None], S.shape).ravel()
-    column = np.broadcast_to(numbers[:, None, :], S.shape).ravel()
-    keep = (row >= 0) & (column >= 0) if np.any(numbers < 0) else slice(None)
-    place = (row[keep], column[keep])
-    return sp.csc_array(sp.coo_array((S.reshape(-1, k * k).ravel()[keep], place), shape=(size, size)))
-
-
-def _rows(numbers: Numbers, size: int) -> sp.csr_array:
-    """One row per entry, with a one at its number; an empty one for -1."""
-    used = numbers >= 0
-    place = (np.flatnonzero(used), numbers[used])
-    return sp.csr_array((np.ones(int(used.sum())), place), shape=(numbers.size, size))

@@ -45,12 +45,15 @@ class Reference:
     ----------
     products : (4, 64) array
         Integrals of products of components a and b of two functions, divided by the area.
+    variations : (4, 64) array
+        The same of the functions less their means.
     means : (2, 8) array
     forces : (3 edges, 2 ends, 8) array
         Normal components at the ends of the edges, counter-clockwise, times the length of the edge.
     """
 
     products: Array
+    variations: Array
     means: Array
     forces: Array
 
@@ -60,12 +63,16 @@ def reference() -> Reference:
     """The element on the reference triangle."""
     barycentric, weights = triangle_rule(4)
     values = _functions(barycentric)
-    products = np.einsum("p,apk,bpl->abkl", weights, values, values).reshape(4, 64)
+    means = np.einsum("p,apk->ak", weights, values)
+    deviations = values - means[:, None]
+    products, variations = (
+        np.einsum("p,apk,bpl->abkl", weights, some, some).reshape(4, 64) for some in (values, deviations)
+    )
     along = CORNERS[:, AFTER[:, 1]] - CORNERS[:, AFTER[:, 0]]
     normals = np.stack([along[1], -along[0]])
     at_corners = _functions(np.eye(3))
     forces = np.stack([np.einsum("c,cek->ek", normals[:, i], at_corners[:, AFTER[i]]) for i in range(3)])
-    return Reference(products, np.einsum("p,apk->ak", weights, values), forces)
+    return Reference(products, variations, means, forces)
 
 
 def _functions(barycentric: Array) -> Array:
@@ -98,12 +105,16 @@ class RaviartThomas:
         Whether the reaction of an obstacle, linear on each element, is to be found too. The moments of the
         displacement against the linear functions of the vertices, divided by the area, are unknowns
         as well then; their forces are the values of source and reaction at the vertices, times the area.
+    penalty : float or (elements,) array
+        Weight of the square of the variation of the flux, its distance from its mean on the element,
+        that is added to the energy which the flux minimises.
     """
 
     skeleton: Skeleton
     conductivity: Array
     load: Array
     obstacle: bool = False
+    penalty: Array | float = 0.0
 
     @cached_property
     def jacobian(self) -> Array:
@@ -112,12 +123,24 @@ class RaviartThomas:
         return np.ascontiguousarray(np.stack([b - a, c - a], axis=1).transpose(2, 0, 1))
 
     @cached_property
-    def compliance(self) -> Array:
-        """(elements, 8, 8) integrals of ``tau . tau' / k`` over pairs of functions."""
+    def metric(self) -> Array:
+        """(elements, 4) factors of integrals of products of components on the reference triangle."""
         metric = np.einsum("eca,ecb->eab", self.jacobian, self.jacobian).reshape(-1, 4)
         # over the area: integral of |tau|^2 = area / J^2 tau_ref . G tau_ref, and J = 2 area
-        metric = metric / (4 * self.skeleton.areas * self.conductivity)[:, None]
-        return (metric @ reference().products).reshape(-1, 8, 8)
+        return np.asarray(metric / (4 * self.skeleton.areas * self.conductivity)[:, None])
+
+    @cached_property
+    def compliance(self) -> Array:
+        """(elements, 8, 8) integrals of ``tau . tau' / k`` over pairs of functions."""
+        return np.asarray((self.metric @ reference().products).reshape(-1, 8, 8))
+
+    @cached_property
+    def minimised(self) -> Array:
+        """(elements, 8, 8) matrices of what the flux minimises, the energy with the penalty."""
+        if np.isscalar(self.penalty):
+            return self.compliance
+        metric = self.metric * np.asarray(self.penalty)[:, None]
+        return np.asarray(self.compliance + (metric @ reference().variations).reshape(-1, 8, 8))
 
     @cached_property
     def prescribed(self) -> Array:
@@ -128,11 +151,12 @@ class RaviartThomas:
         return np.ascontiguousarray((-2 * self.skeleton.areas * values).T)
 
     @property
-    def _free(self) -> int:
+    def free(self) -> int:
+        """Number of the functions that the source leaves free, which come first."""
         return FREE + 3 * int(self.obstacle)
 
     @cached_property
-    def _rows(self) -> Array:
+    def rows(self) -> Array:
         """(6 or 9, 8) forces by coefficients: through the edges, and less the divergence at the vertices."""
         edges = reference().forces.reshape(6, 8)
         if not self.obstacle:
@@ -146,7 +170,7 @@ class RaviartThomas:
     @cached_property
     def _response(self) -> tuple[Array, Array]:
         """Coefficients of the free functions: by traces, and by the source."""
-        A, n, rows = self.compliance, self._free, self._rows
+        A, n, rows = self.minimised, self.free, self.rows
         by_load = np.einsum("eij,ej->ei", A[:, :n, FREE:], self.prescribed)
         forces = np.broadcast_to(rows[:, :n].T, (len(A), n, len(rows)))
         solved = np.linalg.solve(A[:, :n, :n], np.concatenate([forces, by_load[:, :, None]], axis=2))
@@ -155,7 +179,7 @@ class RaviartThomas:
     @cached_property
     def stiffness(self) -> Array:
         """(elements, k, k): forces by the traces."""
-        return np.asarray(self._rows[:, : self._free] @ self._response[0])
+        return np.asarray(self.rows[:, : self.free] @ self._response[0])
 
     @cached_property
     def source(self) -> Array:
@@ -169,7 +193,7 @@ class RaviartThomas:
 
     def _with_prescribed(self, free: Array) -> Array:
         result = np.hstack([np.zeros((len(free), FREE)), self.prescribed])
-        result[:, : self._free] += free
+        result[:, : self.free] += free
         return result
 
     def constant(self, flux: Array) -> Array:
@@ -181,13 +205,18 @@ class RaviartThomas:
 
     def forces(self, coefficients: Array) -> Array:
         """(elements, k) normal fluxes at the ends of the edges times their length, and the inflow."""
-        return np.asarray(coefficients @ self._rows.T)
+        return np.asarray(coefficients @ self.rows.T)
 
     def energy(self, coefficients: Array) -> Array:
         """(elements,) integrals of ``|tau|^2 / (2 k)``."""
         return np.asarray(
             np.einsum("ei,eij,ej->e", coefficients, self.compliance, coefficients, optimize=True) / 2
         )
+
+    def variation(self, coefficients: Array) -> Array:
+        """(elements,) squares of the distance of the flux from its mean, in the energy norm."""
+        A = (self.metric @ reference().variations).reshape(-1, 8, 8)
+        return np.asarray(np.einsum("ei,eij,ej->e", coefficients, A, coefficients, optimize=True))
 
     def mean(self, coefficients: Array) -> Array:
         """(2, elements) means."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rmesh_nlp.certificate.conditions import ROUNDING, Conditions, NotCertifiableError
-from rmesh_nlp.certificate.equilibration import InteriorObstacle, LocalSystems, balance
+from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError
+from rmesh_nlp.certificate.equilibration import balance
 from rmesh_nlp.certificate.field import (
     EquilibratedField,
     Guess,
@@ -14,6 +14,7 @@ from rmesh_nlp.certificate.field import (
     end_values,
     gradients,
 )
+from rmesh_nlp.certificate.hybrid import InteriorObstacle, LocalSystems
 from rmesh_nlp.certificate.integrals import over_triangles
 from rmesh_nlp.certificate.raviart_thomas import RaviartThomas
 from rmesh_nlp.certificate.skeleton import Skeleton
@@ -60,8 +61,6 @@ def equilibrated_flux(
     pressure = end_values(guess.pressure, skeleton, conditions.contact)
     found = balance(space, local, pressure, np.zeros_like(pressure), products, interior)
     correction = elements.coefficients(found.traces)
-    square = 2 * elements.energy(correction)
-    constant = area * np.sum(elements.mean(correction) ** 2, axis=0) / conductivity
     flux, reaction = computed + correction, found.obstacle_force
     forces = elements.forces(flux)
     balanced = (linear * area).T
@@ -76,8 +75,8 @@ def equilibrated_flux(
     return EquilibratedField(
         values=elements.mean(flux),
         energy=elements.energy(flux),
-        defect=np.sqrt(np.maximum(square, 0.0)),
-        variation=np.sqrt(np.maximum(square - constant, 0.0) + ROUNDING * square),
+        defect=np.sqrt(2 * np.maximum(elements.energy(correction), 0.0)),
+        variation=np.sqrt(np.maximum(elements.variation(correction), 0.0)),
         forces=forces[:, :6],
         balance=found,
         residual=float(np.max(out)) / scale,

@@ -61,8 +61,9 @@ Objective = Annotated[
     typer.Option(
         "--objective",
         metavar="TERMS",
-        help="Outer objective: energy (default), error-energy, error-l2, error-h1, contact, quality, "
-        "or a sum such as error-l2+0.01*quality.",
+        help="Outer objective: energy (default), certificate (the guaranteed bound of the error, scalar "
+        "problems, nested), error-energy, error-l2, error-h1, contact, quality, or a sum such as "
+        "error-l2+0.01*quality.",
     ),
 ]
 Objectives = Annotated[

@@ -130,7 +130,7 @@ class Objective:
         return -1 * self
 
 
-MINIMISED_ONLY = ("energy", "error-energy", "error-l2", "error-h1", "contact", *DISTORTIONS)
+MINIMISED_ONLY = ("energy", "error-energy", "error-l2", "error-h1", "contact", "certificate", *DISTORTIONS)
 """Terms that no one wants to be large."""
 
 

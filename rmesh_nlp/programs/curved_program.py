@@ -17,17 +17,21 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.objective_curvature import ObjectiveCurvature
 from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
 from rmesh_nlp.programs.reduced_program import ReducedProgram
+from rmesh_nlp.programs.secant_curvature import SecantCurvature
 
 COLUMNS = 256
 """Columns of the Hessian that are computed at a time; it bounds the memory for changes of displacement."""
 
 
-def curvature_of(program: ReducedProgram) -> Curvature | ObjectiveCurvature:
+def curvature_of(program: ReducedProgram) -> Curvature | ObjectiveCurvature | SecantCurvature:
     """Second derivatives of the outer objective of a program."""
     function = program.function
     if isinstance(function, ReducedEnergy):
         return Curvature(function)
+    if isinstance(function, ReducedCertificate):
+        return SecantCurvature(function)
     return ObjectiveCurvature(function.energy, function.objective)
 
 

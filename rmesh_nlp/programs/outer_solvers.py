@@ -2,7 +2,8 @@
 
 All but "newton-pair" take any outer objective. "newton" and "ipopt" use the second derivative of the reduced
 energy, and that of any other objective by a second-order adjoint
-(:mod:`rmesh_nlp.programs.objective_curvature`).
+(:mod:`rmesh_nlp.programs.objective_curvature`), or for the bound of the error partly by secants
+(:mod:`rmesh_nlp.programs.secant_curvature`).
 """
 
 from __future__ import annotations

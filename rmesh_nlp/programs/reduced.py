@@ -182,7 +182,3 @@ class ReducedObjective:
             total -= blocks.qs @ (state.active.sliding[rows] * (tangents @ p))
             total += blocks.slip.T @ (by_slip - friction[rows])
         return ReducedPoint(np.array(q), float(value[0]), total, system, state, False)
-
-
-Reduced = ReducedEnergy | ReducedObjective
-"""An outer objective as a function of the moves alone."""

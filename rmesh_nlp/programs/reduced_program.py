@@ -13,7 +13,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.programs.energy_program import Relocation
-from rmesh_nlp.programs.reduced import Reduced
+from rmesh_nlp.programs.outer_function import Reduced
 from rmesh_nlp.programs.residual import OuterResidual
 
 

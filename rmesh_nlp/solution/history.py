@@ -13,8 +13,8 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc import Iterate
 from rmesh_nlp.optimize.nlp import NLPResult, Status
+from rmesh_nlp.programs.outer_function import Reduced
 from rmesh_nlp.programs.outer_solvers import StoppedError
-from rmesh_nlp.programs.reduced import Reduced
 from rmesh_nlp.solution.referee import OnStep, Referee
 from rmesh_nlp.solution.solution import Step
 

@@ -28,7 +28,9 @@ from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem, Place, signed_areas
 from rmesh_nlp.programs.energy_program import Relocation, relocation
 from rmesh_nlp.programs.multipliers import multipliers
-from rmesh_nlp.programs.reduced import Reduced, ReducedEnergy, ReducedObjective
+from rmesh_nlp.programs.outer_function import Reduced, outer_function
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
 from rmesh_nlp.programs.residual import OuterResidual, size_of
 from rmesh_nlp.solution.audit import Audit, Auditor, equilibrium_residual, law_residual
 from rmesh_nlp.solution.clock import Clock
@@ -78,7 +80,7 @@ class Referee:
     def __init__(self, problem: ContactProblem, objective: str | Objective = "energy") -> None:
         self.clock = Clock()
         self.problem = problem
-        self._last_function: tuple[str | Objective, ReducedObjective] | None = None
+        self._last_function: tuple[str | Objective, Reduced] | None = None
         self.discretisation = discretise(problem)
         self.model = ContactModel(self.discretisation)
         outer = parse_objective(objective)
@@ -96,7 +98,7 @@ class Referee:
             return self.reduced
         if self._last_function is None or self._last_function[0] != objective:
             with self.clock.during("build"):
-                self._last_function = objective, ReducedObjective(self.reduced, outer)
+                self._last_function = objective, outer_function(self.reduced, outer)
         return self._last_function[1]
 
     def residual(self, function: Reduced) -> OuterResidual:
@@ -105,7 +107,7 @@ class Referee:
             system = self.model.system(self.problem.mesh.p)
             given = self.reduced.at(np.zeros(self.relocation.n_q), system, self.initial)
             return OuterResidual(
-                self.reduced, function.of(given) if isinstance(function, ReducedObjective) else given
+                self.reduced, given if isinstance(function, ReducedEnergy) else function.of(given)
             )
 
     def start(self, seed: int | None, positions: Array | None = None) -> Array:
@@ -244,7 +246,7 @@ class Referee:
         found = equilibrium or exact.equilibrium
         audit = self._auditor(nodes, found, accurate)
         function = self.function(objective)
-        point = function.of(exact) if isinstance(function, ReducedObjective) else exact
+        point = exact if isinstance(function, ReducedEnergy) else function.of(exact)
         residual = self.residual(function)(point)
         labelled = stationarity in PROVED and bool(np.any(point.weak))
         decrease, size = self._decrease(function, objective, q, start, accurate)
@@ -341,6 +343,9 @@ class Referee:
         if function is self.reduced:
             one = before.energy + self.reduced.of_positions(np.zeros(q.size))
             two = after.energy + self.reduced.of_positions(q)
+            return one - two, max(abs(one), abs(two))
+        if isinstance(function, ReducedCertificate):  # by that rule already
+            one, two = function(np.zeros(q.size)).value, function(q).value
             return one - two, max(abs(one), abs(two))
         rel, accurate = self.relocation, self._auditor.accurate_problem
         value = element_values(

@@ -15,7 +15,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedObjective
+from rmesh_nlp.programs.outer_function import Reduced, outer_function
 from rmesh_nlp.solution.referee import Referee
 
 LEAST_ORDER = 1.9
@@ -111,9 +111,9 @@ def verify_gradient(
     """
     referee = Referee(problem)
     outer = parse_objective(objective)
-    function: ReducedEnergy | ReducedObjective = referee.reduced
+    function: Reduced = referee.reduced
     if not outer.is_energy:
-        function = ReducedObjective(referee.reduced, outer)
+        function = outer_function(referee.reduced, outer)
     n = referee.relocation.n_q
     if n == 0:
         raise ValueError(f"no node of {problem.name!r} may move: there is no gradient to test")

@@ -1,0 +1,280 @@
+"""The lower bound of the least energy of a scalar problem as a function of the nodes, with its gradient.
+
+The equilibration is solved to the end here, contact included, so that the bound is a smooth function
+wherever strict complementarity holds, and its derivative is that of
+:mod:`rmesh_nlp.certificate.shape_derivatives`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.certificate.conditions import Conditions, conditions_of
+from rmesh_nlp.certificate.equilibration import balanced
+from rmesh_nlp.certificate.field import gradients
+from rmesh_nlp.certificate.hybrid import Hybrid, InteriorObstacle, LocalSystems, hybrid
+from rmesh_nlp.certificate.raviart_thomas import FREE, RaviartThomas
+from rmesh_nlp.certificate.shape_derivatives import (
+    ElementFunctions,
+    element_functions,
+    forces_on_edge,
+    moments_on_edge,
+)
+from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
+from rmesh_nlp.certificate.traces import TraceSpace
+from rmesh_nlp.contact.model import solve
+from rmesh_nlp.contact.system import ActiveSet
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.vectorised import Columns, columnwise
+from rmesh_nlp.problem import ContactProblem, Place
+from rmesh_nlp.problem.laws import Laplace
+from rmesh_nlp.problem.rigid import rigid_motions
+
+Index = NDArray[np.int64]
+
+BALANCING = 3
+"""Equilibrations on the mesh as given that choose the numbers e of the oscillation term."""
+
+LEAST = 1e-3
+"""Least of these numbers, relative to the largest."""
+
+
+@dataclass(frozen=True)
+class _Elements:
+    """The elements of one law, and their functions."""
+
+    law: Laplace
+    which: Index
+    functions: ElementFunctions
+
+    def columns(self, name: str) -> Columns:
+        return columnwise(getattr(self.functions, name), self.which.size)
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """Edges with a function on them.
+
+    Attributes
+    ----------
+    kind : str
+        "offset", "given" or "applied": what the function is multiplied with.
+    which, number : (edges,) int arrays
+        Numbers of the edges, and where they stand among what is multiplied.
+    function : casadi.Function
+    """
+
+    kind: str
+    which: Index
+    number: Index
+    function: ca.Function
+
+
+@dataclass(frozen=True)
+class _State:
+    """A solved equilibration.
+
+    Attributes
+    ----------
+    columns : (6, elements) array
+        Positions of the vertices of each element.
+    e : (elements,) array
+        Numbers of the oscillation term.
+    flux : (elements, 8) array
+        Coefficients.
+    traces : (elements, 6 or 9) array
+        Of each element, not counted from any base.
+    force : array
+        Contact forces, those of an obstacle in the interior first.
+    reaction : (traces,) array
+        Forces through the edges less the applied ones.
+    value : float
+        The lower bound.
+    """
+
+    columns: Array
+    e: Array
+    elements: RaviartThomas
+    problem: Hybrid
+    flux: Array
+    traces: Array
+    force: Array
+    reaction: Array
+    value: float
+
+
+class LowerBound:
+    """Evaluates the lower bound of one scalar problem.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+
+    Raises
+    ------
+    ValueError
+        If the problem has no certificate, has two components, or a traction that is not linear
+        along an edge.
+
+    Attributes
+    ----------
+    solves : int
+        Number of equilibrations so far.
+    """
+
+    def __init__(self, problem: ContactProblem) -> None:
+        if problem.components != 1:
+            raise ValueError("the objective 'certificate' is for scalar problems, and this one is elastic")
+        if rigid_motions(problem).size > 0:
+            raise ValueError("the objective 'certificate' needs a certificate: only contact holds the body")
+        inside = [o for o in problem.obstacles if o.boundary is Place.INTERIOR]
+        if len(inside) > 1:
+            raise ValueError("the objective 'certificate' takes one obstacle in the interior")
+        self.problem, self.solves = problem, 0
+        self._inside = inside[0] if inside else None
+        offset = self._inside.offset if self._inside else None
+        self._groups = [
+            _Elements(law, which, element_functions(law.load[0], law.conductivity, offset))
+            for law, which in problem.regions
+            if isinstance(law, Laplace)
+        ]
+        skeleton = skeleton_of(problem, problem.mesh.p)
+        conditions = conditions_of(problem, skeleton)
+        largest = float(np.max(np.abs(conditions.traction), initial=0.0))
+        bent = conditions.traction_oscillation / np.sqrt(skeleton.lengths)
+        if np.max(bent, initial=0.0) > 1e-6 * largest:
+            raise ValueError("the objective 'certificate' takes tractions that are linear along each edge")
+        self._edges = _edge_functions(problem, conditions)
+        self._active: ActiveSet | None = None
+
+    def __call__(self, nodes: Array, displacement: Array) -> tuple[float, Array]:
+        """Value and gradient (2, nodes) at positions (2, nodes).
+
+        The displacement (1, nodes) is where the equilibration begins; it has no influence on the result.
+        """
+        state = self._equilibrated(nodes, displacement, self._variation)
+        return state.value, self._gradient(state)
+
+    @cached_property
+    def _variation(self) -> Array:
+        """(elements,) the numbers e of the oscillation term: variation of the flux on the mesh as given."""
+        nodes = np.asarray(self.problem.mesh.p)
+        e = np.full(self.problem.mesh.t.shape[1], np.inf)
+        if not any(group.functions.varies for group in self._groups):
+            return e
+        for _ in range(BALANCING):
+            state = self._equilibrated(nodes, np.zeros((1, nodes.shape[1])), e)
+            found = np.sqrt(np.maximum(state.elements.variation(state.flux), 0.0))
+            e = np.maximum(found, LEAST * np.max(found, initial=0.0) + 1e-300)
+        return e
+
+    def _equilibrated(self, nodes: Array, u: Array, e: Array) -> _State:
+        """Solve the equilibration, contact included; without oscillation term where e is infinite."""
+        skeleton = skeleton_of(self.problem, nodes)
+        conditions, count = conditions_of(self.problem, skeleton), skeleton.areas.size
+        columns = nodes[:, skeleton.triangles].transpose(1, 0, 2).reshape(6, -1)
+        conductivity, r = np.zeros((2, count))
+        source, offset = np.zeros((2, 3, count))
+        for group in self._groups:
+            X = columns[:, group.which]
+            conductivity[group.which] = group.law.conductivity
+            source[:, group.which], offset[:, group.which] = group.columns("data")([X])
+            if group.functions.varies:
+                r[group.which] = group.columns("oscillation")([X])[0]
+        elements = RaviartThomas(skeleton, conductivity, source, self._inside is not None, penalty=r / e)
+        computed = elements.constant(conductivity * gradients(u, skeleton)[0])
+        space = TraceSpace(skeleton, conditions)
+        local = LocalSystems(elements.stiffness, elements.source - elements.forces(computed), space.base(u))
+        interior, moments = None, np.zeros((count, 0))
+        if self._inside is not None:
+            sign, at_vertices = self._inside.normal[0], u[0][skeleton.triangles].T
+            moments = (at_vertices + at_vertices.sum(axis=1, keepdims=True)) / 12
+            gap, load = offset.T + sign * moments, (source * skeleton.areas).T
+            interior = InteriorObstacle(sign, gap, load, np.zeros(gap.shape, dtype=bool))
+        problem = hybrid(space, local, interior)
+        solved = solve(problem.system, self._active)
+        self.solves += 1
+        self._active = solved.active
+        force = solved.normal_force
+        found = balanced(problem, solved.u, force, np.zeros(0))
+        flux = computed + elements.coefficients(found.traces)
+        base = local.base[0][skeleton.place, skeleton.edges[:, None]].transpose(2, 0, 1).reshape(count, 6)
+        value = (
+            found.reaction_work
+            - float(np.sum(elements.energy(flux)))
+            - float(force[problem.inside :] @ conditions.offset.ravel())
+            - float(np.sum(found.obstacle_force * offset.T))
+        )
+        if np.all(np.isfinite(e)):
+            value -= float(np.sum(r * (elements.variation(flux) / e + e) / 2 + r**2 / 2))
+        reaction = problem.through(problem.traces(solved.u)) - problem.applied
+        traces = found.traces + np.hstack([base, moments])
+        return _State(columns, e, elements, problem, flux, traces, force, reaction, value)
+
+    def _gradient(self, state: _State) -> Array:
+        """(2, nodes) partial derivatives of the dual energy by the positions."""
+        elements, problem = state.elements, state.problem
+        skeleton, inside = elements.skeleton, np.zeros((len(state.flux), 3))
+        result = np.zeros(skeleton.nodes.shape)
+        strain = np.einsum("eij,ej->ei", elements.minimised, state.flux)
+        nu = (state.traces @ elements.rows - strain)[:, FREE:]
+        if problem.inside:
+            inside = state.force[: problem.inside].reshape(-1, 3)
+        within = state.traces[:, 6:] if problem.inside else inside
+        for group in self._groups:
+            which = group.which
+            arguments = (part[which].T for part in (state.flux, nu, within, inside))
+            e = np.minimum(state.e[None, which], 1.0 / np.finfo(float).tiny)
+            (slope,) = group.columns("slope")([state.columns[:, which], *arguments, e])
+            _add(result, skeleton.triangles[:, which], slope)
+        multipliers = {
+            "offset": -state.force[problem.inside :].reshape(2, -1),
+            "given": state.reaction[: problem.space.size].reshape(-1, 2).T,
+            "applied": -_of_edges(skeleton, state.traces),
+        }
+        for part in self._edges:
+            ends = skeleton.ends[:, part.which]
+            X = skeleton.nodes[:, ends].transpose(1, 0, 2).reshape(4, -1)
+            weights = multipliers[part.kind][:, part.number]
+            (slope,) = columnwise(part.function, part.which.size)([X, weights])
+            _add(result, ends, slope)
+        return result
+
+
+def _edge_functions(problem: ContactProblem, conditions: Conditions) -> list[_Edges]:
+    """Those of offsets, given displacements and tractions that change with the nodes."""
+    found = []
+    for part in conditions.parts:
+        if callable(part.obstacle.offset):
+            number = np.arange(part.place.start, part.place.stop)
+            found.append(_Edges("offset", part.edges, number, moments_on_edge(part.obstacle.offset)))
+    for support in problem.supports:
+        (value,) = support.value
+        if callable(value):
+            edges = np.unique(problem.mesh.boundaries[support.boundary])
+            found.append(_Edges("given", edges, edges, moments_on_edge(value)))
+    for load in problem.tractions:
+        (value,) = load.value
+        if callable(value) or value != 0:
+            edges = np.unique(problem.mesh.boundaries[load.boundary])
+            found.append(_Edges("applied", edges, edges, forces_on_edge(value)))
+    return found
+
+
+def _of_edges(skeleton: Skeleton, traces: Array) -> Array:
+    """(2, edges) traces at the ends of the edges from those of the elements."""
+    result = np.zeros((2, skeleton.ends.shape[1]))
+    result[skeleton.place, skeleton.edges[:, None]] = traces[:, :6].reshape(-1, 3, 2).transpose(1, 2, 0)
+    return result
+
+
+def _add(result: Array, nodes: Index, slope: Array) -> None:
+    """Add derivatives by the positions of local nodes, column by column, to those of all (2, nodes)."""
+    for i, where in enumerate(nodes):
+        for axis in range(2):
+            result[axis] += np.bincount(where, slope[2 * i + axis], result.shape[1])

@@ -1,0 +1,81 @@
+"""The bound of the error as an outer objective."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import formulations.fixed
+import formulations.joint
+import formulations.mpcc
+import formulations.nested
+import rmesh_nlp as rm
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.problem import ContactProblem, Motion
+from rmesh_nlp.programs.outer_function import outer_function
+from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
+from rmesh_nlp.programs.secant_curvature import SecantCurvature
+from rmesh_nlp.solution.referee import Referee
+
+
+def boxed(kind: str) -> ContactProblem:
+    return replace(random_problem(2, kind=kind), motion=Motion(delta=0.05))
+
+
+@pytest.mark.parametrize("kind", ["scalar", "membrane"])
+@pytest.mark.parametrize("objective", ["certificate", "2*certificate + 0.01*quality"])
+def test_the_gradient_is_right(kind, objective):
+    assert rm.verify_gradient(boxed(kind), objective, seed=1).order > 1.9
+
+
+@pytest.mark.parametrize("kind", ["scalar", "membrane"])
+def test_nested_lowers_the_bound_from_the_given_mesh_and_from_that_of_least_energy(kind):
+    problem = boxed(kind)
+    by_energy = formulations.nested.solve(problem)
+    for start in (None, by_energy):
+        found = formulations.nested.solve(problem, objective="certificate", start=start)
+        assert found.success
+        assert found.extra["objective_value"] < found.extra["objective_initial"]
+        certificate = rm.certify(found)
+        assert certificate.guaranteed_lower
+        assert certificate.error_bound < certificate.error_bound_initial
+        # what is minimised is a bound as well, and close to that of the certificate
+        half_square = certificate.error_bound**2 / 2
+        assert found.extra["objective_value"] == pytest.approx(half_square, rel=0.05)
+    # with its own lower bound, not the better one of the given mesh
+    assert half_square <= 1.001 * rm.certify(by_energy).error_bound ** 2 / 2
+
+
+def test_others_refuse_and_fixed_tells_the_value():
+    problem = boxed("scalar")
+    for strategy in (formulations.joint, formulations.mpcc):
+        with pytest.raises(ValueError, match="certificate"):
+            strategy.solve(problem, objective="certificate")
+    elastic = EXAMPLES["6.3"]((4, 2))
+    with pytest.raises(ValueError, match="scalar"):
+        formulations.nested.solve(elastic, objective="certificate")
+    found = formulations.fixed.solve(problem, objective="certificate")
+    assert found.extra["objective_value"] > 0
+
+
+def test_secants_hold_at_the_points_of_the_descent():
+    """After a step the approximation maps it to the change of the gradient, up to what is known exactly."""
+    referee = Referee(boxed("scalar"))
+    function = outer_function(referee.reduced, parse_objective("certificate"))
+    assert isinstance(function, ReducedCertificate)
+    curvature = SecantCurvature(function)
+    q = np.zeros(referee.relocation.n_q)
+    step = 1e-4 * np.random.default_rng(0).uniform(-1, 1, q.size)
+    one = function(q)
+    curvature.at(one)
+    two = function(q + step)
+    found = curvature.at(two)
+    change = two.gradient - one.gradient
+    error = np.max(np.abs(found(step) - change))
+    without = np.max(np.abs(replace(found, rest=lambda d: 0 * d)(step) - change))
+    assert error < 0.2 * without
+    assert without < 0.5 * np.max(np.abs(change))  # most of it is known exactly
