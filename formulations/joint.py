@@ -222,6 +222,7 @@ def solve(
         start=begin.name,
         seed=seed,
         settings=chosen.changed(),
+        extra={"kkt_factorisations": max(len(steps) - 1, 0)},
     )
 
 

@@ -206,6 +206,8 @@ def solve(
             "objective_initial": value,
             "objective_value": function(inside).value,
             "relaxation": relaxation,
+            "kkt_factorisations": result.counts["ipopt_iterations"]
+            + (where.iterations if where.nlp_solves else 0),
             **_figures(referee, two_level, where, result),
         },
         **common,

@@ -149,6 +149,7 @@ def solve(
         q, status = recorder.best(function, begin.q), recorder.stopped or Status.FAILED
     else:
         q, status = finish.q, finish.status
+    kkt = {"kkt_factorisations": finish.iterations} if outer == "ipopt" and finish is not None else {}
     return referee.judge(
         "nested",
         q,
@@ -161,7 +162,7 @@ def solve(
         start=begin.name,
         seed=seed,
         settings=chosen.changed(),
-        extra={"outer": outer, **_method(finish), **_outer_figures(referee, function, q)},
+        extra={"outer": outer, **kkt, **_method(finish), **_outer_figures(referee, function, q)},
     )
 
 
@@ -210,7 +211,9 @@ class _Recorder(Watch):
         residual = self._residual(point)
         solves, seconds = self._function.contact_solves, self.referee.clock.elapsed
         energy, objective = point.equilibrium.energy, point.value
-        step = Step(iteration, energy, 0.0, 0.0, residual, solves, seconds, objective=objective)
+        step = Step(
+            iteration, energy, 0.0, 0.0, residual, solves, seconds, objective=objective, stationarity=residual
+        )
         self.steps.append(step)
         if self.on_step is not None:
             self.on_step(replace(step, q=q.copy()))

@@ -40,12 +40,18 @@ class Case:
         Keyword arguments of the strategy's ``solve``: ``objective``, ``relaxation``, ``seed``, ...
     certify : bool
         Whether to bound the error of the solution.
+    repeats : int
+        How often it is solved, for its times.
+    trace : bool
+        Whether to measure the first-order residual along the solve, once it has ended.
     """
 
     problem: ContactProblem
     formulation: str
     options: Mapping[str, Any] = field(default_factory=dict)
     certify: bool = False
+    repeats: int = 1
+    trace: bool = False
 
     @property
     def key(self) -> str:
@@ -80,6 +86,8 @@ def make_cases(
     options: Mapping[str, Any] | None = None,
     certify: bool = False,
     refined: int | None = None,
+    repeats: int = 1,
+    trace: bool = False,
 ) -> list[Case]:
     """All pairs of examples and strategies, with the same settings.
 
@@ -120,7 +128,14 @@ def make_cases(
     several = {option: as_list(options[option]) for option in ("objective", "seed") if option in options}
     commons = [{**options, **dict(zip(several, one, strict=True))} for one in product(*several.values())]
     cases = [
-        Case(problem, name, {**{key: common[key] for key in common if key in taken[name]}, **own}, certify)
+        Case(
+            problem,
+            name,
+            {**{key: common[key] for key in common if key in taken[name]}, **own},
+            certify,
+            repeats,
+            trace,
+        )
         for problem in problems
         for common in commons
         for name, own in chosen

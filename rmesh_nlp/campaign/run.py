@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, replace
 from functools import partial
 
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case
+from rmesh_nlp.campaign.repeats import joined
+from rmesh_nlp.campaign.trace import Trace
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.files import remove_leftovers, write_whole
@@ -47,15 +49,30 @@ INTERRUPTED = Status.INTERRUPTED.value
 
 
 def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
-    """Run one case; an exception becomes a row with its message.
+    """Run one case, as often as it asks for; an exception becomes a row with its message.
+
+    The times of the row are then medians, everything else is that of the first run.
 
     Raises
     ------
     BadInputError
         If the strategy does not exist.
     """
+    first = _solve(case, on_step)
+    if first.solution is None or case.repeats == 1 or first.record["status"] == INTERRUPTED:
+        return first
+    records = [first.record]
+    for _ in range(case.repeats - 1):
+        records.append(_solve(replace(case, certify=False, trace=False), on_step).record)
+        if records[-1]["status"] == INTERRUPTED:
+            return replace(first, record=records[-1])
+    return replace(first, record=joined(records))
+
+
+def _solve(case: Case, on_step: OnStep | None) -> Outcome:
     function = strategies.load(case.formulation)
-    watch = dict.fromkeys(strategies.accepted(function, ("on_step",)), on_step)
+    trace = Trace(on_step) if case.trace else None
+    watch = dict.fromkeys(strategies.accepted(function, ("on_step",)), trace or on_step)
     began = time.perf_counter()
     try:
         solution = function(case.problem, **case.options, **watch)
@@ -66,6 +83,9 @@ def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
         return Outcome(_failure(case, "refused", error, time.perf_counter() - began), None)
     except Exception as error:
         return Outcome(_failure(case, "failed", error, time.perf_counter() - began), None)
+    if trace is not None and record["status"] != INTERRUPTED:
+        with suppress(ValueError, ArithmeticError, RuntimeError):  # a solve that ended stays what it is
+            solution = trace.measured(solution)
     if not case.certify:
         return Outcome(record, solution)
     bounds, certificate = certified(solution)
@@ -202,6 +222,7 @@ def _finished(cases: Sequence[Case], rows: Sequence[Record], results: Results) -
                 raise BadInputError(
                     f"cannot resume {case.key}: it was solved with {name} {row.get(name)}, not {value}"
                 )
-        if results.is_intact(row) and (not case.certify or "certificate_remark" in row):
+        often = row.get("repeats", 1) >= case.repeats
+        if results.is_intact(row) and often and (not case.certify or "certificate_remark" in row):
             done[case.key] = row
     return done

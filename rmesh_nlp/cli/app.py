@@ -146,6 +146,12 @@ Set = Annotated[
 Jobs = Annotated[
     int, typer.Option("--jobs", min=1, metavar="N", help="Processes that solve; more than 1 needs dask.")
 ]
+Repeats = Annotated[
+    int,
+    typer.Option(
+        "--repeats", min=1, metavar="N", help="Solve each N times: tables show medians of times and ranges."
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout instead of text.")]
 Certify = Annotated[
@@ -440,6 +446,7 @@ def compare(
         bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
     ] = False,
     jobs: Jobs = 1,
+    repeats: Repeats = 1,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -479,7 +486,7 @@ def compare(
         _commands().compare(
             names,
             parse_names("--formulations", formulations),
-            {**settings, "certify": certify},
+            {**settings, "certify": certify, "repeats": repeats},
             out,
             resume,
             jobs,

@@ -26,6 +26,7 @@ from rmesh_nlp.io.results import (
     to_json,
     write_single,
 )
+from rmesh_nlp.report.common_costs import with_common_costs
 from rmesh_nlp.report.figures import write_figures
 from rmesh_nlp.report.tables import write_tables
 from rmesh_nlp.study.campaign import in_parallel
@@ -115,7 +116,9 @@ def compare(
     """
     if jobs > 1 and any(name.endswith(".toml") for name in examples):
         raise BadInputError("--jobs is for the examples: put problem files into a study (rmesh new --study)")
-    cases = make_cases(examples or list(EXAMPLES), formulations, **settings)
+    if jobs > 1 and settings.get("repeats", 1) > 1:
+        raise BadInputError("--repeats is for times, which solves side by side would spoil: leave out --jobs")
+    cases = make_cases(examples or list(EXAMPLES), formulations, **settings, trace=jobs == 1)
     records: list[Record] = []
     with writable(out, (RECORDS, *TABLES)) as results:
         with CampaignProgress(len(cases), quiet=voice != "text") as progress:
@@ -149,7 +152,7 @@ def compare(
 def table(folder: Path, voice: str = "text") -> None:
     """Write the tables of a folder and print the Markdown one."""
     results = read_quietly(folder)
-    text = write_tables([result.record for result in results], folder)
+    text = write_tables(with_common_costs(results), folder)
     if voice == "text":
         print(text, end="")
 

@@ -130,7 +130,16 @@ class Objective:
         return -1 * self
 
 
-MINIMISED_ONLY = ("energy", "error-energy", "error-l2", "error-h1", "contact", "certificate", *DISTORTIONS)
+MINIMISED_ONLY = (
+    "energy",
+    "error-energy",
+    "error-l2",
+    "error-h1",
+    "contact",
+    "friction",
+    "certificate",
+    *DISTORTIONS,
+)
 """Terms that no one wants to be large."""
 
 

@@ -6,6 +6,7 @@ Errors are measured against the problem's exact solution u:
 ``error-l2``      squared L2 norm of u_h - u
 ``error-h1``      squared H1 seminorm of u_h - u
 ``contact``       I2 of (4.2), the work of the exact contact stress on the discrete gap
+``friction``      I3 of (4.2), what friction takes on the discrete slip less the work of the exact stress
 ``certificate``   guaranteed bound of half the squared error in the energy norm of a scalar problem, see
                   :mod:`rmesh_nlp.programs.reduced_certificate`; no exact solution is needed
 ``quality``, ``shape-size``, ``elastic``
@@ -92,10 +93,39 @@ def contact(
     ]
 
 
+def friction(
+    problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+) -> list[ElementGroup]:
+    """I3 of (4.2): integral of ``g |u_t| + T_t(u) u_t`` over the contact boundary.
+
+    u_t is the discrete slip and T_t(u) the exact tangential stress on the body, of size g at most, so the
+    integrand is not negative; it vanishes where the discrete solution sticks and slides as the exact one.
+    The first part is taken by the trapezoidal rule, as in the energy (5.9), the second accurately.
+    """
+    exact = _exact(problem, "friction")
+    if not problem.frictional:
+        raise ValueError("the objective 'friction' needs a contact boundary with friction")
+    if len(problem.laws) > 1:
+        raise ValueError("the objective 'friction' needs one law")
+    return [
+        *(term.on(positions, slip) for term in friction_terms(problem)),
+        *(
+            _contact_work(problem, positions, displacement, exact, part.obstacle, along=True)
+            for part in problem.contact_sets
+            if part.obstacle.frictional
+        ),
+    ]
+
+
 def _contact_work(
-    problem: ContactProblem, positions: Field, displacement: Field, exact: ExactSolution, obstacle: Obstacle
+    problem: ContactProblem,
+    positions: Field,
+    displacement: Field,
+    exact: ExactSolution,
+    obstacle: Obstacle,
+    along: bool = False,
 ) -> ElementGroup:
-    """What one contact boundary adds to :func:`contact`."""
+    """Work of the exact stress on one contact boundary: normal on the gap, or ``along`` it on the slip."""
     traction = _traction(problem.laws[0], exact)
     kind, components = exact.symbol, problem.components
     X_column, u_column = kind.sym("X", 4), kind.sym("u", 2 * components)
@@ -106,9 +136,13 @@ def _contact_work(
     points, weights = get_quadrature_line(ERROR_DEGREE)
     for point, weight in zip(np.vstack([1 - points, points]).T, weights, strict=True):
         x, y = ca.vertsplit(X @ point)
-        normal = obstacle.direction(x, y)
-        gap = ca.dot(normal, u @ point) + obstacle.distance(x, y)
-        total += weight * ca.dot(normal, traction(x, y, outward)) * gap
+        if along:
+            direction = obstacle.tangential(x, y)
+            way = ca.dot(direction, u @ point)
+        else:
+            direction = obstacle.direction(x, y)
+            way = ca.dot(direction, u @ point) + obstacle.distance(x, y)
+        total += weight * ca.dot(direction, traction(x, y, outward)) * way
     function = ca.Function("contact_error", [X_column, u_column], [total, kind(0, 1)])
     edges = _with_body_on_the_left(problem, contact_edges(problem, obstacle))
     return objective_group(function, (positions.at(edges), displacement.at(edges)))
@@ -133,6 +167,7 @@ TERMS: dict[str, Term] = {
     "error-l2": Term("error-l2", error_l2, needs_exact=True),
     "error-h1": Term("error-h1", error_h1, needs_exact=True),
     "contact": Term("contact", contact, needs_exact=True),
+    "friction": Term("friction", friction, needs_exact=True),
     "certificate": Term("certificate", certificate),
     **{name: Term(name, partial(_distortion, name), of_positions=True, barrier=True) for name in DISTORTIONS},
 }

@@ -44,7 +44,11 @@ HISTORY_FIELDS = (
     "dual_residual",
     "contact_solves",
     "seconds",
+    "stationarity",
 )
+
+LATER_FIELDS = ("stationarity",)
+"""Columns that histories of older versions do not have."""
 
 
 class DamagedRecordsWarning(UserWarning):
@@ -73,7 +77,7 @@ class Result:
             with self.history.open(newline="", encoding="utf-8") as file:
                 rows = csv.DictReader(file, strict=True)
                 steps = [{name: _number(text) for name, text in row.items()} for row in rows]
-            missing = sorted(set(HISTORY_FIELDS) - set(rows.fieldnames or ()))
+            missing = sorted(set(HISTORY_FIELDS) - set(LATER_FIELDS) - set(rows.fieldnames or ()))
         except (OSError, ValueError, TypeError, csv.Error) as error:  # of the decoding as well
             raise BadInputError(f"{self.history} is no history: {error}") from error
         if missing:

@@ -54,12 +54,16 @@ class ReducedEnergy:
     ----------
     contact_solves : int
         Number of contact solves so far.
+    cold_solves : int
+        Those of them that had no active set to start from.
+    factorisations : int
+        Of the stiffness, one per active set that these solves tried.
     """
 
     def __init__(self, relocation: Relocation, model: ContactModel | None = None) -> None:
         self.relocation = relocation
         self.model = model or ContactModel(relocation.discretisation)
-        self.contact_solves = 0
+        self.contact_solves = self.cold_solves = self.factorisations = 0
         self._active: ActiveSet | None = None
         self._last: ReducedPoint | None = None
         nlp = relocation.nlp
@@ -100,6 +104,8 @@ class ReducedEnergy:
         system = self.model.system(self.relocation.nodes(q))
         equilibrium = solve(system, self._active)
         self.contact_solves += 1
+        self.cold_solves += self._active is None
+        self.factorisations += equilibrium.iterations
         self._active = equilibrium.active
         self._last = self.at(q, system, equilibrium)
         return self._last

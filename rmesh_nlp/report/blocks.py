@@ -68,9 +68,13 @@ def blocks(records: Sequence[Record]) -> list[Block]:
     """The records grouped, in the order of their first appearance."""
     groups: dict[tuple[Any, ...], list[Record]] = {}
     for record in records:
-        key = (record["example"], record["n"], str(record["delta"]), record.get("quadrature", "midpoint"))
-        groups.setdefault(key, []).append(record)
+        groups.setdefault(block_key(record), []).append(record)
     return [Block(tuple(group)) for group in groups.values()]
+
+
+def block_key(record: Record) -> tuple[Any, ...]:
+    """What records of one block have in common."""
+    return record["example"], record["n"], str(record["delta"]), record.get("quadrature", "midpoint")
 
 
 def audited(record: Record) -> float:

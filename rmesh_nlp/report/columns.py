@@ -61,6 +61,42 @@ def _in_contact_solves(record: Record) -> str:
     return MISSING if units is None else f"{units:.3g}" if units < 100 else f"{units:.0f}"
 
 
+def _seconds(part: str) -> Callable[[Record], str]:
+    """Seconds, with their range where the solve was repeated."""
+
+    def cell(record: Record) -> str:
+        value, ends = record.get(f"{part}_time_s"), record.get(f"{part}_time_range_s")
+        if value is None:
+            return MISSING
+        return f"{value:.3g}" if not ends else f"{value:.3g} ({ends[0]:.2g} to {ends[1]:.2g})"
+
+    return cell
+
+
+def _solves(record: Record) -> str:
+    """Contact solves, cold and warm ones apart where that is known."""
+    total, cold = record.get("contact_solves"), record.get("cold_contact_solves")
+    if total is None:
+        return MISSING
+    return f"{total}" if cold is None else f"{cold} + {total - cold}"
+
+
+def _factorisations(record: Record) -> str:
+    """Those of the contact solver, and at least how many of KKT matrices there were."""
+    contact, kkt = record.get("contact_factorisations"), record.get("kkt_factorisations")
+    if contact is None:
+        return MISSING
+    return f"{contact}" if not kkt else f"{contact}; {kkt} or more"
+
+
+def _cost(name: str) -> Callable[[Record], str]:
+    def cell(record: Record) -> str:
+        value = record.get(name)
+        return MISSING if value is None else f"{value:.3g}" if value < 100 else f"{value:.0f}"
+
+    return cell
+
+
 def label_in_words(record: Record) -> str:
     """The label of stationarity, and whether it says more than that of an ordinary program."""
     label = str(record.get("stationarity") or MISSING)
@@ -117,10 +153,11 @@ COSTS = (
     STRATEGY,
     Column("start", "start", _text("start")),
     Column("iterations", "iter.", _number("iterations", "d")),
-    Column("contact solves", _two("contact", "solves"), _number("contact_solves", "d")),
-    Column("build [s]", _two("build", "[s]"), _number("build_time_s", ".3g")),
-    Column("solve [s]", _two("solve", "[s]"), _number("solve_time_s", ".3g")),
-    Column("audit [s]", _two("audit", "[s]"), _number("audit_time_s", ".3g")),
+    Column("contact solves, cold + warm", _two("contact", "solves"), _solves),
+    Column("factorisations, contact; KKT", _two("factor-", "isations"), _factorisations),
+    Column("build [s]", _two("build", "[s]"), _seconds("build")),
+    Column("solve [s]", _two("solve", "[s]"), _seconds("solve")),
+    Column("audit [s]", _two("audit", "[s]"), _seconds("audit")),
     Column("build + solve [solves]", _two("cost", "[solves]"), _in_contact_solves),
     Column("tolerance", "tol.", _number("tolerance", ".0e")),
     Column("status", "status", _text("status")),
@@ -138,6 +175,16 @@ RESIDUALS = (
     Column("label", "label", lambda record: label_in_words(record)),
 )
 """Residuals of the strategy's own state and of the referee's contact solve on its mesh, and the label."""
+
+COMMON = (
+    STRATEGY,
+    Column("common level", _two("common", "level"), _number("common_objective", ".7g")),
+    Column("cost to level [solves]", _two("cost", "to level"), _cost("cost_to_objective")),
+    Column("common stationarity", _two("common", "stat."), _number("common_stationarity", ".1e")),
+    Column("cost to stationarity [solves]", _two("cost", "to stat."), _cost("cost_to_stationarity")),
+    Column("cost to the end [solves]", _two("cost to", "the end"), _in_contact_solves),
+)
+"""Cost until the level that all strategies reach, and to the end of each."""
 
 ERRORS = (
     STRATEGY,

@@ -23,6 +23,9 @@ LEGEND = (
     "relative to that on the given mesh. Label: the kind of stationarity that was computed; S (KKT) is "
     "S-stationarity without a biactive pair, "
     "which says no more than that the point is a KKT point.",
+    "Factorisations: those of the contact solver, and of KKT matrices at least as many as Ipopt took "
+    "iterations; it does not say how often it repeated one. Common level and stationarity: what all "
+    "successful strategies reach, and the cost until each was there first.",
 )
 
 

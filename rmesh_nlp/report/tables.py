@@ -10,9 +10,11 @@ import pandas as pd
 from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import TABLES, Results
+from rmesh_nlp.report import multistart
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.columns import (
     CERTIFICATES,
+    COMMON,
     COSTS,
     ENERGIES,
     ERRORS,
@@ -30,6 +32,8 @@ from rmesh_nlp.report.study_summary import is_study, summary_markdown, summary_r
 CAPTIONS = {
     ENERGIES: r"Energies and extremes of the displacement; the paper truncates its digits.",
     COSTS: r"Work by one clock: building the programs, solving them, and the audit, which is not a cost.",
+    COMMON: r"Cost to the audited energy, or other objective, and to the first-order residual that all "
+    r"strategies reach.",
     RESIDUALS: r"Residuals of each strategy's own state, and of the referee's contact solve on its mesh.",
     ERRORS: r"Theorem 4.1: errors in energy, contact and friction, and the energy above the exact one.",
     OBJECTIVES: r"Outer objectives.",
@@ -48,6 +52,9 @@ def markdown(records: Sequence[Record]) -> str:
             markdown_table([column.head for column in columns], body(columns, block))
             for columns in _tables(block.records)
         ]
+    for name, rows in multistart.multistart_rows(records):
+        parts.append(f"## {multistart.TITLE}: {name}\n")
+        parts.append(markdown_table(multistart.HEAD, rows))
     for name, rows in refinement_rows(records):
         parts.append(f"## {TITLE}: {name}\n")
         parts.append(markdown_table(HEAD, rows))
@@ -81,6 +88,9 @@ def latex(records: Sequence[Record]) -> str:
         last = columns is tables[-1][2]
         below = notes(records) if last else ()
         parts.append(latex_table(head, groups, CAPTIONS[columns], below))
+    several = multistart.multistart_rows(records)
+    if several:
+        parts.append(latex_table(multistart.HEAD, several, f"{multistart.TITLE}."))
     if finer:
         parts.append(latex_table(HEAD, finer, " ".join([f"{TITLE}.", *said])))
     return "\n".join(parts)
@@ -122,7 +132,10 @@ def write_tables(records: Sequence[Record], folder: Path) -> str:
 
 def _tables(records: Sequence[Record]) -> list[tuple[Column, ...]]:
     """The tables these records need: those of outer objectives and certificates only where there are any."""
-    kinds: list[tuple[Column, ...]] = [ENERGIES, COSTS, RESIDUALS]
+    kinds: list[tuple[Column, ...]] = [ENERGIES, COSTS]
+    if any(record.get("common_objective") is not None for record in records):
+        kinds.append(COMMON)
+    kinds.append(RESIDUALS)
     if any(record.get("I1") is not None for record in records):
         kinds.append(ERRORS)
     if any(record["objective"] != "energy" for record in records):

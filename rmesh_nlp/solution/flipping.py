@@ -12,7 +12,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.energy_flips import Round, flips_and_moves
 from rmesh_nlp.programs.regularisation import gain_estimate
-from rmesh_nlp.solution.solution import Given, Solution
+from rmesh_nlp.solution.solution import Given, Solution, counted
 
 
 def check_flips(problem: ContactProblem) -> None:
@@ -79,6 +79,7 @@ def with_flips(
     solutions = all_solutions or (final,)
     extra = {
         **final.extra,
+        **counted(solutions),
         "flips": sum(one.flips for one in rounds),
         "changed_triangles": changed,
         "flip_rounds": [asdict(one) for one in rounds],

@@ -242,6 +242,7 @@ class Referee:
         ratio = least_area_ratio(self.problem, nodes)
         if not ratio > 0:
             return _without_solution(common, self.problem, ratio)
+        cold, factorisations = self.reduced.cold_solves, self.reduced.factorisations
         exact, accurate = self.reduced(q), self._auditor.solve(nodes)
         found = equilibrium or exact.equilibrium
         audit = self._auditor(nodes, found, accurate)
@@ -280,6 +281,8 @@ class Referee:
         common["extra"] = {
             **common["extra"],
             "tolerance": tolerance,
+            "cold_contact_solves": min(cold, common["contact_solves"]) if relocates else 1,
+            "contact_factorisations": factorisations if relocates else self.initial.iterations,
             **self._residuals(nodes, own or found, exact.equilibrium),
             "warnings": self._warnings(nodes, found),
         }

@@ -10,7 +10,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.regularisation import gain_estimate, regularised, weights
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.solution import Solution, counted
 
 ESTIMATE_SOLVES = 2
 """Contact solves of the estimate that the weights are relative to."""
@@ -75,5 +75,5 @@ def solve_regularised(
         solve_time_s=sum(s.solve_time_s for s in done),
         audit_time_s=sum(s.audit_time_s for s in done),
         start=done[0].start,
-        extra={**last.extra, **extra},
+        extra={**last.extra, **counted(done), **extra},
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
@@ -54,6 +55,9 @@ class Step:
     biactive : float
         Number of pairs at the corner (both members at most ``2 sqrt(t)``, in the same units); NaN
         where there are no pairs.
+    stationarity : float
+        First-order residual of the outer problem at the moves, by the measure of records; NaN where it
+        was not measured.
     """
 
     iteration: int
@@ -67,6 +71,7 @@ class Step:
     objective: float = float("nan")
     product: float = float("nan")
     biactive: float = float("nan")
+    stationarity: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -314,6 +319,19 @@ def _step_row(step: Step) -> dict[str, Any]:
 def _gain(gain: float, initial: float) -> str:
     """A gain by itself and as a part of the initial value."""
     return figure(gain) + (f" ({100 * gain / abs(initial):.3g} %)" if initial else "")
+
+
+COUNTS = ("cold_contact_solves", "contact_factorisations", "kkt_factorisations")
+"""Entries of a record that count work, beside iterations and contact solves."""
+
+
+def counted(solutions: Sequence[Solution]) -> dict[str, int]:
+    """The sums of ``COUNTS`` over solutions, of those that all of them have."""
+    return {
+        name: sum(s.extra[name] for s in solutions)
+        for name in COUNTS
+        if all(name in s.extra for s in solutions)
+    }
 
 
 def versions() -> dict[str, str]:

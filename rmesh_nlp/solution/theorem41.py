@@ -28,21 +28,21 @@ class ErrorTerms:
     Attributes
     ----------
     I1, I2 : float
-    I3 : float or None
-        0 without friction; None with friction, where the exact friction stress would be needed.
+    I3 : float
+        0 without friction.
     above_exact : float
         Audited energy less the exact one: by the theorem the sum of the three.
     """
 
     I1: float
     I2: float
-    I3: float | None
+    I3: float
     above_exact: float
 
     @property
     def total(self) -> float:
-        """``I1 + I2 + I3``; an unknown I3 counts as nothing."""
-        return self.I1 + self.I2 + (self.I3 or 0.0)
+        """``I1 + I2 + I3``."""
+        return self.I1 + self.I2 + self.I3
 
     def entries(self) -> dict[str, float | None]:
         """Entries of a record."""
@@ -65,10 +65,22 @@ def error_terms_on(problem: ContactProblem, nodes: Array) -> ErrorTerms | None:
     fields = (
         constant_field(nodes),
         constant_field(model.displacement.values(state.u)),
-        constant_field(np.zeros((1, nodes.shape[1]))),
+        constant_field(_slips(model, state.u)),
     )
-    first, second = (_value(accurate, name, fields) for name in ("error-energy", "contact"))
-    return ErrorTerms(first, second, None if problem.frictional else 0.0, state.energy - exact.energy)
+    names = ["error-energy", "contact", *(["friction"] if problem.frictional else [])]
+    values = [_value(accurate, name, fields) for name in names]
+    return ErrorTerms(values[0], values[1], sum(values[2:]), state.energy - exact.energy)
+
+
+def _slips(model: ContactModel, u: Array) -> Array:
+    """Sizes of the slips (obstacles, nodes), zero off the contact boundaries."""
+    problem = model.problem
+    field = np.zeros((max(len(problem.obstacles), 1), problem.mesh.p.shape[1]))
+    if problem.frictional:
+        slip = np.abs(model.tangents @ u)
+        for part in problem.contact_sets:
+            field[part.number, part.nodes] = slip[part.rows]
+    return field
 
 
 def _value(problem: ContactProblem, name: str, fields: tuple[Field, Field, Field]) -> float:

@@ -6,7 +6,8 @@ import pytest
 
 from formulations import fixed, joint, mpcc
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.solution.theorem41 import error_terms
+from rmesh_nlp.solution.theorem41 import error_terms, error_terms_on
+from tests.support.sliding import sliding_block
 
 
 @pytest.mark.slow
@@ -21,6 +22,21 @@ def test_the_terms_sum_to_the_energy_above_the_exact_one() -> None:
         # what is left is the audit's quadrature of the load
         assert terms.total == pytest.approx(terms.above_exact, rel=1e-5)
     assert after.total < before.total
+
+
+def test_with_friction_the_third_term_closes_the_sum() -> None:
+    found = []
+    for n in (4, 8):
+        problem = sliding_block(n)
+        terms = error_terms_on(problem, problem.mesh.p)
+        assert terms is not None
+        assert min(terms.I1, terms.I3) > 0  # on these grids nodes slide where the exact solution sticks
+        assert terms.I2 >= -1e-12
+        # loads and displacement are polynomials on the elements, so rules are exact and nothing is left over
+        assert terms.total == pytest.approx(terms.above_exact, rel=1e-9)
+        assert terms.total - terms.I3 != pytest.approx(terms.above_exact, rel=1e-6)
+        found.append(terms)
+    assert found[1].total < 0.5 * found[0].total
 
 
 def test_without_an_exact_solution_there_are_no_terms() -> None:
