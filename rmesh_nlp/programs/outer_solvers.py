@@ -113,9 +113,12 @@ def _newton(program: ReducedProgram, start: Array, monitor: Monitor, settings: N
     barrier = isinstance(function, ReducedEnergy) and function.relocation.objective.has_barrier
     if barrier and program.nlp.n_g == 0:
         return _large_moves(program, start, monitor, settings)
+    descent = _Descent(program, monitor, settings)
+    if settings.enough is not None:
+        return descent(start, stationary=np.inf, gain=settings.enough)
     if program.nlp.n_g and program.nlp.n_x <= settings.exact:
         return _interior(program, start, monitor, settings)
-    return _Descent(program, monitor, settings)(start, gain=settings.tight)
+    return descent(start, gain=settings.tight)
 
 
 def _large_moves(
