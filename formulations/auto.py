@@ -135,6 +135,8 @@ def solve(
     if freedoms(problem).n == 0:
         return _chosen(nested.solve(problem, **common), "nested: no node can move")
     found = _large_moves(problem, chosen, tolerance, time_limit_s, on_step)
+    if found.status is Status.INTERRUPTED:
+        return found
     if flips:
         found = _flipped(problem, found, chosen, tolerance, time_limit_s)
     return _with_worth(problem, found)
@@ -158,7 +160,10 @@ def _with_worth(problem: ContactProblem, solution: Solution) -> Solution:
     began = time.perf_counter()
     stated = replace(problem, quadrature=solution.problem.quadrature)
     energies = solution.energy_initial_audited, solution.audit.energy_audited
-    found = worth(stated, solution.mesh, *energies, solution.contact_solves)
+    try:
+        found = worth(stated, solution.mesh, *energies, solution.contact_solves)
+    except KeyboardInterrupt:  # the solution is there
+        return replace(solution, status=Status.INTERRUPTED)
     if found is None:
         return solution
     return replace(

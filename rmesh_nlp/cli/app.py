@@ -158,6 +158,9 @@ Certify = Annotated[
     bool,
     typer.Option("--certify", help="Bound the error in the energy norm, before and after the relocation."),
 ]
+Columns = Annotated[
+    int, typer.Option("--columns", min=1, max=2, help="Width of the figures: columns of a printed page.")
+]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve, compare or study wrote.")]
 
 
@@ -262,9 +265,7 @@ def solve(
             "--figures/--no-figures", help="Draw before and after to DIR/figures (for a problem file)."
         ),
     ] = True,
-    columns: Annotated[
-        int, typer.Option("--columns", min=1, max=2, help="Width of the figures: columns of a printed page.")
-    ] = 2,
+    columns: Columns = 2,
 ) -> None:
     """Solve one example, or the problem of a file, by one strategy.
 
@@ -566,15 +567,17 @@ def export(
 
 
 @app.command()
-def figures(folder: Folder) -> None:
+def figures(folder: Folder, columns: Columns = 2) -> None:
     """Make the figures of DIR again.
 
-    Writes PNG and PDF files to DIR/figures from the saved solutions, without solving.
+    Writes PNG and PDF files to DIR/figures from the saved solutions, without relocating again. Of a
+    problem file they are those of rmesh solve, before and after.
 
     \b
     rmesh figures results
+    rmesh figures results/my --columns 1
     """
-    _commands().figures(folder)
+    raise typer.Exit(_problem_commands().figures(folder, columns))
 
 
 def _settings(

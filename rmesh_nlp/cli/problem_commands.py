@@ -14,7 +14,8 @@ from rmesh_nlp.campaign import run as campaign
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import FLAGS, Case
 from rmesh_nlp.campaign.progress import CampaignProgress
-from rmesh_nlp.cli.commands import exit_code, say_certificate
+from rmesh_nlp.cli.commands import exit_code, read_quietly, say_certificate
+from rmesh_nlp.cli.commands import figures as draw_all
 from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.cli.study_commands import check as check_study
 from rmesh_nlp.contact.setup_warnings import setup_warnings
@@ -23,10 +24,12 @@ from rmesh_nlp.discretisation.freedoms import Mobility
 from rmesh_nlp.display import rich_table
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.io import kept_problem
 from rmesh_nlp.io.export import Series, write_mesh
 from rmesh_nlp.io.files import safe_name, write_new, write_whole
 from rmesh_nlp.io.problem_file import build, read_table
 from rmesh_nlp.io.problem_messages import one_line
+from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.problem_template import template
 from rmesh_nlp.io.results import Results, to_json, write_single
 from rmesh_nlp.meshes import MeshRepairWarning
@@ -34,6 +37,8 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.before_after import PICTURES, write_pictures
 from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.problem_picture import draw_problem
+from rmesh_nlp.report.states import Drawable
+from rmesh_nlp.solution.interrupts import deferred
 from rmesh_nlp.solution.solution import Step
 from rmesh_nlp.solution.worth import advise as advice
 from rmesh_nlp.study.study_file import is_study
@@ -145,7 +150,18 @@ def solve(
                 raise InterruptedSolveError("nothing was written") from None
         if outcome.record["status"] == "refused":
             raise BadInputError(f"{path}: {outcome.record['message']}")
-        names = _write(results, outcome, series, Page(columns) if columns else None)
+        with deferred() as interrupted:
+            _write(results, outcome, series, path, table)
+        try:
+            if interrupted():
+                raise KeyboardInterrupt
+            if columns and outcome.solution is not None and outcome.record["status"] != campaign.INTERRUPTED:
+                draw(results, outcome.solution, Page(columns))
+        except KeyboardInterrupt:
+            raise InterruptedSolveError(
+                f"all but the figures is kept in {folder}; rmesh figures {folder} draws them"
+            ) from None
+        names = [name for name in (*FILES, "iterations", "figures") if (folder / name).exists()]
     if voice == "json":
         print(to_json(outcome.record))
     elif voice == "text":
@@ -165,23 +181,46 @@ def _print(outcome: campaign.Outcome, case: Case, folder: Path, names: Sequence[
     print(f"wrote {folder}: {', '.join(names)}")
 
 
-def _write(results: Results, outcome: campaign.Outcome, series: Series, page: Page | None) -> list[str]:
-    """Put all files of a solve in place, the record last; what an earlier solve left goes first."""
+def _write(
+    results: Results, outcome: campaign.Outcome, series: Series, path: Path, table: ProblemTable
+) -> None:
+    """Put the files of a solve in place, the record last; what an earlier solve left goes first."""
     folder, solution, manifest = results.folder, outcome.solution, results.manifest
     manifest.remove(name for name in manifest.names() if name.startswith(("iterations/", "figures/")))
-    manifest.claim(*FILES)
+    manifest.claim(*FILES, *kept_problem.names(table))
+    kept_problem.keep(path, table, folder)
     if solution is not None:
         write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
         if series.frames:
             manifest.claim(*(f"iterations/{name}" for name in series.names()))
             series.write(folder / "iterations")
-        if page is not None and np.all(np.isfinite(solution.displacement)):
-            drawn = [f"{name}.{kind}" for name in PICTURES for kind in ("png", "pdf")]
-            manifest.claim(*(f"figures/{name}" for name in drawn))
-            (folder / "figures").mkdir(exist_ok=True)
-            write_pictures(solution, folder / "figures", page)
     write_single(folder, outcome.record, lambda places: campaign.save(outcome, places))
-    return [name for name in (*FILES, "iterations", "figures") if (folder / name).exists()]
+
+
+def draw(results: Results, solution: Drawable, page: Page) -> list[Path]:
+    """Draw a solution before and after, if it is one."""
+    if not np.all(np.isfinite(solution.displacement)):
+        return []
+    drawn = [f"{name}.{kind}" for name in PICTURES for kind in ("png", "pdf")]
+    results.manifest.claim(*(f"figures/{name}" for name in drawn))
+    place = results.folder / "figures"
+    place.mkdir(exist_ok=True)
+    return write_pictures(solution, place, page)
+
+
+def figures(folder: Path, columns: int) -> int:
+    """Draw what is in a folder again; for a problem file before and after as well."""
+    single = folder / "record.json"
+    if (folder / kept_problem.PROBLEM).exists() and single.exists():
+        (result,) = read_quietly(folder)
+        kept = kept_problem.read_kept(folder, result.record)
+        if kept is not None:
+            with writable(folder) as results:
+                paths = draw(results, kept, Page(columns))
+            print(f"{len(paths)} files in {folder / 'figures'}")
+            return SUCCESS
+    draw_all(folder)
+    return SUCCESS
 
 
 def _warn(messages: Sequence[str]) -> None:

@@ -20,9 +20,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.limits import draw_limits, draw_motion
 from rmesh_nlp.report.page import Page
-from rmesh_nlp.report.states import State, after, before
+from rmesh_nlp.report.states import Drawable, State, after, before
 from rmesh_nlp.report.style import FOUNDATION, GRID_LINE, MAP, look, new_figure, save
-from rmesh_nlp.solution.solution import Solution
 
 TITLES = ("given mesh", "relocated mesh")
 PICTURES = ("mesh", "displacement", "stress", "flux", "pressure", "motion", "limits")
@@ -35,7 +34,7 @@ ROOM = 0.15
 """A foundation is drawn up to this part of the extent outside the body."""
 
 
-def write_pictures(solution: Solution, folder: Path, page: Page = Page()) -> list[Path]:  # noqa: B008
+def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> list[Path]:  # noqa: B008
     """Draw everything there is to see about a solution; nothing that would be all zero.
 
     Returns the files, PNG and PDF: ``mesh``, ``displacement``, ``stress`` or ``flux``, ``pressure``,
@@ -48,7 +47,7 @@ def write_pictures(solution: Solution, folder: Path, page: Page = Page()) -> lis
     return paths
 
 
-def pictures(solution: Solution, page: Page) -> Iterator[tuple[str, Figure]]:
+def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
     """Names and figures, made one by one."""
     states = [before(solution.problem), after(solution)]
     moved = bool(np.any(states[0].nodes != states[1].nodes))
@@ -166,7 +165,7 @@ def _pressures(states: Sequence[State], page: Page) -> Figure:
     return figure
 
 
-def _one(solution: Solution, page: Page, draw: Callable[[Figure, Axes, Solution], None]) -> Figure:
+def _one(solution: Drawable, page: Page, draw: Callable[[Figure, Axes, Drawable], None]) -> Figure:
     """A figure of the relocated mesh alone."""
     window = _window([after(solution)], 0.0)
     figure, axes = page.panels(1, [window], below=0.85)

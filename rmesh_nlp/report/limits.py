@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.problem.units import bracketed
+from rmesh_nlp.report.states import Drawable
 from rmesh_nlp.report.style import MAP
-from rmesh_nlp.solution.solution import Solution
 
 SMALL = 1e-6
 """A multiplier below this part of the largest of its kind holds nothing back."""
@@ -30,7 +30,7 @@ class Limit(Enum):
     AREA = ("the area or an angle of an element", "#000000", "^")
 
 
-def limits(solution: Solution) -> NDArray[np.object_]:
+def limits(solution: Drawable) -> NDArray[np.object_]:
     """The :class:`Limit` of each node; boxes before areas where both act."""
     problem = solution.problem
     mobility = freedoms(problem).mobility
@@ -45,7 +45,7 @@ def limits(solution: Solution) -> NDArray[np.object_]:
     return result
 
 
-def draw_limits(figure: Figure, axis: Axes, solution: Solution) -> None:
+def draw_limits(figure: Figure, axis: Axes, solution: Drawable) -> None:
     """Every node with the colour of its limit."""
     nodes = np.asarray(solution.mesh.p)
     axis.triplot(nodes[0], nodes[1], solution.problem.triangles.T, color="0.85", linewidth=0.3)
@@ -65,7 +65,7 @@ def draw_limits(figure: Figure, axis: Axes, solution: Solution) -> None:
         handle.set_sizes([14.0])  # type: ignore[union-attr]
 
 
-def draw_motion(figure: Figure, axis: Axes, solution: Solution) -> None:
+def draw_motion(figure: Figure, axis: Axes, solution: Drawable) -> None:
     """The way of each node over the colours of its length."""
     old, new = np.asarray(solution.problem.mesh.p), np.asarray(solution.mesh.p)
     length = np.linalg.norm(new - old, axis=0)

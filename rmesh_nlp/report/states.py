@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.stress import stresses, von_mises
+from rmesh_nlp.io.kept_problem import KeptSolution
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.report.foundations import Foundation, foundations
 from rmesh_nlp.solution.referee import nodal_weights
 from rmesh_nlp.solution.solution import Solution
+
+Drawable = Solution | KeptSolution
+"""What pictures of a relocation are drawn from: a solution, or one that was read back."""
 
 CLOSED = 1e-9
 """A gap below this part of the largest displacement is closed."""
@@ -74,7 +78,7 @@ def before(problem: ContactProblem) -> State:
     return _state(problem, nodes, model.displacement.values(state.u), pressure)
 
 
-def after(solution: Solution) -> State:
+def after(solution: Drawable) -> State:
     """The solution itself."""
     return _state(
         solution.problem, np.asarray(solution.mesh.p), solution.displacement, np.asarray(solution.pressure)

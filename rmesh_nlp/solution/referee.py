@@ -34,6 +34,7 @@ from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
 from rmesh_nlp.programs.residual import OuterResidual, size_of
 from rmesh_nlp.solution.audit import Audit, Auditor, equilibrium_residual, law_residual
 from rmesh_nlp.solution.clock import Clock
+from rmesh_nlp.solution.interrupts import deferred
 from rmesh_nlp.solution.solution import Solution, Step
 from rmesh_nlp.solution.verdict import Measured, verdict
 
@@ -186,7 +187,7 @@ class Referee:
         stationarity : str, optional
             Label computed by the strategy; by default "KKT" if the measured residual allows.
         """
-        with self.clock.during("audit"):
+        with self.clock.during("audit"), deferred() as interrupted:
             draft = self._judged(
                 formulation,
                 q,
@@ -206,6 +207,8 @@ class Referee:
                 settings=dict(settings or {}),
                 extra=extra or {},
             )
+        if interrupted():
+            draft = replace(draft, status=Status.INTERRUPTED)
         return replace(
             draft,
             build_time_s=self.clock.seconds("build"),

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.levels import refined
 from rmesh_nlp.solution.registry import accepted
@@ -59,7 +60,9 @@ class MultiStart:
             "start_energies": [None if np.isnan(e) else float(e) for e in self.energies],
             "start_spread": self.spread,
         }
-        return replace(self.best, extra={**self.best.extra, **figures})
+        last = self.solutions[-1].status
+        status = last if last is Status.INTERRUPTED else self.best.status
+        return replace(self.best, status=status, extra={**self.best.extra, **figures})
 
 
 def multistart(
@@ -79,7 +82,12 @@ def multistart(
     """
     chosen = range(1, seeds + 1) if isinstance(seeds, int) else seeds
     starts: list[int | None] = [None, *chosen]
-    return MultiStart(tuple(solve(problem, seed=seed, **options) for seed in starts))
+    solutions: list[Solution] = []
+    for seed in starts:
+        solutions.append(solve(problem, seed=seed, **options))
+        if solutions[-1].status is Status.INTERRUPTED:
+            break
+    return MultiStart(tuple(solutions))
 
 
 def refine(problem: ContactProblem) -> ContactProblem:
@@ -117,6 +125,8 @@ def multilevel(
     solutions = [solve(problem, **options)]
     for _ in range(refinements):
         fine = refine(problem)
+        if solutions[-1].status is Status.INTERRUPTED:
+            break
         start = prolong(problem, np.asarray(solutions[-1].mesh.p), fine)
         solutions.append(solve(fine, start=start, **options))
         problem = fine

@@ -1,11 +1,17 @@
 """Problem files on the command line: compared with refinements of their meshes, warned of."""
 
 import json
+import os
+import shutil
+import signal
 from pathlib import Path
 
 import pytest
+from matplotlib import image
 
 from rmesh_nlp.cli import app as cli
+from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solution.solution import Solution
 
 BLOCK = """
 [mesh]
@@ -90,3 +96,56 @@ def test_check_refuses_what_solve_would_refuse(
     for command in (["check", str(block)], ["solve", str(block)]):
         assert cli.run(command) == 2
         assert message in " ".join(capsys.readouterr().err.split())
+
+
+def test_figures_are_drawn_again_without_the_problem_file(
+    block: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.run(["solve", str(block), "--out", "one"]) == 0
+    drawn = sorted(path.name for path in Path("one/figures").iterdir())
+    first = {name: image.imread(f"one/figures/{name}.png") for name in ("limits", "mesh")}
+    shutil.rmtree("one/figures")
+    block.unlink()
+    assert cli.run(["figures", "one"]) == 0
+    assert sorted(path.name for path in Path("one/figures").iterdir()) == drawn
+    for name, picture in first.items():
+        assert (image.imread(f"one/figures/{name}.png") == picture).all()
+    assert cli.run(["figures", "one", "--columns", "1"]) == 0
+    assert image.imread("one/figures/mesh.png").shape[1] < first["mesh"].shape[1]
+
+
+def test_ctrl_c_while_figures_are_drawn_keeps_the_solution(
+    block: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("rmesh_nlp.cli.problem_commands.write_pictures", interrupt)
+        assert cli.run(["solve", str(block), "--out", "one"]) == 130
+    assert "all but the figures is kept in one; rmesh figures one draws them" in capsys.readouterr().err
+    assert json.loads(Path("one/record.json").read_text())["success"]
+    assert cli.run(["figures", "one"]) == 0
+    assert Path("one/figures/mesh.png").exists()
+
+
+def test_ctrl_c_during_the_audit_keeps_the_solution(
+    block: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored in the background
+    plain = Referee._judged
+
+    def judged(*args: object, **options: object) -> Solution:
+        os.kill(os.getpid(), signal.SIGINT)
+        return plain(*args, **options)
+
+    monkeypatch.setattr(Referee, "_judged", judged)
+    try:
+        assert cli.run(["solve", str(block), "--out", "one"]) == 130
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert "the best mesh so far is kept in one" in capsys.readouterr().err
+    row = json.loads(Path("one/record.json").read_text())
+    assert row["status"] == "interrupted"
+    assert row["gain_audited"] > 0

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from formulations import auto
+from formulations import auto, nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
@@ -107,3 +107,15 @@ def test_a_time_limit_keeps_the_best_mesh() -> None:
 def test_bad_settings_are_refused(bad: dict) -> None:
     with pytest.raises(BadInputError):
         auto.solve(no_boxes(EXAMPLES["6.1"](n=4)), settings=bad)
+
+
+def test_many_moves_in_boxes_are_made_by_newton(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = EXAMPLES["6.1"](n=8)
+    by_joint = auto.solve(problem).record()
+    monkeypatch.setattr(auto, "MANY", 50)
+    row = auto.solve(problem).record()
+    assert (by_joint["formulation"], row["formulation"], row["outer"]) == ("joint", "nested", "newton")
+    assert "moves are many" in row["chosen"]
+    assert row["success"]
+    assert row["gain_audited"] >= 0.95 * by_joint["gain_audited"]
+    assert row["iterations"] < nested.solve(problem, outer="newton").iterations

@@ -1,0 +1,101 @@
+"""The problem file of a solve, kept beside its solution so that figures can be drawn again."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+from skfem import MeshTri
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.io.files import write_whole
+from rmesh_nlp.io.problem_file import build, read_table
+from rmesh_nlp.io.problem_schema import ProblemTable
+from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.io.vtu import read_vtu
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.multipliers import Multipliers
+from rmesh_nlp.solution.referee import relocated_mesh
+
+PROBLEM = "problem.toml"
+MESH = "given-mesh"
+"""Name, without its ending, of the copy of the mesh file."""
+
+
+@dataclass(frozen=True)
+class KeptSolution:
+    """What figures of a relocation need, read back from a folder.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+    mesh : skfem.MeshTri
+        Relocated.
+    displacement : (components, nodes) array
+    pressure : (nodes,) array
+    multipliers : Multipliers or None
+    """
+
+    problem: ContactProblem
+    mesh: MeshTri
+    displacement: Array
+    pressure: Array
+    multipliers: Multipliers | None
+
+
+def names(table: ProblemTable) -> Iterator[str]:
+    """The files that :func:`keep` writes."""
+    yield PROBLEM
+    if table.mesh.file is not None:
+        yield _mesh_name(table)
+
+
+def keep(path: Path, table: ProblemTable, folder: Path) -> None:
+    """Copy a problem file, and the mesh file that it names, into a folder."""
+    write_whole(folder / PROBLEM, lambda aside: shutil.copyfile(path, aside))
+    if table.mesh.file is not None:
+        source = path.parent / table.mesh.file
+        write_whole(folder / _mesh_name(table), lambda aside: shutil.copyfile(source, aside))
+
+
+def read_kept(folder: Path, record: Record) -> KeptSolution | None:
+    """The solution of a folder that ``rmesh solve my.toml`` wrote.
+
+    None if no problem file is kept there, or the solution is one on another mesh: of flipped edges, of
+    refined elements.
+
+    Raises
+    ------
+    BadInputError
+        If a file is damaged or missing.
+    """
+    path = folder / PROBLEM
+    if not path.exists():
+        return None
+    table = read_table(path)
+    if table.mesh.file is not None:
+        table = table.model_copy(update={"mesh": table.mesh.model_copy(update={"file": _mesh_name(table)})})
+    problem = build(table, path)
+    if record.get("quadrature") is not None:  # some strategies raise it
+        problem = replace(problem, quadrature=record["quadrature"])
+    vtu = folder / "solution.vtu"
+    fields = read_vtu(vtu)
+    if not np.array_equal(fields.triangles, problem.triangles):
+        return None
+    data = meshio.vtu.read(str(vtu))
+    pulls = None
+    if "box_multiplier" in data.point_data:
+        cells = {name: values[0] for name, values in data.cell_data.items()}
+        pulls = Multipliers(
+            data.point_data["box_multiplier"], cells["area_multiplier"], cells["angle_multiplier"]
+        )
+    mesh = relocated_mesh(problem.mesh, fields.nodes)
+    return KeptSolution(problem, mesh, fields.displacement, fields.pressure, pulls)
+
+
+def _mesh_name(table: ProblemTable) -> str:
+    return MESH + Path(str(table.mesh.file)).suffix
