@@ -15,6 +15,7 @@ import pytest
 import rmesh_nlp
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.cli import app as cli
+from rmesh_nlp.cli import work
 from rmesh_nlp.examples import EXAMPLES
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -102,8 +103,8 @@ def test_the_commands_of_a_page_are_understood(page: str, monkeypatch: pytest.Mo
         def __getattr__(self, name: str) -> object:
             return lambda *arguments, **keywords: 0
 
-    for name in [name for name in vars(cli) if name.endswith("_commands")]:
-        monkeypatch.setattr(cli, name, Nothing)
+    for name in [name for name in vars(work) if name.endswith("commands")]:
+        monkeypatch.setattr(work, name, Nothing)
     lines = re.findall(r"^rmesh .*", (ROOT / page).read_text(), re.M)
     assert lines or page != "README.md"
     for line in lines:
