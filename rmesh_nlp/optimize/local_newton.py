@@ -14,47 +14,16 @@ The method of :mod:`rmesh_nlp.optimize.newton` with three changes for large move
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.newton import SUFFICIENT, Evaluation, NewtonResult
+from rmesh_nlp.optimize.newton import Evaluation, NewtonResult
+from rmesh_nlp.optimize.newton_settings import LocalNewtonSettings
 from rmesh_nlp.optimize.newton_step import BoxStep, Model
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.optimize.preconditioned_step import PreconditionedStep, Preconditioner
-
-ROUNDING = 1e-14
-"""Error of the function relative to its value (A. R. Conn, N. I. M. Gould, Ph. L. Toint, Trust-region
-methods, SIAM 2000, section 17.4.2)."""
-
-NOTHING = 1e-20
-"""Predicted decrease, relative to the value, below which a point is stationary."""
-
-
-@dataclass(frozen=True)
-class Trust:
-    """The trust region of :func:`descend`.
-
-    Attributes
-    ----------
-    first : float
-        First radius, in widths.
-    least : float
-        Radius at which the descent gives up.
-    shrink, grow : float
-        Factors after a step that the model predicts badly (less than a quarter of the decrease) and well
-        (more than three quarters).
-    hidden : float
-        Part of the variables that may end a step at the edge of the region without its hiding a decrease.
-    """
-
-    first: float = 1.0
-    least: float = 1e-6
-    shrink: float = 0.25
-    grow: float = 2.0
-    hidden: float = 0.05
 
 
 def descend(
@@ -68,8 +37,8 @@ def descend(
     gain_tolerance: float,
     reference: float | None = None,
     max_iterations: int = 100,
-    forcing: float = 0.1,
-    trust: Trust | None = None,
+    forcing: float | None = None,
+    settings: LocalNewtonSettings | None = None,
     on_step: Callable[[int, Array, Evaluation], bool | None] | None = None,
     preconditioned: Callable[[Any, Array], Preconditioner | None] | None = None,
 ) -> NewtonResult:
@@ -89,21 +58,22 @@ def descend(
     reference : float, optional
         By default the value at the start.
     max_iterations : int
-    forcing : float
-        Conjugate gradients stop at this part of the residual they began with.
-    trust : Trust, optional
+    forcing : float, optional
+        In place of that of the settings.
+    settings : LocalNewtonSettings, optional
     on_step : callable, optional
         Called with the iteration, the point and its evaluation; the descent stops if it returns True.
     preconditioned : callable, optional
         ``(model, widths) -> preconditioner`` of the conjugate gradients, in units of the widths; None, as by
         default, for the diagonal of the model.
     """
-    trust = trust or Trust()
+    use = settings or LocalNewtonSettings()
+    forcing = use.forcing if forcing is None else forcing
     x = np.clip(start, lower, upper)
     here = evaluate(x)
     if here is None:
         return NewtonResult(x, np.nan, Status.EVALUATION_ERROR, 0, 0)
-    reference, products, radius = here.value if reference is None else reference, 0, trust.first
+    reference, products, radius = here.value if reference is None else reference, 0, use.first
     for iteration in range(max_iterations + 1):
         if on_step is not None and on_step(iteration, x, here):
             return NewtonResult(x, here.value, Status.INTERRUPTED, iteration, products)
@@ -114,18 +84,18 @@ def descend(
         while there is None:
             low, high = np.maximum((lower - x) / width, -radius), np.minimum((upper - x) / width, radius)
             scaled, slope = Scaled(model, width), width * here.gradient
-            step = BoxStep(scaled, slope)
+            step = BoxStep(scaled, slope, use.step)
             if preconditioner is not None:
-                step = PreconditionedStep(scaled, slope, preconditioner)
+                step = PreconditionedStep(scaled, slope, preconditioner, use.step)
             y, predicted = step.solve(low, high, forcing)
             products += step.products
             hidden = float(np.mean(np.abs(y) >= 0.999 * radius)) if y.size else 0.0
-            rounding = ROUNDING * max(abs(here.value), 1e-300)
-            floor = NOTHING * max(abs(here.value), 1e-300)
+            rounding = use.rounding * max(abs(here.value), 1e-300)
+            floor = use.nothing * max(abs(here.value), 1e-300)
             enough = gain_tolerance * (reference - here.value)
-            if predicted <= max(enough, floor) and (hidden <= trust.hidden or predicted <= floor):
+            if predicted <= max(enough, floor) and (hidden <= use.hidden or predicted <= floor):
                 return NewtonResult(x, here.value, Status.CONVERGED, iteration, products)
-            if radius < trust.least or not np.any(y):
+            if radius < use.least or not np.any(y):
                 return NewtonResult(x, here.value, Status.STALLED, iteration, products)
             s = width * y
             part = longest(x, s)
@@ -138,13 +108,13 @@ def descend(
             if there is not None:
                 # close to the end both decreases are rounding of the function: they then count as alike
                 ratio = (here.value - there.value + rounding) / (max(predicted, 0.0) + rounding)
-            if not ratio >= 0.25:
-                radius = trust.shrink * part * float(np.max(np.abs(y)))
+            if not ratio >= use.poor:
+                radius = use.shrink * part * float(np.max(np.abs(y)))
             elif part < 1:
-                radius = max(part * radius, trust.least)
-            elif ratio > 0.75:
-                radius = trust.grow * radius
-            if there is not None and not ratio > SUFFICIENT:
+                radius = max(part * radius, use.least)
+            elif ratio > use.good:
+                radius = use.grow * radius
+            if there is not None and not ratio > use.sufficient:
                 there = None
         x, here = np.clip(x + s, lower, upper), there
     return NewtonResult(x, here.value, Status.ITERATION_LIMIT, max_iterations, products)

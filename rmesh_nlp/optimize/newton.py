@@ -28,18 +28,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.newton_settings import NewtonSettings
 from rmesh_nlp.optimize.newton_step import BoxStep, Model, WalledStep
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.optimize.smooth_constraints import Walls, is_inside
-
-SUFFICIENT = 1e-4
-"""Least ratio of actual to predicted decrease of an accepted step."""
-
-CLOSE = 1e-2
-"""Slack of a wall that counts as met."""
-
-FIRST_RADIUS = 0.5
-"""First half-width of the trust region, as a part of the longest move of the scaled gradient step."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +65,9 @@ def minimise(
     reference: float | None = None,
     unit: float | None = None,
     max_iterations: int = 200,
-    forcing: float = 0.1,
     walls: Walls | None = None,
     on_step: Callable[[int, Array, Evaluation], bool | None] | None = None,
+    settings: NewtonSettings | None = None,
 ) -> NewtonResult:
     """Minimise in the box ``lower <= x <= upper``, and within walls if there are any.
 
@@ -97,13 +89,13 @@ def minimise(
     unit : float, optional
         What the gradient is measured in; by default the size of the function.
     max_iterations : int
-    forcing : float
-        Conjugate gradients stop at this fraction of the residual they began with.
     walls : Walls, optional
         Constraints that ``start`` obeys.
     on_step : callable, optional
         Called with the iteration, the point and its evaluation; the descent stops if it returns True.
+    settings : NewtonSettings, optional
     """
+    use = settings or NewtonSettings()
     x = np.clip(start, lower, upper)
     here = evaluate(x)
     if here is None:
@@ -111,7 +103,7 @@ def minimise(
     reference, products = here.value if reference is None else reference, 0
     radius = 0.0
     model = here.model()
-    domain = _Box(lower, upper) if walls is None else _WalledBox(lower, upper, walls)
+    domain = _Box(lower, upper, use) if walls is None else _WalledBox(lower, upper, walls, use)
     domain.arrive(x)
     for iteration in range(max_iterations + 1):
         if on_step is not None and on_step(iteration, x, here):
@@ -127,8 +119,10 @@ def minimise(
             step = domain.step(model, g)
             if radius == 0.0:
                 newton_like = np.clip(x - g / step.scale, lower, upper) - x
-                radius = FIRST_RADIUS * float(np.max(np.abs(newton_like), initial=0.0))
-            s, predicted = step.solve(np.maximum(lower - x, -radius), np.minimum(upper - x, radius), forcing)
+                radius = use.first_radius * float(np.max(np.abs(newton_like), initial=0.0))
+            s, predicted = step.solve(
+                np.maximum(lower - x, -radius), np.minimum(upper - x, radius), use.forcing
+            )
             products += step.products
             if residual <= tolerance and predicted <= gain_tolerance * (reference - here.value):
                 return NewtonResult(x, here.value, Status.CONVERGED, iteration, products)
@@ -139,11 +133,11 @@ def minimise(
             there = None if landed is None else evaluate(landed)
             actual = here.value - there.value if there is not None else -np.inf
             ratio = actual / predicted
-            if ratio < 0.25:
-                radius = 0.25 * float(np.max(np.abs(s)))
-            elif ratio > 0.75:
-                radius = 4 * radius
-            if landed is not None and there is not None and ratio > SUFFICIENT:
+            if ratio < use.poor:
+                radius = use.shrink * float(np.max(np.abs(s)))
+            elif ratio > use.good:
+                radius = use.grow * radius
+            if landed is not None and there is not None and ratio > use.sufficient:
                 x, here, accepted = landed, there, True
                 model = here.model()
                 domain.arrive(x)
@@ -153,8 +147,8 @@ def minimise(
 class _Box:
     """Where the method may go, seen from its last point."""
 
-    def __init__(self, lower: Array, upper: Array) -> None:
-        self._lower, self._upper = lower, upper
+    def __init__(self, lower: Array, upper: Array, settings: NewtonSettings) -> None:
+        self._lower, self._upper, self._settings = lower, upper, settings
 
     def arrive(self, x: Array) -> None:
         """Take note of a new point."""
@@ -165,7 +159,7 @@ class _Box:
 
     def step(self, model: Model, g: Array) -> BoxStep:
         """The minimiser of the model."""
-        return BoxStep(model, g)
+        return BoxStep(model, g, self._settings.step)
 
     def land(self, trial: Array, step: BoxStep, s: Array) -> Array | None:
         """The point that the step ``s`` to ``trial`` leads to; None if there is none."""
@@ -178,8 +172,8 @@ class _WalledBox(_Box):
     Steps take account of walls from when one is first met.
     """
 
-    def __init__(self, lower: Array, upper: Array, walls: Walls) -> None:
-        super().__init__(lower, upper)
+    def __init__(self, lower: Array, upper: Array, walls: Walls, settings: NewtonSettings) -> None:
+        super().__init__(lower, upper, settings)
         self._walls = walls
         self._pull: Array | None = None  # of the last step that took account of walls
         self._met = False
@@ -187,7 +181,7 @@ class _WalledBox(_Box):
     def arrive(self, x: Array) -> None:
         self._x, self._wall = x, self._walls.at(x)
         self._inside = is_inside(x, self._lower, self._upper)
-        self._met = self._met or bool(np.any(self._wall.slack < CLOSE))
+        self._met = self._met or bool(np.any(self._wall.slack < self._settings.close))
 
     def released(self, g: Array) -> Array:
         self._fitted = self._wall.fitted(g, self._inside)
@@ -197,7 +191,8 @@ class _WalledBox(_Box):
         if not self._met:
             return super().step(model, g)
         pull = self._fitted if self._pull is None else self._pull
-        return WalledStep(_Bent(model, self._walls.hessian(self._x, pull)), g, self._wall)
+        bent = _Bent(model, self._walls.hessian(self._x, pull))
+        return WalledStep(bent, g, self._wall, self._settings)
 
     def land(self, trial: Array, step: BoxStep, s: Array) -> Array | None:
         if isinstance(step, WalledStep):

@@ -12,20 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.newton_settings import NewtonSettings, StepSettings
 from rmesh_nlp.optimize.polyhedron import Polyhedron
 from rmesh_nlp.optimize.smooth_constraints import Wall
-
-MAX_PRODUCTS = 40
-"""Hessian products of one step."""
-
-MAX_PRODUCTS_WALLED = 250
-"""The same along walls: there the conjugate gradients, not the model, are what stops a step early."""
-
-WORTHWHILE = 0.06
-"""Least part of a step's decrease that the last round of conjugate gradients must give."""
-
-OVERSHOOT = 2.0
-"""How far beyond the trust region, in its widths, a direction is followed before it is projected."""
 
 
 class Model(Protocol):
@@ -41,10 +30,9 @@ class Model(Protocol):
 class BoxStep:
     """Minimises ``g . s + 1/2 s . H s`` approximately over a box that holds s = 0."""
 
-    max_products = MAX_PRODUCTS
-
-    def __init__(self, model: Model, g: Array) -> None:
-        self._model, self._g = model, g
+    def __init__(self, model: Model, g: Array, settings: StepSettings | None = None) -> None:
+        self._model, self._g, self._settings = model, g, settings or StepSettings()
+        self.max_products = self._settings.max_products
         self.scale = model.diagonal()
         self.products = 0
 
@@ -62,7 +50,7 @@ class BoxStep:
             moved, H_moved = self._projected_search(s, gradient, w)
             decrease = -float(gradient @ moved + 0.5 * moved @ H_moved)
             s, Hs = s + moved, Hs + H_moved
-            if decrease <= WORTHWHILE * self._decrease(s, Hs):
+            if decrease <= self._settings.worthwhile * self._decrease(s, Hs):
                 break
         return s, self._decrease(s, Hs)
 
@@ -93,15 +81,15 @@ class BoxStep:
         s = self._clip(direction)
         while np.any(s):
             Hs = self._product(s)
-            if self._g @ s + 0.5 * s @ Hs <= 0.01 * (self._g @ s):
+            if self._g @ s + 0.5 * s @ Hs <= self._settings.decrease * (self._g @ s):
                 return s, Hs
-            alpha *= 0.25
+            alpha *= self._settings.shorten_cauchy
             s = self._clip(alpha * direction)
         return s, np.zeros_like(s)
 
     def _conjugate_gradients(self, residual: Array, free: NDArray[np.bool_], forcing: float) -> Array:
         """Steps over the free variables, until they converge or lead far out of the box."""
-        far = OVERSHOOT * float(np.max(np.maximum(self._upper, -self._lower)))
+        far = self._settings.overshoot * float(np.max(np.maximum(self._upper, -self._lower)))
         w, r = np.zeros_like(residual), -residual
         z = self._precondition(r)
         p, rz = z.copy(), float(r @ z)
@@ -123,29 +111,29 @@ class BoxStep:
     def _projected_search(self, s: Array, gradient: Array, w: Array) -> tuple[Array, Array]:
         """A step along the projected path of ``w`` that decreases the model."""
         beta = 1.0
-        for _ in range(30):
+        for _ in range(self._settings.searches):
             moved = self._clip(s + beta * w) - s
             H_moved = self._product(moved)
             slope = gradient @ moved
-            if slope + 0.5 * moved @ H_moved <= 0.01 * np.minimum(slope, 0.0):
+            if slope + 0.5 * moved @ H_moved <= self._settings.decrease * np.minimum(slope, 0.0):
                 return moved, H_moved
-            beta *= 0.5
+            beta *= self._settings.shorten
         return np.zeros_like(s), np.zeros_like(s)
 
 
 class WalledStep(BoxStep):
     """The same where the linearised rows of a wall hold too; conjugate gradients run along active ones."""
 
-    max_products = MAX_PRODUCTS_WALLED
-
-    def __init__(self, model: Model, g: Array, wall: Wall) -> None:
-        super().__init__(model, g)
-        self._wall = wall
+    def __init__(self, model: Model, g: Array, wall: Wall, settings: NewtonSettings | None = None) -> None:
+        chosen = settings or NewtonSettings()
+        super().__init__(model, g, chosen.step)
+        self.max_products = chosen.step.max_products_walled
+        self._wall, self._projection = wall, chosen.projection
 
     def solve(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
         """A step within the box and the rows, and the decrease that the model predicts."""
         room = self._wall.slack - self._wall.floor
-        self._set = Polyhedron(lower, upper, room, self._wall.jacobian, self.scale)
+        self._set = Polyhedron(lower, upper, room, self._wall.jacobian, self.scale, self._projection)
         return super().solve(lower, upper, forcing)
 
     def multipliers(self, s: Array) -> Array:

@@ -9,7 +9,7 @@ J. Sun, A nonsmooth version of Newton's method, Math. Programming 58 (1993) 353-
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -18,27 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
-
-MAX_DUAL_STEPS = 200
-"""Newton steps on the dual of a projection."""
-
-EXACT = 1e-10
-"""Violation of a row at which its projection ends."""
-
-HELD = 1e-7
-"""Value of a row at which it counts as active; also the violation that a step may have."""
-
-REGULAR = 1e-10
-"""Part of a row's own coupling that is added to it: the rows of one element may depend on each other."""
-
-LEAST_DAMPING = 1e-4
-"""First such part where a Newton step does not raise the dual enough."""
-
-LENGTHS = tuple(0.3**k for k in range(8))
-"""Parts of a Newton step that are tried, one after the other, before it is damped."""
-
-SUFFICIENT = 1e-4
-"""Least part of the slope of the dual that an accepted step gives."""
+from rmesh_nlp.optimize.newton_settings import ProjectionSettings
 
 
 @dataclass(frozen=True)
@@ -68,6 +48,7 @@ class Polyhedron:
     jacobian : (rows, n) sparse array, by rows
     scale : (n,) array
         The positive diagonal of the norm.
+    settings : ProjectionSettings
     """
 
     lower: Array
@@ -75,12 +56,13 @@ class Polyhedron:
     slack: Array
     jacobian: sp.csr_array
     scale: Array
+    settings: ProjectionSettings = field(default_factory=ProjectionSettings)
 
     def nearest(self, d: Array) -> Array:
         """The projection of ``d`` if d = 0 is in the set, or a point on the way there if it is not found."""
         near = self.project(d)
         change = self.jacobian @ near
-        short = self.slack + change < -HELD
+        short = self.slack + change < -self.settings.held
         if np.any(short):
             near = near * np.min(self.slack[short] / -change[short])
         return near
@@ -89,36 +71,37 @@ class Polyhedron:
         """The projection of ``d``, as exactly as Newton's method finds it."""
         multipliers = np.zeros(self.slack.size)
         near, dual = self._lagrangian(d, multipliers)
-        damping = REGULAR
-        for _ in range(MAX_DUAL_STEPS):
+        use = self.settings
+        damping = use.regular
+        for _ in range(use.max_steps):
             value = self.slack + self.jacobian @ near
-            if np.all(np.where(multipliers > 0, np.abs(value), -value) <= EXACT):
+            if np.all(np.where(multipliers > 0, np.abs(value), -value) <= use.exact):
                 break
             pulling = np.flatnonzero((multipliers > 0) | (value < 0))
             inside = (near > self.lower) & (near < self.upper)
             newton = np.zeros(multipliers.size)
             newton[pulling] = -self._coupled(pulling, inside, damping)(value[pulling])
-            damping = max(LEAST_DAMPING, 10 * damping)
-            for length in LENGTHS:
-                trial = np.maximum(multipliers + length * newton, 0.0)
+            damping = max(use.damping, use.damping_up * damping)
+            for k in range(use.searches):
+                trial = np.maximum(multipliers + use.shorten**k * newton, 0.0)
                 near_there, dual_there = self._lagrangian(d, trial)
                 slope = -float(value @ (trial - multipliers))
-                if slope > 0 and dual_there >= dual + SUFFICIENT * slope:
+                if slope > 0 and dual_there >= dual + use.sufficient * slope:
                     multipliers, near, dual = trial, near_there, dual_there
-                    damping = max(REGULAR, 0.01 * damping)
+                    damping = max(use.regular, use.damping_down * damping)
                     break
         return near
 
     def active(self, d: Array) -> NDArray[np.int64]:
         """The rows that hold ``d``."""
-        return np.flatnonzero(self.slack + self.jacobian @ d <= HELD)
+        return np.flatnonzero(self.slack + self.jacobian @ d <= self.settings.held)
 
     def face(self, rows: NDArray[np.int64], inside: NDArray[np.bool_]) -> Face:
         """The face where these rows hold and only the variables ``inside`` are free."""
         weight = inside / self.scale
         if rows.size == 0:
             return Face(lambda r: weight * r, lambda r: np.zeros(0))
-        jacobian, solve = self.jacobian[rows], self._coupled(rows, inside, REGULAR)
+        jacobian, solve = self.jacobian[rows], self._coupled(rows, inside, self.settings.regular)
 
         def multipliers(r: Array) -> Array:
             return solve(jacobian @ (weight * r))

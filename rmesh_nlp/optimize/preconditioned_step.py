@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.newton_settings import StepSettings
 from rmesh_nlp.optimize.newton_step import BoxStep, Model
 
 Preconditioner = Callable[[Array], Array]
@@ -39,10 +40,13 @@ class PreconditionedStep(BoxStep):
     g : (n,) array
     preconditioner : callable
         See the module.
+    settings : StepSettings, optional
     """
 
-    def __init__(self, model: Model, g: Array, preconditioner: Preconditioner) -> None:
-        super().__init__(model, g)
+    def __init__(
+        self, model: Model, g: Array, preconditioner: Preconditioner, settings: StepSettings | None = None
+    ) -> None:
+        super().__init__(model, g, settings)
         self._apply = preconditioner
         self._free: NDArray[np.bool_] | None = None
 

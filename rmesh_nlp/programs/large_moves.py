@@ -14,6 +14,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.optimize.local_newton import descend
 from rmesh_nlp.optimize.newton import Evaluation, NewtonResult
+from rmesh_nlp.optimize.newton_settings import LocalNewtonSettings
 from rmesh_nlp.optimize.preconditioned_step import Preconditioner
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.programs.curvature import Curvature, Hessian
@@ -33,6 +34,7 @@ class LargeMoves:
     ----------
     energy : ReducedEnergy
         Of a program whose objective has a distortion, which keeps the elements valid.
+    settings : LocalNewtonSettings, optional
 
     Attributes
     ----------
@@ -40,11 +42,12 @@ class LargeMoves:
         So far, over all descents.
     """
 
-    def __init__(self, energy: ReducedEnergy) -> None:
+    def __init__(self, energy: ReducedEnergy, settings: LocalNewtonSettings | None = None) -> None:
         if not energy.relocation.objective.has_barrier:
             raise ValueError("large moves need a distortion in the objective, or elements would be inverted")
         self.energy, self.relocation = energy, energy.relocation
         self._curvature = Curvature(energy)
+        self._settings = settings
         self.iterations = self.products = 0
 
     def __call__(
@@ -55,7 +58,7 @@ class LargeMoves:
         reference: float | None = None,
         max_iterations: int = 100,
         on_step: OnPoint | None = None,
-        forcing: float = 0.1,
+        forcing: float | None = None,
         preconditioned: Callable[[Hessian, Array], Preconditioner | None] | None = None,
     ) -> NewtonResult:
         """Descend from moves ``q``; see :func:`rmesh_nlp.optimize.local_newton.descend`."""
@@ -71,6 +74,7 @@ class LargeMoves:
             reference=reference,
             max_iterations=max_iterations,
             forcing=forcing,
+            settings=self._settings,
             preconditioned=preconditioned,
             on_step=None if on_step is None else lambda i, x, here: on_step(before + i, x, here.value),
         )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.optimize.newton_settings import LocalNewtonSettings, NewtonSettings
 from rmesh_nlp.settings import Settings, check_positive
 
 
@@ -59,6 +60,10 @@ class NestedSettings(Settings):
         Nodes across the blocks that newton-pair recombines, one size after the other.
     scipy_tol : float
         Tolerance of the solvers of scipy.optimize.
+    newton : NewtonSettings
+        Numbers of the descents of newton and newton-pair.
+    local_newton : LocalNewtonSettings
+        Those of newton with a distortion in the objective.
     ipopt : mapping
         Further Ipopt options, which override all others.
     """
@@ -79,11 +84,21 @@ class NestedSettings(Settings):
     large_moves: float = 1e-15
     blocks: tuple[int, ...] = (16, 8)
     scipy_tol: float = 1e-8
+    newton: NewtonSettings = field(default_factory=NewtonSettings)
+    local_newton: LocalNewtonSettings = field(default_factory=LocalNewtonSettings)
     ipopt: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        numbers = [f.name for f in fields(self) if f.name not in ("ipopt", "blocks")]
+        numbers = [
+            f.name for f in fields(self) if f.name not in ("ipopt", "blocks", "newton", "local_newton")
+        ]
         check_positive(**{name: getattr(self, name) for name in numbers})
+        if not isinstance(self.newton, NewtonSettings):
+            raise BadInputError(f"newton must be settings of the method, or a mapping, got {self.newton!r}")
+        if not isinstance(self.local_newton, LocalNewtonSettings):
+            raise BadInputError(
+                f"local_newton must be settings of the method, or a mapping, got {self.local_newton!r}"
+            )
         if not self.blocks or not all(isinstance(size, int) and size > 0 for size in self.blocks):
             raise BadInputError(f"blocks must be whole numbers above 0, got {self.blocks!r}")
 

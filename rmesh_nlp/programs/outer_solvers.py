@@ -126,7 +126,7 @@ def _large_moves(
 ) -> OuterResult:
     """Newton-CG with local trust regions, for an energy with a distortion in the place of constraints."""
     assert isinstance(program.function, ReducedEnergy)
-    result = LargeMoves(program.function)(
+    result = LargeMoves(program.function, settings.local_newton)(
         start,
         gain_tolerance=settings.large_moves,
         max_iterations=settings.max_iterations or 200,
@@ -217,6 +217,7 @@ class _Descent:
             reference=reference,
             max_iterations=0 if self._stopped else self._settings.max_iterations or 200,
             walls=self._walls,
+            settings=self._settings.newton,
             on_step=lambda iteration, q, here: self._report(before + iteration, q, here.value),
         )
         self._iterations += result.iterations

@@ -1,0 +1,202 @@
+"""Numbers of the Newton methods: frozen, checked, and with where they come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.settings import Settings, check_positive
+
+
+def _check(settings: Settings, parts: tuple[str, ...] = (), counts: tuple[str, ...] = ()) -> None:
+    """Positive numbers; those of ``parts`` below 1, those of ``counts`` whole."""
+    numbers = {
+        one.name: getattr(settings, one.name)
+        for one in fields(settings)
+        if not isinstance(getattr(settings, one.name), Settings)
+    }
+    check_positive(**numbers)
+    for name in parts:
+        if not numbers[name] < 1:
+            raise BadInputError(f"{name} must be below 1, got {numbers[name]!r}")
+    for name in counts:
+        if not isinstance(numbers[name], int):
+            raise BadInputError(f"{name} must be a whole number, got {numbers[name]!r}")
+
+
+def _check_trust(settings: NewtonSettings | LocalNewtonSettings) -> None:
+    if not (settings.sufficient <= settings.poor < settings.good < 1 and settings.shrink < 1 < settings.grow):
+        raise BadInputError(
+            "a trust region needs sufficient <= poor < good < 1 and shrink < 1 < grow, got "
+            f"{settings.sufficient!r}, {settings.poor!r}, {settings.good!r}, {settings.shrink!r} and "
+            f"{settings.grow!r}"
+        )
+
+
+@dataclass(frozen=True)
+class StepSettings(Settings):
+    """The minimisation of one quadratic model (:mod:`rmesh_nlp.optimize.newton_step`).
+
+    Attributes
+    ----------
+    max_products : int
+        Hessian products of one step. On 6.1 with 128 squares a side they take 0.7 of the time of a step.
+    max_products_walled : int
+        The same along area constraints: there the conjugate gradients, not the model, are what stops a step.
+    worthwhile : float
+        Least part of a step's decrease that the last round of conjugate gradients must give.
+    overshoot : float
+        How far beyond the trust region, in its widths, a direction is followed before it is projected.
+    decrease : float
+        Least part of the slope that a Cauchy point and a projected search give: mu_0 of Lin and Moré.
+    shorten_cauchy, shorten : float
+        Factors of the steps that are tried then.
+    searches : int
+        Lengths that a projected search tries.
+    """
+
+    max_products: int = 40
+    max_products_walled: int = 250
+    worthwhile: float = 0.06
+    overshoot: float = 2.0
+    decrease: float = 0.01
+    shorten_cauchy: float = 0.25
+    shorten: float = 0.5
+    searches: int = 30
+
+    def __post_init__(self) -> None:
+        counts = ("max_products", "max_products_walled", "searches")
+        _check(self, ("worthwhile", "decrease", "shorten_cauchy", "shorten"), counts)
+
+
+@dataclass(frozen=True)
+class ProjectionSettings(Settings):
+    """Projections on linearised area constraints (:mod:`rmesh_nlp.optimize.polyhedron`).
+
+    Attributes
+    ----------
+    max_steps : int
+        Newton steps on the dual of a projection, one factorisation each.
+    exact : float
+        Violation of a row at which its projection ends.
+    held : float
+        Value of a row at which it counts as active; also the violation that a step may have.
+    regular : float
+        Part of a row's own coupling that is added to it: the rows of one element may depend on each other.
+    damping : float
+        First such part where a Newton step does not raise the dual enough.
+    damping_up, damping_down : float
+        Factors of the damping after a step that failed, and after one that did not.
+    shorten : float
+        Factor between the parts of a Newton step that are tried before it is damped.
+    searches : int
+        How many are tried.
+    sufficient : float
+        Least part of the slope of the dual that an accepted step gives (Armijo's rule).
+    """
+
+    max_steps: int = 200
+    exact: float = 1e-10
+    held: float = 1e-7
+    regular: float = 1e-10
+    damping: float = 1e-4
+    damping_up: float = 10.0
+    damping_down: float = 0.01
+    shorten: float = 0.3
+    searches: int = 8
+    sufficient: float = 1e-4
+
+    def __post_init__(self) -> None:
+        _check(self, ("damping_down", "shorten", "sufficient"), ("max_steps", "searches"))
+        if not self.damping_up > 1:
+            raise BadInputError(f"damping_up must be above 1, got {self.damping_up!r}")
+
+
+@dataclass(frozen=True)
+class NewtonSettings(Settings):
+    """Projected Newton-CG in a box (:mod:`rmesh_nlp.optimize.newton`).
+
+    docs/notes/speed.md has the benchmarks on the paper's examples that chose the method.
+
+    Attributes
+    ----------
+    forcing : float
+        Conjugate gradients stop at this part of the residual they began with.
+    first_radius : float
+        First half-width of the trust region, as a part of the longest move of the scaled gradient step.
+    close : float
+        Slack at which an area constraint counts as met, and from when on steps take account of them. If
+        they always do, Newton-CG ends the paper's 6.2 at -4.90994 in place of -4.91034.
+    sufficient : float
+        Least ratio of actual to predicted decrease of an accepted step.
+    poor, good : float
+        Ratios below and above which the trust region shrinks and grows (A. R. Conn, N. I. M. Gould,
+        Ph. L. Toint, Trust-region methods, SIAM 2000, section 6.1).
+    shrink, grow : float
+        Its factors then.
+    step : StepSettings
+    projection : ProjectionSettings
+    """
+
+    forcing: float = 0.1
+    first_radius: float = 0.5
+    close: float = 1e-2
+    sufficient: float = 1e-4
+    poor: float = 0.25
+    good: float = 0.75
+    shrink: float = 0.25
+    grow: float = 4.0
+    step: StepSettings = field(default_factory=StepSettings)
+    projection: ProjectionSettings = field(default_factory=ProjectionSettings)
+
+    def __post_init__(self) -> None:
+        _check(self, ("forcing",))
+        _check_trust(self)
+
+
+@dataclass(frozen=True)
+class LocalNewtonSettings(Settings):
+    """Newton-CG with a trust region for each variable (:mod:`rmesh_nlp.optimize.local_newton`).
+
+    docs/notes/large_moves.md has the benchmarks that chose the method.
+
+    Attributes
+    ----------
+    forcing : float
+        Conjugate gradients stop at this part of the residual they began with.
+    first : float
+        First radius, in widths.
+    least : float
+        Radius at which the descent gives up.
+    hidden : float
+        Part of the variables that may end a step at the edge of the region without its hiding a decrease.
+    rounding : float
+        Error of the function relative to its value (A. R. Conn, N. I. M. Gould, Ph. L. Toint, Trust-region
+        methods, SIAM 2000, section 17.4.2).
+    nothing : float
+        Predicted decrease, relative to the value, below which a point is stationary.
+    sufficient : float
+        Least ratio of actual to predicted decrease of an accepted step.
+    poor, good : float
+        Ratios below and above which the trust region shrinks and grows.
+    shrink, grow : float
+        Its factors then.
+    step : StepSettings
+    """
+
+    forcing: float = 0.1
+    first: float = 1.0
+    least: float = 1e-6
+    hidden: float = 0.05
+    rounding: float = 1e-14
+    nothing: float = 1e-20
+    sufficient: float = 1e-4
+    poor: float = 0.25
+    good: float = 0.75
+    shrink: float = 0.25
+    grow: float = 2.0
+    step: StepSettings = field(default_factory=StepSettings)
+
+    def __post_init__(self) -> None:
+        _check(self, ("forcing", "least", "hidden", "rounding", "nothing"))
+        _check_trust(self)
