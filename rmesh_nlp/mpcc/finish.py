@@ -68,22 +68,25 @@ class Finish:
         return self.solved, self.verdict is not None, -self.f if np.isfinite(self.f) else -np.inf
 
 
-def polished(run: Run, z: Array, warm: NLPResult, corner: float = 0.0) -> Finish | None:
+def polished(
+    run: Run, z: Array, warm: NLPResult, corner: float = 0.0, ceiling: float = np.inf
+) -> Finish | None:
     """The exact point next to a relaxed one by Newton's method, judged; None if there is none.
 
     ``warm`` holds multipliers of the lifted program. Pairs with both members below ``corner`` are put into it
     if the branch itself gives no stationary point: at a biactive pair that is not S-stationary the relaxed
-    solution stays at the distance sqrt(t), and the relaxations become ever harder to solve.
+    solution stays at the distance sqrt(t), and the relaxations become ever harder to solve. Points above
+    ``ceiling`` are not judged.
     """
     lifted = run.programs.lifted
     G, H = z[lifted.first], z[lifted.second]
-    found = _polished(run, z, warm, G <= H, G > H)
+    found = _polished(run, z, warm, G <= H, G > H, ceiling)
     if found is not None and found.solved:
         return found
     near = np.maximum(G, H) <= corner
     if not np.any(near):
         return found
-    inside = _polished(run, z, warm, (G <= H) | near, (G > H) | near)
+    inside = _polished(run, z, warm, (G <= H) | near, (G > H) | near, ceiling)
     return found if inside is None or (found is not None and found.rank >= inside.rank) else inside
 
 
@@ -93,27 +96,38 @@ def _faithful(run: Run, near: Finish, z: Array) -> bool:
     return near.f - f <= _FAITHFUL * max(abs(near.f), abs(f)) + _FAITHFUL**2
 
 
-def _polished(run: Run, z: Array, warm: NLPResult, fix_G: BoolArray, fix_H: BoolArray) -> Finish | None:
+def _polished(
+    run: Run, z: Array, warm: NLPResult, fix_G: BoolArray, fix_H: BoolArray, ceiling: float
+) -> Finish | None:
     found = polish(run, z, fix_G, warm.lam_g, warm.lam_x, fix_H)
-    if found is None:
+    if found is None or found.f > ceiling:
         return None
     run.polished(found.z)
     return _judged(run, found.z, found.f, (found.lam_rows, found.lam_z))
 
 
-def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None, corner: float = 0.0) -> Finish:
+def finish(
+    run: Run,
+    z: Array,
+    *,
+    search: bool,
+    warm: NLPResult | None = None,
+    corner: float = 0.0,
+    ceiling: float = np.inf,
+) -> Finish:
     """Make the pairs of a relaxed point exact and descend to a stationary branch.
 
     ``warm`` holds multipliers of the lifted program at ``z``; with them Newton's method is tried
     before the interior point, or the interior point begins with them. ``search`` looks for another branch
-    if the one next to the point is infeasible.
+    if the one next to the point is infeasible. An exact point above ``ceiling`` is neither judged nor
+    improved: its status is WORSE.
     """
     lifted = run.programs.lifted
     fix_G = z[lifted.first] <= z[lifted.second]
     options = run.programs.options
     warm = warm if options.warm_finish else None
     if warm is not None and options.newton_finish:
-        near = polished(run, z, warm, corner)
+        near = polished(run, z, warm, corner, ceiling)
         if near is not None and _faithful(run, near, z):
             near = pivot(run, near)
             if near.solved:
@@ -126,6 +140,8 @@ def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None, c
         result, fix_G = _other_branch(run, z, fix_G, result)
     if result.status is Status.UNBOUNDED and run.exact(result.x):
         return Finish(result.x, result.f, Status.UNBOUNDED)
+    if run.exact(result.x) and result.f > ceiling:
+        return Finish(result.x, result.f, Status.WORSE)
     if run.exact(result.x):
         result = _tighten(run, result, fix_G)
         end = pivot(run, _judged(run, result.x, result.f, (result.lam_g, result.lam_x)))

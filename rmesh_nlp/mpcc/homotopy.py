@@ -12,7 +12,8 @@ from rmesh_nlp.mpcc.programs import BoolArray, Programs
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.nlp import NLPResult, Status
 
-_MAX_RETREATS = 3
+RETREATS = 3
+_FALLS, _STUCK = 0.9, 3  # products that fall by less than a tenth, so many times in turn, do not fall
 _PIVOT, _NEAR = 1e-4, 0.05  # from this t on branches are descended over, from points not worse than this
 CORNER = 3.0  # pairs this close to the corner, in units of sqrt(t), may belong into it
 ROUNDING = 1 + 1e-9  # 0.1 * 0.1 is more than 0.01
@@ -45,16 +46,24 @@ class Path:
 
 
 def follow(
-    run: Run, path: Path, relaxation: str, z0: Array, t0: float, first: NLPResult | None = None
+    run: Run,
+    path: Path,
+    relaxation: str,
+    z0: Array,
+    t0: float,
+    first: NLPResult | None = None,
+    *,
+    patience: int = RETREATS,
 ) -> None:
     """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep all in ``path``.
 
     A step that fails is retried cold (from ``z0``) unless it ran long; if that fails too, t retreats half of
-    the way (in its logarithm) and goes down by a smaller factor from there. ``first`` holds multipliers of
-    the lifted program for the first step.
+    the way (in its logarithm) and goes down by a smaller factor from there, ``patience`` times; a step that
+    is locally infeasible from both sides counts twice. A penalty whose products do not fall any more has
+    ended at a violation. ``first`` holds multipliers of the lifted program for the first step.
     """
     options = run.programs.options
-    t, factor, retreats = t0, options.factor, 0
+    t, factor, retreats, stuck, product = t0, options.factor, 0, 0, np.inf
     last: NLPResult | None = None
     warm: NLPResult | None = None
     corner = 0.0
@@ -63,7 +72,11 @@ def follow(
         result = _step(run, relaxation, z0, last, t, first)
         if result.converged:
             last, path.relaxed, path.failure = result, result, None
+            stuck = stuck + 1 if run.steps[-1].product > max(_FALLS * product, 10 * t) else 0
             product, objective = run.steps[-1].product, run.steps[-1].objective * run.p[-1]
+            if stuck >= _STUCK:
+                path.failure = Status.INFEASIBLE
+                break
             before, sides = sides, _sides(run.programs, result.x)
             final = run.exact(result.x) or t <= options.t_final
             settled = before is not None and t <= options.crossover * ROUNDING and _settled(before, sides)
@@ -89,8 +102,8 @@ def follow(
                 )
                 if path.finish.solved:
                     return
-            retreats += 1
-            if last is None or retreats > _MAX_RETREATS:
+            retreats += 2 if result.status is Status.INFEASIBLE else 1
+            if last is None or retreats > patience:
                 break
             factor = np.sqrt(factor)
             t = t / factor

@@ -30,7 +30,8 @@ def second_look(run: Run, path: Path, x0: Array, first: Finish | None) -> None:
         Start of the source problem.
     first : Finish or None
         End of the first trajectory. Where this one cannot end lower, or ends in the same branch, it is
-        left at once.
+        left at once. Its exact point counts only if it is not further above the known end than the relaxed
+        one is below.
     """
     options = run.programs.options
     known = first if first is not None and first.solved else None
@@ -51,15 +52,20 @@ def second_look(run: Run, path: Path, x0: Array, first: Finish | None) -> None:
         x, t = result.x[: x0.size], max(options.factor * t, options.t_final)
     if known is None or not _same_branch(run, result.x, known.z):
         corner = CORNER * np.sqrt(t)
-        path.finish = finish(run, result.x, search=known is None, warm=result, corner=corner)
+        ceiling = np.inf if known is None else 2 * known.f - _objective(run, result)
+        path.finish = finish(run, result.x, search=known is None, warm=result, corner=corner, ceiling=ceiling)
 
 
 def _pointless(run: Run, result: NLPResult, known: Finish | None) -> bool:
     """Whether the relaxed solution lies above a known exact one: its feasible set only shrinks."""
     if known is None or not result.converged:
         return False
-    f = float(run.programs.lifted.value(result.x, run.p)[0][0])
-    return f >= known.f - _SAME * (1 + abs(known.f))
+    return _objective(run, result) >= known.f - _SAME * (1 + abs(known.f))
+
+
+def _objective(run: Run, result: NLPResult) -> float:
+    """The weighted objective, as in a Finish; Ipopt's own belongs to the unlifted program."""
+    return float(run.programs.lifted.value(result.x, run.p)[0][0])
 
 
 def _same_branch(run: Run, z: Array, known: Array) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import Finish, polished
-from rmesh_nlp.mpcc.homotopy import Path, follow
+from rmesh_nlp.mpcc.homotopy import RETREATS, Path, follow
 from rmesh_nlp.mpcc.lifting import warm_start
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
@@ -69,10 +69,13 @@ class MPCCSolver:
             for number, (relaxation, t0) in enumerate(self._attempts()):
                 if any(path.ended for path in paths):
                     break
+                hopeless = number > 0 and all(end.failure is Status.INFEASIBLE for end in paths)
+                if hopeless and relaxation == self.options.relaxation:
+                    continue  # a smaller set of what was empty
                 rescues = number
                 path = Path()
                 paths.append(path)
-                follow(run, path, relaxation, z0, t0, first)
+                follow(run, path, relaxation, z0, t0, first, patience=0 if hopeless else RETREATS)
                 if number == 0 and self._looks_twice(path):
                     paths.append(Path())
                     second_look(run, paths[-1], given, path.finish)

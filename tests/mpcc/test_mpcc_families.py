@@ -21,7 +21,8 @@ def test_a_seed_makes_the_same_problem_again_and_another_seed_another(name):
         return ca.Function("value", [mpcc.x], [column])(x).full().ravel()
 
     assert np.array_equal(value(one), value(again), equal_nan=True)
-    assert not np.array_equal(value(one), value(other))
+    if other.mpcc.n_x == x.size:
+        assert not np.array_equal(value(one), value(other))
 
 
 @pytest.mark.parametrize("name", FAMILIES)

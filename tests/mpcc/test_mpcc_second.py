@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC, Options, solve
-from rmesh_nlp.mpcc.finish import Finish
-from rmesh_nlp.mpcc.homotopy import Path
+from rmesh_nlp.mpcc.finish import Finish, finish
+from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.second import second_look
@@ -76,3 +76,34 @@ def test_it_is_an_option_and_needs_expressions():
     assert "second" not in phases(second_path=False)
     pairless = solve(MPCC(XY, x**2 + y**2, None, None, None), 1.0)
     assert "second" not in {step.phase for step in pairless.history}
+
+
+def contradiction():
+    """Both members at least 0.2: empty for every t below 0.04, not for t = 1."""
+    return MPCC(XY, (x - 1) ** 2 + y**2, XY, x, y, lbg=0.2)
+
+
+def test_an_infeasible_problem_is_given_up_after_few_programs():
+    result = solve(contradiction(), [0.5, 0.5])
+    assert (result.status, result.success) == (Status.INFEASIBLE, False)
+    assert result.counts["nlp_solves"] <= 25
+    assert result.counts["rescues"] > 0  # another relaxation was asked all the same
+
+
+def test_a_penalty_that_ends_at_a_violation_is_not_followed_to_the_end():
+    run = Run(Programs(contradiction(), Options()), np.zeros(0))
+    path = Path()
+    follow(run, path, "l1-penalty", np.array([0.5, 0.5]), 1.0)
+    assert path.failure is Status.INFEASIBLE
+    assert min(step.t for step in run.steps if step.phase == "relaxed") > 1e-8
+    feasible = Path()
+    run = Run(Programs(two_minima(), Options()), np.zeros(0))
+    follow(run, feasible, "l1-penalty", np.array([0.5, 0.5]), 1.0)
+    assert feasible.finish.solved
+
+
+def test_an_exact_point_above_the_ceiling_is_left():
+    run = Run(Programs(two_minima(), Options()), np.zeros(0))
+    z = np.array([1e-3, 1.0])  # next to the minimum 4
+    assert finish(run, z, search=False, ceiling=3.0).status is Status.WORSE
+    assert finish(run, z, search=False, ceiling=5.0).solved
