@@ -19,6 +19,7 @@ from rmesh_nlp.certificate.elastic import equilibrated_stress
 from rmesh_nlp.certificate.field import loads
 from rmesh_nlp.certificate.integrals import over_triangles
 from rmesh_nlp.certificate.oscillation import korn
+from rmesh_nlp.certificate.refined import refined_bracket
 from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import EXACT_ENERGY_61
@@ -257,3 +258,22 @@ def test_a_changed_domain_keeps_its_own_bounds():
     found = certify(formulations.joint.solve(problem))
     assert found.guaranteed_lower
     assert found.lower <= found.upper
+
+
+@pytest.mark.parametrize("kind", ["scalar", "membrane", "elastic", "rough"])
+def test_a_finer_equilibration_bounds_the_same_displacement_more_closely(kind):
+    problem = random_problem(4, kind=kind)
+    nodes, guess = np.asarray(problem.mesh.p), guess_on(problem)
+    plain, finer = (refined_bracket(problem, nodes, guess, refinements) for refinements in (0, 1))
+    assert finer.upper == pytest.approx(plain.upper, rel=1e-9)
+    assert finer.guaranteed_lower
+    assert plain.lower < finer.lower <= finer.upper
+    fine = replace(problem, mesh=problem.mesh.refined(2))
+    assert finer.lower <= bracket_of(fine).upper
+    # what the children of an element add is counted for it: far from where the two differ they agree
+    assert finer.local.shape == plain.local.shape
+    assert np.sum(finer.local) == pytest.approx(finer.upper - finer.lower, rel=1e-6)
+    assert np.corrcoef(finer.local, plain.local)[0, 1] > 0.8
+    assert finer.field.shape == plain.field.shape
+    assert np.corrcoef(finer.field.ravel(), plain.field.ravel())[0, 1] > 0.9
+    assert refined_bracket(problem, nodes, guess).lower == finer.lower
