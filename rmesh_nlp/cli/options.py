@@ -64,9 +64,11 @@ Objectives = Annotated[
     ),
 ]
 Seeds = Annotated[
-    str | None,
+    list[str] | None,
     typer.Option(
-        "--seed", metavar="N[,N...]", help="Start from random node positions; several seeds in one table."
+        "--seed",
+        metavar="N[,N...]",
+        help="Start from random node positions; several seeds, or the option repeated, in one table.",
     ),
 ]
 Regularisation = Annotated[

@@ -131,7 +131,7 @@ def compare(
     rmesh compare 6.1 --formulations fixed,nested,joint --n 16 --out fine
     rmesh compare --out results --resume
     """
-    settings = chosen.settings(n, delta, quadrature, seed, objective)
+    settings = chosen.settings(n, delta, quadrature, ",".join(seed) if seed else None, objective)
     names = tuple(dict.fromkeys(examples or ()))
     raise typer.Exit(
         work.commands().compare(

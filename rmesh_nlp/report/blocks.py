@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -51,6 +52,16 @@ class Block:
     def best(self) -> Record | None:
         """The successful record with the lowest audited energy."""
         return min(self.succeeded, key=audited, default=None)
+
+    @property
+    def unit(self) -> float | None:
+        """Seconds of a contact solve on the given mesh, one for all rows: the median of what they measured.
+
+        On a busy machine each row would have one of its own, and costs would tell more of that than of
+        strategies.
+        """
+        units = [record["contact_time_s"] for record in self.records if record.get("contact_time_s")]
+        return statistics.median(units) if units else None
 
     @property
     def paper(self) -> PaperValues | None:

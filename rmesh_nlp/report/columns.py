@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -226,9 +225,7 @@ def _count(values: Any) -> str:
 
 def body(columns: tuple[Column, ...], block: Block) -> list[list[str]]:
     """The rows of a block, those of the paper first where its settings were used."""
-    # one unit of cost for all: on a busy machine each row would have one of its own
-    units = [record["contact_time_s"] for record in block.records if record.get("contact_time_s")]
-    common = {"contact_time_s": statistics.median(units)} if units else {}
+    common = {} if block.unit is None else {"contact_time_s": block.unit}
     records = [{**record, **common} if record.get("contact_time_s") else record for record in block.records]
     rows = [[column.cell(record) for column in columns] for record in records]
     if columns is ENERGIES and block.paper is not None:

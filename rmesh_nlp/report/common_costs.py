@@ -11,11 +11,10 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from statistics import median
 
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import Result
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, block_key
+from rmesh_nlp.report.blocks import RELOCATING_NOTHING, block_key, blocks
 
 SLACK = 1e-3
 """The common level may miss this part of the worst gain: the last digits of a descent are not compared."""
@@ -41,11 +40,11 @@ def with_common_costs(results: Sequence[Result]) -> list[Record]:
         if record["success"] and record["formulation"] != RELOCATING_NOTHING:
             key = (*block_key(record), record["objective"])
             groups[key].append(place)
+    units = {block_key(block.records[0]): block.unit for block in blocks(records)}
     for places in groups.values():
-        units = [u for p in places if (u := records[p].get("contact_time_s"))]
-        if len(places) < 2 or not units:
+        unit = units[block_key(records[places[0]])]
+        if len(places) < 2 or unit is None:
             continue
-        unit = median(units)
         for place, found in _costs([results[p] for p in places], unit, places):
             records[place].update(found)
     return records

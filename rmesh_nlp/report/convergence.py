@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from rmesh_nlp.io.results import Record, Result
@@ -48,8 +49,15 @@ class Curve:
     feasible: NDArray[np.bool_]
 
 
-def curve(result: Result) -> Curve | None:
-    """The curve of a result, in the objective that was minimised; None without a history of it."""
+def curve(result: Result, unit: float | None = None) -> Curve | None:
+    """The curve of a result, in the objective that was minimised; None without a history of it.
+
+    Parameters
+    ----------
+    result : Result
+    unit : float, optional
+        Seconds of a contact solve, where several results are compared; by default what this one measured.
+    """
     record, steps = result.record, result.steps()
     if not steps or record["formulation"] == RELOCATING_NOTHING:
         return None
@@ -58,7 +66,7 @@ def curve(result: Result) -> Curve | None:
     value = columns["energy"] if of_energy else columns["objective"]
     if not np.any(np.isfinite(value)):
         return None
-    unit = record.get("contact_time_s") or np.nan  # a clock too coarse for it: the cost is not known
+    unit = unit or record.get("contact_time_s") or np.nan  # a clock too coarse for it: no cost is known
     cost = columns["seconds"] / unit
     feasible = ~(columns["primal_residual"] > FEASIBLE)
     return Curve(label(record), columns["iteration"], np.maximum(cost, 1.0), value, feasible)
@@ -90,6 +98,9 @@ def convergence_figure(curves: Sequence[Curve], best: Record) -> Figure:
     for axis in (left, right):
         axis.grid(color="0.9", linewidth=0.5)
         axis.minorticks_off()
+    # costs often span less than a decade: without these there would be no label
+    right.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    right.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     handles, names = left.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 5))
     return figure

@@ -104,7 +104,7 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
             yield f"{stem}-surface", surface_figure({**given, **best} or named)
         for objective in dict.fromkeys(record["objective"] for record in block.records):
             same = [result for result in results if result.record["objective"] == objective]
-            curves = [one for one in map(curve, same) if one is not None]
+            curves = [one for result in same if (one := curve(result, block.unit)) is not None]
             lowest = Block(tuple(result.record for result in same)).best
             if curves and lowest is not None:
                 suffix = "" if objective == "energy" else f"-{objective}"

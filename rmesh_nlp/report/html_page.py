@@ -184,19 +184,25 @@ def _convergence(results: Sequence[Result]) -> str:
     looks = {name: i for i, name in enumerate(names, 1)}
     parts, every = [], blocks([result.record for result in results])
     for block in every[:CONVERGENCE]:
-        found = [curve(by_record[id(record)]) for record in block.records]
-        if not any(found) or block.best is None:
-            continue
-        best = float(block.best["energy"])
-        floor = FLOOR * abs(best) or FLOOR
-        lines = []
-        for record, one in zip(block.records, found, strict=True):
-            if one is not None:
-                name = strategy(record)
-                gap = np.where(one.feasible, np.maximum(np.abs(one.energy - best), floor), np.nan)
-                lines.append(Line(name, one.cost, gap, looks[name]))
-        svg = line_chart(lines, block.title[:48], "cost [contact solves]", "|J - J*|", log_x=True, log_y=True)
-        parts.append(f"<figure>{svg}</figure>")
+        for objective in dict.fromkeys(record["objective"] for record in block.records):
+            own = [record for record in block.records if record["objective"] == objective]
+            found = [curve(by_record[id(record)], block.unit) for record in own]
+            ends = [float(one.energy[-1]) for one in found if one is not None and one.feasible[-1]]
+            if not ends:
+                continue
+            best = min(ends)
+            floor = FLOOR * abs(best) or FLOOR
+            lines = []
+            for record, one in zip(own, found, strict=True):
+                if one is not None:
+                    name = strategy(record)
+                    gap = np.where(one.feasible, np.maximum(np.abs(one.energy - best), floor), np.nan)
+                    lines.append(Line(name, one.cost, gap, looks[name]))
+            symbol, what = ("J", "") if objective == "energy" else ("F", f", {objective}")
+            title = f"{block.title}{what}"[:60]
+            label = f"|{symbol} - {symbol}*|"
+            svg = line_chart(lines, title, "cost [contact solves]", label, log_x=True, log_y=True)
+            parts.append(f"<figure>{svg}</figure>")
     more = len(every) - CONVERGENCE
     note = f"The first {CONVERGENCE} problems; {more} more are not drawn." if more > 0 else ""
     return f'<p class="note">{note}</p><div class="charts">{"".join(parts)}</div>' if parts else ""

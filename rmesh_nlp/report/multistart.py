@@ -21,6 +21,8 @@ def multistart_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]
     for block in blocks(records):
         groups: dict[str, list[Record]] = {}
         for record in block.records:
+            if record["status"] == "refused":
+                continue
             groups.setdefault(label({**record, "seed": None}), []).append(record)
         rows = [
             row for name, group in groups.items() if (row := _of_one_solve(name, group) or _row(name, group))
