@@ -2,6 +2,7 @@
 
 python scripts/mutate.py --sample 30                     of all modules below, drawn with a seed
 python scripts/mutate.py rmesh_nlp/solution/audit.py     all mutants of one file
+python scripts/mutate.py rmesh_nlp/solution/audit.py:74  of one line
 python scripts/mutate.py --list rmesh_nlp/fem/stress.py  what they are
 
 Each mutant is a copy of the checkout in a temporary folder with one change of one line: a comparison or
@@ -347,7 +348,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("files", nargs="*", help="files of the package; default: those listed here")
+    parser.add_argument(
+        "files", nargs="*", help="files of the package, or FILE:LINE; default: those listed here"
+    )
     parser.add_argument("--sample", type=int, help="so many mutants, drawn at random; default: all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1, help="mutants at a time")
@@ -356,10 +359,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--tests", nargs="*", default=["tests"], help="for the map")
     parser.add_argument("--list", action="store_true", help="print the mutants, run nothing")
     options = parser.parse_args(arguments)
-    unknown = [name for name in options.files if not (ROOT / name).is_file()]
-    if unknown:
-        parser.error(f"{unknown[0]} is not a file of this checkout")
-    chosen = [m for name in options.files or MODULES for m in mutants(name, (ROOT / name).read_text())]
+    chosen = []
+    for name in options.files or MODULES:
+        path, _, line = name.partition(":")
+        if not (ROOT / path).is_file():
+            parser.error(f"{path} is not a file of this checkout")
+        chosen += [m for m in mutants(path, (ROOT / path).read_text()) if line in ("", str(m.line))]
     if options.sample is not None and options.sample < len(chosen):
         chosen = random.Random(options.seed).sample(chosen, options.sample)
     if options.list:
