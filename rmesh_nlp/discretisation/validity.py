@@ -167,7 +167,7 @@ def _rows(angle: float) -> ca.Function:
 
 def _check_initial_angles(problem: ContactProblem) -> None:
     angle = least_angles(problem.mesh.p, problem.triangles)
-    if np.min(angle) < problem.motion.min_angle:
+    if np.min(angle) < problem.motion.min_angle - np.rad2deg(ROUNDING):
         raise ValueError(
             f"min_angle is {problem.motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
             f"initial mesh has an angle of {np.min(angle):.4g}"

@@ -1,9 +1,10 @@
 """How far a relocated mesh is from the initial one, element by element: the regularisations of large moves.
 
-With A the affine map from an initial element to the relocated one, each density is zero where A is a
-rotation, infinite as the element degenerates, and not defined for ``det A <= 0``: it is its own barrier,
-and a solver refuses a step there. The regularisation is the mean of the density over the initial area,
-so that a map of the domain has the same value on every mesh up to discretisation.
+With A the affine map from an initial element (or a reference that the problem gives) to the relocated one,
+each density is zero where A is a rotation, infinite as the element degenerates, and not defined for
+``det A <= 0``: it is its own barrier, and a solver refuses a step there. The regularisation is the mean of
+the density over the initial area, so that a map of the domain has the same value on every mesh up to
+discretisation.
 
 ``quality``
     ``|A|^2 / (2 det A) - 1``, shape alone: the inverse mean ratio (P. M. Knupp, Algebraic mesh quality
@@ -24,9 +25,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import objective_group
 from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field
-from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem import ContactProblem
 
 Density = Callable[[Any, Any], Any]
 
@@ -47,9 +49,33 @@ DISTORTIONS: dict[str, Density] = {"quality": _shape, "shape-size": _shape_and_s
 """Densities by the name that they have in objectives."""
 
 
+def reference_shapes(problem: ContactProblem) -> Array:
+    """(2, 3, elements) vertices of the triangles that the elements are compared with.
+
+    Raises
+    ------
+    ValueError
+        If the problem gives a reference that does not have as many triangles as its mesh.
+    """
+    if problem.reference is None:
+        return np.asarray(problem.mesh.p[:, problem.triangles])
+    if problem.reference.shape != (2, 3, problem.mesh.t.shape[1]):
+        raise ValueError(
+            f"the reference has the shape {problem.reference.shape}, and the mesh "
+            f"{problem.mesh.t.shape[1]} elements"
+        )
+    return problem.reference
+
+
+def total_area(shapes: Array) -> float:
+    """Sum of the areas of triangles (2, 3, elements)."""
+    a, b = shapes[:, 1] - shapes[:, 0], shapes[:, 2] - shapes[:, 0]
+    return float(np.sum(a[0] * b[1] - a[1] * b[0]) / 2)
+
+
 def distortion_group(problem: ContactProblem, positions: Field, name: str) -> ElementGroup:
     """Mean over the initial area of a density in :data:`DISTORTIONS`; NaN where an element is inverted."""
-    triangles, p = problem.triangles, problem.mesh.p
+    triangles, before_all = problem.triangles, reference_shapes(problem)
     X, X0, total = ca.SX.sym("X", 2, 3), ca.SX.sym("X0", 2, 3), ca.SX.sym("total")
     now, before = (ca.horzcat(Y[:, 1] - Y[:, 0], Y[:, 2] - Y[:, 0]) for Y in (X, X0))
     det0 = before[0, 0] * before[1, 1] - before[0, 1] * before[1, 0]
@@ -60,7 +86,7 @@ def distortion_group(problem: ContactProblem, positions: Field, name: str) -> El
     function = ca.Function("distortion", [ca.vec(X), ca.vec(X0), total], [value, ca.SX(0, 1)])
     local = (
         positions.at(triangles),
-        constant_field(p).at(triangles),
-        constant_field(np.full((1, triangles.shape[1]), signed_areas(p, triangles).sum())),
+        constant_field(before_all.transpose(1, 0, 2).reshape(6, -1)),
+        constant_field(np.full((1, triangles.shape[1]), total_area(before_all))),
     )
     return objective_group(function, local)

@@ -41,6 +41,7 @@ def flipped(
     worth: Worth,
     least_gain: float = 0.0,
     max_rounds: int = MAX_ROUNDS,
+    allowed: Callable[[NDArray[np.int64]], NDArray[np.bool_]] | None = None,
 ) -> Flipped:
     """Flip edges as long as it lowers the sum of ``worth``, by more than ``least_gain`` a flip.
 
@@ -52,6 +53,8 @@ def flipped(
     fixed : (2, edges) array
         Edges that stay; those of the outer boundary stay in any case.
     worth : callable
+    allowed : callable, optional
+        Which of some triangles (3, n) may be made.
     """
     t = np.array(triangles, dtype=np.int64)
     n = nodes.shape[1]
@@ -65,6 +68,8 @@ def flipped(
         one, two = np.stack([c, d, b]), np.stack([d, c, a])
         area = signed_areas(nodes, np.hstack([one, two])).reshape(2, -1)
         convex = np.min(area, axis=0) > LEAST_AREA * np.sum(area, axis=0)
+        if allowed is not None:
+            convex &= allowed(one) & allowed(two)
         left, right, one, two = left[convex], right[convex], one[:, convex], two[:, convex]
         if left.size == 0:
             break

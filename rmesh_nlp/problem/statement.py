@@ -121,6 +121,8 @@ class Statement:
     point_loads : tuple of PointLoad
     units : Units
         Names of units, only for people: texts and pictures.
+    reference : (2, 3, elements) array, optional
+        Vertices of the triangles that distortions compare the elements with; by default those of the mesh.
     """
 
     mesh: MeshTri
@@ -135,6 +137,7 @@ class Statement:
     size: str = field(default="")
     point_loads: tuple[PointLoad, ...] = ()
     units: Units = NO_UNITS
+    reference: Array | None = field(default=None, compare=False, repr=False)
 
     @property
     def laws(self) -> tuple[Law, ...]:

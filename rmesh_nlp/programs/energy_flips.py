@@ -19,15 +19,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.distortion import reference_shapes
 from rmesh_nlp.fem.element import plain
 from rmesh_nlp.fem.energy import load_energy, strain_energy
 from rmesh_nlp.fem.vectorised import columnwise
+from rmesh_nlp.meshes.decimation import shape_quality
 from rmesh_nlp.meshes.flips import flipped
 from rmesh_nlp.meshes.reading import from_arrays
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.coefficients import is_nonzero
 from rmesh_nlp.problem.lines import line_facets
+
+POOR = 0.2
+"""Shape (1 if equilateral), and area over the mean around, below which a triangle of the mesh as given is no
+reference for the flipped one between the same nodes."""
 
 LEAST_GAIN = 1e-6
 """Least gain of a flip, in parts of what is to be gained: rounding must not flip an edge back and forth."""
@@ -55,7 +62,11 @@ class FlippedProblem:
 
 
 def flip_edges(problem: ContactProblem, gain_to_be_had: float) -> FlippedProblem:
-    """Flip edges of the mesh of a problem as long as that lowers its energy at frozen nodal values."""
+    """Flip edges of the mesh of a problem as long as that lowers its energy at frozen nodal values.
+
+    No triangle is made with a smaller angle than the motion asks for, or a smaller area than its part of the
+    mean reference area around its nodes.
+    """
     mesh, triangles = problem.mesh, problem.triangles
     model = ContactModel(problem)
     values = model.displacement.values(model.solve(mesh.p).u)
@@ -66,12 +77,58 @@ def flip_edges(problem: ContactProblem, gain_to_be_had: float) -> FlippedProblem
         mesh.facets[:, line_facets(problem)],
         energies,
         least_gain=LEAST_GAIN * gain_to_be_had,
+        allowed=Allowed(problem),
     )
     if result.flips == 0:
         return FlippedProblem(problem, 0, 0, 0.0)
     changed = np.any(np.sort(result.triangles, axis=0) != np.sort(triangles, axis=0), axis=0)
     new = with_triangles(problem, result.triangles)
     return FlippedProblem(new, result.flips, int(changed.sum()), result.gain)
+
+
+class Allowed:
+    """Which triangles between the nodes of a problem have the angle and area that its motion asks for."""
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self._nodes, self._motion = np.asarray(problem.mesh.p), problem.motion
+        shapes = reference_shapes(problem)
+        a, b = shapes[:, 1] - shapes[:, 0], shapes[:, 2] - shapes[:, 0]
+        self._around = mean_around(problem.triangles, (a[0] * b[1] - a[1] * b[0]) / 2, self._nodes.shape[1])
+
+    def __call__(self, triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """For triangles (3, n), counter-clockwise."""
+        least = self._motion.min_area_fraction * self._around[triangles].mean(axis=0)
+        good = signed_areas(self._nodes, triangles) >= least
+        if self._motion.min_angle > 0:
+            good &= least_angles(self._nodes, triangles) >= self._motion.min_angle
+        return np.asarray(good)
+
+
+def mean_around(triangles: NDArray, values: Array, nodes: int) -> Array:
+    """(nodes,) mean of the values (elements,) of the triangles at each node."""
+    weights = (np.tile(w, 3) for w in (values, np.ones(values.size)))
+    total, count = (np.bincount(triangles.ravel(), w, nodes) for w in weights)
+    return np.asarray(total / np.maximum(count, 1))
+
+
+def shapes_as_given(given: ContactProblem, triangles: NDArray) -> Array:
+    """(2, 3, elements) triangles that those of a flipped mesh are compared with, on the mesh as given.
+
+    A triangle is compared with the one between the same nodes where they were. Where that one is flat or
+    inverted, it is an equilateral one, as large as the mean of the given ones around its nodes.
+    """
+    p = np.asarray(given.mesh.p)
+    own = given.triangles
+    around = mean_around(own, signed_areas(p, own), p.shape[1])[triangles].mean(axis=0)
+    shapes = np.array(p[:, triangles])
+    known = {tuple(t) for t in np.sort(own, axis=0).T.tolist()}
+    new = np.array([tuple(t) not in known for t in np.sort(triangles, axis=0).T.tolist()])
+    poor = (shape_quality(p, triangles) < POOR) | (signed_areas(p, triangles) < POOR * around)
+    flat = new & poor
+    side = np.sqrt(4 / np.sqrt(3) * around[flat])
+    corner = np.array([[0.0, 1.0, 0.5], [0.0, 0.0, np.sqrt(3) / 2]])
+    shapes[:, :, flat] = corner[:, :, None] * side
+    return shapes
 
 
 def with_triangles(problem: ContactProblem, triangles: NDArray) -> ContactProblem:
@@ -97,6 +154,7 @@ def flips_and_moves(
     gain: float,
     relocate: Callable[[ContactProblem], ContactProblem],
     *,
+    given: ContactProblem,
     rounds: int = 8,
     least: float = 2e-3,
 ) -> tuple[ContactProblem, tuple[Round, ...]]:
@@ -109,7 +167,9 @@ def flips_and_moves(
     gain : float
         Error of the energy of the mesh as given: what there was to gain.
     relocate : callable
-        Takes a problem to itself with its nodes moved; distortion then is that against the mesh it is given.
+        Takes a problem to itself with its nodes moved.
+    given : ContactProblem
+        On the mesh as given, against which distortion is measured in every round.
     rounds : int
         At most.
     least : float
@@ -122,9 +182,11 @@ def flips_and_moves(
         if result.flips == 0:
             break
         flipped_energy = ContactModel(result.problem).solve(result.problem.mesh.p).energy
-        moved = relocate(result.problem)
+        shapes = shapes_as_given(given, result.problem.triangles)
+        moved = relocate(replace(result.problem, reference=shapes))
         relocated = ContactModel(moved).solve(moved.mesh.p).energy
-        problem = moved if relocated < flipped_energy else result.problem
+        kept = moved if relocated < flipped_energy else result.problem
+        problem = replace(kept, reference=shapes)
         now = min(relocated, flipped_energy)
         done.append(Round(result.flips, result.changed, flipped_energy, now))
         if energy - now < least * gain:

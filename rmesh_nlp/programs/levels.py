@@ -34,7 +34,7 @@ def refined(problem: ContactProblem, *, polygon: bool = False) -> ContactProblem
     if polygon:
         motion = replace(motion, curves={})
     mesh = onto_curves(mesh, motion.curves, anywhere=True)
-    return replace(problem, mesh=mesh, motion=motion, size=f"{mesh.t.shape[1]} triangles")
+    return replace(problem, mesh=mesh, motion=motion, size=f"{mesh.t.shape[1]} triangles", reference=None)
 
 
 def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None:
@@ -68,7 +68,13 @@ def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None
         tied=tuple((number[a], number[b]) for a, b in motion.tied),
     )
     try:
-        return replace(problem, mesh=coarse.mesh, motion=motion, size=f"{coarse.mesh.t.shape[1]} triangles")
+        return replace(
+            problem,
+            mesh=coarse.mesh,
+            motion=motion,
+            size=f"{coarse.mesh.t.shape[1]} triangles",
+            reference=None,
+        )
     except ProblemError:
         return None  # too coarse for what the problem says
 

@@ -56,7 +56,7 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
     subdomains = {name: np.asarray(e) for name, e in (new.subdomains or {}).items()}
     mesh = from_arrays(new.p.T, counter_clockwise(new.p, new.t).T, boundaries, subdomains)
     mesh = onto_curves(mesh, problem.motion.curves, anywhere=True)
-    return replace(problem, mesh=mesh, size=f"{mesh.t.shape[1]} triangles")
+    return replace(problem, mesh=mesh, size=f"{mesh.t.shape[1]} triangles", reference=None)
 
 
 def edge_gains(problem: ContactProblem) -> Array:

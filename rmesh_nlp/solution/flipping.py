@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
-from rmesh_nlp.programs.energy_flips import Round, flips_and_moves
+from rmesh_nlp.programs.energy_flips import Round, flips_and_moves, mean_around
 from rmesh_nlp.programs.regularisation import gain_estimate
 from rmesh_nlp.solution.solution import Given, Solution, counted
+from rmesh_nlp.solution.verdict import GAIN_AGREEMENT
 
 
 def check_flips(problem: ContactProblem) -> None:
@@ -42,13 +44,15 @@ def solve_with_flips(solve: Callable[..., Solution], problem: ContactProblem, **
     check_flips(problem)
     solutions = [solve(problem, **options)]
     again = {**options, "start": None, "seed": None}
+    if options.get("regularisation") is not None:  # its final weight is relative to the mesh as given
+        again |= {"regularisation": None, "objective": solutions[0].objective}
 
     def relocate(flipped: ContactProblem) -> ContactProblem:
         solutions.append(solve(flipped, **again))
         return replace(flipped, mesh=solutions[-1].mesh)
 
     moved = replace(problem, mesh=solutions[0].mesh)
-    last, rounds = flips_and_moves(moved, gain_estimate(problem).value, relocate)
+    last, rounds = flips_and_moves(moved, gain_estimate(problem).value, relocate, given=problem)
     final = solutions[-1]
     if not (rounds and _same(final, last)):
         final = solve(last, **{**again, "max_iterations": 1})
@@ -78,14 +82,19 @@ def with_flips(
     changed = sum(tuple(t) not in before for t in np.sort(triangles, axis=0).T)
     solutions = all_solutions or (final,)
     extra = {
+        **first.extra,
         **final.extra,
         **counted(solutions),
         "flips": sum(one.flips for one in rounds),
         "changed_triangles": changed,
         "flip_rounds": [asdict(one) for one in rounds],
     }
+    if problem.motion.curves:
+        extra["domain_area_change"] = (
+            signed_areas(final.mesh.p, triangles).sum() / signed_areas(given.p, problem.triangles).sum() - 1
+        )
     return replace(
-        final,
+        _judged_as_a_whole(first, final),
         given=Given(np.array(given.p), areas),
         energy_initial=first.energy_initial,
         energy_initial_audited=first.energy_initial_audited,
@@ -99,13 +108,26 @@ def with_flips(
     )
 
 
+def _judged_as_a_whole(first: Solution, final: Solution) -> Solution:
+    """The last solution with the verdict on the gain of all rounds: its own gain is that of the last one."""
+    gain = first.energy_initial - final.energy
+    audited = first.energy_initial_audited - final.audit.energy_audited
+    wrong = abs(gain - audited) > GAIN_AGREEMENT * max(abs(gain), abs(audited))
+    if wrong or not audited >= 0:
+        status = Status.QUADRATURE_EXPLOITED if wrong else Status.WORSE
+        return replace(final, status=status, success=False, valid=not wrong, improved=audited >= 0)
+    if final.status not in (Status.QUADRATURE_EXPLOITED, Status.WORSE):
+        return final
+    stationary = final.stationarity_residual <= final.extra["tolerance"]
+    status = Status.CONVERGED if stationary else Status.NOT_STATIONARY
+    return replace(final, status=status, success=True, valid=True, improved=True, detail="")
+
+
 def given_areas(problem: ContactProblem, triangles: np.ndarray) -> np.ndarray:
     """(elements,) areas in the mesh as given of triangles (3, elements), some of which it may not have."""
     own = problem.triangles
     areas = signed_areas(problem.mesh.p, own)
-    n = problem.mesh.p.shape[1]
-    total, count = (np.bincount(own.ravel(), np.tile(w, 3), n) for w in (areas, np.ones(areas.size)))
-    around = (total / np.maximum(count, 1))[triangles].mean(axis=0)
+    around = mean_around(own, areas, problem.mesh.p.shape[1])[triangles].mean(axis=0)
     known = {tuple(t): a for t, a in zip(np.sort(own, axis=0).T.tolist(), areas, strict=True)}
     sought = np.sort(triangles, axis=0).T.tolist()
     return np.array([known.get(tuple(t), mean) for t, mean in zip(sought, around, strict=True)])

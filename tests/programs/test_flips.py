@@ -8,14 +8,17 @@ import pytest
 from formulations import auto, nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.assembly import element_values
+from rmesh_nlp.fem.distortion import distortion_group
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.io.export import cell_data, point_data
+from rmesh_nlp.meshes.decimation import shape_quality
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
-from rmesh_nlp.programs.energy_flips import ElementEnergies, flip_edges
+from rmesh_nlp.programs.energy_flips import ElementEnergies, flip_edges, mean_around, shapes_as_given
 from rmesh_nlp.programs.regularisation import gain_estimate
 
 
@@ -86,3 +89,60 @@ def test_any_strategy_flips() -> None:
 def test_flips_need_a_problem_without_boxes() -> None:
     with pytest.raises(BadInputError, match="boxes"):
         auto.solve(EXAMPLES["6.1"](n=4), flips=True)
+
+
+def crooked() -> ContactProblem:
+    """Example 6.1 on a mesh whose flips would make slivers: its nodes are shaken."""
+    problem = replace(EXAMPLES["6.1"](n=6), motion=Motion(None), quadrature=6)
+    free = discretise(problem).freedoms
+    q = 0.3 * np.random.default_rng(2).uniform(-1, 1, free.n)
+    return replace(problem, mesh=replace(problem.mesh, doflocs=free.positions.values(q)))
+
+
+def test_flips_keep_the_least_angle_and_area_of_the_motion() -> None:
+    problem = crooked()
+    gain = gain_estimate(problem).value
+    free = flip_edges(problem, gain).problem
+    present = float(least_angles(problem.mesh.p, problem.triangles).min())
+    least = float(least_angles(free.mesh.p, free.triangles).min())
+    assert least < present  # what is asked for below excludes a flip
+    kept = flip_edges(replace(problem, motion=Motion(None, min_angle=present)), gain)
+    assert kept.flips > 0
+    assert least_angles(kept.problem.mesh.p, kept.problem.triangles).min() >= present
+    around = mean_around(problem.triangles, signed_areas(problem.mesh.p, problem.triangles), 49)
+    large = flip_edges(replace(problem, motion=Motion(None, min_area_fraction=0.9)), gain).problem
+    ratio = signed_areas(large.mesh.p, large.triangles) / around[large.triangles].mean(axis=0)
+    own = {tuple(t) for t in np.sort(problem.triangles, axis=0).T.tolist()}
+    new = [tuple(t) not in own for t in np.sort(large.triangles, axis=0).T.tolist()]
+    assert ratio[new].min() >= 0.9
+
+
+def test_a_flipped_mesh_is_compared_with_the_mesh_as_given() -> None:
+    problem = crooked()
+    flipped = flip_edges(problem, gain_estimate(problem).value).problem
+    shapes = shapes_as_given(problem, flipped.triangles)
+    p = problem.mesh.p[:, flipped.triangles]
+    own = {tuple(t) for t in np.sort(problem.triangles, axis=0).T.tolist()}
+    known = np.array([tuple(t) in own for t in np.sort(flipped.triangles, axis=0).T.tolist()])
+    np.testing.assert_array_equal(shapes[:, :, known], p[:, :, known])
+    quality = shape_quality(shapes.reshape(2, -1), np.arange(shapes[0].size).reshape(shapes[0].shape))
+    assert quality[~known].min() >= 0.2
+    # where the nodes are as given, a distortion is that of the triangles without a counterpart alone
+    values = {}
+    for name, reference in (("own", None), ("given", shapes)):
+        there = replace(flipped, reference=reference)
+        group = distortion_group(there, constant_field(there.mesh.p), "shape-size")
+        values[name] = element_values([group])(np.zeros(0))[0]
+    np.testing.assert_allclose(values["own"], 0, atol=1e-14)
+    np.testing.assert_allclose(values["given"][known], 0, atol=1e-14)
+    assert np.all(values["given"] >= -1e-14)
+    with pytest.raises(ValueError, match="reference"):
+        distortion_group(replace(flipped, reference=shapes[:, :, :-1]), constant_field(p[0]), "shape-size")
+
+
+@pytest.mark.slow
+def test_a_least_angle_holds_through_relocation_and_flips() -> None:
+    problem = replace(EXAMPLES["6.1"](n=4), motion=Motion(None, min_angle=15.0), quadrature=6)
+    solution = auto.solve(problem, flips=True)
+    assert solution.success
+    assert least_angles(solution.mesh.p, solution.problem.triangles).min() >= 15.0 - 1e-6
