@@ -30,7 +30,6 @@ from rmesh_nlp.contact.floating import check_load, check_unique, holding
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
-from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.fem.fields import unknown_field
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
@@ -78,7 +77,7 @@ class ContactModel:
         positions = unknown_field((2, n_nodes), parameter=True)
         u, X = ca.MX.sym("u", self.n_u), ca.MX.sym("X", 2 * n_nodes)
         terms = (*parts.strain, *parts.gaps)
-        inner = assemble(
+        inner = parts.assemble(
             [term.on(positions, self.displacement) for term in terms], u, X, self.contact_nodes.size
         )
         zero = ca.MX.zeros(self.n_u)
@@ -102,7 +101,7 @@ class ContactModel:
             shape = (len(problem.obstacles), n_nodes)
             slip = ca.MX.sym("s", shape[0] * n_nodes)
             groups = [term.on(positions, unknown_field(shape)) for term in parts.friction]
-            friction = assemble(groups, slip, X, 0)
+            friction = parts.assemble(groups, slip, X, 0)
             weights = friction.grad_f(ca.MX.zeros(slip.shape[0]), X)[1]
             self._kept.append(friction)
             self._weights = Evaluator(ca.Function("weights", [X], [weights]))
@@ -196,7 +195,7 @@ class _Loads:
         n_nodes = parts.problem.mesh.p.shape[1]
         positions = unknown_field((2, n_nodes), parameter=True)
         u, X = ca.MX.sym("u", parts.n_u), ca.MX.sym("X", 2 * n_nodes)
-        self._kept = assemble([term.on(positions, parts.displacement) for term in parts.loads], u, X, 0)
+        self._kept = parts.assemble([term.on(positions, parts.displacement) for term in parts.loads], u, X, 0)
         value, gradient = self._kept.grad_f(ca.MX.zeros(parts.n_u), X)
         self._evaluate = Evaluator(ca.Function("loads", [X], [ca.densify(value), -ca.densify(gradient)]))
 

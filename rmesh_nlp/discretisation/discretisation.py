@@ -7,18 +7,22 @@ its kind begins, and sums the same element terms on these fields.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.discretisation.freedoms import Freedoms, freedoms
 from rmesh_nlp.discretisation.validity import Validity, validity
+from rmesh_nlp.fem.assembly import Assembled, assemble
 from rmesh_nlp.fem.contact_terms import friction_terms, gap_field, gap_terms, slip_field, slip_terms
 from rmesh_nlp.fem.energy import displacement_field, load_terms, strain_terms
 from rmesh_nlp.fem.fields import ElementGroup, ElementTerm, Field
 from rmesh_nlp.fem.objective import Objective, scaled_group
+from rmesh_nlp.fem.vectorised import USUAL, AssemblySettings
 from rmesh_nlp.problem import ContactProblem
 
 
@@ -29,9 +33,12 @@ class Discretisation:
     Attributes
     ----------
     problem : ContactProblem
+    assembly : AssemblySettings
+        How its sums over elements are evaluated.
     """
 
     problem: ContactProblem
+    assembly: AssemblySettings = USUAL
 
     @cached_property
     def freedoms(self) -> Freedoms:
@@ -111,7 +118,11 @@ class Discretisation:
     @cached_property
     def validity(self) -> Validity:
         """Rows of the elements that the boxes alone do not keep valid."""
-        return validity(self.problem, self.freedoms)
+        return validity(self.problem, self.freedoms, self.assembly)
+
+    def assemble(self, groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> Assembled:
+        """Sum element groups, see :func:`rmesh_nlp.fem.assembly.assemble`."""
+        return assemble(groups, x, p, n_rows, self.assembly)
 
     def bulk(self, positions: Field, displacement: Field) -> list[ElementGroup]:
         """The energy without friction on these fields."""
@@ -136,7 +147,7 @@ class Discretisation:
 
     def with_rule(self, rule: str | int) -> Discretisation:
         """The same with loads by another rule; what was made and does not depend on it is shared."""
-        other = Discretisation(replace(self.problem, quadrature=rule))
+        other = Discretisation(replace(self.problem, quadrature=rule), self.assembly)
         kept = {name: made for name, made in vars(self).items() if name not in ("problem", "loads")}
         vars(other).update(kept)
         return other
@@ -146,6 +157,8 @@ class Discretisation:
         return displacement_field(self.problem)
 
 
-def discretise(problem: ContactProblem | Discretisation) -> Discretisation:
+def discretise(
+    problem: ContactProblem | Discretisation, assembly: AssemblySettings | None = None
+) -> Discretisation:
     """The discretisation of a problem; one that is given is handed on as it is."""
-    return problem if isinstance(problem, Discretisation) else Discretisation(problem)
+    return problem if isinstance(problem, Discretisation) else Discretisation(problem, assembly or USUAL)

@@ -20,6 +20,7 @@ from rmesh_nlp.discretisation.freedoms import Freedoms
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import Assembled, assemble
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_field, without_elements
+from rmesh_nlp.fem.vectorised import USUAL, AssemblySettings
 from rmesh_nlp.problem import ContactProblem, signed_areas
 
 ROUNDING = 1e-9
@@ -44,12 +45,14 @@ class Validity:
         Lower bounds of the rows.
     n_q : int
         Number of moves.
+    assembly : AssemblySettings
     """
 
     elements: NDArray[np.int64]
     group: ElementGroup
     bound: Array
     n_q: int
+    assembly: AssemblySettings = USUAL
 
     @property
     def size(self) -> int:
@@ -69,15 +72,15 @@ class Validity:
     @cached_property
     def assembled(self) -> Assembled:
         """The rows and their derivatives as functions of ``q`` and an empty ``p``."""
-        return assemble([self.group], self.q, ca.MX(0, 1), self.size)
+        return assemble([self.group], self.q, ca.MX(0, 1), self.size, self.assembly)
 
     def without_rows(self) -> Validity:
         """No rows at all, where a barrier stands in their place."""
         none = np.zeros(0)
-        return Validity(none.astype(np.int64), without_elements(self.group), none, self.n_q)
+        return Validity(none.astype(np.int64), without_elements(self.group), none, self.n_q, self.assembly)
 
 
-def validity(problem: ContactProblem, free: Freedoms) -> Validity:
+def validity(problem: ContactProblem, free: Freedoms, assembly: AssemblySettings = USUAL) -> Validity:
     """The validity rows of a problem.
 
     The signed area is affine in each coordinate by itself, so its least value over the
@@ -99,7 +102,7 @@ def validity(problem: ContactProblem, free: Freedoms) -> Validity:
     bound[:, 0] = motion.min_area_fraction
     if motion.min_angle > 0:
         _check_initial_angles(problem)
-    return Validity(at_risk, ElementGroup(function, arguments, rows), bound.ravel(), free.n)
+    return Validity(at_risk, ElementGroup(function, arguments, rows), bound.ravel(), free.n, assembly)
 
 
 def area_ratios(problem: ContactProblem, nodes: Array) -> Array:

@@ -20,7 +20,7 @@ from rmesh_nlp.fem.element import plain
 from rmesh_nlp.fem.fields import ElementGroup
 from rmesh_nlp.fem.kernels import Kernel, LocalKernels
 from rmesh_nlp.fem.sums import InCasadi, in_numpy
-from rmesh_nlp.fem.vectorised import WORTHWHILE, columnwise
+from rmesh_nlp.fem.vectorised import USUAL, AssemblySettings, columnwise
 from rmesh_nlp.optimize.nlp import Derivatives
 
 
@@ -36,10 +36,18 @@ class Assembled:
         Objective and constraints.
     """
 
-    def __init__(self, groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> None:
+    def __init__(
+        self,
+        groups: Sequence[ElementGroup],
+        x: ca.MX,
+        p: ca.MX,
+        n_rows: int,
+        settings: AssemblySettings = USUAL,
+    ) -> None:
         present = [group for group in groups if group.size > 0]
         self._local = [LocalKernels(part) for group in present for part in straightened(group)]
-        self._large = any(group.size >= WORTHWHILE for group in groups)
+        self._large = any(group.size >= settings.numpy_from for group in groups)
+        self._settings = settings
         self._inputs = [x, p, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)]
         self._n_x, self._n_rows = int(x.shape[0]), n_rows
         self._in_casadi = InCasadi(self._inputs)
@@ -93,11 +101,13 @@ class Assembled:
         inputs = self._inputs[:n_in]
         if not self._large:
             return ca.Function(name, inputs, self._in_casadi(shapes, kernels))
-        self._kept.append(in_numpy(name, inputs, shapes, kernels))
+        self._kept.append(in_numpy(name, inputs, shapes, kernels, self._settings))
         return ca.Function(name, inputs, self._kept[-1].call(inputs))
 
 
-def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> Assembled:
+def assemble(
+    groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int, settings: AssemblySettings = USUAL
+) -> Assembled:
     """Sum element groups into one objective and ``n_rows`` constraints of ``x`` and ``p``.
 
     Parameters
@@ -107,8 +117,9 @@ def assemble(groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) ->
     x, p : MX symbols, columns
     n_rows : int
         Number of constraints; rows that no group touches are zero.
+    settings : AssemblySettings
     """
-    return Assembled(groups, x, p, n_rows)
+    return Assembled(groups, x, p, n_rows, settings)
 
 
 def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Array]]:

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT, Field, Index
 from rmesh_nlp.fem.kernels import Entries, Kernel
-from rmesh_nlp.fem.vectorised import Columns, columnwise
+from rmesh_nlp.fem.vectorised import AssemblySettings, Columns, columnwise
 
 
 class _Sums:
@@ -183,7 +183,13 @@ class Summed(ca.Callback):
         return 0
 
 
-def in_numpy(name: str, inputs: list[ca.MX], shapes: list[tuple[int, int]], kernels: list[Kernel]) -> Summed:
+def in_numpy(
+    name: str,
+    inputs: list[ca.MX],
+    shapes: list[tuple[int, int]],
+    kernels: list[Kernel],
+    settings: AssemblySettings,
+) -> Summed:
     """The same sums as a Function that runs in numpy."""
     sums = [
         _Sums(shape, [kernel.results[number] for kernel in kernels]) for number, shape in enumerate(shapes)
@@ -193,7 +199,7 @@ def in_numpy(name: str, inputs: list[ca.MX], shapes: list[tuple[int, int]], kern
         matrices = [s.matrix(part, by_element=False).tocsr() for s in sums]
         if any(matrix.nnz for matrix in matrices):
             gathers = tuple(_gather(source, field) for source, field in kernel.arguments)
-            parts.append(Part(columnwise(kernel.function, kernel.size), gathers, tuple(matrices)))
+            parts.append(Part(columnwise(kernel.function, kernel.size, settings), gathers, tuple(matrices)))
     sparsities = [symbol.sparsity() for symbol in inputs]
     return Summed(name, sparsities, [s.pattern for s in sums], parts)
 

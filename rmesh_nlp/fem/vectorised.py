@@ -7,18 +7,37 @@ operation runs over thousands of columns: a third of the time, for the same numb
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.settings import Settings, check_positive
 
-CHUNK = 4096
-"""Columns at a time, so that what is being worked on stays in the cache."""
 
-WORTHWHILE = 1000
-"""Number of columns below which CasADi's map is as fast."""
+@dataclass(frozen=True)
+class AssemblySettings(Settings):
+    """How element functions are evaluated over a mesh; the results differ by rounding only.
+
+    Attributes
+    ----------
+    numpy_from : int
+        Number of elements from which on numpy takes the place of CasADi's map. On Example 6.1 (Laplace with
+        a load) both are as fast near 1000; ``scripts/benchmark_assembly.py`` measures it.
+    chunk : int
+        Elements at a time, so that what is being worked on stays in the cache.
+    """
+
+    numpy_from: int = 1000
+    chunk: int = 4096
+
+    def __post_init__(self) -> None:
+        check_positive(numpy_from=self.numpy_from, chunk=self.chunk)
+
+
+USUAL = AssemblySettings()
 
 Operation = Callable[..., Any]
 
@@ -83,10 +102,10 @@ Columns = Callable[[Sequence[Array | None]], list[Array]]
 As everywhere in CasADi an argument None is zero."""
 
 
-def columnwise(function: ca.Function, n: int) -> Columns:
+def columnwise(function: ca.Function, n: int, settings: AssemblySettings = USUAL) -> Columns:
     """A Function with dense arguments over ``n`` columns, the faster way."""
-    if n >= WORTHWHILE and is_vectorisable(function):
-        return Vectorised(function, n)
+    if n >= settings.numpy_from and is_vectorisable(function):
+        return Vectorised(function, n, settings.chunk)
     return Mapped(function, n)
 
 
@@ -111,20 +130,22 @@ class Vectorised:
         See :func:`is_vectorisable`.
     n : int
         Number of columns.
+    chunk : int
+        Columns at a time.
     """
 
-    def __init__(self, function: ca.Function, n: int) -> None:
-        self._n = n
+    def __init__(self, function: ca.Function, n: int, chunk: int = USUAL.chunk) -> None:
+        self._n, self._chunk = n, chunk
         self._lengths = [function.nnz_out(i) for i in range(function.n_out())]
         self._program = [_instruction(function, k) for k in range(function.n_instructions())]
-        self._store = np.zeros((function.sz_w(), min(CHUNK, n)))
+        self._store = np.zeros((function.sz_w(), min(chunk, n)))
 
     def __call__(self, arguments: Sequence[Array | None]) -> list[Array]:
         """See :data:`Columns`."""
         results = [np.empty((length, self._n)) for length in self._lengths]
         with np.errstate(all="ignore"):  # as CasADi: what is not finite shows in the result
-            for first in range(0, self._n, CHUNK):
-                self._run(arguments, results, slice(first, min(first + CHUNK, self._n)))
+            for first in range(0, self._n, self._chunk):
+                self._run(arguments, results, slice(first, min(first + self._chunk, self._n)))
         return results
 
     def _run(self, arguments: Sequence[Array | None], results: list[Array], columns: slice) -> None:

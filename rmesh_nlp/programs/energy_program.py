@@ -21,7 +21,7 @@ from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.discretisation.freedoms import Freedoms
 from rmesh_nlp.discretisation.validity import Validity
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.assembly import Assembled, assemble
+from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import Field, Index
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
@@ -158,7 +158,7 @@ def relocation(problem: ContactProblem | Discretisation, objective: Objective = 
         validity = validity.without_rows()
     groups.append(replace(validity.group, rows=validity.group.rows + n_rows))
     x, p = ca.MX.sym("x", free.n + n_u + n_s), ca.MX(0, 1)
-    assembled = assemble(groups, x, p, n_rows + validity.size)
+    assembled = parts.assemble(groups, x, p, n_rows + validity.size)
     nlp = NLP(
         x=x,
         p=p,

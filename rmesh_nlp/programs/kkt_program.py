@@ -20,7 +20,6 @@ import numpy as np
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import ElementGroup, Index
 from rmesh_nlp.fem.kkt import bound_force_groups, contact_force_groups, gradient_group, identity_group
@@ -154,7 +153,7 @@ def bilevel(
     groups += [scaled_group(group, 1 / value) for group in outer]
 
     x = ca.MX.sym("x", n_x)
-    assembled = assemble(groups, x, ca.MX(0, 1), n_g + 2 * n_pairs)
+    assembled = parts.assemble(groups, x, ca.MX(0, 1), n_g + 2 * n_pairs)
     free_below = np.full(n_x - free.n, -np.inf)
     mpcc = MPCC(
         x=x,

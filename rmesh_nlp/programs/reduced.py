@@ -13,7 +13,7 @@ from rmesh_nlp.contact.model import ContactModel, solve
 from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array, Evaluator
-from rmesh_nlp.fem.assembly import assemble, element_values
+from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.programs.blocks import SecondDerivatives
@@ -150,7 +150,8 @@ class ReducedObjective:
         rel = energy.relocation
         nlp = rel.nlp
         fields = (rel.freedoms.positions, rel.displacement, rel.slip)
-        outer = assemble(rel.discretisation.objective(objective, *fields), nlp.x, nlp.p, 0)
+        groups = rel.discretisation.objective(objective, *fields)
+        outer = rel.discretisation.assemble(groups, nlp.x, nlp.p, 0)
         self._kept = outer
         self._outer = Evaluator(outer.grad_f)
         self._has_barrier = objective.has_barrier

@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem import assembly, vectorised
 from rmesh_nlp.fem.sums import Summed
-from rmesh_nlp.fem.vectorised import CHUNK, Mapped, Vectorised, columnwise, is_vectorisable
+from rmesh_nlp.fem.vectorised import (
+    USUAL,
+    AssemblySettings,
+    Mapped,
+    Vectorised,
+    columnwise,
+    is_vectorisable,
+)
 from rmesh_nlp.programs.energy_program import relocation
 
 
@@ -29,7 +36,7 @@ def every_operation() -> ca.Function:
     return ca.Function("every", [x, y, unused], [ca.vertcat(*results), ca.SX(0, 1), ca.diag(x)])
 
 
-@pytest.mark.parametrize("n", [1, 3, CHUNK, CHUNK + 5])
+@pytest.mark.parametrize("n", [1, 3, USUAL.chunk, USUAL.chunk + 5])
 def test_the_same_as_a_map(n: int) -> None:
     function = every_operation()
     assert is_vectorisable(function)
@@ -55,9 +62,9 @@ def test_an_argument_may_be_left_out() -> None:
 
 def test_what_numpy_cannot_do_is_mapped() -> None:
     x = ca.SX.sym("x")
-    kernel = columnwise(ca.Function("f", [x], [ca.erf(x)]), vectorised.WORTHWHILE)
+    kernel = columnwise(ca.Function("f", [x], [ca.erf(x)]), USUAL.numpy_from)
     assert isinstance(kernel, Mapped)
-    assert kernel([np.zeros((1, vectorised.WORTHWHILE))])[0].shape == (1, vectorised.WORTHWHILE)
+    assert kernel([np.zeros((1, USUAL.numpy_from))])[0].shape == (1, USUAL.numpy_from)
 
 
 def test_an_unknown_operation_is_noticed() -> None:
@@ -68,12 +75,11 @@ def test_an_unknown_operation_is_noticed() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "size"), [("6.1", 24), ("6.3", (32, 18))])
-def test_derivatives_of_a_large_mesh_do_not_depend_on_it(name, size, monkeypatch) -> None:
+def test_derivatives_of_a_large_mesh_do_not_depend_on_it(name, size) -> None:
     problem = EXAMPLES[name](size)
-    assert problem.triangles.shape[1] >= vectorised.WORTHWHILE
+    assert problem.triangles.shape[1] >= USUAL.numpy_from
     fast = relocation(problem)
-    monkeypatch.setattr(assembly, "WORTHWHILE", 10**9)
-    slow = relocation(problem)
+    slow = relocation(discretise(problem, AssemblySettings(numpy_from=10**9)))
     assert all(isinstance(kernel, Summed) for kernel in fast.derivatives.kernels)
     assert fast.derivatives.kernels
     assert not slow.derivatives.kernels

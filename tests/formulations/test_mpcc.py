@@ -100,6 +100,7 @@ def test_the_options_of_the_homotopy_change_its_path(name: str, change: dict[str
     assert other.success
 
 
+@pytest.mark.slow
 def test_early_stages_relax_a_true_error() -> None:
     record = mpcc.solve(EXAMPLES["6.1"](), objective="error-l2").record()
     first, second = record["stages"][:2]
@@ -154,6 +155,7 @@ def test_a_solution_and_positions_are_starts() -> None:
     assert moved.history[0].t == mpcc.OPTIONS["t0"]
 
 
+@pytest.mark.slow
 def test_starts_that_do_not_fit_are_refused() -> None:
     problem = coarse("6.1")
     with pytest.raises(ValueError, match="unknown start 'zero': choose from"):
@@ -164,6 +166,7 @@ def test_starts_that_do_not_fit_are_refused() -> None:
         mpcc.solve(EXAMPLES["6.1"](6), start=joint.solve(problem))
 
 
+@pytest.mark.slow
 def test_the_certificate_leaves_a_point_that_is_no_minimum() -> None:
     # joint stopped early: what follows must not call its end stationary
     problem = coarse("6.1")

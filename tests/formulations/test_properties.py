@@ -28,6 +28,7 @@ SEEDS = st.integers(0, 10**6)
 FEW = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
+@pytest.mark.slow
 @FEW
 @given(SEEDS, st.floats(0, 6.3), st.floats(-5, 5), st.floats(-5, 5))
 def test_energy_does_not_depend_on_the_frame(seed: int, angle: float, a: float, b: float) -> None:
@@ -39,6 +40,7 @@ def test_energy_does_not_depend_on_the_frame(seed: int, angle: float, a: float, 
     np.testing.assert_allclose(two.tangential_force, one.tangential_force, atol=1e-7)
 
 
+@pytest.mark.slow
 @FEW
 @given(SEEDS)
 def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
@@ -96,6 +98,7 @@ def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
         assert rest[0] <= 1e-7 * max(1.0, abs(here.value))
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(SEEDS, st.sampled_from([joint, nested]))
 def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, strategy: Any) -> None:

@@ -49,6 +49,7 @@ def test_joint_and_nested_are_stationary_for_the_same_program() -> None:
     assert one.audit.energy_audited == pytest.approx(two.audit.energy_audited, abs=0.05 * gain)
 
 
+@pytest.mark.slow
 def test_the_last_weight_may_be_zero_and_areas_are_then_constraints() -> None:
     solution = joint.solve(problem(), regularisation=(0.1, 0))
     assert solution.objective == "energy"

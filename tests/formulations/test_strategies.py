@@ -132,6 +132,7 @@ def test_a_solution_with_elements_at_their_bounds_is_a_start() -> None:
     assert not referee.is_valid(1.01 * q)
 
 
+@pytest.mark.slow
 def test_random_starts_are_repeatable_and_seeded() -> None:
     problem = EXAMPLES["6.1"](4)
     one, again, other = (joint.solve(problem, seed=seed) for seed in (3, 3, 4))
@@ -217,6 +218,7 @@ def test_the_symbolic_mpcc_has_the_fields_of_the_contract() -> None:
 class TestOuterObjectives:
     # squared L2 errors of design studies: 2.929e-3 on the initial grid, 9.626e-4 on the energy-optimal one
 
+    @pytest.mark.slow
     def test_l2_error_by_mpcc(self) -> None:
         solution = mpcc.solve(EXAMPLES["6.1"](), objective="error-l2")
         record = solution.record()

@@ -338,6 +338,7 @@ def test_the_command_refuses_bad_input_in_one_line(arguments, words, capsys):
     assert error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_benchmark_of_a_folder_and_of_families(tmp_path, capsys):
     folder = tmp_path / "collection"
     folder.mkdir()

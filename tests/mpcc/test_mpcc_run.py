@@ -71,6 +71,7 @@ def test_the_iteration_limit_holds_and_gives_the_best_point():
     assert solve(obstacle(), 0.1, max_iterations=total + 10).success
 
 
+@pytest.mark.slow
 def test_the_time_limit_holds_within_an_nlp():
     """Each evaluation of this objective takes 10 ms: thousands of them would be needed."""
 
@@ -125,6 +126,7 @@ def test_the_finish_inherits_the_multipliers_of_the_relaxation(relaxation):
     assert hot.iterations < cold.iterations
 
 
+@pytest.mark.slow
 def test_a_neighbouring_problem_is_solved_from_the_multipliers_of_the_first():
     """The obstacle a little lower: a few Newton steps, where the homotopy takes dozens of iterations."""
     mpcc = obstacle()
@@ -141,6 +143,7 @@ def test_a_neighbouring_problem_is_solved_from_the_multipliers_of_the_first():
     assert far.f == pytest.approx(solver(known.x, p=0.2).f, rel=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{"warm_finish": True}, {"tie_barrier": True, "warm_duals": True}])
 def test_warm_starts_lead_to_the_same_solution(changes):
     plain = solve(obstacle(), 0.1)

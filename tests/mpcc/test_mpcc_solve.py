@@ -84,6 +84,7 @@ def test_an_optimal_start_stays():
     assert result.x == pytest.approx([1, 0], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_infeasible_is_named():
     x, y = symbols(ca.SX, "xy")
     result = solve(MPCC(ca.vertcat(x, y), x + y, ca.vertcat(x, y), x, y, lbg=1), [2, 1])
@@ -258,6 +259,7 @@ def test_a_weakly_active_bound_does_not_spoil_the_label():
     assert bounded.x == pytest.approx([0, 1], abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_sparse_square_problem_of_a_thousand_pairs():
     """Obstacle problem u'' + load, u >= -0.05, on 1000 nodes; the contact force is the other member."""
     n, h = 1000, 1 / 1001

@@ -67,6 +67,7 @@ def test_a_box_is_measured_along_the_curve() -> None:
     np.testing.assert_allclose(2.5 * turn, 0.3)
 
 
+@pytest.mark.slow
 def test_strategies_agree_on_the_circle_and_gain_more_than_with_the_hole_held() -> None:
     problem, held = plate({"hole": HOLE}, delta=0.15), plate(delta=0.15)
     found = [strategy.solve(problem) for strategy in (joint, nested, mpcc)]
@@ -95,6 +96,7 @@ def test_auto_slides_along_the_arc_of_a_disc_and_says_what_the_polygon_gave() ->
     assert parts == pytest.approx(solution.gain_audited, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_gain_of_a_polygon_is_none_where_only_inner_nodes_move() -> None:
     problem = plate({"hole": HOLE}, h=1.6)
     inner = joint.solve(plate(h=1.6), regularisation=0.1)

@@ -124,6 +124,7 @@ def test_weights_and_objectives() -> None:
         regularised(2.0, 0.1, "oval")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_a_descent_without_boxes_converges_to_a_valid_lower_and_stationary_mesh(name: str) -> None:
     problem = PROBLEMS[name]()

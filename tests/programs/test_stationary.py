@@ -11,6 +11,7 @@ from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.solution.referee import Referee
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "size"), [("6.1", 5), ("6.2", (6, 3)), ("6.3", (6, 3))])
 def test_the_way_from_a_cascade_to_a_stationary_point(name: str, size: int | tuple[int, int]) -> None:
     problem = EXAMPLES[name](n=size)
@@ -37,6 +38,7 @@ def test_the_way_from_a_cascade_to_a_stationary_point(name: str, size: int | tup
     assert eigenvalues.min() > -1e-6 * eigenvalues.max()
 
 
+@pytest.mark.slow
 def test_a_limit_of_iterations_is_said() -> None:
     problem = EXAMPLES["6.1"](n=5)
     problem = replace(problem, motion=replace(problem.motion, delta=None), quadrature=6)
