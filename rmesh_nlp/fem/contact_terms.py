@@ -8,8 +8,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import ElementTerm, Field, Index, constant_field
-from rmesh_nlp.problem import ContactProblem, Obstacle, Place, at
+from rmesh_nlp.problem import ContactProblem, Obstacle, Place, at, signed_areas
 
 
 def friction_energy(obstacle: Obstacle) -> ca.Function:
@@ -37,6 +38,24 @@ def contact_edges(problem: ContactProblem, obstacle: Obstacle | None = None) -> 
     names = [part.boundary for part in chosen if not isinstance(part.boundary, Place)]
     facets = [np.zeros(0, np.int64), *(np.asarray(problem.mesh.boundaries[name]) for name in names)]
     return np.asarray(problem.mesh.facets[:, np.concatenate(facets)], dtype=np.int64)
+
+
+def nodal_weights(problem: ContactProblem, nodes: Array) -> Array:
+    """omega_i of (5.9): half the length of the contact edges at each contact node.
+
+    For an obstacle in the interior: a third of the area of the elements at the node.
+    """
+    weights: list[Array] = [np.zeros(0)]
+    for part in problem.contact_sets:
+        if part.obstacle.boundary is Place.INTERIOR:
+            areas = np.tile(signed_areas(nodes, problem.triangles) / 3, 3)
+            weight = np.bincount(problem.triangles.ravel(), areas, nodes.shape[1])
+        else:
+            edges = contact_edges(problem, part.obstacle)
+            length = np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
+            weight = np.bincount(edges.ravel(), np.tile(length / 2, 2), nodes.shape[1])
+        weights.append(np.asarray(weight[part.nodes], dtype=float))
+    return np.concatenate(weights)
 
 
 def slip_function(obstacle: Obstacle) -> ca.Function:

@@ -1,9 +1,12 @@
-"""Signed areas and orientation of triangles."""
+"""Signed areas and orientation of triangles, and meshes with moved nodes."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
+from skfem import MeshTri
 
 
 def signed_areas(nodes: NDArray, triangles: NDArray) -> NDArray:
@@ -32,3 +35,8 @@ def overlapping(triangles: NDArray) -> tuple[int, int] | None:
         return None
     a, b = edges[:, first[count > 1][0]]
     return int(a), int(b)
+
+
+def relocated_mesh(mesh: MeshTri, nodes: NDArray) -> MeshTri:
+    """The mesh with its nodes at ``nodes`` (2, nodes), names kept."""
+    return replace(mesh, doflocs=np.ascontiguousarray(nodes))

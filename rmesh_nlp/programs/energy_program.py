@@ -107,11 +107,6 @@ class Relocation:
         """Rows ``s + u_t >= 0``; those of ``s - u_t >= 0`` are before them."""
         return slice(self.n_contact + self.n_s, self.n_contact + 2 * self.n_s)
 
-    @property
-    def validity_rows(self) -> slice:
-        """Rows of the element areas."""
-        return slice(self.nlp.n_g - self.n_valid, self.nlp.n_g)
-
     def split(self, x: Array) -> tuple[Array, Array, Array]:
         """The parts q, u, s of ``x``."""
         q, u, s = np.split(x, [self.n_q, self.n_q + self.n_u])

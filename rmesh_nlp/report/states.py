@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.io.kept_problem import KeptSolution
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.report.foundations import Foundation, foundations
-from rmesh_nlp.solution.referee import nodal_weights
 from rmesh_nlp.solution.solution import Solution
 
 Drawable = Solution | KeptSolution

@@ -13,7 +13,7 @@ from rmesh_nlp.certificate.field import Guess
 from rmesh_nlp.certificate.refined import refined_bracket
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.solution.referee import nodal_weights
+from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.solution.solution import Solution
 
 

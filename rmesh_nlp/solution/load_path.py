@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.referee import nodal_weights
 from rmesh_nlp.solution.solution import Solution
 
 Solve = Callable[..., Solution]

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import statistics
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from skfem import MeshTri
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration_work
@@ -20,12 +17,13 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.validity import is_valid, least_area_ratio
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.contact_terms import contact_edges
+from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
+from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.nlp import Status
-from rmesh_nlp.problem import ContactProblem, Place, signed_areas
+from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.energy_program import Relocation, relocation
 from rmesh_nlp.programs.multipliers import multipliers
 from rmesh_nlp.programs.outer_function import Reduced, outer_function
@@ -33,7 +31,7 @@ from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
 from rmesh_nlp.programs.residual import OuterResidual, size_of
 from rmesh_nlp.solution.audit import Audit, Auditor, equilibrium_residual, law_residual
-from rmesh_nlp.solution.clock import Clock
+from rmesh_nlp.solution.clock import Clock, timed
 from rmesh_nlp.solution.interrupts import deferred
 from rmesh_nlp.solution.solution import Solution, Step
 from rmesh_nlp.solution.verdict import Measured, verdict
@@ -43,9 +41,6 @@ OnStep = Callable[[Step], None]
 
 ENERGY_AGREEMENT = 1e-6
 """Largest relative difference between a solver's energy and the exact contact solve."""
-
-TIMING_SECONDS = 0.05
-"""Time spent on measuring the unit of cost, if one contact solve takes less."""
 
 DEGREES = (4, 6, 8, 10, 12, 16, 20)
 """Degrees of quadrature that are recommended where the gain is one of the rule."""
@@ -89,7 +84,7 @@ class Referee:
         self.reduced = ReducedEnergy(self.relocation, self.model)
         with self.clock.during("audit"):
             self._auditor = Auditor(problem, self.model)
-            self.initial, self._contact_time = _timed_contact_solve(self.model)
+            self.initial, self._contact_time = timed(lambda: self.model.solve(np.asarray(problem.mesh.p)))
         self.clock.enter("solve")
 
     def function(self, objective: str | Objective) -> Reduced:
@@ -145,7 +140,6 @@ class Referee:
         history: list[Step],
         iterations: int,
         contact_solves: int,
-        wall_time_s: float | None = None,
         objective: str | Objective = "energy",
         start: str = "given",
         settings: Mapping[str, Any] | None = None,
@@ -155,7 +149,6 @@ class Referee:
         stationarity: str | None = None,
         seed: int | None = None,
         extra: dict[str, Any] | None = None,
-        outer_gradient: Array | None = None,
         relocates: bool = True,
         own: Equilibrium | None = None,
     ) -> Solution:
@@ -163,8 +156,6 @@ class Referee:
 
         Parameters
         ----------
-        wall_time_s : float, optional
-            Has no effect: the referee's own clock counts, for all strategies alike.
         start : str
             Where the strategy started, for the record.
         settings : mapping, optional
@@ -177,8 +168,6 @@ class Referee:
         equilibrium : Equilibrium, optional
             The strategy's own displacement and forces, which are then what is audited and
             returned, instead of the contact solve.
-        outer_gradient : array, optional
-            Has no effect: the referee computes the gradient itself.
         own : Equilibrium, optional
             The strategy's own displacement and forces where the contact solve replaces them in the
             solution: their residuals are recorded beside the referee's.
@@ -380,16 +369,6 @@ class Referee:
         return stress
 
 
-def _timed_contact_solve(model: ContactModel) -> tuple[Equilibrium, float]:
-    """A cold contact solve on the initial mesh and its time, the median of a few where it is short."""
-    seconds: list[float] = []
-    while len(seconds) < 5 and sum(seconds) < TIMING_SECONDS:
-        began = time.perf_counter()
-        equilibrium = model.solve(model.problem.mesh.p)
-        seconds.append(time.perf_counter() - began)
-    return equilibrium, statistics.median(seconds)
-
-
 def _without_solution(common: dict[str, Any], problem: ContactProblem, ratio: float) -> Solution:
     """A row for a mesh on which the contact problem cannot be solved."""
     nan = float("nan")
@@ -408,26 +387,3 @@ def _without_solution(common: dict[str, Any], problem: ContactProblem, ratio: fl
         stationarity="",
         stationarity_residual=nan,
     )
-
-
-def relocated_mesh(mesh: MeshTri, nodes: Array) -> MeshTri:
-    """The mesh with its nodes at ``nodes`` (2, nodes), names kept."""
-    return replace(mesh, doflocs=np.ascontiguousarray(nodes))
-
-
-def nodal_weights(problem: ContactProblem, nodes: Array) -> Array:
-    """omega_i of (5.9): half the length of the contact edges at each contact node.
-
-    For an obstacle in the interior: a third of the area of the elements at the node.
-    """
-    weights: list[Array] = [np.zeros(0)]
-    for part in problem.contact_sets:
-        if part.obstacle.boundary is Place.INTERIOR:
-            areas = np.tile(signed_areas(nodes, problem.triangles) / 3, 3)
-            weight = np.bincount(problem.triangles.ravel(), areas, nodes.shape[1])
-        else:
-            edges = contact_edges(problem, part.obstacle)
-            length = np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
-            weight = np.bincount(edges.ravel(), np.tile(length / 2, 2), nodes.shape[1])
-        weights.append(np.asarray(weight[part.nodes], dtype=float))
-    return np.concatenate(weights)

@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 from common import Case, command_line, energy_norm, run
 
+from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, ExactSolution, Laplace, Motion, Obstacle, Relative
-from rmesh_nlp.solution.referee import nodal_weights
 
 
 def exact(x: Any, y: Any) -> Any:

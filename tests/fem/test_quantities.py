@@ -8,8 +8,8 @@ import pytest
 from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, Functional
 
 import rmesh_nlp as rm
+from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.problem import Motion
-from rmesh_nlp.solution.referee import nodal_weights
 
 
 @pytest.fixture(scope="module")

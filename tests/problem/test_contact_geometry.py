@@ -19,6 +19,7 @@ from support.contact_geometry import (
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
+from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.nlp import Status
@@ -36,7 +37,7 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.reduced import ReducedObjective
 from rmesh_nlp.solution.audit import penetration
-from rmesh_nlp.solution.referee import Referee, nodal_weights
+from rmesh_nlp.solution.referee import Referee
 
 Make = Callable[[], ContactProblem]
 

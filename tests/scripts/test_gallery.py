@@ -101,7 +101,7 @@ def test_own_parts(load: Callable[[str], ModuleType], tmp_path: Path) -> None:
         assert solution.success, name
         assert solution.energy < solution.energy_initial, name
     # the punch and the disc are held by symmetry and contact alone: contact carries the whole load
-    from rmesh_nlp.solution.referee import nodal_weights
+    from rmesh_nlp.fem.contact_terms import nodal_weights
 
     for name, load_of in (("rounded_punch", 200 * 5), ("disc_in_cup", 150 * 10)):
         solution = solutions[name]
