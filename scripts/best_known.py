@@ -50,6 +50,8 @@ def lowest(example: str, n: int, starts: int, time_limit_s: float) -> dict[str, 
             nested.solve(stated, seed=seed, outer="newton-pair", time_limit_s=time_limit_s),
         ]
         found += [(one.energy, one.formulation, seed) for one in solutions if one.valid]
+    if not found:
+        raise SystemExit(f"{example} with {n} squares: no solve ended in a valid solution")
     energy, strategy, seed = min(found, key=lambda one: one[0])
     delta = stated.motion.delta_record()
     return {"example": example, "n": n, "delta": delta, "energy": energy, "by": strategy, "seed": seed}

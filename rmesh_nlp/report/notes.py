@@ -34,6 +34,7 @@ def notes(records: Sequence[Record]) -> list[str]:
     found = list(LEGEND)
     for block in blocks(records):
         found += paper_notes(block)
+        found += stick_zone(block)
         found += ranking(block)
         found += below_infimum(block)
         found += [
@@ -42,6 +43,17 @@ def notes(records: Sequence[Record]) -> list[str]:
             if not record["success"]
         ]
     return found
+
+
+def stick_zone(block: Block) -> list[str]:
+    """Says so where no node with friction sticks: what such an example cannot show."""
+    known = [record for record in block.records if record.get("sticking_nodes") is not None]
+    if not known or any(record["sticking_nodes"] for record in known):
+        return []
+    return [
+        f"Example {block.example}: no node sticks in any row, so there is no stick zone. Where all slide one "
+        "way, friction acts like a load of size g: no change between stick and slip is met."
+    ]
 
 
 def ranking(block: Block) -> list[str]:

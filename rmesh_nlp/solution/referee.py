@@ -276,6 +276,7 @@ class Referee:
             "cold_contact_solves": min(cold, common["contact_solves"]) if relocates else 1,
             "contact_factorisations": factorisations if relocates else self.initial.iterations,
             **self._residuals(nodes, own or found, exact.equilibrium),
+            **self._zones(exact.equilibrium),
             "warnings": self._warnings(nodes, found),
         }
         if self.problem.motion.curves:
@@ -297,6 +298,14 @@ class Referee:
             multipliers=multipliers(self.reduced, q, point.gradient),
             detail=detail,
         )
+
+    def _zones(self, state: Equilibrium) -> dict[str, int]:
+        """Record entries of a problem with friction: how many of its nodes stick, and how many slide."""
+        rows = self.problem.friction_rows
+        if not rows.size:
+            return {}
+        sliding = int(np.count_nonzero(state.active.sliding[rows]))
+        return {"sticking_nodes": int(rows.size) - sliding, "sliding_nodes": sliding}
 
     def _residuals(self, nodes: Array, own: Equilibrium, exact: Equilibrium) -> dict[str, float]:
         """Record entries: residuals of the strategy's own state, and of the referee's contact solve."""
