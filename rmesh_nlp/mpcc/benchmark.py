@@ -14,10 +14,11 @@ import pandas as pd
 from rmesh_nlp.mpcc.families import FAMILIES
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.plain import plain_loop
-from rmesh_nlp.mpcc.reading import READERS, Problem, read
+from rmesh_nlp.mpcc.reading import READERS, Problem, read, read_collection
 from rmesh_nlp.mpcc.solver import solve
 
 WORSE = 1e-3  # an objective is worse than another if it is above it by this, relative
+REACHED = 1e-4  # and at a known value within this, relative
 _FLOOR = 1e-3  # objectives smaller than this are compared absolutely
 
 
@@ -54,9 +55,12 @@ def from_families(names: Sequence[str], sizes: int, seeds: int) -> Iterator[tupl
 
 
 def from_files(paths: Iterable[Path]) -> Iterator[tuple[str, Problem]]:
-    """Problems of files; the group is the folder."""
+    """Problems of files, the group is the folder; a Python file is a collection and a group of its own."""
     for path in paths:
-        yield path.parent.name, read(path)
+        if path.suffix == ".py":
+            yield from ((path.stem, problem) for problem in read_collection(path))
+        else:
+            yield path.parent.name, read(path)
 
 
 def record(group: str, problem: Problem, options: Options, plain: bool) -> dict[str, Any]:
@@ -65,10 +69,14 @@ def record(group: str, problem: Problem, options: Options, plain: bool) -> dict[
         "group": group, "problem": problem.name, "unknowns": problem.mpcc.n_x, "pairs": problem.mpcc.n_pairs,
     }  # fmt: skip
     row.update(_ours(problem, options))
+    if np.isfinite(problem.target):
+        row.update(target=problem.target, reached=row["success"] and at_target(row["f"], problem.target))
     if plain:
         row.update(_plain(problem, options.time_limit_s))
         both = row["success"] and row["plain_success"]
-        row["compared"] = _compare(row["f"], row["plain_f"]) if both else ""
+        row["compared"] = _compare(problem.sign * row["f"], problem.sign * row["plain_f"]) if both else ""
+        if np.isfinite(problem.target):
+            row["plain_reached"] = row["plain_success"] and at_target(row["plain_f"], problem.target)
     return row
 
 
@@ -108,6 +116,11 @@ def _plain(problem: Problem, limit: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def at_target(f: float, target: float) -> bool:
+    """Whether an objective is the best known one, relative to max(1, |target|)."""
+    return abs(f - target) <= REACHED * max(1.0, abs(target))
+
+
 def _compare(ours: float, theirs: float) -> str:
     """``worse``, ``better`` or ``equal``: local minima, told apart by their objectives (minimised)."""
     margin = WORSE * max(abs(ours), abs(theirs), _FLOOR)
@@ -145,6 +158,8 @@ def line(row: dict[str, Any]) -> str:
     """One row for the screen."""
     text = f"{row['problem']:26} {row['status'][:16]:16} f = {row['f']:<15.9g} "
     text += f"{row['iterations']:5d} iterations {row['seconds']:7.2f} s  {row['label']}"
+    if not row.get("reached", True):
+        text += f" (best known {row['target']:.9g})"
     if "plain_f" in row:
         text += f" | plain {row['plain_f']:<13.7g} {row['plain_iterations']:5d} {row['compared']}"
     return text
@@ -154,7 +169,7 @@ def table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
     """One line per group and a total: counts of success and of better and worse minima, iterations, time."""
     frame = pd.DataFrame(rows)
     parts = [(str(name), part) for name, part in frame.groupby("group", sort=False)] + [("all", frame)]
-    lines = []
+    lines, targets = [], "reached" in frame
     for name, part in parts:
         cpu = part["cpu_seconds"]
         entry: dict[str, Any] = {
@@ -163,6 +178,10 @@ def table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
         }  # fmt: skip
         if "plain_f" in part:
             theirs, compared = part["plain_cpu_seconds"], part["compared"]
+            if targets:
+                known = part["reached"].notna()
+                entry["at target"] = f"{int(part['reached'].eq(True).sum())}/{int(known.sum())}"
+                entry["plain at target"] = f"{int(part['plain_reached'].eq(True).sum())}/{int(known.sum())}"
             entry["plain solved"] = int(part["plain_success"].sum())
             entry["better"], entry["worse"] = (
                 int((compared == "better").sum()),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import sys
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ _EXAMPLES = """examples:
   rmesh mpcc problem.nl --relaxation kanzow-schwartz --time-limit 30 --log
   rmesh mpcc --benchmark collection/ --out results
   rmesh mpcc --families held-out --seeds 5 --out results
+  rmesh mpcc --benchmark collection.py --families all --out results
 """
 
 
@@ -37,7 +39,11 @@ def parser() -> argparse.ArgumentParser:
     add("--max-iterations", type=int, metavar="N", help="Ipopt iterations per problem (no limit)")
     add("--log", action="store_true", help="a line per nonlinear program")
     add("--json", action="store_true", help="a JSON object per problem, with the solution")
-    add("--benchmark", action="store_true", help="compare with a plain loop of nlpsol")
+    add(
+        "--benchmark",
+        action="store_true",
+        help="compare with a plain loop of nlpsol; FILE may also be a Python file with names() and get(name)",
+    )
     add("--families", metavar="NAMES", help="generated problems: all, chosen, held-out, or names")
     add("--sizes", type=int, default=2, metavar="N", help="sizes of each family (2)")
     add("--seeds", type=int, default=3, metavar="N", help="problems of each size (3)")
@@ -100,12 +106,11 @@ def _solve(path: Path, given: argparse.Namespace, settings: Options) -> int:
 
 def _benchmark(given: argparse.Namespace, settings: Options) -> int:
     """Solve a collection beside the plain loop."""
-    if given.families and given.paths:
-        raise ValueError("give files or --families, not both")
-    problems = (
-        from_families(given.families.split(","), given.sizes, given.seeds)
-        if given.families
-        else from_files(files(given.paths))
+    if given.paths and not given.benchmark:
+        raise ValueError("files beside --families need --benchmark")
+    problems = itertools.chain(
+        from_families(given.families.split(","), given.sizes, given.seeds) if given.families else (),
+        from_files(files(given.paths)),
     )
     rows = run(problems, settings, plain=not given.no_plain, out=given.out, show=_show)
     if not rows:

@@ -24,6 +24,8 @@ class Problem:
         Values of the parameters.
     sign : float
         -1 if the file maximises: ``mpcc.f`` is then minus its objective.
+    target : float
+        The best known value, where there is one; else NaN.
     """
 
     name: str
@@ -31,3 +33,4 @@ class Problem:
     x0: Array
     p0: Array = field(default_factory=lambda: np.zeros(0))
     sign: float = 1.0
+    target: float = float("nan")
