@@ -79,7 +79,7 @@ class _SecondOracle(ca.Callback):
         hessian = dense(self._curvature.at(self._function(q)), self._n) * (lam_f / self._scale)
         if self._validity is not None:
             hessian += self._validity.hessian(q, lam_g)
-        return [ca.DM(self._upper, hessian[self._rows_of, self._columns_of])]
+        return [ca.DM(self._upper, hessian[self._rows_of, self._columns_of].tolist())]
 
 
 def dense(model: Callable[[Array], Array], n: int) -> Array:

@@ -161,6 +161,9 @@ def _newton_pair(
     q = x[: relocation.n_q]
     if not descent.is_valid(q) or descent.energy(q).value > points[0].value:
         q = points[0].q
+    if program.nlp.n_g and program.nlp.n_x <= settings.exact and not descent.stopped:
+        end = _interior(replace(program, warm=True), q, descent.report, settings)
+        return replace(end, iterations=descent.iterations + end.iterations, method=f"newton, then {INTERIOR}")
     return descent(q, gain=settings.tight, reference=here.value)
 
 
@@ -197,15 +200,15 @@ class _Descent:
         self.energy = function if isinstance(function, ReducedEnergy) else function.energy
         self._curvature = curvature_of(program)
         self._program, self._monitor, self._settings = program, monitor, settings
-        self._stopped = False
+        self.stopped = False
         self._walls = self.energy.validity if program.nlp.n_g else None
-        self._iterations = iterations
+        self.iterations = iterations
 
     def __call__(
         self, start: Array, *, gain: float, stationary: float | None = None, reference: float | None = None
     ) -> OuterResult:
         """Descend from ``start`` with the tolerances and the reference of :func:`newton.minimise`."""
-        nlp, before = self._program.nlp, self._iterations
+        nlp, before = self._program.nlp, self.iterations
         result = newton(
             self._evaluate,
             start,
@@ -215,17 +218,18 @@ class _Descent:
             unit=self._program.unit,
             gain_tolerance=gain,
             reference=reference,
-            max_iterations=0 if self._stopped else self._settings.max_iterations or 200,
+            max_iterations=0 if self.stopped else self._settings.max_iterations or 200,
             walls=self._walls,
             settings=self._settings.newton,
-            on_step=lambda iteration, q, here: self._report(before + iteration, q, here.value),
+            on_step=lambda iteration, q, here: self._monitor(before + iteration, q, here.value),
         )
-        self._iterations += result.iterations
-        self._stopped = self._stopped or result.status is Status.INTERRUPTED
-        return OuterResult(result.x, result.status, self._iterations)
+        self.iterations += result.iterations
+        self.stopped = self.stopped or result.status is Status.INTERRUPTED
+        return OuterResult(result.x, result.status, self.iterations)
 
-    def _report(self, iteration: int, q: Array, value: float) -> None:
-        self._monitor(iteration, q, value)
+    def report(self, iteration: int, q: Array, value: float) -> bool | None:
+        """Tell the monitor of an iteration of what follows the descents."""
+        return self._monitor(self.iterations + iteration, q, value)
 
     def is_valid(self, q: Array) -> bool:
         """Whether the elements that the boxes do not keep valid are."""
