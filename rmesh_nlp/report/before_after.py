@@ -30,6 +30,9 @@ PICTURES = ("mesh", "displacement", "stress", "flux", "pressure", "motion", "lim
 LARGEST_DEFORMATION = 0.08
 """Displacements are drawn no longer than this part of the body's extent."""
 
+FINE = 10_000
+"""Triangles above which edges are drawn as pixels: as lines they make files of megabytes."""
+
 ROOM = 0.15
 """A foundation is drawn up to this part of the extent outside the body."""
 
@@ -77,14 +80,24 @@ def _meshes(states: Sequence[State], page: Page) -> Figure:
     figure, axes = page.panels(len(states), windows, below=0.3)
     for k, state in enumerate(states):
         top = axes[0, k]
-        top.triplot(_triangulation(state, state.nodes), color=GRID_LINE, linewidth=_line_width(state))
+        top.triplot(
+            _triangulation(state, state.nodes),
+            color=GRID_LINE,
+            linewidth=_line_width(state),
+            rasterized=_is_fine(state),
+        )
         _contact_set(top, state)
         _boundary(top, state)
         if deforms:
             _foundation(top, states[0], 1.0)
             bottom = axes[1, k]
             moved = state.nodes + factor * state.displacement
-            bottom.triplot(_triangulation(state, moved), color=GRID_LINE, linewidth=_line_width(state))
+            bottom.triplot(
+                _triangulation(state, moved),
+                color=GRID_LINE,
+                linewidth=_line_width(state),
+                rasterized=_is_fine(state),
+            )
             _foundation(bottom, states[0], factor)
             bottom.set_title("deformed, u and gap" + (f" × {factor:g}" if factor != 1 else ""))
     _finish(axes, states, windows)
@@ -121,7 +134,7 @@ def _coloured(states: Sequence[State], values: list[Array], label: str, page: Pa
         painted = axis.tripcolor(
             mesh, *([value] if smooth else []), vmin=low, vmax=high, cmap=MAP, rasterized=True, **given
         )
-        axis.triplot(mesh, color="white", linewidth=0.4 * _line_width(state))
+        axis.triplot(mesh, color="white", linewidth=0.4 * _line_width(state), rasterized=_is_fine(state))
         _contact_set(axis, state, filled=False)
     _finish(axes, states, windows)
     bar = figure.colorbar(painted, ax=axes.ravel().tolist(), location="bottom", aspect=40, shrink=0.8)
@@ -252,6 +265,11 @@ def _window(states: Sequence[State], factor: float) -> Array:
 
 def _triangulation(state: State, nodes: Array) -> Triangulation:
     return Triangulation(nodes[0], nodes[1], state.problem.triangles.T)
+
+
+def _is_fine(state: State) -> bool:
+    """Whether a mesh has so many edges that they are pixels in a PDF file, too."""
+    return bool(state.problem.mesh.t.shape[1] > FINE)
 
 
 def _line_width(state: State) -> float:

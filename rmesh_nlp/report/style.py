@@ -78,6 +78,9 @@ def save(
     """Write the figure in each format and return the paths."""
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
     with rc_context(SETTINGS if settings is None else settings):
+        if len(formats) > 1:  # the layout is found once, not for each format
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")
         for path, kind in zip(paths, formats, strict=True):
             write_whole(path, partial(figure.savefig, format=kind))
     return paths
