@@ -24,7 +24,7 @@ TRIANGLE_DEGREES = (5, 8, 13, 20)
 EDGE_POINTS = (4, 6, 10, 31)
 """The same for edges, numbers of Gauss points."""
 
-NEGLIGIBLE = 1e-8
+NEGLIGIBLE = 1e-6
 """Doubt relative to the integrals that needs no better rule."""
 
 

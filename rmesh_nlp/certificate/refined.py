@@ -22,6 +22,9 @@ FEW = 500
 """Triangles up to which the equilibration is refined once unless asked otherwise: it takes less than a
 tenth of a second there."""
 
+PRODUCTS = 40
+"""Back-substitutions that improve contact forces that come from a coarser mesh."""
+
 
 def refined_bracket(
     problem: ContactProblem, nodes: Array, guess: Guess, refinements: int | None = None
@@ -50,7 +53,9 @@ def refined_bracket(
         mesh = mesh.refined(1)
     if refinements == 0:
         return bracket(problem, nodes, guess)
-    found = bracket(replace(problem, mesh=mesh, motion=Motion(None)), np.asarray(mesh.p), guess)
+    found = bracket(
+        replace(problem, mesh=mesh, motion=Motion(None)), np.asarray(mesh.p), guess, products=PRODUCTS
+    )
     children = 4**refinements
     return replace(
         found,

@@ -27,6 +27,9 @@ Nodes at the edge of the contact say little, and each that is guessed wrong cost
 
 MAX_ITERATIONS = 20
 
+EXACT = 1e-14
+"""Residual of a linear solve, relative to the load, that needs no refinement."""
+
 FEW = 20
 """Contact nodes below which guessing costs more than it saves; four times as many with friction."""
 
@@ -92,10 +95,13 @@ class DualEnergy:
         return np.asarray(self._factor.solve(self._load + self._columns @ y))
 
     def refined(self, y: Array) -> Array:
-        """The same with a step of iterative refinement."""
+        """The same with a step of iterative refinement if that is worth while."""
         load = self._load + self._columns @ y
         u = np.asarray(self._factor.solve(load))
-        return np.asarray(u + self._factor.solve(load - self._stiffness @ u))
+        residual = load - self._stiffness @ u
+        if np.max(np.abs(residual), initial=0.0) <= EXACT * np.max(np.abs(load), initial=0.0):
+            return u
+        return np.asarray(u + self._factor.solve(residual))
 
     def evaluate(self, y: Array) -> Evaluation:
         """The dual function, gap and slip as its gradient."""
