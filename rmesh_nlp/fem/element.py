@@ -8,6 +8,7 @@ nodes by the chain rule: a third of the operations of differentiating it node by
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -109,6 +110,54 @@ class Differentiated:
         self.gradient = [f, gradient.nz[:]]
         self.jacobian = [g, jacobian.nz[:]]
         self.hessian = [hessian.nz[:]]
+
+    @cached_property
+    def value_function(self) -> ca.Function:
+        """``(*columns) -> values``."""
+        return self._function("values", self.values)
+
+    @cached_property
+    def gradient_function(self) -> ca.Function:
+        """``(*columns) -> gradient``."""
+        return self._function("gradient", self.gradient)
+
+    @cached_property
+    def jacobian_function(self) -> ca.Function:
+        """``(*columns) -> jacobian``."""
+        return self._function("jacobian", self.jacobian)
+
+    @cached_property
+    def hessian_function(self) -> ca.Function:
+        """``(*columns, lam_f, lam_g) -> hessian``."""
+        return self._function("hessian", self.hessian, self.lam_f, self.lam_g)
+
+    def _function(self, name: str, expressions: list[Any], *more: Any) -> ca.Function:
+        return ca.Function(name, [*self.columns, *more], ca.cse(expressions))
+
+
+KEPT = 256
+"""Element functions whose derivatives are kept."""
+
+
+def differentiated(
+    function: ca.Function, at_points: PointValues | None, variable: list[int]
+) -> Differentiated:
+    """:class:`Differentiated`, kept: the meshes of one problem have the same element functions.
+
+    Functions are told apart by what they compute, so that it does not matter who made them, and when.
+    """
+    parts = (function,) if at_points is None else (function, at_points.points, at_points.function)
+    try:
+        texts = tuple(part.serialize() for part in parts)
+    except RuntimeError:  # a Function of someone's own that cannot be written as text
+        return Differentiated(function, at_points, variable)
+    return _differentiated(texts, tuple(variable))
+
+
+@lru_cache(maxsize=KEPT)
+def _differentiated(texts: tuple[str, ...], variable: tuple[int, ...]) -> Differentiated:
+    function, *points = (ca.Function.deserialize(text) for text in texts)
+    return Differentiated(function, PointValues(*points) if points else None, list(variable))
 
 
 class _Chain:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.element import Differentiated
+from rmesh_nlp.fem.element import differentiated
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, Index
 
 
@@ -41,7 +40,7 @@ class LocalKernels:
     def __init__(self, group: ElementGroup) -> None:
         self._group = group
         variable = [i for i, field in enumerate(group.arguments) if not field.parameter and _moves(field)]
-        self._local = Differentiated(group.function, group.at_points, variable)
+        self._local = differentiated(group.function, group.at_points, variable)
         none = np.zeros((0, group.size))
         fields = [group.arguments[i] for i in variable]
         self._index = np.concatenate([none.astype(int), *[field.index for field in fields]])
@@ -50,19 +49,19 @@ class LocalKernels:
 
     def values(self) -> Kernel:
         """Objective and constraints."""
-        return self._kernel("values", self._local.values, self._f(), self._g())
+        return self._kernel(self._local.value_function, self._f(), self._g())
 
     def gradient(self) -> Kernel:
         """The objective and its gradient."""
         (row,) = self._places(self._local.gradient_pattern, 1)
         entries = Entries(self._index[row], np.zeros_like(self._index[row]), self._scale[row])
-        return self._kernel("gradient", self._local.gradient, self._f(), entries)
+        return self._kernel(self._local.gradient_function, self._f(), entries)
 
     def jacobian(self) -> Kernel:
         """The constraints and their Jacobian."""
         row, column = self._places(self._local.jacobian_pattern, 2)
         entries = Entries(self._group.rows[row], self._index[column], self._scale[column])
-        return self._kernel("jacobian", self._local.jacobian, self._g(), entries)
+        return self._kernel(self._local.jacobian_function, self._g(), entries)
 
     def hessian(self) -> Kernel:
         """Upper triangle of the Hessian of the Lagrangian, a function of its multipliers as well."""
@@ -73,12 +72,9 @@ class LocalKernels:
         entries = Entries(np.minimum(i, j), np.maximum(i, j), twice * self._scale[a] * self._scale[b])
         lam_f = _plain(np.zeros((1, self._group.size), int))
         more = (2, lam_f), (3, _plain(self._group.rows))
-        symbols = [*self._local.columns, self._local.lam_f, self._local.lam_g]
-        function = ca.Function("hessian", symbols, ca.cse(self._local.hessian))
-        return Kernel(function, (*self._arguments, *more), (entries,), self._group.size)
+        return Kernel(self._local.hessian_function, (*self._arguments, *more), (entries,), self._group.size)
 
-    def _kernel(self, name: str, expressions: list[Any], *results: Entries) -> Kernel:
-        function = ca.Function(name, self._local.columns, ca.cse(expressions))
+    def _kernel(self, function: ca.Function, *results: Entries) -> Kernel:
         return Kernel(function, self._arguments, results, self._group.size)
 
     def _f(self) -> Entries:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -137,7 +138,7 @@ class Vectorised:
     def __init__(self, function: ca.Function, n: int, chunk: int = USUAL.chunk) -> None:
         self._n, self._chunk = n, chunk
         self._lengths = [function.nnz_out(i) for i in range(function.n_out())]
-        self._program = [_instruction(function, k) for k in range(function.n_instructions())]
+        self._program = _instructions(function)
         self._store = np.zeros((function.sz_w(), min(chunk, n)))
 
     def __call__(self, arguments: Sequence[Array | None]) -> list[Array]:
@@ -162,6 +163,12 @@ class Vectorised:
             else:  # into a row of its own, for the operands may be rows of the arguments
                 operation(*[work[source] for source in sources], out=store[target])
                 work[target] = store[target]
+
+
+@lru_cache(maxsize=256)
+def _instructions(function: ca.Function) -> tuple[tuple[Any, Any, Any], ...]:
+    """All of them; kept, since meshes of one problem share their element functions."""
+    return tuple(_instruction(function, k) for k in range(function.n_instructions()))
 
 
 def _instruction(function: ca.Function, k: int) -> tuple[Any, Any, Any]:
