@@ -80,6 +80,7 @@ def test_resume_refuses_rows_of_other_settings(tmp_path: Path) -> None:
         list(run(other, Results(tmp_path), resume=True))
 
 
+@pytest.mark.slow
 def test_a_fresh_run_sets_the_old_one_aside_when_its_first_solve_has_ended(tmp_path: Path) -> None:
     list(run(make_cases(["6.1"], ["fixed", "joint"], n=3), Results(tmp_path)))
     old = (tmp_path / "records.jsonl").read_text()

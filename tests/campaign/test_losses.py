@@ -39,6 +39,7 @@ def test_a_second_run_in_the_same_folder_is_refused_and_loses_nothing(
     assert len(read_results(tmp_path)) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", ["missing", "empty", "half", "other mesh", "history"])
 def test_a_success_without_its_files_is_solved_again(cases: list[Case], tmp_path: Path, spoil: str) -> None:
     list(run(cases, Results(tmp_path)))
@@ -119,6 +120,7 @@ def test_a_locked_folder_is_one_line_and_exit_code_2(
     assert all("being written by another rmesh" in line for line in lines)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["/abs/path", "../../esc"])
 def test_a_problem_s_name_does_not_lead_out_of_the_folder(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -135,6 +137,7 @@ def test_a_problem_s_name_does_not_lead_out_of_the_folder(
     assert len(list(Path("results").iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_figures_of_a_foreign_folder_stay_inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     inside = tmp_path / "in"
     (case,) = make_cases(["6.1"], ["fixed"], n=3)

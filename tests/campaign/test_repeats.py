@@ -26,6 +26,7 @@ def test_times_are_medians_with_their_range() -> None:
     assert joined([one]) is one
 
 
+@pytest.mark.slow
 def test_a_case_is_solved_as_often_as_it_asks_for_and_resumed_if_it_was_less_often(tmp_path: Path) -> None:
     (case,) = make_cases(["6.1"], ["fixed"], n=3, repeats=3)
     (row,) = run([case], Results(tmp_path))

@@ -66,6 +66,7 @@ def test_taylor_remainder_is_of_second_order(name):
     assert remainders[-1] < 1e-2 * abs(steps[-1] * np.sum(gradient * direction))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_it_is_a_bound_and_close_to_that_of_the_certificate(name):
     problem = PROBLEMS[name]()
@@ -78,6 +79,7 @@ def test_it_is_a_bound_and_close_to_that_of_the_certificate(name):
     assert value >= found.lower - 0.02 * (found.upper - found.lower)
 
 
+@pytest.mark.slow
 def test_the_start_has_no_influence():
     problem = plate()
     bound, nodes = LowerBound(problem), np.asarray(problem.mesh.p)

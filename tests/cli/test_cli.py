@@ -87,6 +87,7 @@ def test_options_reach_the_strategy() -> None:
     assert record["quadrature"] == 5
 
 
+@pytest.mark.slow
 def test_compare_writes_everything_and_table_and_figures_remake_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -112,6 +113,7 @@ def test_compare_writes_everything_and_table_and_figures_remake_it(
     assert capsys.readouterr().out == printed.out
 
 
+@pytest.mark.slow
 def test_table_and_figures_take_a_single_solve() -> None:
     assert run("solve", "6.1", "-f", "fixed", "--n", "3", "--out", "one") == 0
     assert run("table", "one") == 0

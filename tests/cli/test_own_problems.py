@@ -64,6 +64,7 @@ def test_settings_of_examples_do_not_go_to_files(block: Path, capsys: pytest.Cap
     assert cli.run(["compare", str(block), str(block), "other.toml"]) == 2
 
 
+@pytest.mark.slow
 def test_check_says_what_it_doubts(block: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["check", str(block)]) == 0
     block.write_text(BLOCK.replace("[0, -10]", "[0, 10]").replace('left = "symmetry"', "left = [0, 0]"))
@@ -98,6 +99,7 @@ def test_check_refuses_what_solve_would_refuse(
         assert message in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_again_without_the_problem_file(
     block: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -114,6 +116,7 @@ def test_figures_are_drawn_again_without_the_problem_file(
     assert image.imread("one/figures/mesh.png").shape[1] < first["mesh"].shape[1]
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_figures_are_drawn_keeps_the_solution(
     block: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -129,6 +132,7 @@ def test_ctrl_c_while_figures_are_drawn_keeps_the_solution(
     assert Path("one/figures/mesh.png").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_during_the_audit_keeps_the_solution(
     block: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -44,6 +44,7 @@ def test_uniaxial_tension_has_the_energy_of_youngs_modulus() -> None:
     )  # lateral contraction
 
 
+@pytest.mark.slow
 def test_two_materials_in_series_share_the_stretch() -> None:
     mesh = rectangle(4, 2).with_subdomains({"soft": lambda x: x[0] < 0.5, "hard": lambda x: x[0] > 0.5})
     problem = ContactProblem(
@@ -176,6 +177,7 @@ def test_an_interior_obstacle_has_its_known_free_boundary() -> None:
     np.testing.assert_allclose(solution.pressure[r < 0.7], 2.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_strategies_agree_on_an_interior_obstacle() -> None:
     problem = membrane(8)
     solutions = [module.solve(problem) for module in (joint, nested, mpcc)]

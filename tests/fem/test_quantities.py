@@ -106,6 +106,7 @@ def test_an_objective_in_python_is_the_same_as_in_text(block: rm.ContactProblem)
     assert str(both) == "boundary integral + 0.01*quality"
 
 
+@pytest.mark.slow
 def test_nested_and_mpcc_agree_on_a_quantity(block: rm.ContactProblem) -> None:
     objective = "peak-pressure(contact, 100) + 0.1*quality"
     nested, mpcc = (rm.solve(block, name, objective=objective) for name in ("nested", "mpcc"))

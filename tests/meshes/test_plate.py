@@ -26,6 +26,7 @@ def problem() -> ContactProblem:
     )
 
 
+@pytest.mark.slow
 def test_joint_beats_the_published_energy_with_valid_elements(problem: ContactProblem) -> None:
     solution = joint.solve(problem)
     assert solution.success

@@ -211,6 +211,7 @@ def test_a_kink_of_the_objective_is_not_infeasibility():
     assert result.f == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mpcc", "start"),
     [

@@ -23,6 +23,7 @@ def obstacle(n=40):
     return MPCC(v, f, balance, force, u + 0.05, lbg=0, ubg=0)
 
 
+@pytest.mark.slow
 def test_steps_and_iterates_are_shown_as_they_happen():
     steps, iterates = [], []
     result = solve(obstacle(), 0.1, on_step=steps.append, on_iteration=iterates.append)
@@ -58,6 +59,7 @@ def test_s_without_a_biactive_pair_says_that_it_is_a_kkt_point():
     assert result.label in str(result)
 
 
+@pytest.mark.slow
 def test_the_iteration_limit_holds_and_gives_the_best_point():
     free = solve(obstacle(), 0.1)
     total = free.counts["ipopt_iterations"]

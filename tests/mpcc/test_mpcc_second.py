@@ -83,6 +83,7 @@ def contradiction():
     return MPCC(XY, (x - 1) ** 2 + y**2, XY, x, y, lbg=0.2)
 
 
+@pytest.mark.slow
 def test_an_infeasible_problem_is_given_up_after_few_programs():
     result = solve(contradiction(), [0.5, 0.5])
     assert (result.status, result.success) == (Status.INFEASIBLE, False)

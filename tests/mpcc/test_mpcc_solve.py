@@ -104,6 +104,7 @@ def test_an_objective_without_a_value_is_named():
     assert (result.status, result.success) == (Status.EVALUATION_ERROR, False)
 
 
+@pytest.mark.slow
 def test_success_is_never_said_of_a_point_without_descent_certificate():
     """``(x - y)^2 <= 0`` leaves only the origin, but its linearisation leaves everything: no multipliers."""
     x, y = symbols(ca.SX, "xy")

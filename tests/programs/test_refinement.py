@@ -51,6 +51,7 @@ def test_marked_triangles_have_their_share_and_no_more_than_needed() -> None:
     assert marked(np.zeros(3)).size == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("indicators", [edge_gains, residual_indicators])
 def test_adaptive_refinement_beats_uniform_refinement(indicators) -> None:
     problem = example()

@@ -37,6 +37,7 @@ def random_polyhedron(rng: np.random.Generator) -> Polyhedron:
     return Polyhedron(-rng.random(n), rng.random(n), slack, sp.csr_array(jacobian), rng.uniform(0.1, 10, n))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_projections_obey_the_variational_inequality(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -85,6 +85,7 @@ def test_texts_are_legible_and_do_not_overlap(results: list[Result], example: st
                 assert not box.overlaps(other), (name, text, other_text)
 
 
+@pytest.mark.slow
 def test_grids_have_equal_axes_and_show_both_meshes(results: list[Result]) -> None:
     figure = figures(results, "6.3")["6.3-4x3-joint-grid"]
     grids = [axis for axis in figure.axes if axis.get_label() != "<colorbar>"]
@@ -101,6 +102,7 @@ def test_grids_have_equal_axes_and_show_both_meshes(results: list[Result]) -> No
         assert np.nanmin(np.linalg.norm(drawn - corner, axis=1)) < 1e-12
 
 
+@pytest.mark.slow
 def test_stresses_are_those_of_the_solution_within_the_bound(results: list[Result]) -> None:
     figure = figures(results, "6.3")["6.3-4x3-stress"]
     contact, tangential = figure.axes
@@ -122,6 +124,7 @@ def test_stresses_are_those_of_the_solution_within_the_bound(results: list[Resul
     assert np.all(np.abs(fields.tangential_stress) <= 10 * (1 + 1e-9))
 
 
+@pytest.mark.slow
 def test_curves_are_told_apart_without_colour(results: list[Result]) -> None:
     figure = figures(results, "6.1")["6.1-4-stress"]
     looks = [
@@ -131,6 +134,7 @@ def test_curves_are_told_apart_without_colour(results: list[Result]) -> None:
     assert len({(one.linestyle, one.marker) for one in LOOKS}) == len(LOOKS)
 
 
+@pytest.mark.slow
 def test_the_cost_of_every_strategy_is_time_in_contact_solves(results: list[Result]) -> None:
     by_name = {r.record["formulation"]: r for r in results if r.record["example"] == "6.1"}
     assert curve(by_name["fixed"]) is None
@@ -143,6 +147,7 @@ def test_the_cost_of_every_strategy_is_time_in_contact_solves(results: list[Resu
     assert "build and solve" in figure.axes[1].get_xlabel()
 
 
+@pytest.mark.slow
 def test_mpcc_begins_at_the_initial_energy(results: list[Result]) -> None:
     (result,) = [r for r in results if r.record["formulation"] == "mpcc"]
     found = curve(result)
@@ -153,12 +158,14 @@ def test_mpcc_begins_at_the_initial_energy(results: list[Result]) -> None:
     assert found.energy[-1] == pytest.approx(result.record["energy"], abs=1e-8)
 
 
+@pytest.mark.slow
 def test_without_fixed_the_given_grid_is_left_out(results: list[Result]) -> None:
     joint = [r for r in results if r.record["formulation"] == "joint" and r.record["example"] == "6.1"]
     drawn = figures(joint, "6.1")
     assert [axis.get_title() for axis in drawn["6.1-4-joint-grid"].axes][:1] == ["relocated by joint"]
 
 
+@pytest.mark.slow
 def test_a_failed_solve_is_not_drawn(results: list[Result]) -> None:
     failed = Result({**results[0].record, "energy": None, "success": False}, Path("none"), Path("none"))
     (block,) = blocks([failed.record])

@@ -18,6 +18,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> list[Result]:
     return read_results(folder)
 
 
+@pytest.mark.slow
 def test_nothing_is_solved_for_figures(results, tmp_path, monkeypatch):
     def refuse(*_: object) -> None:
         raise AssertionError("a solver was called")
