@@ -22,6 +22,9 @@ def study(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the plan and a guess of its time.")
     ] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Solve again what has a row that is a failure.")
+    ] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -35,8 +38,10 @@ def study(
     rmesh study study.toml --out first --dry-run
     rmesh study study.toml --out first --jobs 2
     rmesh study study.toml --out first --scheduler tcp://login1:8786
+    rmesh study study.toml --out first --retry-failed
     """
-    raise typer.Exit(work.study_commands().study(file, out, jobs, scheduler, dry_run, json, quiet))
+    given = (file, out, jobs, scheduler, dry_run, json, quiet, retry_failed)
+    raise typer.Exit(work.study_commands().study(*given))
 
 
 def table(folder: Folder) -> None:

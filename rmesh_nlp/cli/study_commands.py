@@ -53,7 +53,14 @@ def check(path: Path) -> int:
 
 
 def study(
-    path: Path, out: Path, jobs: int, scheduler: str | None, dry_run: bool, as_json: bool, quiet: bool
+    path: Path,
+    out: Path,
+    jobs: int,
+    scheduler: str | None,
+    dry_run: bool,
+    as_json: bool,
+    quiet: bool,
+    retry_failed: bool = False,
 ) -> int:
     """Perform a study, or say what it would do; returns the exit code."""
     table = read_study(path)
@@ -68,7 +75,7 @@ def study(
         done = len(plan) - len(engine.missing(plan, out))
         with StudyProgress(len(plan), done, quiet=quiet or as_json) as progress:
             try:
-                for row in engine.run(plan, out, jobs=jobs, scheduler=scheduler):
+                for row in engine.run(plan, out, jobs=jobs, scheduler=scheduler, retry_failed=retry_failed):
                     progress.finish(row)
             except KeyboardInterrupt:
                 kept = len(plan) - len(engine.missing(plan, out))

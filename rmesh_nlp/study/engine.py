@@ -13,7 +13,7 @@ from typing import Any
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Record
 from rmesh_nlp.study.plan import PlannedSolve
-from rmesh_nlp.study.rows import Keys, RowsFile, wait_for_workers
+from rmesh_nlp.study.rows import Keys, RowsFile, set_failures_aside, wait_for_workers
 from rmesh_nlp.study.runner import failure
 from rmesh_nlp.study.worker import local_worker, perform, travelling, whole_row
 
@@ -34,7 +34,12 @@ def missing(plan: Sequence[PlannedSolve], folder: Path) -> list[PlannedSolve]:
 
 
 def run(
-    plan: Sequence[PlannedSolve], folder: Path, *, jobs: int = 1, scheduler: str | None = None
+    plan: Sequence[PlannedSolve],
+    folder: Path,
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    retry_failed: bool = False,
 ) -> Iterator[Record]:
     """Perform what has no row yet; yields each row in short as it is written, in any order.
 
@@ -49,6 +54,8 @@ def run(
     scheduler : str, optional
         Address of a running ``dask scheduler``, such as ``tcp://host:8786``; its workers must see the folder
         under the same path.
+    retry_failed : bool
+        Do solves again whose row is a failure; that row is moved to ``rows/failed.jsonl``.
 
     Raises
     ------
@@ -57,6 +64,8 @@ def run(
         workers of an earlier client are still at work.
     """
     wait_for_workers(folder, WAIT_S)
+    if retry_failed:
+        set_failures_aside(folder, {solve.key for solve in plan})
     todo = missing(plan, folder)
     if not todo:
         return

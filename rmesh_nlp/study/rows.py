@@ -11,7 +11,7 @@ import os
 import socket
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -25,6 +25,8 @@ except ImportError:  # Windows: no such locks there
     fcntl = None  # type: ignore[assignment]
 
 HEAD = "records-"
+FAILED = "failed.jsonl"
+"""Rows of failures that were tried again."""
 
 
 class RowsFile:
@@ -76,7 +78,10 @@ class Keys:
 
     def now(self) -> set[str]:
         """The keys as of now."""
-        for path in row_files(self._folder):
+        files = row_files(self._folder)
+        if any(path not in files or path.stat().st_size < end for path, end in self._read.items()):
+            self._read, self._keys = {}, set()  # failures were set aside
+        for path in files:
             with path.open("rb") as file:
                 file.seek(self._read.get(path, 0))
                 text = file.read()
@@ -88,6 +93,36 @@ class Keys:
                     if isinstance(row, dict) and isinstance(row.get("key"), str):
                         self._keys.add(row["key"])
         return self._keys
+
+
+def set_failures_aside(folder: Path, keys: Collection[str]) -> int:
+    """Move the rows of failures among these solves to ``rows/failed.jsonl``; returns how many.
+
+    Resuming then does these solves again. No worker may be at work, see :func:`wait_for_workers`. What a
+    strategy refused is no failure.
+    """
+    count = 0
+    for path in row_files(folder):
+        lines = path.read_bytes().split(b"\n")[:-1]  # a line that a kill has cut is no row
+        failed = [line for line in lines if _has_failed(line, keys)]
+        if failed:
+            append_whole(folder / ROWS / FAILED, "".join(line.decode() + "\n" for line in failed))
+            write_text(path, "".join(line.decode() + "\n" for line in lines if line not in failed))
+            count += len(failed)
+    return count
+
+
+def _has_failed(line: bytes, keys: Collection[str]) -> bool:
+    try:
+        row = json.loads(line)
+    except (ValueError, RecursionError):
+        return False
+    return (
+        isinstance(row, dict)
+        and row.get("key") in keys
+        and not row.get("success")
+        and row.get("status") != "refused"
+    )
 
 
 def wait_for_workers(folder: Path, seconds: float) -> None:

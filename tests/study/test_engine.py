@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -146,3 +151,95 @@ def test_a_local_cluster_writes_the_same_rows(tmp_path: Path) -> None:
     assert sorted(row["key"] for row in rows_of(tmp_path)) == sorted(solve.key for solve in plan)
     assert 1 <= len(row_files(tmp_path)) <= 2
     assert list(engine.run(plan, tmp_path, jobs=2)) == []
+
+
+def test_failures_are_tried_again_when_that_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = [solve_of("fixed", time_s=float(i)) for i in (1, 2, 3)]
+    statuses = dict(zip((one.key for one in plan), ("converged", "time_limit", "refused"), strict=True))
+    solved = []
+
+    def solve(self: Contained, one: PlannedSolve, folder: Path | None) -> dict:
+        solved.append(one.key)
+        return {"key": one.key, "success": statuses[one.key] == "converged", "status": statuses[one.key]}
+
+    monkeypatch.setattr(Contained, "solve", solve)
+    outlives = worker.Worker(tmp_path)  # as on a cluster that goes on from client to client
+    for one in plan:
+        outlives.perform(one)
+    solved.clear()
+    assert list(engine.run(plan, tmp_path)) == []
+    statuses[plan[1].key] = "converged"
+    list(engine.run(plan, tmp_path, retry_failed=True))
+    assert solved == [plan[1].key]
+    assert {row["key"]: row["status"] for row in rows_of(tmp_path)} == statuses
+    assert len(rows_of(tmp_path)) == 3
+    (kept,) = (tmp_path / "rows" / "failed.jsonl").read_text().splitlines()
+    assert json.loads(kept)["status"] == "time_limit"
+    assert outlives.perform(plan[1]) == {"key": plan[1].key, "found": True}
+    outlives.close()
+
+
+def rmesh(*arguments: str) -> subprocess.Popen[str]:
+    """``rmesh`` as a process that heeds Ctrl-C, also where this one does not."""
+    return subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-c", "from rmesh_nlp.cli.app import main; main()", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_ctrl_c_with_two_jobs_keeps_what_is_finished_in_one_line(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    path, out = tmp_path / "study.toml", tmp_path / "out"
+    path.write_text('random = { count = 300 }\nstrategies = ["fixed"]\nfields = false\n')
+    with rmesh("study", str(path), "--out", str(out), "--jobs", "2") as process:
+        end = time.monotonic() + 100
+        while not rows_of(out) and time.monotonic() < end:
+            time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    (line,) = [line for line in said.splitlines() if "interrupted" in line]
+    assert "Traceback" not in said
+    kept = int(re.search(r"(\d+) of 300 solves are kept", line)[1])  # type: ignore[index]
+    rows = [row["key"] for row in rows_of(out)]
+    assert 1 <= kept <= len(rows) < 300
+    assert len(set(rows)) == len(rows)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_there_already_is_used(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    plan = [solve_of("fixed", time_s=float(i)) for i in range(20, 24)]
+    path, out = tmp_path / "study.toml", tmp_path / "out"
+    path.write_text(SMALL)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
+    ) as cluster:
+        address = cluster.scheduler_address
+        told = list(engine.run(plan, tmp_path / "plan", scheduler=address))
+        assert sorted(row["key"] for row in told) == sorted(solve.key for solve in plan)
+        assert cli.run(["study", str(path), "--out", str(out), "--scheduler", address]) == 0
+        assert len(rows_of(out)) == 3
+        # the cluster goes on, and nothing is solved again
+        assert cli.run(["study", str(path), "--out", str(out), "--scheduler", address]) == 0
+        assert len(rows_of(out)) == 3
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(engine, "START_S", 0.5)
+    path = tmp_path / "study.toml"
+    path.write_text(SMALL)
+    for address in ("tcp://127.0.0.1:1", "nonsense://x"):
+        assert cli.run(["study", str(path), "--out", str(tmp_path / "out"), "--scheduler", address]) == 2
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert f"no cluster at {address}" in line
