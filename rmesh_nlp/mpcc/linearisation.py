@@ -61,21 +61,31 @@ class Multipliers:
 def linearisation(lifted: Lifted, z: Array, p: Array, tolerance: float, corner: float) -> Linearisation:
     """Derivatives and active sets at ``z``.
 
-    A row or bound is active within ``tolerance (1 + |bound|)``, a member is zero below ``corner``.
+    A row or bound is active within ``tolerance (1 + |bound|)``, a member is zero below ``corner``. A row with
+    a steep gradient is measured in units of it: what counts is how far away in the unknowns the bound is.
     """
     _, gradient, rows, jacobian = lifted.linearise(z, p)
+    steep = steepness(jacobian)
     nlp = lifted.nlp
     zero = lifted.member & (nlp.lbx == 0)
     return Linearisation(
         gradient=gradient,
         jacobian=jacobian,
-        row_lower=_active(rows, nlp.lbg, tolerance),
-        row_upper=_active(rows, nlp.ubg, tolerance),
+        row_lower=_active(rows / steep, nlp.lbg / steep, tolerance),
+        row_upper=_active(rows / steep, nlp.ubg / steep, tolerance),
         z_lower=_active(z, nlp.lbx, tolerance) & ~zero,
         z_upper=_active(z, nlp.ubx, tolerance),
         G_zero=np.abs(z[lifted.first]) <= corner,
         H_zero=np.abs(z[lifted.second]) <= corner,
     )
+
+
+def steepness(jacobian: sp.csr_matrix) -> Array:
+    """Largest entry of each row, at least 1."""
+    if jacobian.shape[1] == 0:
+        return np.ones(jacobian.shape[0])
+    largest: Array = abs(jacobian).max(axis=1).toarray().ravel()
+    return np.maximum(1.0, largest)
 
 
 def _active(value: Array, bound: Array, tolerance: float) -> NDArray[np.bool_]:

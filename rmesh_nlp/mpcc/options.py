@@ -17,6 +17,8 @@ _RELAXED: Mapping[str, Any] = {
 }
 _FIRST: Mapping[str, Any] = {"mu_strategy": "monotone", "mu_init": 0.1}
 _UNLIFTED: Mapping[str, Any] = {"tol": 1e-4, "bound_relax_factor": 1e-8}
+# With dependent equations Ipopt's multipliers grow until it calls a point that is not stationary acceptable.
+DEPENDENT: Mapping[str, Any] = {"perturb_always_cd": "yes"}
 _EXACT: Mapping[str, Any] = {
     "tol": 1e-10,
     "constr_viol_tol": 1e-9,
@@ -59,7 +61,8 @@ class Options:
     t0, factor, t_final : float
         Homotopy: t starts at ``t0`` and is multiplied by ``factor`` down to ``t_final``.
     rescues : tuple of (str, float)
-        Further homotopies, relaxation and t0 of each, tried in turn while no stationary point is found.
+        Further homotopies, relaxation and t0 of each, tried in turn while no stationary point is found. They
+        reckon with equations that follow from each other.
     crossover : float
         The exact finish is tried from the first ``t <= crossover`` at which the sides of all
         pairs are those of the step before, and anyway at ``t_final``.

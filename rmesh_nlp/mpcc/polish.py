@@ -19,6 +19,7 @@ from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import Lifted
+from rmesh_nlp.mpcc.linearisation import steepness
 from rmesh_nlp.mpcc.programs import BoolArray
 from rmesh_nlp.mpcc.run import Run
 
@@ -66,10 +67,16 @@ class _Branch:
         self.pinned = self.lower == self.upper
         self.equal = self.row_lower == self.row_upper
 
-    def first_active(self, z: Array, rows: Array, lam_z: Array, lam_rows: Array, unit: float) -> _Active:
-        """Active where the multiplier, in units of the objective's gradient, outweighs the distance."""
+    def first_active(
+        self, z: Array, rows: Array, lam_z: Array, lam_rows: Array, unit: float, steep: Array
+    ) -> _Active:
+        """Active where the multiplier, in units of the objective's gradient, outweighs the distance.
+
+        Rows are divided by ``steep``, the size of their gradients, and their multipliers multiplied.
+        """
+        lower, upper = self.row_lower / steep, self.row_upper / steep
         return _Active(
-            _outweigh(rows, self.row_lower, self.row_upper, lam_rows / unit, self.equal),
+            _outweigh(rows / steep, lower, upper, lam_rows * steep / unit, self.equal),
             _outweigh(z, self.lower, self.upper, lam_z / unit, self.pinned),
         )
 
@@ -135,7 +142,7 @@ def _newton(
     f, gradient, rows, jacobian = lifted.linearise(z, run.p)
     unit = max(1.0, float(np.max(np.abs(gradient), initial=0.0)))
     tolerance = _SHARE * options.stationarity * unit
-    active = branch.first_active(z, rows, lam_z, lam_rows, unit)
+    active = branch.first_active(z, rows, lam_z, lam_rows, unit, steepness(jacobian))
     lam_rows = np.where(active.rows != 0, lam_rows, 0.0)
     last = np.inf
     for _ in range(_STEPS):
@@ -169,7 +176,7 @@ def project(run: Run, z: Array, fix_G: BoolArray) -> Array | None:
     origin, room = z, _REACH * (1 + np.abs(z))
     _, _, rows, jacobian = lifted.linearise(z, run.p)
     zero, none = np.zeros(rows.size), np.zeros(z.size)
-    active = branch.first_active(z, rows, none, zero, 1.0)
+    active = branch.first_active(z, rows, none, zero, 1.0, np.ones(rows.size))
     identity = sp.identity(z.size, format="csc")
     for _ in range(_STEPS):
         run.check()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.mpcc.lifting import Lifted, lift, warm_start
-from rmesh_nlp.mpcc.options import Options
+from rmesh_nlp.mpcc.options import DEPENDENT, Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Duals, Residuals, excess, residuals
@@ -39,6 +39,7 @@ class Programs:
         self._solvers: dict[tuple[Any, ...], _Tolerant] = {}
         self._unlifted: NLP | None = None
         self._watch = Watch()
+        self.dependent = False  # whether to reckon with equations that follow from each other
         self.only_clock = False  # whether the monitors look at nothing but the clock
         self.build_seconds = time.perf_counter() - began
 
@@ -50,7 +51,9 @@ class Programs:
 
     def _solver(self, key: tuple[Any, ...], nlp: NLP, options: dict[str, Any], watched: bool) -> _Tolerant:
         every = self._every(nlp.n_x)
-        key = (*key, watched, every)
+        key = (*key, watched, every, self.dependent)
+        if self.dependent:
+            options = {**DEPENDENT, **options}
         if key not in self._solvers:
             began = time.perf_counter()
             self._solvers[key] = _Tolerant(nlp, options, self._watch if watched else None, every)
@@ -219,7 +222,9 @@ def relaxed_program(lifted: Lifted, name: str) -> Relaxed:
     """Add the rows and the penalty of a relaxation to the lifted program."""
     nlp = lifted.nlp
     t = type(nlp.x).sym("t")
-    relaxed = relaxation(name)(nlp.x[lifted.first.tolist()], nlp.x[lifted.second.tolist()], t)
+    # one unknown taken at no place is a row of none, and rows of none do not join columns
+    a, b = (ca.reshape(nlp.x[places.tolist()], -1, 1) for places in (lifted.first, lifted.second))
+    relaxed = relaxation(name)(a, b, t)
     n_rows = relaxed.rows.shape[0]
     if not relaxed.signs:
         n_x = lifted.source.n_x

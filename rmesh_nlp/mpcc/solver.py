@@ -63,6 +63,7 @@ class MPCCSolver:
         run = Run(self.programs, parameters, Observers(show, on_step, on_iteration), weight)
         paths: list[Path] = []
         limit, rescues = None, 0
+        self.programs.dependent = False
         try:
             if first is not None:
                 paths.append(Path(finish=polished(run, z0, first)))
@@ -73,6 +74,7 @@ class MPCCSolver:
                 if hopeless and relaxation == self.options.relaxation:
                     continue  # a smaller set of what was empty
                 rescues = number
+                self.programs.dependent = number > 0
                 path = Path()
                 paths.append(path)
                 follow(run, path, relaxation, z0, t0, first, patience=0 if hopeless else RETREATS)

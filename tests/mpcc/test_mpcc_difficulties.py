@@ -224,13 +224,15 @@ def test_a_kink_of_the_objective_is_not_infeasibility():
 def test_problems_without_feasible_points_end_infeasible(mpcc, start):
     result = solve(mpcc, start)
     assert (result.status, result.success) == (Status.INFEASIBLE, False)
-    assert max(result.constraint_violation, result.complementarity) > 1e-3
+    assert max(result.constraint_violation, result.complementarity) > 1e-6  # the third's vanishes at infinity
 
 
 def test_constant_pairs_and_no_unknowns_are_problems_like_others():
     assert solve(MPCC(ca.SX(0, 1), 0, None, ca.SX(0), ca.SX(1)), []).success
     assert solve(MPCC(ca.SX(0, 1), 0, None, None, None), []).success
     assert solve(MPCC(XY, (x - 1) ** 2 + y**2, None, ca.SX(0), ca.SX(1)), 0.0).x == pytest.approx([1, 0])
+    assert solve(MPCC(x, (x - 1) ** 2, None, None, None), 0.0).x == pytest.approx([1])
+    assert solve(MPCC(x, (x - 1) ** 2, x, None, None, ubg=0.5), 0.0).x == pytest.approx([0.5])
 
 
 def test_without_a_label_nothing_is_called_a_success(monkeypatch):
@@ -255,6 +257,26 @@ def test_what_ends_at_a_feasible_point_is_not_called_infeasible():
     assert _failure(failed, excess=5.0) is Status.INFEASIBLE
     assert _failure([homotopy.Path(failure=Status.STALLED)], excess=5.0) is Status.INFEASIBLE
     assert _failure([homotopy.Path(failure=Status.ITERATION_LIMIT)], excess=5.0) is Status.ITERATION_LIMIT
+
+
+@pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
+def test_the_size_of_a_row_does_not_hide_that_it_is_active(size):
+    """Minimum at x + z = 1, y = 0, where the multiplier of the row is of size 1 / size."""
+    f = 1e-6 * ((x - 2) ** 2 + (z - 2) ** 2 + (y + 1) ** 2)
+    result = solve(MPCC(XYZ, f, ca.vertcat(size * (x + z), x - z), x, y, lbg=[-size, 0], ubg=[size, 0]), 0.3)
+    assert result.success
+    assert result.x == pytest.approx([0.5, 0, 0.5], abs=1e-6)
+
+
+def test_equations_that_follow_from_each_other_do_not_hide_that_a_point_is_not_stationary():
+    """The same equation twice above quartics: Ipopt's multipliers grow without bound, it stops far away."""
+    w = ca.SX.sym("w", 6)
+    row = w[1] - 2 * w[2] + 2 * w[3] + 3 * w[4] + w[5] + 3
+    f = ca.sum1((w - ca.DM([-2, 1, 2, -3, -2, 3])) ** 4)
+    start = [1.27509206, 0.59510941, -0.25152303, -0.40165235, 0.84203573, 1.82822258]
+    result = solve(MPCC(w, f, ca.vertcat(row, 2 * row), None, None, lbx=-5, ubx=5, lbg=0, ubg=0), start)
+    assert result.success
+    assert result.f == pytest.approx(4.467838, rel=1e-5)
 
 
 def test_rows_that_are_zero_by_structure():
