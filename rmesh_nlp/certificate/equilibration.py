@@ -29,6 +29,14 @@ from rmesh_nlp.contact.system import ActiveSet, ContactSystem
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.newton_step import BoxStep
 
+SOFTER = 10.0
+"""By how much the compliance of a trace exceeds that of its diagonal entry, roughly.
+
+With it the first trial step is not far too long: five products on graded scalar meshes of 1,500 to 2,600
+triangles
+(seeds 300 to 307 of the benchmark, refined) then end within 3 % of the least gap, not within 14 %.
+"""
+
 FORCING = 0.1
 """Part of the residual at which conjugate gradients stop."""
 
@@ -122,6 +130,7 @@ def improved(
     if y.size and products:
         step = BoxStep(dual, dual.evaluate(y).gradient)
         step.max_products = products
+        step.scale = SOFTER * step.scale
         s, _ = step.solve(lower - y, upper - y, FORCING)
         y = np.clip(y + s, lower, upper)
     return dual.refined(y), (y[: pressure.size], y[pressure.size :])
