@@ -30,7 +30,7 @@ html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
     "secondary_sidebar_items": ["page-toc"],
-    "header_links_before_dropdown": 4,
+    "header_links_before_dropdown": 3,
 }
 html_show_sourcelink = False
 html_sidebars = {name: [] for name in ("index", *(path.stem for path in Path(__file__).parent.glob("*.md")))}
