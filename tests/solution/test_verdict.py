@@ -253,7 +253,8 @@ class TestResidual:
 
     @pytest.mark.slow
     def test_a_larger_tolerance_is_met_earlier(self) -> None:
-        problem = EXAMPLES["6.2"]((6, 4))
+        # boxes alone: where areas are constraints an interior-point method follows with tolerances of its own
+        problem = EXAMPLES["6.1"](5)
         loose = nested.solve(problem, outer="newton", tolerance=1e-2, settings={"tight": 1.0})
         tight = nested.solve(problem, outer="newton", tolerance=1e-7)
         assert loose.status is tight.status is Status.CONVERGED
