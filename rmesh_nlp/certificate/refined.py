@@ -46,7 +46,10 @@ def refined_bracket(
     """
     count = problem.mesh.t.shape[1]
     if refinements is None:
-        refinements = int(count <= FEW)
+        found = refined_bracket(problem, nodes, guess, int(count <= FEW))
+        # on needles rounding grows with refinement
+        plain = found if found.guaranteed_lower or count > FEW else bracket(problem, nodes, guess)
+        return plain if plain.guaranteed_lower else found
     mesh = replace(problem.mesh, doflocs=np.ascontiguousarray(nodes))
     for _ in range(refinements):
         guess = prolonged(guess, mesh)
