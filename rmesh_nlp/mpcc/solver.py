@@ -78,7 +78,8 @@ class MPCCSolver:
                 path = Path()
                 paths.append(path)
                 follow(run, path, relaxation, z0, t0, first, patience=0 if hopeless else RETREATS)
-                if number == 0 and self._looks_twice(path):
+                spent = time.perf_counter() - began + self.programs.build_seconds
+                if number == 0 and self._looks_twice(path) and run.seconds_left > spent:
                     paths.append(Path())
                     second_look(run, paths[-1], given, path.finish)
         except LimitReachedError as stop:
