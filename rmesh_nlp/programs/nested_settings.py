@@ -23,9 +23,10 @@ class NestedSettings(Settings):
         Number of moves up to which ipopt, and newton where element areas are constraints, have the Hessian of
         the objective as a dense matrix.
     tol_exact, acceptable_tol_exact : float
-        Ipopt's tolerances then, in units of the gradient on the given mesh. Many constraints are weakly
-        active, and an interior point meets those only to the square root of its tolerance; where rounding
-        stops it before, the looser one will do.
+        Ipopt's least tolerances then, in units of the gradient on the given mesh. Many constraints are
+        weakly active, and an interior point meets those only to the square root of its tolerance: it is the
+        square of the strategy's ``tolerance`` where that is larger. Where rounding stops it before, the
+        looser one will do.
     warm_barrier, warm_push : float
         Ipopt's first barrier and least distance to bounds where the start is given. Of 1e-4, 1e-6 and 1e-8,
         with six problems started at their minimisers and least areas that are smaller by 1e-4, 1e-8 took 4 to
@@ -116,14 +117,14 @@ class NestedSettings(Settings):
             found["limited_memory_init_val"] = self.boxed_curvature
         return {**found, **self.ipopt}
 
-    def exact_options(self, factor: float, warm: bool) -> dict[str, Any]:
+    def exact_options(self, factor: float, warm: bool, tolerance: float) -> dict[str, Any]:
         """Ipopt's options where it has exact Hessians, and ``factor`` times the objective."""
         names = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
         near = {"mu_init": self.warm_barrier, **dict.fromkeys(names, self.warm_push)}
         return {
             **(near if warm else {}),
-            "tol": self.tol_exact,
-            "acceptable_tol": self.acceptable_tol_exact,
+            "tol": max(self.tol_exact, tolerance**2),
+            "acceptable_tol": max(self.acceptable_tol_exact, tolerance**2),
             "max_iter": self.max_iterations or 500,
             "nlp_scaling_method": "none",
             "obj_scaling_factor": factor,

@@ -93,7 +93,7 @@ def _interior(
     program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings
 ) -> OuterResult:
     """Ipopt with the Hessian of the reduced objective, a dense matrix; never above the start."""
-    options = settings.exact_options(program.scale / program.unit, program.warm)
+    options = settings.exact_options(program.scale / program.unit, program.warm, program.tolerance)
     result = Solver(with_hessian(program).nlp, options=options, monitor=monitor)(start)
     status = Status.CONVERGED if result.converged else result.status
     q = np.clip(result.x, program.nlp.lbx, program.nlp.ubx)

@@ -252,9 +252,11 @@ class TestResidual:
         assert given.stationarity_residual == pytest.approx(1.0)
 
     @pytest.mark.slow
-    def test_a_larger_tolerance_is_met_earlier(self) -> None:
-        # boxes alone: where areas are constraints an interior-point method follows with tolerances of its own
-        problem = EXAMPLES["6.1"](5)
+    @pytest.mark.parametrize(
+        ("name", "size"), [("6.1", 5), ("6.2", (6, 4))], ids=["boxes", "boxes and areas"]
+    )
+    def test_a_larger_tolerance_is_met_earlier(self, name: str, size: int | tuple[int, int]) -> None:
+        problem = EXAMPLES[name](size)
         loose = nested.solve(problem, outer="newton", tolerance=1e-2, settings={"tight": 1.0})
         tight = nested.solve(problem, outer="newton", tolerance=1e-7)
         assert loose.status is tight.status is Status.CONVERGED
