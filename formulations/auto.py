@@ -26,6 +26,7 @@ from rmesh_nlp.programs.cascade import CascadeResult, CascadeSettings, cascade
 from rmesh_nlp.programs.energy_flips import flips_and_moves
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
+from rmesh_nlp.programs.outer_solvers import StoppedError
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import regularised, weights
 from rmesh_nlp.programs.stationary import finished
@@ -89,7 +90,8 @@ def solve(
         converged. Up to ``settings.stationary`` nodes the descent goes on until then; larger meshes get a few
         iterations only, so that their solutions are successes that are not.
     time_limit_s : float
-        After it, as after Ctrl-C, the best mesh so far is the solution.
+        After it, as after Ctrl-C, the best mesh so far is the solution: coarsening and the statement of
+        programs count, nothing more is stated than what the audit needs, and ``worth`` is not worked out.
     start, seed : optional
         With one of them the problem is solved from there, without a cascade: by Newton-CG with the same
         distortion where there are no boxes.
@@ -135,7 +137,7 @@ def solve(
         return found
     if flips:
         found = _flipped(problem, found, chosen, tolerance, time_limit_s)
-    return _with_worth(problem, found)
+    return found if found.status is Status.TIME_LIMIT else _with_worth(problem, found)
 
 
 def _weighted(settings: CascadeSettings, regularisation: Regularisation) -> CascadeSettings:
@@ -203,8 +205,8 @@ def _large_moves(
     rule = first_rule(problem)
     watch = _Watch(problem, time_limit_s, on_step)
     stated = replace(problem, quadrature=rule)
-    result = watch.run(lambda: cascade(stated, settings, watch))
-    objective = result.energy.relocation.objective if result else "energy"
+    result = watch.run(lambda: cascade(stated, settings, watch, watch.is_late))
+    objective = result.objective if result else "energy"
     solves = sum(level.contact_solves for level in result.levels) + 2 if result else 0
     q = watch.best(stated) if result is None else result.q
     rules = [rule]
@@ -229,7 +231,7 @@ def _large_moves(
         solution = judged(referee, q, status)
         rule = stated.rule
         higher = [degree for degree in RULES if not isinstance(rule, int) or degree > rule]
-        if watch.stopped or _agrees(solution) or not higher or result is None:
+        if watch.is_late() or _agrees(solution) or not higher or result is None:
             break
         rules.append(higher[0])
         stated = replace(problem, quadrature=higher[0])
@@ -237,7 +239,7 @@ def _large_moves(
         q, status, more = _corrected(referee.reduced, q, result, settings, watch)
         solves += more
     residual = solution.stationarity_residual
-    if result and not watch.stopped and residual > tolerance and q.size and _is_small(problem, settings):
+    if result and not watch.is_late() and residual > tolerance and q.size and _is_small(problem, settings):
         began, before = time.process_time(), referee.reduced.contact_solves
         last = finished(
             referee.reduced,
@@ -261,8 +263,11 @@ def _large_moves(
                 "seconds": seconds,
             }
             solution = replace(better, extra={**better.extra, "finish": figures})
-    if not solution.energy_initial_audited >= solution.audit.energy_audited:
-        # never a mesh that is worse than the one given
+    # never a mesh that is worse than the one given
+    worse = not solution.energy_initial_audited >= solution.audit.energy_audited
+    if worse and watch.stopped:
+        solution = judged(referee, np.zeros(q.size), watch.stopped)
+    elif worse:
         solution = nested.solve(stated, max_iterations=1, tolerance=tolerance)
         solution = replace(solution, extra={**solution.extra, **_figures(result, rules, settings)})
     seconds = watch.seconds
@@ -406,11 +411,20 @@ def _figures(
     if result is not None:
         levels = result.record()
         figures |= {
-            "chosen": f"{figures['chosen']} of {', '.join(str(level['nodes']) for level in levels)} nodes",
+            "chosen": f"{figures['chosen']} of {', '.join(str(level['nodes']) for level in levels)} nodes"
+            + _damped(result),
             "cascade": levels,
             "gain_estimate": result.gain_estimate,
         }
     return figures
+
+
+def _damped(result: CascadeResult) -> str:
+    """Of which prolonged maps only a part was taken, in words; empty if there are none."""
+    parts = [f"{level.taken:g} on {level.nodes} nodes" for level in result.levels if level.taken < 1]
+    if not parts:
+        return ""
+    return f"; of a prolonged map a part was taken ({', '.join(parts)}), since more did not lower the energy"
 
 
 class _Watch:
@@ -454,16 +468,22 @@ class _Watch:
             self._last = value, np.array(q)
         if self._on_step is not None:
             self._on_step(replace(step, q=np.array(q)) if finest else step)
-        if self.seconds > self._limit:
+        return self.is_late()
+
+    def is_late(self) -> bool:
+        """Whether the solve was stopped, or its time is up."""
+        if self.stopped is None and self.seconds > self._limit:
             self.stopped = Status.TIME_LIMIT
         return self.stopped is not None
 
     def run(self, solve: Any) -> CascadeResult | None:
-        """The result of ``solve``; None after Ctrl-C."""
+        """The result of ``solve``; None after Ctrl-C, and if the time was up before there was one."""
         try:
             result: CascadeResult = solve()
         except KeyboardInterrupt:
             self.stopped = Status.INTERRUPTED
+            return None
+        except StoppedError:
             return None
         return result
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.contact_terms import contact_edges
+from rmesh_nlp.fem.contact_terms import contact_edges, nodal_weights
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 
 _FRACTIONS = np.arange(9) / 8
@@ -80,6 +82,15 @@ def penetration_work(problem: ContactProblem, nodes: Array, displacement: Array,
         pressing = np.einsum("ve,vk->ek", pressure[edges], ON_EDGE)
         work += float(length @ np.mean(pressing * depth, axis=1))
     return work
+
+
+def penetration_work_of(model: ContactModel, nodes: Array, state: Equilibrium) -> float:
+    """The same of a contact solution ``state`` at node positions ``nodes`` (2, nodes)."""
+    pressure = np.zeros(nodes.shape[1])
+    if state.normal_force.size:
+        weights = nodal_weights(model.problem, nodes)
+        np.add.at(pressure, model.contact_nodes, state.normal_force / weights)
+    return penetration_work(model.problem, nodes, model.displacement.values(state.u), pressure)
 
 
 def penetration_excess(problem: ContactProblem, nodes: Array, displacement: Array) -> float:

@@ -8,7 +8,8 @@ heavy to light weights, prolonged to the next finer mesh, and there only correct
 2. The error of the energy is estimated on the coarsest mesh; on the others it falls like the number of nodes.
 3. Coarsest mesh: schedules of weights, each weight from where the last one ended; the best end counts.
 4. Each finer mesh: from the prolonged map, at the final weight. Meshes of few nodes are solved to the end,
-   large ones and the finest one by a few iterations only.
+   large ones and the finest one by a few iterations only. A map that does not lower the energy there is
+   damped, or not taken at all (:mod:`rmesh_nlp.programs.acceptance`).
 """
 
 from __future__ import annotations
@@ -16,18 +17,23 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.acceptance import accepted, penetration_at
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.levels import coarsened
+from rmesh_nlp.programs.outer_solvers import StoppedError
 from rmesh_nlp.programs.prolongation import prolonged
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import gain_estimate, regularised, weights
@@ -35,6 +41,9 @@ from rmesh_nlp.settings import Settings, check_positive
 
 OnMove = Callable[[int, ReducedEnergy, Array, float], bool | None]
 """``(iteration, energy, moves, value)`` of a level; the descent stops if it returns True."""
+
+IsLate = Callable[[], bool]
+"""Whether the time is up; asked before each program is stated and each mesh is coarsened."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +121,11 @@ class Level:
         Final weight of the distortion, absolute.
     prolonged, energy : float
         Energy (without the distortion) of the prolonged map, NaN on the coarsest mesh, and at the end.
+    taken : float
+        Part of the prolonged map that was taken, see :func:`rmesh_nlp.programs.acceptance.accepted`; NaN on
+        the coarsest mesh.
+    penetration : float
+        Energy that penetration between contact nodes is worth at the end.
     iterations, products, contact_solves : int
     seconds, build_seconds : float
         Processor time of the descents, and of stating the programs and making the map.
@@ -121,7 +135,9 @@ class Level:
     triangles: int
     weight: float
     prolonged: float
+    taken: float
     energy: float
+    penetration: float
     iterations: int
     products: int
     contact_solves: int
@@ -137,36 +153,67 @@ class CascadeResult:
     ----------
     q : (n,) array
         Moves of the finest mesh.
-    energy : ReducedEnergy
-        Of the finest mesh, with the distortion.
+    problem : ContactProblem
+        On the finest mesh.
+    objective : Objective
+        The energy of the finest mesh with the distortion.
     gain_estimate : float
         Estimated error of the energy of the finest mesh as given.
     status : Status
     levels : tuple of Level
         Coarsest first.
+    built : ReducedEnergy, optional
+        The objective as a function of the moves; None if the time was up before it was stated.
     """
 
     q: Array
-    energy: ReducedEnergy
+    problem: ContactProblem
+    objective: Objective
     gain_estimate: float
     status: Status
     levels: tuple[Level, ...]
+    built: ReducedEnergy | None = None
+
+    @cached_property
+    def energy(self) -> ReducedEnergy:
+        """The objective as a function of the moves."""
+        return self.built or ReducedEnergy(relocation(self.problem, self.objective))
 
     def record(self) -> list[dict[str, Any]]:
         """The levels as plain values."""
         return [asdict(level) for level in self.levels]
 
 
-def hierarchy(problem: ContactProblem, coarsest: int) -> list[ContactProblem]:
-    """The problem on coarser and coarser meshes, coarsest first, itself last."""
+def hierarchy(
+    problem: ContactProblem, coarsest: int, is_late: IsLate = lambda: False
+) -> list[ContactProblem]:
+    """The problem on coarser and coarser meshes, coarsest first, itself last.
+
+    Raises
+    ------
+    StoppedError
+        If the time is up.
+    """
     levels = [problem]
-    while (coarser := coarsened(levels[-1], coarsest)) is not None:
+    while True:
+        _check_time(is_late)
+        coarser = coarsened(levels[-1], coarsest)
+        if coarser is None:
+            break
         levels.append(coarser)
     return levels[::-1]
 
 
+def _check_time(is_late: IsLate) -> None:
+    if is_late():
+        raise StoppedError
+
+
 def cascade(
-    problem: ContactProblem, settings: CascadeSettings | None = None, on_move: OnMove | None = None
+    problem: ContactProblem,
+    settings: CascadeSettings | None = None,
+    on_move: OnMove | None = None,
+    is_late: IsLate = lambda: False,
 ) -> CascadeResult:
     """Minimise the energy over the positions of all nodes, without boxes, by a cascade of meshes.
 
@@ -177,26 +224,41 @@ def cascade(
     settings : CascadeSettings, optional
     on_move : callable, optional
         Called after each iteration on each mesh.
+    is_late : callable, optional
+        Once it is true nothing more is stated or solved: the map of the last mesh is prolonged to the given
+        one, where it is neither corrected nor compared, and the status is INTERRUPTED.
+
+    Raises
+    ------
+    StoppedError
+        If the time is up before there is a map.
     """
     chosen = settings or CascadeSettings()
-    problems = hierarchy(problem, chosen.coarsest)
+    problems = hierarchy(problem, chosen.coarsest, is_late)
+    _check_time(is_late)
     began = time.process_time()
     gain = gain_estimate(problems[0]).value
     move = np.zeros((2, 0))
     levels: list[Level] = []
-    run = _Runner(chosen, on_move)
+    run = _Runner(chosen, on_move, is_late)
+    final = gain * problems[0].mesh.p.shape[1] / problem.mesh.p.shape[1]
+    objective = regularised(final, chosen.regularisation, chosen.distortion)
+    built: ReducedEnergy | None = None
     for number, here in enumerate(problems):
         share = gain * problems[0].mesh.p.shape[1] / here.mesh.p.shape[1]
         if number == 0:
-            before = float("nan")
+            before = taken = float("nan")
+            _check_time(is_late)
             energy, q, status = run.searched(here, share)
         else:
             coarse = problems[number - 1]
             energy = run.energy(here, share, chosen.regularisation)
             q = prolonged(coarse.mesh.p, coarse.triangles, move, energy.relocation)
             before = energy(q).equilibrium.energy
+            q, taken = accepted(energy, q)
             finest = number == len(problems) - 1
-            brief = finest or here.mesh.p.shape[1] > chosen.thorough
+            # what is not a correction of a map takes more than a few iterations
+            brief = (finest and taken == 1) or here.mesh.p.shape[1] > chosen.thorough
             nested = here.mesh.t.shape[1] == 4 * coarse.mesh.t.shape[1]
             q, status = run.followed(energy, q, share, brief, nested)
         move = energy.relocation.nodes(q) - here.mesh.p
@@ -206,30 +268,38 @@ def cascade(
                 triangles=int(here.mesh.t.shape[1]),
                 weight=chosen.regularisation * share,
                 prolonged=before,
+                taken=taken,
                 energy=energy(q).equilibrium.energy,
+                penetration=penetration_at(energy, q),
                 build_seconds=time.process_time() - began - run.seconds,
                 seconds=run.seconds,
                 **run.counts(),
             )
         )
         began = time.process_time()
-        if run.stopped and number < len(problems) - 1:
-            energy = run.energy(problem, gain, chosen.regularisation)
-            q = prolonged(here.mesh.p, here.triangles, move, energy.relocation)
+        if number == len(problems) - 1:
+            built = None if run.stopped else energy
+        elif run.late():
+            q = prolonged(here.mesh.p, here.triangles, move, discretise(problem))
             break
-    final = gain * problems[0].mesh.p.shape[1] / problem.mesh.p.shape[1]
-    return CascadeResult(q, energy, final, Status.INTERRUPTED if run.stopped else status, tuple(levels))
+    status = Status.INTERRUPTED if run.stopped else status
+    return CascadeResult(q, problem, objective, final, status, tuple(levels), built)
 
 
 class _Runner:
     """Descents on the meshes of one cascade, and what they cost."""
 
-    def __init__(self, settings: CascadeSettings, on_move: OnMove | None) -> None:
-        self._settings, self._on_move = settings, on_move
+    def __init__(self, settings: CascadeSettings, on_move: OnMove | None, is_late: IsLate) -> None:
+        self._settings, self._on_move, self._is_late = settings, on_move, is_late
         self._iterations = self._products = self._solves = 0
         self._total, self.seconds = 0, 0.0
         self._energies: list[tuple[ReducedEnergy, int]] = []
         self.stopped = False
+
+    def late(self) -> bool:
+        """Whether the descents were stopped, or the time is up."""
+        self.stopped = self.stopped or self._is_late()
+        return self.stopped
 
     def energy(self, problem: ContactProblem, gain: float, weight: float, model: Any = None) -> ReducedEnergy:
         """The energy of a mesh with the distortion."""
@@ -248,9 +318,10 @@ class _Runner:
         return {**found, "contact_solves": solves}
 
     def searched(self, problem: ContactProblem, gain: float) -> tuple[ReducedEnergy, Array, Status]:
-        """The best end of all schedules on the coarsest mesh."""
+        """The best end of all schedules on the coarsest mesh; the first map that there is once it is late."""
         chosen, model = self._settings, ContactModel(problem)
         best: tuple[float, ReducedEnergy, Array, Status] | None = None
+        reached: tuple[ReducedEnergy, Array, Status] | None = None
         steps: dict[tuple[float, ...], Array] = {(): np.zeros(0)}
         for schedule in chosen.schedules:
             # schedules may begin alike: what they share is solved once
@@ -261,11 +332,13 @@ class _Runner:
                 path = (*before, weight)
                 if path in steps:
                     continue
+                if reached is not None and self.late():
+                    return best[1:] if best is not None else reached
                 energy = self.energy(problem, gain, weight, model)
                 start = steps[before] if before else np.zeros(energy.relocation.n_q)
                 end = chosen.end if last else chosen.continued
                 q, status = self._descend(energy, start, gain, end, chosen.iterations)
-                steps[path] = q
+                steps[path], reached = q, (energy, q, status)
                 if last and (best is None or energy(q).value < best[0]):
                     best = energy(q).value, energy, q, status
         assert best is not None

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.programs.energy_program import Relocation
@@ -63,7 +64,9 @@ def _barycentric(corner: Array, point: Array) -> Array:
     return np.stack(parts) / whole
 
 
-def prolonged(coarse_nodes: Array, coarse_triangles: NDArray, move: Array, fine: Relocation) -> Array:
+def prolonged(
+    coarse_nodes: Array, coarse_triangles: NDArray, move: Array, fine: Relocation | Discretisation
+) -> Array:
     """Moves q of a finer mesh that follow the ``move`` (2, coarse nodes) of a coarser one.
 
     On a uniform refinement every element stays as valid as the one it is a part of. On another mesh
@@ -75,7 +78,7 @@ def prolonged(coarse_nodes: Array, coarse_triangles: NDArray, move: Array, fine:
     initial = signed_areas(X0, triangles)
     q = fine.freedoms.q_of(X0 + shift)
     for _ in range(MENDINGS):
-        now = fine.nodes(q)
+        now = fine.freedoms.positions.values(q)
         small = signed_areas(now, triangles) < SMALL * initial
         if not np.any(small):
             break
@@ -83,7 +86,7 @@ def prolonged(coarse_nodes: Array, coarse_triangles: NDArray, move: Array, fine:
         q = fine.freedoms.q_of(X0 + shift)
     bound = fine.freedoms.bound
     q = np.clip(q, -bound, bound)
-    while not np.all(signed_areas(fine.nodes(q), triangles) > 1e-3 * initial):
+    while not np.all(signed_areas(fine.freedoms.positions.values(q), triangles) > 1e-3 * initial):
         q = 0.9 * q
         if np.max(np.abs(q), initial=0.0) < 1e-6:
             return np.zeros_like(q)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.contact.penetration import penetration_work
+from rmesh_nlp.contact.penetration import penetration_work_of
 from rmesh_nlp.contact.setup_warnings import bought_gain, penetration_warnings, setup_warnings
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.discretisation import discretise
@@ -323,9 +323,8 @@ class Referee:
         u = self.model.displacement.values(state.u)
         after = penetration_warnings(self.problem, nodes, u)
         work = [
-            penetration_work(self.problem, where, self.model.displacement.values(at.u), pressure)
-            for where, at in ((self.problem.mesh.p, self.initial), (nodes, state))
-            for pressure in [self._stress(at.normal_force, nodal_weights(self.problem, where))]
+            penetration_work_of(self.model, where, at)
+            for where, at in ((np.asarray(self.problem.mesh.p), self.initial), (nodes, state))
         ]
         after += bought_gain(self.initial.energy - state.energy, *work)
         return messages + [warning.message for warning in after]

@@ -8,12 +8,27 @@ import pytest
 
 from formulations import auto, nested
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Laplace,
+    Motion,
+    Obstacle,
+    PlaneStrain,
+    Traction,
+    signed_areas,
+)
+from rmesh_nlp.programs import cascade as of_cascade
+from rmesh_nlp.programs.acceptance import accepted, without_penetration
 from rmesh_nlp.programs.cascade import CascadeSettings, cascade
+from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.solution import referee as of_referee
 
 
 def no_boxes(problem: ContactProblem) -> ContactProblem:
@@ -119,3 +134,78 @@ def test_many_moves_in_boxes_are_made_by_newton(monkeypatch: pytest.MonkeyPatch)
     assert row["success"]
     assert row["gain_audited"] >= 0.95 * by_joint["gain_audited"]
     assert row["iterations"] < nested.solve(problem, outer="newton").iterations
+
+
+def test_nothing_more_is_stated_once_the_time_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    stated = []
+    for module in (of_cascade, of_referee):
+        monkeypatch.setattr(module, "relocation", lambda *a, make=relocation: stated.append(a) or make(*a))
+    problem = no_boxes(EXAMPLES["6.1"](n=16))
+    row = auto.solve(problem, time_limit_s=1e-9).record()
+    assert row["status"] == "time_limit"
+    assert row["valid"]
+    assert row["gain"] == 0
+    assert row.get("worth") is None
+    assert len(stated) == 1  # that of the audit
+
+
+def test_a_cascade_that_is_late_prolongs_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    stated = []
+    monkeypatch.setattr(of_cascade, "relocation", lambda *a: stated.append(a) or relocation(*a))
+    problem = replace(no_boxes(EXAMPLES["6.1"](n=16)), quadrature=6)
+    result = cascade(problem, is_late=lambda: len(stated) > 0)
+    assert len(stated) == 1  # the first weight on the coarsest mesh
+    assert [level.nodes for level in result.levels] == [81]
+    assert result.status is Status.INTERRUPTED
+    assert np.any(result.q != 0)
+    nodes = freedoms(problem).positions.values(result.q)
+    assert np.all(signed_areas(nodes, problem.triangles) > 0)
+    energies = [ContactModel(problem).solve(x).energy for x in (problem.mesh.p, nodes)]
+    assert energies[1] < energies[0]
+
+
+def over_a_parabola(n: int) -> ContactProblem:
+    """A block that is pressed on a curved foundation, which passes between the nodes of a coarse mesh."""
+    return ContactProblem(
+        rectangle(2 * n, n, x=(0, 2)),
+        PlaneStrain.from_young(1000.0, 0.3),
+        dirichlet=(Dirichlet("left", (0.0, None)),),
+        tractions=(Traction("top", (0.0, -20.0)),),
+        obstacle=Obstacle.curve("bottom", lambda x, y: y + 0.05 * (x - 1) ** 2),
+        motion=Motion(None),
+    )
+
+
+def test_a_coarse_map_that_gains_by_penetration_is_not_taken_whole() -> None:
+    problem = over_a_parabola(12)
+    result = cascade(problem, CascadeSettings(brief=1, iterations=10))
+    coarse, fine = result.levels[0], result.levels[-1]
+    given = ContactModel(problem).solve(problem.mesh.p).energy
+    # the coarse map gains on its own mesh, and the gap holds at its nodes only
+    assert coarse.energy < given
+    assert coarse.penetration > 0.1 * (given - coarse.energy)
+    assert fine.taken < 1
+    assert fine.energy <= given
+    row = auto.solve(problem, settings={"brief": 1, "iterations": 10, "stationary": 1}).record()
+    assert "of a prolonged map a part was taken" in row["chosen"]
+    assert row["gain_audited"] >= 0
+
+
+def test_a_map_is_halved_until_it_lowers_the_energy() -> None:
+    problem = replace(no_boxes(EXAMPLES["6.1"](n=4)), quadrature=6)
+    energy = cascade(problem).energy
+    zero = np.zeros(energy.relocation.n_q)
+    downhill = -energy(zero).gradient
+    scale = 1e-3 / np.max(np.abs(downhill))
+    whole, part = accepted(energy, scale * downhill)
+    assert part == 1
+    np.testing.assert_array_equal(whole, scale * downhill)
+    assert accepted(energy, -scale * downhill)[1] == 0
+    np.testing.assert_array_equal(accepted(energy, -scale * downhill)[0], zero)
+    far = scale * downhill
+    while without_penetration(energy, far) < without_penetration(energy, zero):
+        far = 1.5 * far
+    taken, part = accepted(energy, far)
+    assert 0 < part < 1
+    np.testing.assert_array_equal(taken, part * far)
+    assert without_penetration(energy, taken) < without_penetration(energy, zero)

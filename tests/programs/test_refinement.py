@@ -11,7 +11,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.programs.hr import EFFECTIVITY, hr
 from rmesh_nlp.programs.refinement import edge_gains, locally_refined, marked, residual_indicators
 from rmesh_nlp.solution.worth import advise, recommended
@@ -127,6 +127,24 @@ def test_advice() -> None:
     assert advice.refinement == pytest.approx(1, abs=0.01)  # all elements have the same error
     assert advice.error == pytest.approx(1 / (24 * 36), rel=1e-6)
     assert advice.recommendation.startswith("relocate")
+
+
+def test_advice_does_not_praise_penetration_between_contact_nodes() -> None:
+    problem = ContactProblem(
+        rectangle(8, 4, x=(0, 2)),
+        PlaneStrain.from_young(1000.0, 0.3),
+        dirichlet=(Dirichlet("left", (0.0, None)),),
+        tractions=(Traction("top", (0.0, -20.0)),),
+        obstacle=Obstacle.curve("bottom", lambda x, y: y + 0.1 * (x - 1) ** 2),
+        motion=Motion(None),
+    )
+    advice = advise(problem)
+    assert "penetration between contact nodes" in advice.warning
+    assert advice.recommendation.startswith("refine the contact boundary")
+    assert not advice.relocation >= 10
+    assert ("warning", advice.warning) in advice.rows()
+    flat = advise(replace(problem, obstacle=Obstacle.line("bottom", (0.0, 0.0), (0.0, 1.0))))
+    assert flat.warning == ""
 
 
 @pytest.mark.parametrize(
