@@ -11,7 +11,16 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Laplace,
+    Motion,
+    Obstacle,
+    PlaneStrain,
+    Traction,
+    signed_areas,
+)
 from rmesh_nlp.programs.hr import EFFECTIVITY, hr
 from rmesh_nlp.programs.refinement import edge_gains, locally_refined, marked, residual_indicators
 from rmesh_nlp.solution.worth import advise, recommended
