@@ -29,7 +29,7 @@ from rmesh_nlp.campaign.cases import make_cases
 from rmesh_nlp.campaign.run import run
 from rmesh_nlp.io.results import Results
 
-cases = [case for n in (3, 4, 5) for case in make_cases(["6.1", "6.2"], ["fixed", "joint"], n=(2 * n, n))]
+cases = [case for n in (3, 4, 5) for case in make_cases(["6.2", "6.3"], ["fixed", "joint"], n=(2 * n, n))]
 print("ready", flush=True)
 limit = int(sys.argv[2])
 if limit:

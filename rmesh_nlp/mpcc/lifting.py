@@ -180,16 +180,40 @@ def _pure(mpcc: MPCC) -> tuple[Any, Any, Any, Any]:
 
 
 def automatic_derivatives(x: Any, p: Any, f: Any, g: Any) -> Derivatives:
-    """CasADi's own derivatives, made once and shared by every NLP built on the oracle."""
+    """CasADi's own derivatives, made once and shared by every NLP built on the oracle.
+
+    Those that are constant are numbers: symbolic ones of a dense quadratic program of 150 unknowns take
+    CasADi ten seconds.
+    """
     kind = type(x)
     lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", g.shape[0])
     gradient = ca.densify(ca.gradient(f, x))
-    lagrangian = lam_f * f + ca.dot(lam_g, g)
+    jacobian = _constant_jacobian(g, x, p)
+    linear = jacobian is not None
+    hessian = _constant_jacobian(gradient, x, p) if linear else None
+    if hessian is not None:
+        hessian = lam_f * kind(hessian)
+    else:
+        hessian = ca.hessian(lam_f * f + (0 if linear else ca.dot(lam_g, g)), x)[0]
     return Derivatives(
         grad_f=ca.Function("nlp_grad_f", [x, p], [f, gradient]),
-        jac_g=ca.Function("nlp_jac_g", [x, p], [g, ca.jacobian(g, x)]),
-        hess_lag=ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [ca.triu(ca.hessian(lagrangian, x)[0])]),
+        jac_g=ca.Function("nlp_jac_g", [x, p], [g, jacobian if linear else ca.jacobian(g, x)]),
+        hess_lag=ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [ca.triu(hessian)]),
     )
+
+
+def _constant_jacobian(rows: Any, x: Any, p: Any) -> ca.DM | None:
+    """The Jacobian of rows that are linear in x and know no parameter; else nothing."""
+    if rows.is_empty() or x.is_empty() or not p.is_empty() or any(ca.which_depends(rows, x, 2, True)):
+        return None
+    function = ca.Function("rows", [x], [rows])
+    n, origin = x.shape[0], ca.DM.zeros(x.shape[0])
+    columns = function.forward(1).map(n)(
+        ca.repmat(origin, 1, n), ca.repmat(function(origin), 1, n), ca.DM.eye(n)
+    )
+    if not columns.is_regular():
+        return None
+    return ca.project(columns, function.jac_sparsity(0, 0))
 
 
 def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int, empty: bool) -> IntArray:
