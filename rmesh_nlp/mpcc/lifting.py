@@ -43,6 +43,8 @@ class Lifted:
         ``(z, p) -> (f, gradient)``, ``(z, p) -> (rows, nonzeros of their Jacobian)`` and ``(z, p, lam_f,
         lam_rows) -> nonzeros of the upper triangle`` of the Lagrangian's Hessian (None: not known). The last
         parameter is the weight of the objective.
+    base : Derivatives
+        Of the source problem, its rows ``vertcat(g, G, H)``.
     source_values : Evaluator
         ``(x, p) -> (f, vertcat(g, G, H))`` of the source problem.
     member : bool array
@@ -57,6 +59,7 @@ class Lifted:
     value: Evaluator
     jacobian: Evaluator
     hessian: Evaluator | None
+    base: Derivatives
     source_values: Evaluator
     member: NDArray[np.bool_]
 
@@ -146,6 +149,7 @@ def lift(mpcc: MPCC) -> Lifted:
         value=Evaluator(nlp.derivatives.grad_f),
         jacobian=Evaluator(nlp.derivatives.jac_g),
         hessian=None if nlp.derivatives.hess_lag is None else Evaluator(nlp.derivatives.hess_lag),
+        base=derivatives,
         source_values=Evaluator(ca.Function("source", [x, p], [f, column])),
         member=member,
     )
@@ -179,6 +183,10 @@ def _pure(mpcc: MPCC) -> tuple[Any, Any, Any, Any]:
     return x, p, column, f
 
 
+DENSE = 0.1
+"""Part of the entries of a Jacobian that are not zero, from which on it counts as dense."""
+
+
 def automatic_derivatives(x: Any, p: Any, f: Any, g: Any) -> Derivatives:
     """CasADi's own derivatives, made once and shared by every NLP built on the oracle.
 
@@ -203,10 +211,15 @@ def automatic_derivatives(x: Any, p: Any, f: Any, g: Any) -> Derivatives:
 
 
 def _constant_jacobian(rows: Any, x: Any, p: Any) -> ca.DM | None:
-    """The Jacobian of rows that are linear in x and know no parameter; else nothing."""
+    """The Jacobian of rows that are linear in x and know no parameter; else nothing.
+
+    Nor of sparse ones, whose symbolic Jacobian takes few sweeps and less time than a sweep per unknown.
+    """
     if rows.is_empty() or x.is_empty() or not p.is_empty() or any(ca.which_depends(rows, x, 2, True)):
         return None
     function = ca.Function("rows", [x], [rows])
+    if function.jac_sparsity(0, 0).density() < DENSE:
+        return None
     n, origin = x.shape[0], ca.DM.zeros(x.shape[0])
     columns = function.forward(1).map(n)(
         ca.repmat(origin, 1, n), ca.repmat(function(origin), 1, n), ca.DM.eye(n)

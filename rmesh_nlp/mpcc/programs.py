@@ -17,7 +17,7 @@ from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Duals, Residuals, excess, residuals
 from rmesh_nlp.optimize.callbacks import Monitor
-from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver
+from rmesh_nlp.optimize.nlp import NLP, Derivatives, NLPResult, Solver
 
 BoolArray = NDArray[np.bool_]
 _CLOCK = 2000  # unknowns of a problem whose clock is looked at after every iteration
@@ -95,7 +95,7 @@ class Programs:
         self._watch.monitor = monitor
         source, lifted = self.lifted.source, self.lifted
         if self._unlifted is None:
-            self._unlifted = unlifted_program(source)
+            self._unlifted = unlifted_program(source, lifted.base)
         options = self.options.unlifted(source.n_x)
         solver = self._solver(("unlifted",), self._unlifted, options, monitor is not None)
         result = solver(x, p=np.append(p, t))
@@ -241,23 +241,45 @@ def relaxed_program(lifted: Lifted, name: str) -> Relaxed:
     return Relaxed(nlp, Evaluator(ca.Function("pull", [a, b, s, lam], forces)))
 
 
-def unlifted_program(mpcc: MPCC) -> NLP:
+def unlifted_program(mpcc: MPCC, base: Derivatives) -> NLP:
     """Scholtes' relaxation as one writes it first: rows ``g``, ``G >= 0``, ``H >= 0``, ``G H <= t``.
 
-    Parameters after those of the source problem: weight of the objective, and t.
+    Parameters after those of the source problem: weight of the objective, and t. Derivatives are composed
+    of those of the source: symbolic ones of the products take CasADi long where pairs are dense.
     """
-    kind, n = type(mpcc.x), mpcc.n_pairs
-    w, t = kind.sym("w"), kind.sym("t")
+    n, n_g, n_p = mpcc.n_pairs, mpcc.n_g, mpcc.p.shape[0]
+    x, parameters = ca.MX.sym("x", mpcc.n_x), ca.MX.sym("p", n_p + 2)
+    p, w, t = ca.vertsplit(parameters, [0, n_p, n_p + 1, n_p + 2])
+    ends = [0, n_g, n_g + n, n_g + 2 * n]
+    f, gradient = (w * ca.densify(part) for part in base.grad_f(x, p))
+    rows, jacobian = base.jac_g(x, p)
+    _, G, H = ca.vertsplit(ca.densify(rows), ends)
+    _, J_G, J_H = ca.vertsplit(jacobian, ends)
+    g = ca.vertcat(ca.densify(rows), G * H - t)
+    lam_f, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_g + 3 * n)
+    lam_g, lam_G, lam_H, products = ca.vertsplit(lam, [*ends, n_g + 3 * n])
+    hess_lag = None
+    if base.hess_lag is not None:
+        each = base.hess_lag(x, p, w * lam_f, ca.vertcat(lam_g, lam_G + products * H, lam_H + products * G))
+        mixed = ca.mtimes(J_G.T, ca.mtimes(ca.diag(products), J_H))
+        hess_lag = ca.Function("nlp_hess_l", [x, parameters, lam_f, lam], [each + ca.triu(mixed + mixed.T)])
     free, zero = np.full(2 * n, np.inf), np.zeros(n)
+    product_rows = ca.mtimes(ca.diag(H), J_G) + ca.mtimes(ca.diag(G), J_H)
     return NLP(
-        x=mpcc.x,
-        p=ca.vertcat(mpcc.p, w, t),
-        f=w * mpcc.f,
-        g=ca.vertcat(mpcc.g, mpcc.G, mpcc.H, mpcc.G * mpcc.H - t),
+        x=x,
+        p=parameters,
+        f=f,
+        g=g,
         lbx=np.asarray(mpcc.lbx),
         ubx=np.asarray(mpcc.ubx),
         lbg=np.concatenate([np.asarray(mpcc.lbg), np.zeros(2 * n), np.full(n, -np.inf)]),
         ubg=np.concatenate([np.asarray(mpcc.ubg), free, zero]),
+        derivatives=Derivatives(
+            grad_f=ca.Function("nlp_grad_f", [x, parameters], [f, gradient]),
+            jac_g=ca.Function("nlp_jac_g", [x, parameters], [g, ca.vertcat(jacobian, product_rows)]),
+            hess_lag=hess_lag,
+            kernels=base.kernels,
+        ),
     )
 
 

@@ -7,7 +7,8 @@ import pytest
 from rmesh_nlp.mpcc import MPCC, Options, solve
 from rmesh_nlp.mpcc.finish import Finish, finish
 from rmesh_nlp.mpcc.homotopy import Path, follow
-from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.lifting import automatic_derivatives, lift
+from rmesh_nlp.mpcc.programs import Programs, unlifted_program
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.second import second_look
 from rmesh_nlp.mpcc.solver import _choose
@@ -108,3 +109,39 @@ def test_an_exact_point_above_the_ceiling_is_left():
     z = np.array([1e-3, 1.0])  # next to the minimum 4
     assert finish(run, z, search=False, ceiling=3.0).status is Status.WORSE
     assert finish(run, z, search=False, ceiling=5.0).solved
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_derivatives_of_the_unlifted_program_are_those_of_casadi(kind):
+    x, p = kind.sym("x", 3), kind.sym("p", 1)
+    G, H = ca.vertcat(x[0] * x[1], x[2]), ca.vertcat(x[1] + p, ca.exp(x[0]) * x[2])
+    mpcc = MPCC(x, ca.sumsqr(x - 1) * x[2], x[0] ** 3 - x[1], G, H, p=p, lbg=0, ubg=0)
+    nlp = unlifted_program(mpcc, lift(mpcc).base)
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nlp.n_g)
+    rows = [nlp.f, ca.gradient(nlp.f, nlp.x), nlp.g, ca.jacobian(nlp.g, nlp.x)]
+    hessian = ca.triu(ca.hessian(lam_f * nlp.f + ca.dot(lam_g, nlp.g), nlp.x)[0])
+    given = ca.Function("given", [nlp.x, nlp.p, lam_f, lam_g], [*rows, hessian])
+    at = np.random.default_rng(3)
+    point, parameters, weight, lam = at.normal(size=3), at.normal(size=3), 0.7, at.normal(size=nlp.n_g)
+    f, gradient, g, jacobian, second = given(point, parameters, weight, lam)
+    derivatives = nlp.derivatives
+    ours = [
+        *derivatives.grad_f(point, parameters),
+        *derivatives.jac_g(point, parameters),
+        derivatives.hess_lag(point, parameters, weight, lam),
+    ]
+    for mine, casadi in zip(ours, [f, gradient, g, jacobian, second], strict=True):
+        np.testing.assert_allclose(np.array(ca.DM(mine)), np.array(ca.DM(casadi)), rtol=1e-11, atol=1e-12)
+
+
+def test_constant_derivatives_are_numbers_and_the_same():
+    random = np.random.default_rng(0)
+    Q, A = random.normal(size=(12, 12)), random.normal(size=(5, 12))
+    x, p = ca.SX.sym("x", 12), ca.SX(0, 1)
+    f, g = ca.bilin(ca.DM(Q), x, x) + x[0], ca.mtimes(ca.DM(A), x) - 1
+    derivatives = automatic_derivatives(x, p, f, g)
+    point, none = random.normal(size=12), np.zeros((0, 1))
+    upper = derivatives.hess_lag(point, none, 2.0, np.ones(5))
+    np.testing.assert_allclose(np.array(upper), np.triu(2 * (Q + Q.T)), rtol=1e-12)
+    np.testing.assert_allclose(np.array(derivatives.jac_g(point, none)[1]), A, rtol=1e-14)
+    assert derivatives.hess_lag.n_instructions() < 500
