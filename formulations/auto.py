@@ -22,7 +22,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.cascade import CascadeResult, CascadeSettings, cascade
+from rmesh_nlp.programs.cascade import CascadeResult, cascade
+from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.energy_flips import flips_and_moves
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
@@ -263,6 +264,9 @@ def _large_moves(
                 "seconds": seconds,
             }
             solution = replace(better, extra={**better.extra, "finish": figures})
+    if watch.is_late() and solution.status not in (Status.CONVERGED, watch.stopped) and solution.valid:
+        # the time was up on the way to a point that was not taken
+        solution = replace(solution, status=watch.stopped)
     # never a mesh that is worse than the one given
     worse = not solution.energy_initial_audited >= solution.audit.energy_audited
     if worse and watch.stopped:

@@ -24,90 +24,25 @@ import numpy as np
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.acceptance import accepted, penetration_at
+from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.levels import coarsened
 from rmesh_nlp.programs.outer_solvers import StoppedError
 from rmesh_nlp.programs.prolongation import prolonged
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.programs.regularisation import gain_estimate, regularised, weights
-from rmesh_nlp.settings import Settings, check_positive
+from rmesh_nlp.programs.regularisation import gain_estimate, regularised
 
 OnMove = Callable[[int, ReducedEnergy, Array, float], bool | None]
 """``(iteration, energy, moves, value)`` of a level; the descent stops if it returns True."""
 
 IsLate = Callable[[], bool]
 """Whether the time is up; asked before each program is stated and each mesh is coarsened."""
-
-
-@dataclass(frozen=True)
-class CascadeSettings(Settings):
-    """Settings of the cascade, chosen on Example 6.1 with 8 to 128 squares a side.
-
-    docs/notes/large_moves.md has what other values gave, also on other problems.
-
-    Attributes
-    ----------
-    regularisation : float
-        Final weight of the distortion, relative to the estimated error of the energy.
-    distortion : str
-        See :mod:`rmesh_nlp.fem.distortion`.
-    schedules : tuple of tuples of float
-        Weights before the final one on the coarsest mesh, relative to the error too; the best end counts.
-    coarsest : int
-        Least number of nodes of the coarsest mesh.
-    thorough : int
-        Largest number of nodes of a mesh, short of the finest, that is solved to the end.
-    end : float
-        A thorough descent ends where the model predicts less than this part of the gain; ...
-    continued : float
-        ... at the weights before the final one, less than this part.
-    iterations : int
-        Limit of a thorough descent.
-    brief, brief_unnested : int
-        Iterations on the other meshes, where they are uniform refinements of the next coarser one
-        and where they are not: a map is then prolonged less well.
-    stationary : int
-        Largest number of nodes of a given mesh on which ``auto`` goes on to a stationary point.
-    finish : int
-        Limit of the iterations of that.
-    """
-
-    regularisation: float = 0.003
-    distortion: str = "shape-size"
-    schedules: tuple[tuple[float, ...], ...] = ((1.0, 0.1),)
-    coarsest: int = 60
-    thorough: int = 1200
-    end: float = 1e-3
-    continued: float = 1e-2
-    iterations: int = 60
-    brief: int = 8
-    brief_unnested: int = 20
-    stationary: int = 1200
-    finish: int = 120
-
-    def __post_init__(self) -> None:
-        check_positive(
-            coarsest=self.coarsest,
-            thorough=self.thorough,
-            end=self.end,
-            continued=self.continued,
-            iterations=self.iterations,
-            brief=self.brief,
-            brief_unnested=self.brief_unnested,
-            finish=self.finish,
-        )
-        regularised(1.0, self.regularisation, self.distortion)
-        if not self.regularisation > 0:
-            raise BadInputError("the cascade needs a regularisation above 0: it keeps the elements valid")
-        for schedule in self.schedules:
-            weights((*schedule, self.regularisation), "a schedule of the cascade")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ import numpy as np
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.cascade import CascadeSettings, cascade
+from rmesh_nlp.programs.cascade import cascade
+from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.energy_flips import flip_edges
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves

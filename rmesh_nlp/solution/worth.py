@@ -19,7 +19,8 @@ from rmesh_nlp.contact.setup_warnings import bought_gain
 from rmesh_nlp.display import figure
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.cascade import CascadeSettings, cascade
+from rmesh_nlp.programs.cascade import cascade
+from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.hr import EFFECTIVITY
 from rmesh_nlp.programs.levels import refined
 from rmesh_nlp.programs.refinement import edge_gains

@@ -26,8 +26,10 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.programs import cascade as of_cascade
 from rmesh_nlp.programs.acceptance import accepted, without_penetration
-from rmesh_nlp.programs.cascade import CascadeSettings, cascade
+from rmesh_nlp.programs.cascade import cascade
+from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.solution import referee as of_referee
 
 
@@ -209,3 +211,16 @@ def test_a_map_is_halved_until_it_lowers_the_energy() -> None:
     assert 0 < part < 1
     np.testing.assert_array_equal(taken, part * far)
     assert without_penetration(energy, taken) < without_penetration(energy, zero)
+
+
+def test_a_time_limit_on_the_way_to_a_stationary_point_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def late(*given, **options):
+        monkeypatch.setattr(auto._Watch, "seconds", property(lambda _: 1e6))
+        return finished(*given, **options)
+
+    monkeypatch.setattr(auto, "finished", late)
+    row = auto.solve(no_boxes(EXAMPLES["6.1"](n=4))).record()
+    assert row["status"] == "time_limit"
+    assert row["valid"]
+    assert row["gain_audited"] > 0
+    assert row.get("worth") is None
