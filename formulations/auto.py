@@ -266,7 +266,7 @@ def _large_moves(
             solution = replace(better, extra={**better.extra, "finish": figures})
     if watch.is_late() and solution.status not in (Status.CONVERGED, watch.stopped) and solution.valid:
         # the time was up on the way to a point that was not taken
-        solution = replace(solution, status=watch.stopped)
+        solution = replace(solution, status=watch.stopped or solution.status)
     # never a mesh that is worse than the one given
     worse = not solution.energy_initial_audited >= solution.audit.energy_audited
     if worse and watch.stopped:
