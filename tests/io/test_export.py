@@ -67,6 +67,20 @@ def test_all_fields_are_in_the_file(solution: Solution, tmp_path: Path) -> None:
     )  # rmesh figures reads it
 
 
+def test_ratios_of_areas_and_multipliers_of_boxes_are_in_the_file(solution: Solution, tmp_path: Path) -> None:
+    path = tmp_path / "s.vtu"
+    write_solution(solution, path)
+    file = meshio.read(path)
+    np.testing.assert_array_equal(file.point_data["box_multiplier"], solution.multipliers.box)
+    assert np.any(file.point_data["box_multiplier"] != 0)
+    areas = []
+    for points in (file.point_data["initial_position"], file.points):
+        (x0, y0), (x1, y1), (x2, y2) = (points[file.cells[0].data[:, k], :2].T for k in range(3))
+        areas.append((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
+    np.testing.assert_allclose(file.cell_data["area_ratio"][0], areas[1] / areas[0], rtol=1e-12)
+    assert np.ptp(areas[1] / areas[0]) > 0.01
+
+
 def test_multipliers_of_angles_are_in_the_file(problem: ContactProblem, tmp_path: Path) -> None:
     limited = joint.solve(replace(problem, motion=Motion(Relative(0.9), min_angle=25.0)))
     path = tmp_path / "angles.vtu"
