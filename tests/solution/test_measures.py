@@ -6,49 +6,37 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.verdicts import GOOD
 
 from formulations import fixed, joint
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.nlp import Status
-from rmesh_nlp.solution.audit import Audit
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.verdict import Measured, Verdict, verdict
-
-MEASURED = Measured(
-    audit=Audit(-1.1, 1e-9, 1e-9, 0.5, 0.0, 0.0),
-    contact=Status.CONVERGED,
-    consistent=True,
-    gain=0.1,
-    gain_audited=0.1,
-    decrease=0.1,
-    size=1.0,
-    is_energy=True,
-    stationary=True,
-)
 
 
 @pytest.mark.parametrize(
     ("said", "measured", "judged"),
     [
-        (Status.STALLED, MEASURED, Verdict(True, True, True, True, Status.CONVERGED)),
+        (Status.STALLED, GOOD, Verdict(True, True, True, True, Status.CONVERGED)),
         (
             Status.CONVERGED,
-            replace(MEASURED, stationary=False),
+            replace(GOOD, stationary=False),
             Verdict(True, True, False, True, Status.NOT_STATIONARY),
         ),
         (
             Status.CONVERGED,
-            replace(MEASURED, consistent=False),
+            replace(GOOD, consistent=False),
             Verdict(True, True, True, False, Status.INACCURATE),
         ),
         (
             Status.CONVERGED,
-            replace(MEASURED, gain=-0.1, gain_audited=-0.1, decrease=-0.1),
+            replace(GOOD, gain=-0.1, gain_audited=-0.1, decrease=-0.1),
             Verdict(True, False, True, False, Status.WORSE),
         ),
         (
             Status.CONVERGED,
-            replace(MEASURED, contact=Status.CYCLED),
+            replace(GOOD, contact=Status.CYCLED),
             Verdict(False, True, True, False, Status.CYCLED),
         ),
     ],

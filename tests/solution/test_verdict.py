@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from support.verdicts import GOOD
 
 from formulations import fixed, joint, nested
 from rmesh_nlp.contact.sensitivity import weakly_active
@@ -18,21 +19,9 @@ from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, Plan
 from rmesh_nlp.problem.quadrature import polynomial_degree
 from rmesh_nlp.solution import audit as auditing
 from rmesh_nlp.solution import referee as refereeing
-from rmesh_nlp.solution.audit import Audit, equilibrium_residual, law_residual
+from rmesh_nlp.solution.audit import equilibrium_residual, law_residual
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.verdict import Measured, verdict
-
-GOOD = Measured(
-    audit=Audit(-1.1, 1e-9, 1e-9, 0.5, 0.0, 0.0),
-    contact=Status.CONVERGED,
-    consistent=True,
-    gain=0.1,
-    gain_audited=0.1,
-    decrease=0.1,
-    size=1.0,
-    is_energy=True,
-    stationary=True,
-)
 
 
 def with_audit(**changes: Any) -> Measured:
