@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from formulations import auto, nested
+from formulations import auto, auto_cascade, nested
+from formulations.auto_watch import Watch
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.errors import BadInputError
@@ -215,10 +216,10 @@ def test_a_map_is_halved_until_it_lowers_the_energy() -> None:
 
 def test_a_time_limit_on_the_way_to_a_stationary_point_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def late(*given, **options):
-        monkeypatch.setattr(auto._Watch, "seconds", property(lambda _: 1e6))
+        monkeypatch.setattr(Watch, "seconds", property(lambda _: 1e6))
         return finished(*given, **options)
 
-    monkeypatch.setattr(auto, "finished", late)
+    monkeypatch.setattr(auto_cascade, "finished", late)
     row = auto.solve(no_boxes(EXAMPLES["6.1"](n=4))).record()
     assert row["status"] == "time_limit"
     assert row["valid"]
