@@ -3,7 +3,8 @@
 Each round starts ``rmesh study`` and ends something by ``kill -9`` after a random time: the client (with a
 local cluster that is the scheduler as well), one of its workers, or a process in which a solve runs. Then
 the same command runs again. With ``--speed`` the same solves are first done one after the other in one
-process, and the study's time is set against half of theirs.
+process, and the study's time is set against half of theirs; so is the time of as many plain processes side
+by side, each with its share of the solves, which is what the machine allows.
 
     python scripts/soak_study.py                          2000 solves, 20 kills, 2 jobs
     python scripts/soak_study.py --solves 12 --kills 2
@@ -25,7 +26,7 @@ from contextlib import suppress
 from pathlib import Path
 
 STUDY = """
-random = {{ seed = 0, count = {count} }}
+random = {{ seed = {seed}, count = {count} }}
 strategies = ["fixed", "joint"]
 fields = false
 """
@@ -77,7 +78,7 @@ def soak(solves: int, kills: int, jobs: int, seed: int, longest: float) -> str:
     rng, seen = random.Random(seed), Counter[str]()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "study.toml").write_text(STUDY.format(count=solves // 2))
+        (folder / "study.toml").write_text(STUDY.format(seed=0, count=solves // 2))
         plan = subprocess.run(
             [*command(folder, jobs), "--dry-run"], capture_output=True, text=True, check=True
         )
@@ -108,19 +109,32 @@ def soak(solves: int, kills: int, jobs: int, seed: int, longest: float) -> str:
     return f"{kept}; {said['succeeded']} succeeded; {killed}"
 
 
+def timed(shares: list[tuple[int, int]], jobs: int) -> float:
+    """Seconds of studies side by side, each with its seeds from a first one on."""
+    with tempfile.TemporaryDirectory() as name:
+        commands = []
+        for seed, count in shares:
+            folder = Path(name) / str(seed)
+            folder.mkdir()
+            (folder / "study.toml").write_text(STUDY.format(seed=seed, count=count))
+            commands.append(command(folder, jobs))
+        began = time.perf_counter()
+        for process in [subprocess.Popen(each, stdout=subprocess.DEVNULL) for each in commands]:
+            process.wait()
+        return time.perf_counter() - began
+
+
 def speed(solves: int, jobs: int) -> str:
     """Time of a study over that of the same solves in one process, divided by the number of jobs."""
-    times = {}
-    for count in (1, jobs):
-        with tempfile.TemporaryDirectory() as name:
-            folder = Path(name)
-            (folder / "study.toml").write_text(STUDY.format(count=solves // 2))
-            began = time.perf_counter()
-            subprocess.run(command(folder, count), capture_output=True, check=False)
-            times[count] = time.perf_counter() - began
-    ratio = times[jobs] / (times[1] / jobs)
-    both = f"one process {times[1]:.1f} s, {jobs} processes {times[jobs]:.1f} s"
-    return f"{both}: {ratio:.2f} times the time of one over {jobs}"
+    count = solves // 2
+    share = -(-count // jobs)
+    shares = [(first, min(share, count - first)) for first in range(0, count, share)]
+    one, plain, study = timed([(0, count)], 1), timed(shares, 1), timed([(0, count)], jobs)
+    half = one / jobs
+    times = (
+        f"one process {one:.1f} s, {jobs} plain ones {plain:.1f} s, a study with {jobs} jobs {study:.1f} s"
+    )
+    return f"{times}; over one / {jobs}: plain {plain / half:.2f}, study {study / half:.2f}"
 
 
 def main(arguments: list[str] | None = None) -> None:

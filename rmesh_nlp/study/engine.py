@@ -138,7 +138,7 @@ def _client(distributed: Any, jobs: int, scheduler: str | None) -> Iterator[Any]
     try:
         try:
             if scheduler is None:
-                with _deaf_to_interrupts():
+                with _deaf_to_interrupts(), _without_profile():
                     cluster = distributed.LocalCluster(
                         n_workers=jobs,
                         threads_per_worker=1,
@@ -169,6 +169,15 @@ def _deaf_to_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _without_profile() -> Iterator[None]:
+    """Workers that are started now do not look at their own stack a hundred times a second."""
+    import dask
+
+    with dask.config.set({"distributed.worker.profile.enabled": False}):
+        yield
 
 
 def _distributed_module() -> Any:

@@ -6,22 +6,18 @@ import functools
 import json
 import os
 import socket
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.io.results import ROWS, Record
+from rmesh_nlp.io.results import Record
 from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import Keys, RowsFile
-
-try:
-    import fcntl
-except ImportError:  # Windows: no such locks there
-    fcntl = None  # type: ignore[assignment]
 
 ALONE = 0.9
 """A solve that got less of its time from the processor shared it with something."""
@@ -44,7 +40,7 @@ class Worker:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._core = _own_core(folder / ROWS)
+        self._core = _own_core()
         self._contained = Contained(None if self._core is None else {self._core[0]})
         self._rows, self._keys = RowsFile(folder), Keys(folder)
         self._noted = False
@@ -72,7 +68,7 @@ class Worker:
         """End the process of the solves and give the core back."""
         self._contained.close()
         if self._core is not None:
-            os.close(self._core[1])
+            self._core[1].close()
             self._core = None
 
 
@@ -97,20 +93,22 @@ def travelling(solve: PlannedSolve) -> dict[str, Any]:
     return asdict(solve)
 
 
-def _own_core(folder: Path) -> tuple[int, int] | None:
-    """A core that no other worker on this machine has for this study, and the lock that says so."""
-    if fcntl is None or not hasattr(os, "sched_getaffinity"):
+def _own_core() -> tuple[int, socket.socket] | None:
+    """A core that no other worker on this machine has, and the socket that says so (Linux).
+
+    Of a name in the abstract namespace there is one socket on a machine, whatever the study, and the
+    system takes it back when its process ends, also by ``kill -9``.
+    """
+    if sys.platform != "linux":
         return None
-    folder.mkdir(parents=True, exist_ok=True)
     for core in sorted(os.sched_getaffinity(0)):
-        path = folder / f".core-{socket.gethostname()}-{core}"
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        holder = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            holder.bind(f"\0rmesh-nlp-core-{core}")
         except OSError:
-            os.close(descriptor)
+            holder.close()
         else:
-            return core, descriptor
+            return core, holder
     return None
 
 
