@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import regularised
-from rmesh_nlp.programs.stationary import finished
+from rmesh_nlp.programs.stationary import Finish, finished
 from rmesh_nlp.solution.referee import OnStep, Referee
 from rmesh_nlp.solution.solution import Solution
 
@@ -37,7 +38,7 @@ def solve_by_cascade(
 ) -> Solution:
     """Solve without boxes over a cascade of meshes; the result is judged on the problem as given."""
     rule = first_rule(problem)
-    watch = Watch(problem, time_limit_s, on_step)
+    watch = Watch(problem, settings, time_limit_s, on_step)
     stated = replace(problem, quadrature=rule)
     result = watch.run(lambda: cascade(stated, settings, watch, watch.is_late))
     objective = result.objective if result else "energy"
@@ -61,41 +62,43 @@ def solve_by_cascade(
 
     status = result.status if result else Status.FAILED
     while True:
-        referee = Referee(stated, objective)
-        solution = judged(referee, q, status)
+        referee = watch.to_its_end(partial(Referee, stated, objective))
+        solution = watch.to_its_end(partial(judged, referee, q, status))
         higher = next_rule(stated)
         if watch.is_late() or agrees(solution) or higher is None or result is None:
             break
         rules.append(higher)
         stated = replace(problem, quadrature=higher)
-        referee = Referee(stated, objective)
-        q, status, more = _corrected(referee.reduced, q, result, settings, watch)
+        referee = watch.to_its_end(partial(Referee, stated, objective))
+        corrected = watch.run(partial(_corrected, referee.reduced, q, result, settings, watch))
+        if corrected is None:  # stopped
+            q = watch.best(stated)
+            continue
+        q, status, more = corrected
         solves += more
     residual = solution.stationarity_residual
     if result and not watch.is_late() and residual > tolerance and q.size and is_small(problem, settings):
         began, before = time.process_time(), referee.reduced.contact_solves
-        last = finished(
-            referee.reduced,
-            q,
-            referee.residual(referee.reduced),
-            tolerance=tolerance,
-            reference=referee.reduced(q).value + result.gain_estimate,
-            max_iterations=settings.finish,
-            on_step=lambda iteration, x, value: watch(iteration, referee.reduced, x, value),
-        )
+        last = watch.run(partial(_finished, referee, q, result, settings, tolerance, watch))
+        if last is None:  # stopped
+            q, status = watch.best(stated), Status.FAILED
+        else:
+            q, status = last.result.x, last.result.status
         seconds = time.process_time() - began
         more = referee.reduced.contact_solves - before
         solves += more
-        better = judged(referee, last.result.x, last.result.status)
+        better = judged(referee, q, status)
         if better.success and (agrees(better) or not agrees(solution)):
-            figures = {
-                "iterations": last.result.iterations,
-                "products": last.result.products,
-                "contact_solves": more,
-                "factorisations": last.factorisations,
-                "seconds": seconds,
-            }
-            solution = replace(better, extra={**better.extra, "finish": figures})
+            solution = better
+            if last is not None:
+                figures = {
+                    "iterations": last.result.iterations,
+                    "products": last.result.products,
+                    "contact_solves": more,
+                    "factorisations": last.factorisations,
+                    "seconds": seconds,
+                }
+                solution = replace(better, extra={**better.extra, "finish": figures})
     if watch.is_late() and solution.status not in (Status.CONVERGED, watch.stopped) and solution.valid:
         # the time was up on the way to a point that was not taken
         solution = replace(solution, status=watch.stopped or solution.status)
@@ -132,6 +135,27 @@ def _corrected(
         on_step=lambda iteration, x, value: watch(iteration, energy, x, value),
     )
     return found.x, found.status, energy.contact_solves
+
+
+def _finished(
+    referee: Referee,
+    q: Array,
+    result: CascadeResult,
+    settings: CascadeSettings,
+    tolerance: float,
+    watch: Watch,
+) -> Finish:
+    """The way to a stationary point from the end of the cascade."""
+    energy = referee.reduced
+    return finished(
+        energy,
+        q,
+        referee.residual(energy),
+        tolerance=tolerance,
+        reference=energy(q).value + result.gain_estimate,
+        max_iterations=settings.finish,
+        on_step=lambda iteration, x, value: watch(iteration, energy, x, value, ends=False),
+    )
 
 
 def _figures(

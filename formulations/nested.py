@@ -34,6 +34,7 @@ from rmesh_nlp.solution.history import TIME_LIMIT_S, Watch
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
 from rmesh_nlp.solution.solution import Solution, Step
+from rmesh_nlp.solution.time_left import Falling
 
 
 def solve(
@@ -141,7 +142,7 @@ def solve(
         residual = referee.residual(function)
         program = reduced_nlp(referee.relocation, function, referee.is_valid, residual, tolerance)
     begin = beginning(referee, start, seed, objective=objective, time_limit_s=time_limit_s)
-    recorder = _Recorder(referee, function, residual, on_step, time_limit_s)
+    recorder = _Recorder(referee, function, residual, on_step, time_limit_s, chosen.enough)
     warm = begin.name not in ("given", "random")
     program = replace(program, out_of_time=lambda: recorder.remaining == 0.0, warm=warm)
     finish = recorder.run(lambda: _run(outer, program, begin.q, recorder, chosen))
@@ -201,8 +202,10 @@ class _Recorder(Watch):
         residual: OuterResidual,
         on_step: OnStep | None,
         time_limit_s: float,
+        enough: float | None,
     ) -> None:
         super().__init__(referee, on_step, time_limit_s)
+        self._decrease = None if enough is None else Falling(enough)
         self._function, self._residual = function, residual
         self.steps: list[Step] = []
 
@@ -212,9 +215,27 @@ class _Recorder(Watch):
         solves, seconds = self._function.contact_solves, self.referee.clock.elapsed
         energy, objective = point.equilibrium.energy, point.value
         step = Step(
-            iteration, energy, 0.0, 0.0, residual, solves, seconds, objective=objective, stationarity=residual
+            iteration,
+            energy,
+            0.0,
+            0.0,
+            residual,
+            solves,
+            seconds,
+            objective=objective,
+            stationarity=residual,
+            seconds_left=self._seconds_left(seconds, objective),
         )
         self.steps.append(step)
         if self.on_step is not None:
             self.on_step(replace(step, q=q.copy()))
         return self.note(q, point.value)
+
+    def _seconds_left(self, seconds: float, value: float) -> float:
+        """A guess where the descent ends as soon as a step is not worth taking: each is worth less."""
+        if self._decrease is None or not self.steps:
+            return float("nan")
+        gain = self.steps[0].objective - value
+        self._decrease(seconds, (self.steps[-1].objective - value) / gain if gain > 0 else 0.0)
+        left = self._decrease.seconds_left
+        return float("nan") if left is None else left

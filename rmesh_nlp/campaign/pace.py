@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-
-import numpy as np
 
 from rmesh_nlp.solution.solution import Step
+from rmesh_nlp.solution.time_left import Falling
 
 TOLERANCE = 1e-6
 """Residual at which strategies stop by default."""
-
-MEMORY = 12
-"""Steps that the guess of the time left is made from."""
-
-LONGEST = 86400.0
-"""A guess of more seconds than this is none."""
 
 
 class Pace:
     """Follows the steps of one solve.
 
-    The time left is a guess: the residual falls on in time as it did over the last steps, on a
-    logarithmic scale.
+    The time left is a guess: that of the strategy, if it has one, else the residual falls on in time as it
+    did over the last steps, on a logarithmic scale. Where neither is known the time limit is said.
+
+    Parameters
+    ----------
+    limit : float, optional
+        Seconds after which the strategy stops.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, limit: float | None = None) -> None:
         self._first: float | None = None
-        self._last: deque[tuple[float, float]] = deque(maxlen=MEMORY)
+        self._falling = Falling(TOLERANCE)
         self._step: Step | None = None
+        self._limit = limit
 
     def __call__(self, step: Step) -> None:
         """Note a step."""
@@ -37,8 +35,8 @@ class Pace:
         if self._first is None and math.isfinite(step.energy):
             self._first = step.energy
         residual = self.residual
-        if residual is not None and residual > 0:
-            self._last.append((step.seconds, math.log10(residual)))
+        if residual is not None:
+            self._falling(step.seconds, residual)
 
     @property
     def residual(self) -> float | None:
@@ -50,22 +48,28 @@ class Pace:
 
     @property
     def gain(self) -> float | None:
-        """Energy of the first step less that of the last."""
+        """Energy of the mesh as given, or else of the first step, less that of the last step."""
         if self._step is None or self._first is None or not math.isfinite(self._step.energy):
             return None
-        return self._first - self._step.energy
+        given = self._step.energy_given
+        return (given if math.isfinite(given) else self._first) - self._step.energy
 
     @property
     def seconds_left(self) -> float | None:
-        """A guess; None where the residual does not fall."""
-        if len(self._last) < MEMORY // 2:
+        """A guess, not beyond the time limit; None where there is none."""
+        if self._step is None:
             return None
-        seconds, logs = np.array(self._last).T
-        if np.ptp(seconds) == 0:
+        guess: float | None = self._step.seconds_left
+        if guess is None or not math.isfinite(guess):
+            guess = self._falling.seconds_left
+        longest = self._longest
+        return guess if guess is None or longest is None else min(guess, longest)
+
+    @property
+    def _longest(self) -> float | None:
+        if self._step is None or self._limit is None:
             return None
-        rate = np.polyfit(seconds - seconds[0], logs, 1)[0]
-        left = (logs[-1] - math.log10(TOLERANCE)) / -rate if rate < 0 else math.inf
-        return float(max(left, 0.0)) if left < LONGEST else None
+        return max(self._limit - self._step.seconds, 0.0)
 
     def text(self) -> str:
         """One line about the last step."""
@@ -78,7 +82,13 @@ class Pace:
             parts.append(f"gain {self.gain:.3g}")
         if self.residual is not None:
             parts.append(f"residual {self.residual:.1e}")
-        left = self.seconds_left
+        left, longest = self.seconds_left, self._longest
         if left is not None:
-            parts.append(f"perhaps {left:.0f} s left" if left < 120 else f"perhaps {left / 60:.0f} min left")
+            parts.append(f"perhaps {_words(left)} left")
+        elif longest is not None:
+            parts.append(f"at most {_words(longest)} left")
         return ", ".join(parts)
+
+
+def _words(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.campaign.pace import Pace
 from rmesh_nlp.io.results import Record
+from rmesh_nlp.solution.history import TIME_LIMIT_S
 from rmesh_nlp.solution.solution import Step
 
 EVERY_S = 10.0
@@ -63,7 +64,8 @@ class CampaignProgress:
     def start(self, case: Case) -> None:
         """A solve begins."""
         self._name = f"{case.problem.name} {case.formulation}"
-        self._pace, self._said = Pace(), time.monotonic()
+        limit = None if case.options.keys() & {"starts", "levels"} else case.options.get("time_limit_s")
+        self._pace, self._said = Pace(limit or TIME_LIMIT_S), time.monotonic()
         self._bar.update(self._task, description=self._name)
 
     def step(self, step: Step) -> None:

@@ -39,7 +39,8 @@ def solve(
         typer.Option(
             "--formulation",
             "-f",
-            help="fixed, nested, joint, mpcc, or one you installed. Default: that of the file, or joint.",
+            help="fixed, nested, joint, mpcc, auto, or one you installed. Default: joint; of a file "
+            "what it names, or auto.",
         ),
     ] = None,
     n: Size = None,

@@ -58,6 +58,11 @@ class Step:
     stationarity : float
         First-order residual of the outer problem at the moves, by the measure of records; NaN where it
         was not measured.
+    energy_given : float
+        Energy on the mesh of this step before any node moved, where the meshes of a descent differ.
+    seconds_left : float
+        What the strategy guesses that the rest of the descent takes; NaN where it has no guess. It is
+        for progress, like ``energy_given``, and no part of a history.
     """
 
     iteration: int
@@ -72,6 +77,8 @@ class Step:
     product: float = float("nan")
     biactive: float = float("nan")
     stationarity: float = float("nan")
+    energy_given: float = field(default=float("nan"), repr=False, compare=False)
+    seconds_left: float = field(default=float("nan"), repr=False, compare=False)
 
 
 @dataclass(frozen=True)

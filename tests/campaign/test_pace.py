@@ -1,5 +1,7 @@
 """Progress of a solve: gain, residual, a guess of the time left."""
 
+import math
+
 import pytest
 
 from rmesh_nlp.campaign.pace import TOLERANCE, Pace
@@ -19,8 +21,6 @@ def test_the_time_left_follows_the_fall_of_the_residual() -> None:
     assert pace.gain == pytest.approx(0.9)
     assert pace.residual == pytest.approx(0.5**9)
     # seconds until 0.5**k is the tolerance, less those that have passed
-    import math
-
     assert pace.seconds_left == pytest.approx(math.log(TOLERANCE) / math.log(0.5) - 9, rel=1e-6)
     assert pace.text() == "iteration 9, J = -1.9, gain 0.9, residual 2.0e-03, perhaps 11 s left"
 
@@ -29,3 +29,26 @@ def test_nothing_is_guessed_of_a_residual_that_does_not_fall() -> None:
     assert steps(10, 1.0).seconds_left is None
     assert steps(3, 0.5).seconds_left is None
     assert Pace().text() == ""
+
+
+def test_the_guess_of_a_strategy_goes_first_and_the_time_limit_bounds_it() -> None:
+    pace = Pace(limit=100.0)
+    for k in range(10):
+        pace(Step(k, -1.0, 0.0, 0.0, 0.5**k, 0, 10.0 * k, seconds_left=40.0 - 3 * k))
+    # 60 iterations of this residual would follow, the strategy knows of fewer, the limit leaves less
+    assert pace.seconds_left == pytest.approx(10.0)
+    assert pace.text().endswith("perhaps 10 s left")
+
+
+def test_where_nothing_can_be_guessed_the_time_limit_is_said() -> None:
+    pace = Pace(limit=600.0)
+    pace(Step(0, -1.0, 0.0, 0.0, float("nan"), 0, 60.0))
+    assert pace.text() == "iteration 0, J = -1, gain 0, residual 0.0e+00, at most 9 min left"
+
+
+def test_a_gain_counts_from_the_mesh_that_the_step_is_on() -> None:
+    pace = Pace()
+    pace(Step(0, -1.0, 0.0, 0.0, 1.0, 0, 0.0, energy_given=-0.9))
+    assert pace.gain == pytest.approx(0.1)
+    pace(Step(1, -5.0, 0.0, 0.0, 1.0, 0, 1.0, energy_given=-4.8))  # a finer mesh has a lower energy
+    assert pace.gain == pytest.approx(0.2)

@@ -1,5 +1,7 @@
 """What is chosen for a problem, the cascade behind it, and that the record says so."""
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
@@ -32,6 +34,7 @@ from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.solution import referee as of_referee
+from rmesh_nlp.solution.solution import Step
 
 
 def no_boxes(problem: ContactProblem) -> ContactProblem:
@@ -225,3 +228,55 @@ def test_a_time_limit_on_the_way_to_a_stationary_point_is_said(monkeypatch: pyte
     assert row["valid"]
     assert row["gain_audited"] > 0
     assert row.get("worth") is None
+
+
+class Interrupting:
+    """Ctrl-C in the first step that ``when`` is true of."""
+
+    def __init__(self, when: Callable[[Step], bool]) -> None:
+        self.when, self.steps, self.pressed = when, [], False
+
+    def __call__(self, step: Step) -> None:
+        self.steps.append(step)
+        if not self.pressed and self.when(step):
+            self.pressed = True
+            raise KeyboardInterrupt
+
+
+def test_ctrl_c_on_a_coarse_mesh_keeps_the_map_that_there_is() -> None:
+    problem = no_boxes(EXAMPLES["6.1"](n=16))
+    press = Interrupting(lambda step: step.iteration == 6)
+    solution = auto.solve(problem, on_step=press)
+    assert press.pressed
+    assert all(step.q is None for step in press.steps)  # the given mesh was not reached
+    assert solution.status is Status.INTERRUPTED
+    assert solution.valid
+    assert solution.record()["gain_audited"] > 0
+
+
+def test_ctrl_c_on_the_way_to_a_stationary_point_keeps_the_best_mesh() -> None:
+    problem = no_boxes(EXAMPLES["6.1"](n=8))
+    # the steps of that way are the ones of which no limit of iterations is known
+    press = Interrupting(lambda step: step.iteration > 5 and not math.isfinite(step.seconds_left))
+    solution = auto.solve(problem, on_step=press)
+    assert press.pressed
+    assert solution.status is Status.INTERRUPTED
+    assert solution.valid
+    finest = [step for step in press.steps if step.q is not None]
+    assert solution.energy <= finest[0].energy
+    assert solution.record()["gain_audited"] > 0
+
+
+def test_steps_of_a_cascade_say_residual_gain_and_time_left() -> None:
+    steps: list[Step] = []
+    problem = replace(no_boxes(EXAMPLES["6.1"](n=16)), quadrature=6)
+    solution = auto.solve(problem, on_step=steps.append, settings={"stationary": 1})
+    last = steps[-1]
+    assert all(math.isfinite(step.dual_residual) for step in steps)
+    assert steps[0].dual_residual == pytest.approx(1.0)  # the mesh as given
+    # by the measure of records, and of the mesh that the step is on
+    assert last.dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
+    assert last.energy_given == pytest.approx(solution.energy_initial)
+    guesses = [step.seconds_left for step in steps if math.isfinite(step.seconds_left)]
+    assert len(guesses) > len(steps) / 2
+    assert min(guesses) >= 0
