@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.activity import both_vanish
 
 
 def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Array, Array, Array]:
@@ -74,7 +75,7 @@ def tangent_response(
     return respond
 
 
-def weakly_active(system: ContactSystem, state: Equilibrium, tolerance: float = 1e-6) -> NDArray[np.bool_]:
+def weakly_active(system: ContactSystem, state: Equilibrium) -> NDArray[np.bool_]:
     """Contact nodes where strict complementarity fails, in scaled units.
 
     Gap and normal force both vanish, or slip vanishes while the friction is at its bound.
@@ -83,10 +84,10 @@ def weakly_active(system: ContactSystem, state: Equilibrium, tolerance: float = 
     force = system.force_scale
     length = max(float(np.max(np.abs(state.u), initial=0.0)), 1e-300)
     gap = system.normals @ state.u + system.offset
-    weak = np.maximum(np.abs(gap) / length, np.abs(state.normal_force) / force) < tolerance
+    weak = both_vanish(gap / length, state.normal_force / force)
     if system.slip_bound.size:
-        slip = np.abs(system.tangents @ state.u) / length
-        reserve = np.abs(system.slip_bound - np.abs(state.tangential_force)) / force
+        slip = system.tangents @ state.u
+        reserve = system.slip_bound - np.abs(state.tangential_force)
         acts = True if system.frictional is None else system.frictional
-        weak |= acts & (np.maximum(slip, reserve) < tolerance)
+        weak |= acts & both_vanish(slip / length, reserve / force)
     return np.asarray(weak)

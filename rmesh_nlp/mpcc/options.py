@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
+
 _RELAXED: Mapping[str, Any] = {
     "tol": 1e-8,
     "bound_relax_factor": 0.0,
@@ -90,9 +92,8 @@ class Options:
     complementarity : float
         Tolerance of ``min(|G|, |H|)``, relative to ``max(1, largest term)`` of the smaller member.
     activity : float
-        What counts as an active row or bound, relative to ``1 + |bound|``. An interior-point method
-        stops with multiplier times distance near 1e-11: either the distance is below 1e-5 or the
-        multiplier is negligible.
+        What counts as an active row or bound, relative to ``1 + |bound|``; see
+        :mod:`rmesh_nlp.optimize.activity`.
     corner : float
         Members of pairs below this are zero.
     stationarity : float
@@ -124,8 +125,8 @@ class Options:
     max_iterations: int | None = None
     feasibility: float = 1e-8
     complementarity: float = 1e-8
-    activity: float = 1e-5
-    corner: float = 1e-6
+    activity: float = BOUND_OF_AN_NLP
+    corner: float = ZERO
     stationarity: float = 1e-6
     max_pivots: int = 30
     ipopt_relaxed: Mapping[str, Any] = field(default_factory=dict)

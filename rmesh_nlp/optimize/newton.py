@@ -28,10 +28,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.activity import is_inside
 from rmesh_nlp.optimize.newton_settings import NewtonSettings
 from rmesh_nlp.optimize.newton_step import BoxStep, Model, WalledStep
 from rmesh_nlp.optimize.nlp import Status
-from rmesh_nlp.optimize.smooth_constraints import Walls, is_inside
+from rmesh_nlp.optimize.smooth_constraints import Walls
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.optimize.activity import ROW_OF_A_STEP
 from rmesh_nlp.settings import Settings, check_positive
 
 
@@ -97,7 +98,7 @@ class ProjectionSettings(Settings):
 
     max_steps: int = 200
     exact: float = 1e-10
-    held: float = 1e-7
+    held: float = ROW_OF_A_STEP
     regular: float = 1e-10
     damping: float = 1e-4
     damping_up: float = 10.0

@@ -11,13 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear, nnls
 
 from rmesh_nlp.evaluation import Array
-
-ACTIVE = 1e-6
-"""Distance to a bound below which it counts as active."""
-
-NEAR = 1e-4
-"""Slack below which a row may have a multiplier. Interior points stop at about the square root of their
-tolerance where a row is weakly active; whether slack and multiplier agree is part of the residual."""
+from rmesh_nlp.optimize.activity import ROW_WITH_MULTIPLIER
 
 LARGEST_DENSE = 2_000_000
 """Entries of a least-squares matrix that is solved densely."""
@@ -47,7 +41,7 @@ class Wall:
         their own. Rows that are not active have zero.
         """
         multipliers = np.zeros(self.slack.size)
-        active = np.flatnonzero(self.slack < NEAR)
+        active = np.flatnonzero(self.slack < ROW_WITH_MULTIPLIER)
         if active.size and np.any(inside):
             multipliers[active] = nonnegative_fit(self.jacobian[active][:, inside].T, gradient[inside])
         return multipliers
@@ -67,11 +61,6 @@ class Walls(Protocol):
 
         ``wall`` is where the step to ``x`` began: rows that are not obeyed come back to its floor.
         """
-
-
-def is_inside(x: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
-    """Variables that are off their bounds."""
-    return np.asarray((x - lower > ACTIVE) & (upper - x > ACTIVE))
 
 
 def nonnegative_fit(matrix: Any, right: Array) -> Array:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.discretisation.freedoms import Mobility
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT
-from rmesh_nlp.optimize.smooth_constraints import is_inside
+from rmesh_nlp.optimize.activity import is_inside
 from rmesh_nlp.programs.energy_program import Relocation
 from rmesh_nlp.programs.reduced import ReducedEnergy
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.smooth_constraints import is_inside
+from rmesh_nlp.optimize.activity import is_inside
 from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedPoint
 
 FLOOR = 1e-6

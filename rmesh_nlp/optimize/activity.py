@@ -1,0 +1,44 @@
+"""What counts as active: every tolerance of it, with the reason for its size.
+
+Distances have no unit: moves are parts of their boxes, validity rows parts of an element's area on the given
+mesh, gaps and forces parts of the largest displacement and of the loads. Four tolerances are needed because
+four kinds of solver leave a point near a bound in four ways.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+
+ZERO = 1e-6
+"""Distance below which a variable is at its bound, and a member of a complementarity pair is zero.
+
+Descents put variables onto their bounds exactly, and active sets put gaps, slips and forces to zero exactly:
+only rounding must fit in between."""
+
+ROW_OF_A_STEP = 1e-7
+"""Linearised row below which it holds a step. A Newton step on the projection ends at violations of 1e-10."""
+
+BOUND_OF_AN_NLP = 1e-5
+"""Distance, relative to ``1 + |bound|``, at which an interior-point method may leave an active bound or row.
+
+It stops with multiplier times distance near 1e-11, the tightest barrier of :mod:`rmesh_nlp.mpcc`: further
+away than 1e-5 the multiplier is below 1e-6 and negligible."""
+
+ROW_WITH_MULTIPLIER = 1e-4
+"""Slack below which a validity row may have a multiplier.
+
+Interior points stop at about the square root of their tolerance where a row is weakly active. Whether slack
+and multiplier agree is part of the first-order residual, so a wide tolerance proves nothing wrong."""
+
+
+def is_inside(x: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
+    """Variables that are off their bounds."""
+    return np.asarray((x - lower > ZERO) & (upper - x > ZERO))
+
+
+def both_vanish(one: Array, other: Array) -> NDArray[np.bool_]:
+    """Pairs at which strict complementarity fails: neither member has a sign to tell it."""
+    return np.asarray(np.maximum(np.abs(one), np.abs(other)) < ZERO)
