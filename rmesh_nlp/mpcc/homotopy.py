@@ -129,7 +129,7 @@ def _next(t: float, factor: float, product: float, t_final: float) -> float:
     t = factor * t
     while t > product and t > t_final:
         t *= factor
-    return max(t, t_final)
+    return t_final if t <= t_final * ROUNDING else t
 
 
 def _step(

@@ -1,0 +1,435 @@
+"""The exact finish: which branches it visits, what it accepts, and how it says where it ended."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from support.scripted_run import BranchCall, ScriptedRun, ended, two_minima
+
+from rmesh_nlp.mpcc import MPCC, Options
+from rmesh_nlp.mpcc import finish as finishing
+from rmesh_nlp.mpcc.classify import Verdict
+from rmesh_nlp.mpcc.finish import Finish, finish, pivot, polished
+from rmesh_nlp.mpcc.lpec import Direction
+from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.mpcc.stationarity import Label
+from rmesh_nlp.optimize.nlp import NLPResult, Status
+
+ON_G, ON_H = np.array([True]), np.array([False])
+DOWN = Direction(-1.0, np.zeros(2), ON_H)
+
+
+def judged(f: float, status: Status = Status.CONVERGED, direction: Direction | None = None) -> Finish:
+    return Finish(np.array([2.0, 0.0]), f, status, Verdict(Label("W", None), None, direction), lpecs=1)
+
+
+class TestPolished:
+    """Pairs near the corner are put into it if the branch itself gives nothing stationary."""
+
+    @pytest.fixture
+    def fixed(self, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+        sets: list[Any] = []
+        self.answers: list[Finish | None] = []
+
+        def answer(run: Any, z: Any, warm: Any, fix_G: Any, fix_H: Any, ceiling: float) -> Finish | None:
+            sets.append((bool(fix_G[0]), bool(fix_H[0])))
+            return self.answers.pop(0)
+
+        monkeypatch.setattr(finishing, "_polished", answer)
+        return sets
+
+    def polished(self, z: tuple[float, float], corner: float, *answers: Finish | None) -> Finish | None:
+        self.answers = list(answers)
+        return polished(ScriptedRun(), np.array(z), ended(z), corner)
+
+    def test_a_stationary_point_of_the_branch_is_enough(self, fixed: list[Any]) -> None:
+        good = judged(1.0)
+        assert self.polished((0.1, 0.2), 0.3, good) is good
+        assert self.polished((0.2, 0.1), 0.3, good) is good
+        assert fixed == [(True, False), (False, True)]
+
+    def test_a_pair_far_from_the_corner_stays_in_its_branch(self, fixed: list[Any]) -> None:
+        open_end = judged(1.0, Status.STALLED)
+        assert self.polished((0.1, 0.4), 0.3, open_end) is open_end
+        assert fixed == [(True, False)]
+
+    @pytest.mark.parametrize("z", [(0.1, 0.2), (0.2, 0.1), (0.1, 0.3)])
+    def test_the_better_of_branch_and_corner_is_taken(self, fixed: list[Any], z: tuple[float, float]) -> None:
+        open_end, good = judged(1.0, Status.STALLED), judged(2.0)
+        assert self.polished(z, 0.3, open_end, good) is good
+        assert fixed[1] == (True, True)
+        assert self.polished(z, 0.3, open_end, None) is open_end
+        assert self.polished(z, 0.3, open_end, judged(2.0, Status.STALLED)) is open_end
+        assert self.polished(z, 0.3, None, good) is good
+        assert self.polished(z, 0.3, None, None) is None
+
+
+def test_a_polished_point_must_not_be_much_worse_than_the_relaxed_one() -> None:
+    """f of two minima is 5 at the origin; a hundredth of the larger value may be lost."""
+    run = ScriptedRun()
+    at_origin = np.zeros(2)
+    for f, is_faithful in ((4.0, True), (5.0, True), (5.04, True), (5.06, False), (9.0, False)):
+        assert finishing._faithful(run, judged(f), at_origin) == is_faithful
+    flat = ScriptedRun(mpcc=MPCC(two_minima().x, 0, None, *ca.vertsplit(two_minima().x)))
+    assert finishing._faithful(flat, judged(5e-5), at_origin)
+    assert not finishing._faithful(flat, judged(2e-4), at_origin)
+
+
+class TestBranches:
+    """What `finish` makes of the ends of its branches."""
+
+    WARM = ended([0.1, 2.0])
+
+    @staticmethod
+    def run(*results: NLPResult, exact: bool | list[bool] = True, **options: Any) -> ScriptedRun:
+        waiting = list(results)
+        return ScriptedRun(
+            branches=lambda call: waiting.pop(0) if len(waiting) > 1 else waiting[0],
+            exact=lambda z: exact if isinstance(exact, bool) else bool(z[0] == 2.0),
+            **options,
+        )
+
+    @pytest.fixture(autouse=True)
+    def _simple(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.polished: Finish | None = None
+        self.projected: Any = None
+        self.pivots: list[Finish] = []
+        self.tightened: list[Any] = []
+        monkeypatch.setattr(finishing, "polished", lambda *_: self.polished)
+        monkeypatch.setattr(finishing, "pivot", self._pivot)
+        monkeypatch.setattr(finishing, "_judged", lambda run, z, f, lam: judged(f))
+        monkeypatch.setattr(finishing, "_tighten", self._tighten)
+        monkeypatch.setattr(finishing, "_projected", self._projected)
+
+    def _pivot(self, run: Any, here: Finish) -> Finish:
+        self.pivots.append(here)
+        return here
+
+    def _tighten(self, run: Any, result: NLPResult, fix_G: Any) -> NLPResult:
+        self.tightened.append(fix_G)
+        return result
+
+    def _projected(self, run: Any, z: Any, end: Finish) -> Any:
+        self.projected = end
+        return end
+
+    def test_newton_s_point_is_taken_if_it_is_faithful_and_stationary(self) -> None:
+        self.polished = judged(4.0)
+        run = self.run(ended([2.0, 0.0], f=1.0))
+        assert finish(run, np.array([0.1, 2.0]), search=True, warm=self.WARM) is self.polished
+        assert run.branch_calls == []
+        assert self.pivots == [self.polished]
+
+    @pytest.mark.parametrize("near", [None, judged(400.0), judged(4.0, Status.STALLED)])
+    def test_else_the_branch_is_solved_without_multipliers(self, near: Finish | None) -> None:
+        self.polished = near
+        run = self.run(ended([2.0, 0.0], f=1.0))
+        end = finish(run, np.array([0.1, 2.0]), search=True, warm=self.WARM)
+        assert end.f == 1.0
+        assert end.solved
+        (call,) = run.branch_calls
+        assert call.options == {"warm": None}
+        assert call.fix_G[0]
+        assert self.projected is None
+        assert self.tightened == [ON_G]
+
+    def test_without_newton_the_branch_begins_with_the_multipliers_and_again_without_if_it_fails(
+        self,
+    ) -> None:
+        good, bad = ended([2.0, 0.0], f=1.0), ended([0.3, 0.0], Status.STALLED)
+        run = self.run(good, newton_finish=False, exact=[])
+        finish(run, np.array([0.1, 2.0]), search=False, warm=self.WARM)
+        assert [call.options.get("warm") for call in run.branch_calls] == [self.WARM]
+        run = self.run(bad, good, newton_finish=False, exact=[])
+        assert finish(run, np.array([0.1, 2.0]), search=False, warm=self.WARM).solved
+        assert [call.options.get("warm") for call in run.branch_calls] == [self.WARM, None]
+        run = self.run(bad, newton_finish=False, exact=[])
+        finish(run, np.array([0.1, 2.0]), search=False)
+        assert len(run.branch_calls) == 1
+        run = self.run(good, warm_finish=False)
+        finish(run, np.array([0.1, 2.0]), search=False, warm=self.WARM)
+        assert [call.options.get("warm") for call in run.branch_calls] == [None]
+
+    def test_pairs_are_fixed_on_the_side_of_the_smaller_member(self) -> None:
+        for z, on_G in (((0.1, 2.0), True), ((2.0, 0.1), False), ((1.0, 1.0), True)):
+            run = self.run(ended([2.0, 0.0]))
+            finish(run, np.array(z), search=False)
+            assert run.branch_calls[0].fix_G[0] == on_G
+
+    def test_an_exact_point_without_a_bound_or_above_the_ceiling_is_not_improved(self) -> None:
+        end = finish(self.run(ended([2.0, 0.0], Status.UNBOUNDED, -1e20)), np.ones(2), search=False)
+        assert (end.status, end.f, end.verdict) == (Status.UNBOUNDED, -1e20, None)
+        end = finish(self.run(ended([2.0, 0.0], f=3.0)), np.ones(2), search=True, ceiling=2.9)
+        assert (end.status, end.f, end.verdict) == (Status.WORSE, 3.0, None)
+        assert finish(self.run(ended([2.0, 0.0], f=3.0)), np.ones(2), search=True, ceiling=3.0).solved
+
+    @pytest.mark.parametrize(
+        ("status", "said"),
+        [(Status.CONVERGED, Status.INACCURATE), (Status.STALLED, Status.STALLED),
+         (Status.UNBOUNDED, Status.UNBOUNDED)],
+    )  # fmt: skip
+    def test_a_point_that_is_not_exact_is_never_solved(
+        self, status: Status, said: Status, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        run = self.run(ended([0.3, 0.0], status, f=1.0), exact=False)
+        end = finish(run, np.ones(2), search=False, ceiling=0.5)
+        assert (end.status, end.verdict, end.solved) == (said, None, False)
+        assert self.projected is None
+        assert self.tightened == []
+        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, fix_G, result: (result, fix_G))
+        finish(run, np.ones(2), search=True)
+        assert self.projected is not None  # with a search the relaxed point itself is tried at last
+
+    def test_only_a_search_looks_for_another_branch(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        good = ended([2.0, 0.0], f=1.0)
+        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, fix_G, result: (good, ON_H))
+        bad = ended([0.3, 0.0], Status.INFEASIBLE)
+        assert not finish(self.run(bad, exact=[]), np.ones(2), search=False).solved
+        assert finish(self.run(bad, exact=[]), np.ones(2), search=True).solved
+        assert self.tightened == [ON_H]
+
+
+class TestPivot:
+    """A descent over branches, each lower than the one before."""
+
+    @pytest.fixture
+    def descend(self, monkeypatch: pytest.MonkeyPatch) -> list[NLPResult | None]:
+        waiting: list[NLPResult | None] = []
+        monkeypatch.setattr(finishing, "_descend", lambda *_: waiting.pop(0))
+        monkeypatch.setattr(finishing, "_tighten", lambda run, result, fix_G: result)
+        return waiting
+
+    def test_it_ends_at_a_point_without_a_direction(self, descend: Any, monkeypatch: Any) -> None:
+        monkeypatch.setattr(
+            finishing, "_judged",
+            lambda run, z, f, lam: judged(f, *((Status.STALLED, DOWN) if f > 1.0 else ())),
+        )  # fmt: skip
+        descend += [ended([0, 0], f=3.0), ended([0, 0], f=2.0), ended([0, 0], f=1.0)]
+        end = pivot(ScriptedRun(), judged(4.0, Status.STALLED, DOWN))
+        assert (end.f, end.pivots, end.lpecs, end.solved) == (1.0, 3, 4, True)
+
+    def test_it_ends_where_no_branch_is_lower(self, descend: Any) -> None:
+        start = judged(4.0, Status.STALLED, DOWN)
+        descend += [None]
+        end = pivot(ScriptedRun(), start)
+        assert (end.f, end.pivots, end.status) == (4.0, 0, Status.STALLED)
+        assert pivot(ScriptedRun(), Finish(np.zeros(2), 1.0, Status.STALLED)).status is Status.STALLED
+
+    def test_its_limit_is_a_status(self, descend: Any, monkeypatch: Any) -> None:
+        monkeypatch.setattr(finishing, "_judged", lambda run, z, f, lam: judged(f, Status.STALLED, DOWN))
+        descend += [ended([0, 0], f=3.0 - k) for k in range(5)]
+        end = pivot(ScriptedRun(max_pivots=2), judged(4.0, Status.STALLED, DOWN))
+        assert (end.f, end.pivots, end.lpecs, end.status) == (2.0, 2, 3, Status.ITERATION_LIMIT)
+
+    def test_a_branch_without_a_bound_ends_it(self, descend: Any) -> None:
+        descend += [ended([0, 0], Status.UNBOUNDED, -1e20)]
+        end = pivot(ScriptedRun(), judged(4.0, Status.STALLED, DOWN))
+        assert (end.f, end.pivots, end.lpecs, end.status) == (-1e20, 1, 1, Status.UNBOUNDED)
+        assert end.verdict is None
+
+    @pytest.mark.parametrize(
+        ("ends", "tries"),
+        [([(True, 0.9)], 1), ([(False, 0.5), (True, 0.9)], 2), ([(True, 1.5), (True, 1.0), (True, 0.9)], 3)],
+    )
+    def test_a_lower_point_is_sought_far_away_and_then_in_smaller_boxes(
+        self, ends: list[tuple[bool, float]], tries: int
+    ) -> None:
+        here = Finish(np.array([3.0, 0.0]), 1.0, Status.STALLED)
+        waiting = list(ends)
+
+        def branch(call: BranchCall) -> NLPResult:
+            exact, f = waiting.pop(0)
+            return ended([float(exact), 0.0], f=f)
+
+        run = ScriptedRun(branches=branch, exact=lambda z: bool(z[0]))
+        assert finishing._descend(run, here, DOWN).f == 0.9
+        assert len(run.branch_calls) == tries
+        boxes = [call.options["box"] for call in run.branch_calls]
+        assert boxes[0] is None
+        for box, reach in zip(boxes[1:], (0.1, 1e-3), strict=False):
+            np.testing.assert_allclose(box, [4 * reach, reach])  # relative to 1 + |z|
+        assert all(call.fix_G is ON_H for call in run.branch_calls)
+
+    def test_a_fall_by_rounding_is_none(self) -> None:
+        here = Finish(np.zeros(2), -99.0, Status.STALLED)
+        for f, accepted in ((-99.0 - 5e-8, False), (-99.0 - 2e-7, True)):
+            run = ScriptedRun(branches=lambda call, f=f: ended([0, 0], f=f), exact=lambda z: True)
+            assert (finishing._descend(run, here, DOWN) is not None) == accepted
+
+
+class TestOtherBranch:
+    """A feasible branch near the relaxed point."""
+
+    @pytest.fixture
+    def nearest(self, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+        self.answer: Any = (np.array([2.0, 0.0]), ON_H)
+        radii: list[float] = []
+
+        def found(lifted: Any, z: Any, p: Any, radius: float, seconds: float) -> Any:
+            radii.append(radius)
+            return self.answer
+
+        monkeypatch.setattr(finishing, "nearest_branch", found)
+        monkeypatch.setattr(finishing, "_follow_signs", lambda *_: None)
+        return radii
+
+    @staticmethod
+    def other(run: ScriptedRun, z: tuple[float, float]) -> Any:
+        return finishing._other_branch(run, np.array(z), ON_G, ended([9.0, 9.0], Status.INFEASIBLE))
+
+    def test_it_is_sought_at_a_distance_like_that_of_the_pairs_then_further(
+        self, nearest: list[float]
+    ) -> None:
+        good = ScriptedRun(branches=lambda call: ended([2.0, 0.0]), exact=lambda z: True)
+        result, fix_G = self.other(good, (0.3, 0.5))
+        assert nearest == pytest.approx([0.3 * reach for reach in finishing._REACHES[:1]])
+        assert (list(result.x), fix_G) == ([2.0, 0.0], ON_H)
+        bad = ScriptedRun(branches=lambda call: ended([1.0, 1.0]), exact=lambda z: False)
+        nearest.clear()
+        self.other(bad, (0.5, 0.3))
+        assert nearest == pytest.approx([0.3 * reach for reach in finishing._REACHES])
+        assert 1 < finishing._REACHES[0] < finishing._REACHES[1]
+        assert len(bad.branch_calls) == 1  # the second time it is the same branch again
+        nearest.clear()
+        self.other(bad, (0.0, 1.0))  # a point on its branch: units of the corner's size
+        assert nearest == pytest.approx([Options().corner * reach for reach in finishing._REACHES])
+
+    def test_the_branch_that_is_known_to_fail_is_not_solved_again(self, nearest: list[float]) -> None:
+        self.answer = (np.array([2.0, 0.0]), ON_G)
+        run = ScriptedRun(branches=lambda call: ended([2.0, 0.0]), exact=lambda z: True)
+        result, fix_G = self.other(run, (0.3, 0.5))
+        assert (run.branch_calls, list(result.x), fix_G) == ([], [9.0, 9.0], ON_G)
+        self.answer = None
+        assert self.other(run, (0.3, 0.5))[1] is ON_G
+
+    def test_signs_come_first(self, nearest: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+        by_signs = (ended([2.0, 0.0]), ON_H)
+        monkeypatch.setattr(finishing, "_follow_signs", lambda *_: by_signs)
+        assert self.other(ScriptedRun(), (0.3, 0.5)) is by_signs
+        assert nearest == []
+
+
+class TestSigns:
+    """The primal-dual active set method: pairs whose free member is negative change sides."""
+
+    @staticmethod
+    def follow(ends: list[NLPResult], exact: bool = True) -> tuple[ScriptedRun, Any]:
+        waiting = list(ends)
+        run = ScriptedRun(branches=lambda call: waiting.pop(0), exact=lambda z: exact)
+        return run, finishing._follow_signs(run, np.array([0.1, 0.2]), ON_G)
+
+    def test_a_pair_with_a_negative_member_changes_sides(self) -> None:
+        run, found = self.follow([ended([0.0, -0.5]), ended([0.4, 0.0]), ended([2.0, 0.0])])
+        assert [call.options for call in run.branch_calls] == [
+            {"phase": "signs", "free_signs": True},
+            {"phase": "signs", "free_signs": True},
+            {},
+        ]
+        assert [bool(call.fix_G[0]) for call in run.branch_calls] == [True, False, False]
+        assert list(run.branch_calls[1].z) == [0.0, -0.5]
+        assert (list(found[0].x), bool(found[1][0])) == ([2.0, 0.0], False)
+
+    def test_it_ends_if_signs_become_worse_or_a_branch_fails(self) -> None:
+        run, found = self.follow([ended([0.0, -0.5]), ended([-0.6, 0.0]), ended([2.0, 0.0])])
+        assert (found, len(run.branch_calls)) == (None, 2)
+        run, found = self.follow([ended([0.0, -0.5], Status.STALLED), ended([2.0, 0.0])])
+        assert (found, len(run.branch_calls)) == (None, 1)
+        run, found = self.follow([ended([0.0, -0.5]), ended([-0.4, 0.0]), ended([0.0, 0.3]), ended([0, 0.3])])
+        assert len(run.branch_calls) == 4  # less wrong each time
+        assert found is not None
+
+    def test_a_branch_that_is_not_exact_is_no_end(self) -> None:
+        _, found = self.follow([ended([0.0, 0.5]), ended([0.0, 0.5])], exact=False)
+        assert found is None
+
+    def test_signs_within_the_tolerance_are_right(self) -> None:
+        run, found = self.follow([ended([0.0, -0.9e-8]), ended([0.0, 0.0])])
+        assert (len(run.branch_calls), found[1]) == (2, ON_G)
+        run, _ = self.follow([ended([0.0, -1.1e-8]), ended([0.0, 0.0]), ended([0.0, 0.0])])
+        assert len(run.branch_calls) == 3
+
+
+x, y, w = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("w")
+XYW = ca.vertcat(x, y, w)
+
+
+class TestTighten:
+    """Pairs next to the corner are put into it where that costs nothing."""
+
+    @staticmethod
+    def tightened(
+        at: float, tight: NLPResult, monkeypatch: pytest.MonkeyPatch, exact: bool = True, closes: bool = True
+    ) -> tuple[ScriptedRun, NLPResult, NLPResult]:
+        monkeypatch.setattr(finishing, "_can_close", lambda *_: closes)
+        run = ScriptedRun(branches=lambda call: tight, exact=lambda z: exact)
+        before = ended([0.0, at], f=1.0)
+        return run, before, finishing._tighten(run, before, ON_G)
+
+    def test_both_members_are_fixed(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        tight = ended([0.0, 0.0], f=1.0 + 1e-9)
+        run, _, after = self.tightened(1e-5, tight, monkeypatch)
+        assert after is tight
+        (call,) = run.branch_calls
+        assert (call.fix_G[0], call.fix_H[0]) == (True, True)
+        assert call.options == {"phase": "tightened"}
+
+    @pytest.mark.parametrize("at", [1e-9, 1e-4])
+    def test_pairs_in_the_corner_or_far_from_it_are_left(
+        self, at: float, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        run, before, after = self.tightened(at, ended([0.0, 0.0]), monkeypatch)
+        assert after is before
+        assert run.branch_calls == []
+
+    def test_what_costs_or_fails_is_not_taken(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        _, before, after = self.tightened(1e-5, ended([0.0, 0.0], f=1.0 + 3e-9), monkeypatch)
+        assert after is before
+        _, before, after = self.tightened(1e-5, ended([0.0, 0.0], f=0.0), monkeypatch, exact=False)
+        assert after is before
+        run, before, after = self.tightened(1e-5, ended([0.0, 0.0]), monkeypatch, closes=False)
+        assert (after, run.branch_calls) == (before, [])
+
+    @pytest.mark.parametrize(
+        ("row", "closes"),
+        [
+            (None, True),
+            (y - 1e-5, False),  # held open by an equation
+            (y - 1e-2 * w, True),  # w moves by a hundred times the gap
+            (y - 1e-5 * w, False),  # by 1e5 times the gap
+            (1e6 * (y - 1e-2 * w), True),  # the size of a row does not matter
+        ],
+    )
+    def test_a_step_that_closes_the_pair_must_exist_and_be_small(self, row: Any, closes: bool) -> None:
+        mpcc = MPCC(
+            XYW, (x - 1) ** 2 + y**2 + w**2, row, x, y, **({} if row is None else {"lbg": 0, "ubg": 0})
+        )
+        run = Run(Programs(mpcc, Options()), np.zeros(0))
+        gap = 1e-5
+        ratio = {"(y-(0.01*w))": 1e-2, "(1e+06*(y-(0.01*w)))": 1e-2, "(y-(1e-05*w))": 1e-5}.get(str(row), 1.0)
+        z = np.array([0.0, gap, gap / ratio])
+        assert finishing._can_close(run, z, ON_G, np.array([True])) == closes
+
+    def test_rows_that_are_not_active_do_not_hold(self) -> None:
+        mpcc = MPCC(XYW, x + y, y + w, x, y, lbg=-1.0)
+        run = Run(Programs(mpcc, Options()), np.zeros(0))
+        assert finishing._can_close(run, np.array([0.0, 1e-5, 0.0]), ON_G, np.array([True]))
+        mpcc = MPCC(XYW, x + y, y, x, y, lbg=1e-5)
+        run = Run(Programs(mpcc, Options()), np.zeros(0))
+        assert not finishing._can_close(run, np.array([0.0, 1e-5, 0.0]), ON_G, np.array([True]))
+
+
+def test_a_projected_point_counts_if_it_is_better_than_the_end_it_replaces() -> None:
+    """The relaxed point next to the minimum (2, 0) of two minima: on its branch and stationary."""
+    run = Run(Programs(two_minima(), Options()), np.zeros(0))
+    lost = Finish(np.ones(2), 0.0, Status.STALLED)
+    found = finishing._projected(run, np.array([2.0, 1e-6]), lost)
+    assert found.solved
+    assert found.z == pytest.approx([2.0, 0.0], abs=1e-12)
+    assert found.f == pytest.approx(1.0)
+    assert run.steps[-1].phase == "polished"
+    best = Finish(np.ones(2), 0.0, Status.CONVERGED, found.verdict)
+    assert finishing._projected(run, np.array([2.0, 1e-6]), best) is best

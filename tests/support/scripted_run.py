@@ -1,0 +1,103 @@
+"""A solve of an MPCC whose NLPs end as a test says: what is tested is what the method makes of that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.mpcc import MPCC, Options
+from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.result import Step
+from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.optimize.nlp import NLPResult, Status
+
+X, Y = ca.SX.sym("x"), ca.SX.sym("y")
+
+
+def two_minima() -> MPCC:
+    """Minima (0, 1) with f = 4 and (2, 0) with f = 1."""
+    return MPCC(ca.vertcat(X, Y), (X - 2) ** 2 + (Y - 1) ** 2, None, X, Y)
+
+
+def ended(x: Sequence[float], status: Status = Status.CONVERGED, f: float = 0.0, **changes: Any) -> NLPResult:
+    """A result of an NLP in the two unknowns, with one row of a relaxation."""
+    parts = {"g": np.zeros(1), "lam_x": np.zeros(2), "lam_g": np.zeros(1)} | changes
+    return NLPResult(np.array(x, float), f, **parts, status=status, solver_message="", iterations=3,
+                     history={}, seconds=0.5)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Call:
+    """A relaxation that was asked for."""
+
+    name: str
+    z: np.ndarray
+    t: float
+    warm: NLPResult | None
+    first: bool
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How it ends."""
+
+    x: Sequence[float] = (1.0, 0.5)
+    status: Status = Status.CONVERGED
+    product: float = 0.0
+    objective: float = 0.0
+    lam_x: Sequence[float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class BranchCall:
+    """A branch that was asked for."""
+
+    z: np.ndarray
+    fix_G: np.ndarray  # noqa: N815 the field's symbol
+    fix_H: np.ndarray | None  # noqa: N815
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+class ScriptedRun(Run):
+    """A run on `two_minima`, or another program, whose relaxations and branches are answered by functions."""
+
+    def __init__(
+        self,
+        relaxations: Callable[[Call], Answer] | None = None,
+        branches: Callable[[BranchCall], NLPResult] | None = None,
+        exact: Callable[[np.ndarray], bool] | None = None,
+        mpcc: MPCC | None = None,
+        weight: float = 1.0,
+        **options: Any,
+    ) -> None:
+        super().__init__(Programs(mpcc or two_minima(), Options(**options)), np.zeros(0), weight=weight)
+        self.relaxations, self.branches, self.is_exact = relaxations, branches, exact
+        self.calls: list[Call] = []
+        self.branch_calls: list[BranchCall] = []
+
+    @property
+    def ts(self) -> list[float]:
+        """t of each relaxation."""
+        return [call.t for call in self.calls]
+
+    def relaxed(self, name, z, t, warm=None, *, first=False):  # type: ignore[no-untyped-def]
+        assert self.relaxations is not None
+        self.calls.append(Call(name, z, t, warm, first))
+        answer = self.relaxations(self.calls[-1])
+        self.steps.append(
+            Step("relaxed", t, answer.objective, 0.0, 0.0, answer.product, 1, answer.status, 0.1)
+        )
+        return ended(answer.x, answer.status, lam_x=np.array(answer.lam_x, float))
+
+    def branch(self, z, fix_G, fix_H=None, **options):  # type: ignore[no-untyped-def]
+        if self.branches is None:
+            return super().branch(z, fix_G, fix_H, **options)
+        self.branch_calls.append(BranchCall(z, fix_G, fix_H, options))
+        return self.branches(self.branch_calls[-1])
+
+    def exact(self, z: np.ndarray) -> bool:
+        return super().exact(z) if self.is_exact is None else self.is_exact(z)
