@@ -10,7 +10,7 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.meshes.shapes import l_shape, rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
     Dirichlet,
@@ -123,6 +123,22 @@ def test_extrapolated_worth_is_close_to_the_exact_one() -> None:
     other = auto.solve(replace(example(), exact=None)).record()["worth"]
     assert other["source"] == "extrapolated"
     assert other["error_initial"] == pytest.approx(exact["error_initial"], rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flips", [False, True])
+def test_the_factor_is_the_true_one_where_the_solution_is_singular(flips: bool) -> None:
+    # an extrapolation from the mesh as given, by smooth rates, claims 2.3 and 3.6 for 2.1 and 3.0
+    problem = ContactProblem(l_shape(1 / 6), Laplace(1.0), ("corner", "outer"), motion=Motion(None))
+    solution = auto.solve(problem, flips=flips)
+    exact = -0.2140758036 / 2
+    before, after = solution.energy_initial_audited - exact, solution.audit.energy_audited - exact
+    claimed = solution.record()["worth"]
+    assert claimed["source"] == "extrapolated"
+    assert claimed["error_initial"] == pytest.approx(before, rel=0.1)
+    assert claimed["factor"] == pytest.approx(before / after, rel=0.1)
+    # a uniform grid does not gain as much: its error falls like N^(-2/3) only
+    assert claimed["uniform_nodes"] > 1.05 * claimed["factor"] * claimed["nodes"]
 
 
 @pytest.mark.slow
