@@ -20,7 +20,7 @@ from formulations.auto_flips import with_edges_flipped
 from formulations.auto_rules import agrees, first_rule, next_rule
 from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.regularisation import weights

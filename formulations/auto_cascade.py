@@ -14,7 +14,7 @@ from formulations.auto_rules import agrees, first_rule, next_rule
 from formulations.auto_watch import Watch
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.cascade import CascadeResult, cascade
 from rmesh_nlp.programs.cascade_settings import CascadeSettings

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from formulations.auto_cascade import is_small, weighted_objective
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.energy_flips import flips_and_moves

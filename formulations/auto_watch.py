@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.validity import is_valid
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.acceptance import HALVINGS
 from rmesh_nlp.programs.cascade_settings import CascadeSettings

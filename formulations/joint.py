@@ -16,7 +16,9 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver, Status
+from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.solver import NLPResult, Solver
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.energy_program import relocation

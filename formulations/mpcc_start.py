@@ -10,7 +10,7 @@ from formulations import joint
 from formulations.mpcc_options import PUSHES
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.optimize.nlp import Solver
+from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.programs.kkt_program import Bilevel
 from rmesh_nlp.programs.reduced import ReducedPoint
 from rmesh_nlp.solution.beginning import Beginning, Start, beginning

@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.optimize.nlp import NLP, NLPResult, Solver
+from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.solution.referee import Referee
 

@@ -37,7 +37,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.meshes import read_mesh
-from rmesh_nlp.optimize.nlp import IPOPT_OPTIONS, Solver
+from rmesh_nlp.optimize.solver import IPOPT_OPTIONS, Solver
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain, signed_areas
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.outer_solvers import NestedSettings

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.stationarity import Label, label, witness
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 
 
 @dataclass(frozen=True, eq=False)

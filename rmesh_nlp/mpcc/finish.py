@@ -22,7 +22,8 @@ from rmesh_nlp.mpcc.lpec import Direction, nearest_branch
 from rmesh_nlp.mpcc.polish import polish, project
 from rmesh_nlp.mpcc.programs import BoolArray
 from rmesh_nlp.mpcc.run import Run
-from rmesh_nlp.optimize.nlp import NLPResult, Status
+from rmesh_nlp.optimize.solver import NLPResult
+from rmesh_nlp.optimize.status import Status
 
 _FAITHFUL = 1e-2
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|

@@ -10,7 +10,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import Finish, finish, pivot, polished
 from rmesh_nlp.mpcc.programs import BoolArray, Programs
 from rmesh_nlp.mpcc.run import Run
-from rmesh_nlp.optimize.nlp import NLPResult, Status
+from rmesh_nlp.optimize.solver import NLPResult
+from rmesh_nlp.optimize.status import Status
 
 RETREATS = 3
 _FALLS, _STUCK = 0.9, 3  # products that fall by less than a tenth, so many times in turn, do not fall

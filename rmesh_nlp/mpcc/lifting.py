@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
-from rmesh_nlp.optimize.nlp import NLP, Derivatives, NLPResult, Status
+from rmesh_nlp.optimize.nlp import NLP, Derivatives
+from rmesh_nlp.optimize.solver import NLPResult
+from rmesh_nlp.optimize.status import Status
 
 IntArray = NDArray[np.int64]
 

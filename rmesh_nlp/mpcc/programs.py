@@ -17,7 +17,8 @@ from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Duals, Residuals, excess, residuals
 from rmesh_nlp.optimize.callbacks import Monitor
-from rmesh_nlp.optimize.nlp import NLP, Derivatives, NLPResult, Solver
+from rmesh_nlp.optimize.nlp import NLP, Derivatives
+from rmesh_nlp.optimize.solver import NLPResult, Solver
 
 BoolArray = NDArray[np.bool_]
 _CLOCK = 2000  # unknowns of a problem whose clock is looked at after every iteration

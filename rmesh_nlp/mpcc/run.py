@@ -12,7 +12,8 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.programs import BoolArray, Programs
 from rmesh_nlp.mpcc.result import Step
-from rmesh_nlp.optimize.nlp import NLPResult, Status
+from rmesh_nlp.optimize.solver import NLPResult
+from rmesh_nlp.optimize.status import Status
 
 Progress = Callable[[str], None]
 

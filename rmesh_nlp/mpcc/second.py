@@ -14,7 +14,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import Finish, finish
 from rmesh_nlp.mpcc.homotopy import CORNER, ROUNDING, Path
 from rmesh_nlp.mpcc.run import Run
-from rmesh_nlp.optimize.nlp import NLPResult, Status
+from rmesh_nlp.optimize.solver import NLPResult
+from rmesh_nlp.optimize.status import Status
 
 _SAME = 1e-4  # relaxed solutions that are not lower than this, relative, end no lower either
 

@@ -19,7 +19,7 @@ from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.result import Duals, MPCCResult, Step
 from rmesh_nlp.mpcc.run import Iterate, LimitReachedError, Observers, Progress, Run
 from rmesh_nlp.mpcc.second import second_look
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 
 _LOWER = 1e-7  # of two stationary points the later one is taken if it is lower by this, relative
 _HUGE = 1e15  # |f| or |x| beyond this: the iterates diverge

@@ -22,8 +22,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.newton import Evaluation, NewtonResult
 from rmesh_nlp.optimize.newton_settings import LocalNewtonSettings
 from rmesh_nlp.optimize.newton_step import BoxStep, Model
-from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.optimize.preconditioned_step import PreconditionedStep, Preconditioner
+from rmesh_nlp.optimize.status import Status
 
 
 def descend(

@@ -20,7 +20,8 @@ from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.newton import Evaluation
 from rmesh_nlp.optimize.newton import minimise as newton
 from rmesh_nlp.optimize.newton_step import Model
-from rmesh_nlp.optimize.nlp import Solver, Status
+from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.curved_program import curvature_of, with_hessian
 from rmesh_nlp.programs.large_moves import LargeMoves

@@ -16,8 +16,8 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.local_newton import Scaled
 from rmesh_nlp.optimize.newton import NewtonResult
-from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.optimize.preconditioned_step import PreconditionedStep, Shifted, positive_definite
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.curvature import Curvature, Hessian
 from rmesh_nlp.programs.large_moves import LargeMoves, OnPoint, node_widths
 from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedPoint

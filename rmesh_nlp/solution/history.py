@@ -12,7 +12,8 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc import Iterate
-from rmesh_nlp.optimize.nlp import NLPResult, Status
+from rmesh_nlp.optimize.solver import NLPResult
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.outer_function import Reduced
 from rmesh_nlp.programs.outer_solvers import StoppedError
 from rmesh_nlp.solution.referee import OnStep, Referee

@@ -7,7 +7,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.optimize.nlp import Solver
+from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.energy_program import Relocation
 from rmesh_nlp.solution.referee import Referee

@@ -14,7 +14,9 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.sums import to_casadi
-from rmesh_nlp.optimize.nlp import NLP, Solver, Status
+from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, PlaneStrain
 from rmesh_nlp.solution.audit import equilibrium_residual, law_residual
 

@@ -12,7 +12,7 @@ import pytest
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import Motion
 from rmesh_nlp.solution.clock import Clock
 from rmesh_nlp.solution.referee import Referee

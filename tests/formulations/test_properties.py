@@ -16,7 +16,7 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.examples.random_problems import Frame, random_problem
 from rmesh_nlp.meshes import from_arrays
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     NO_CONTACT,
     signed_areas,

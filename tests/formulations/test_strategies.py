@@ -13,7 +13,8 @@ import pytest
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.optimize.nlp import Solver, Status
+from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.solution import Solution

@@ -13,7 +13,7 @@ from formulations import fixed, joint, nested
 from rmesh_nlp.io.export import Series, element_table, node_table, write_solution
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     ContactProblem,
     Dirichlet,

@@ -13,7 +13,8 @@ from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import ProblemFileError, load_problem
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.nlp import NLP, Solver
+from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, ProblemError, where
 
 LINES_ALONE = """$MeshFormat

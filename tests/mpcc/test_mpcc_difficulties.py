@@ -17,7 +17,7 @@ from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.solver import _failure
 from rmesh_nlp.mpcc.stationarity import Label
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 
 x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")
 XY, XYZ = ca.vertcat(x, y), ca.vertcat(x, y, z)

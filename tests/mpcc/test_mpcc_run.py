@@ -9,7 +9,7 @@ import pytest
 from rmesh_nlp.mpcc import MPCC, Duals, MPCCSolver, Options, solve
 from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.run import Run
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 
 
 def obstacle(n=40):

@@ -12,7 +12,7 @@ from rmesh_nlp.mpcc.programs import Programs, unlifted_program
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.second import second_look
 from rmesh_nlp.mpcc.solver import _choose
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 
 x, y = ca.SX.sym("x"), ca.SX.sym("y")
 XY = ca.vertcat(x, y)

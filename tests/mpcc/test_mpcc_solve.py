@@ -12,7 +12,8 @@ from rmesh_nlp.mpcc.finish import finish
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
 from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.run import Run
-from rmesh_nlp.optimize.nlp import Solver, Status
+from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.optimize.status import Status
 
 KINDS = [ca.SX, ca.MX]
 

@@ -8,7 +8,7 @@ from support.quadratics import quadratic
 from formulations import nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.newton import Evaluation, minimise
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.solution.referee import Referee
 

@@ -22,7 +22,7 @@ from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     ContactProblem,
     Dirichlet,

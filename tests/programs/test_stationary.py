@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.stationary import finished

@@ -11,9 +11,9 @@ from formulations import joint, nested
 from rmesh_nlp.discretisation.validity import ROUNDING, least_angles
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.newton import minimise
-from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.optimize.polyhedron import Polyhedron
 from rmesh_nlp.optimize.smooth_constraints import Wall
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.programs.validity import Validity
 from rmesh_nlp.solution.referee import STATIONARY, Referee

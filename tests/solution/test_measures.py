@@ -10,7 +10,7 @@ from support.verdicts import GOOD
 
 from formulations import fixed, joint
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.verdict import Measured, Verdict, verdict
 

@@ -14,7 +14,7 @@ from formulations import fixed, joint, nested
 from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, ProblemError
 from rmesh_nlp.problem.quadrature import polynomial_degree
 from rmesh_nlp.solution import audit as auditing

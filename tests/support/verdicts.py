@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solution.audit import Audit
 from rmesh_nlp.solution.verdict import Measured
 

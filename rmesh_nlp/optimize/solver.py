@@ -1,0 +1,188 @@
+"""The only call of ``casadi.nlpsol``: a nonlinear program made ready, and what a solve returns."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rmesh_nlp.evaluation import Array, flat
+from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor, SignalWatch
+from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.solver_options import refused_option
+from rmesh_nlp.optimize.status import Status
+
+_IPOPT_STATUS = {
+    "Solve_Succeeded": Status.CONVERGED,
+    "Feasible_Point_Found": Status.CONVERGED,
+    "Solved_To_Acceptable_Level": Status.ACCEPTABLE,
+    "Maximum_Iterations_Exceeded": Status.ITERATION_LIMIT,
+    "Maximum_CpuTime_Exceeded": Status.TIME_LIMIT,
+    "Maximum_WallTime_Exceeded": Status.TIME_LIMIT,
+    "User_Requested_Stop": Status.INTERRUPTED,
+    "Infeasible_Problem_Detected": Status.INFEASIBLE,
+    "Diverging_Iterates": Status.UNBOUNDED,
+    "Search_Direction_Becomes_Too_Small": Status.STALLED,
+    "Restoration_Failed": Status.STALLED,
+    "Error_In_Step_Computation": Status.STALLED,
+    "Not_Enough_Degrees_Of_Freedom": Status.TOO_FEW_FREEDOMS,
+    "Invalid_Number_Detected": Status.EVALUATION_ERROR,
+}
+
+IPOPT_OPTIONS: Mapping[str, Any] = {
+    "print_level": 0,
+    "sb": "yes",
+    "tol": 1e-9,
+    # The default relaxes every bound by 1e-8: it moves a contact energy in the sixth digit.
+    "bound_relax_factor": 0.0,
+}
+
+
+@dataclass(frozen=True)
+class NLPResult:
+    """What a solver returned: a point, multipliers in CasADi's signs, status and counts.
+
+    Attributes
+    ----------
+    x, g, lam_x, lam_g : arrays
+    f : float
+    status : Status
+    solver_message : str
+        The solver's own word.
+    iterations : int
+    history : dict of str to list of float
+        Per iteration: ``obj``, ``inf_pr``, ``inf_du``, ``mu``, ... as the solver gives them.
+    seconds : float
+    """
+
+    x: Array
+    f: float
+    g: Array
+    lam_x: Array
+    lam_g: Array
+    status: Status
+    solver_message: str
+    iterations: int
+    history: dict[str, list[float]]
+    seconds: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solver says that it met a tolerance (not yet a proof: see the audit)."""
+        return self.status in (Status.CONVERGED, Status.ACCEPTABLE)
+
+
+class Solver:
+    """An NLP made ready once and solved for many starts, parameters and bounds.
+
+    Parameters
+    ----------
+    nlp : NLP
+    plugin : str
+        Any CasADi ``nlpsol`` plugin; the options below are Ipopt's.
+    options : mapping
+        Solver options without the plugin prefix; they add to and override ``IPOPT_OPTIONS``.
+    monitor : callable, optional
+        Called after each iteration.
+    every : int
+        Call the monitor at each of so many iterations only.
+
+    Raises
+    ------
+    ValueError
+        If the plugin refuses an option; at a call, if an array has the wrong length or a start is not finite.
+    KeyboardInterrupt
+        At a call, if the user interrupts.
+    """
+
+    def __init__(
+        self,
+        nlp: NLP,
+        *,
+        plugin: str = "ipopt",
+        options: Mapping[str, Any] | None = None,
+        monitor: Monitor | None = None,
+        every: int = 1,
+    ) -> None:
+        self.nlp = nlp
+        settings: dict[str, Any] = {
+            "print_time": False,
+            "error_on_fail": False,
+            "no_nlp_grad": True,
+            "calc_lam_p": False,
+            "show_eval_warnings": False,
+        }
+        base = IPOPT_OPTIONS if plugin == "ipopt" else {}
+        settings[plugin] = {**base, **(options or {})}
+        if nlp.derivatives is not None:
+            settings["grad_f"] = nlp.derivatives.grad_f
+            settings["jac_g"] = nlp.derivatives.jac_g
+            if settings[plugin].get("hessian_approximation", "exact") == "exact":
+                settings["hess_lag"] = nlp.derivatives.hess_lag
+        n_p = int(nlp.p.shape[0])
+        # CasADi does not own its callbacks: the reference must be kept alive
+        self._callback = None if monitor is None else IterationCallback(nlp.n_x, nlp.n_g, n_p, monitor)
+        if self._callback is not None:
+            settings["iteration_callback"] = self._callback
+            settings["iteration_callback_step"] = every
+        problem = {"x": nlp.x, "p": nlp.p, "f": nlp.f, "g": nlp.g}
+        try:
+            with redirect_stdout(StringIO()):  # Ipopt prints the description of an option it refuses
+                self._function = ca.nlpsol("solver", plugin, problem, settings)
+        except RuntimeError as error:
+            raise refused_option(plugin, options or {}, error) from None
+
+    def __call__(
+        self,
+        x0: ArrayLike,
+        *,
+        p: ArrayLike = (),
+        lbx: ArrayLike | None = None,
+        ubx: ArrayLike | None = None,
+        lbg: ArrayLike | None = None,
+        ubg: ArrayLike | None = None,
+        lam_x0: ArrayLike = 0.0,
+        lam_g0: ArrayLike = 0.0,
+    ) -> NLPResult:
+        """Solve; bounds that are not given are the program's own."""
+        nlp = self.nlp
+        start = np.asarray(x0, dtype=float).ravel()
+        if start.size != nlp.n_x:
+            raise ValueError(f"x0 has length {start.size}, the problem has {nlp.n_x} unknowns")
+        if not np.all(np.isfinite(start)):
+            raise ValueError(f"x0[{int(np.flatnonzero(~np.isfinite(start))[0])}] is not finite")
+        began = time.perf_counter()
+        with SignalWatch(self._callback):
+            solution = self._function(
+                x0=start,
+                p=p,
+                lbx=nlp.lbx if lbx is None else lbx,
+                ubx=nlp.ubx if ubx is None else ubx,
+                lbg=nlp.lbg if lbg is None else lbg,
+                ubg=nlp.ubg if ubg is None else ubg,
+                lam_x0=lam_x0,
+                lam_g0=lam_g0,
+            )
+        seconds = time.perf_counter() - began
+        stats = self._function.stats()
+        word = str(stats["return_status"])
+        status = _IPOPT_STATUS.get(word, Status.CONVERGED if stats["success"] else Status.FAILED)
+        return NLPResult(
+            x=flat(solution["x"]),
+            f=float(solution["f"]),
+            g=flat(solution["g"]),
+            lam_x=flat(solution["lam_x"]),
+            lam_g=flat(solution["lam_g"]),
+            status=status,
+            solver_message=word,
+            iterations=int(stats.get("iter_count", 0)),
+            history={key: list(values) for key, values in stats.get("iterations", {}).items()},
+            seconds=seconds,
+        )
