@@ -11,7 +11,7 @@ import pytest
 from formulations import joint, mpcc, mpcc_start, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import RELAXATIONS
-from rmesh_nlp.optimize import nlp
+from rmesh_nlp.optimize import solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solution.solution import Solution
 
@@ -68,13 +68,13 @@ def test_no_other_program_is_solved(objective: str, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(nested, "solve", forbidden)
     monkeypatch.setattr(mpcc_start, "Solver", forbidden)
     solved: list[nlp.NLP] = []
-    call = nlp.Solver.__call__
+    call = solver.Solver.__call__
 
-    def counted(self: nlp.Solver, *arguments: Any, **keywords: Any) -> nlp.NLPResult:
+    def counted(self: solver.Solver, *arguments: Any, **keywords: Any) -> nlp.NLPResult:
         solved.append(self.nlp)
         return call(self, *arguments, **keywords)
 
-    monkeypatch.setattr(nlp.Solver, "__call__", counted)
+    monkeypatch.setattr(solver.Solver, "__call__", counted)
     problem = coarse("6.1")
     record = mpcc.solve(problem, objective=objective).record()
     stages = record["stages"]

@@ -18,7 +18,8 @@ from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.result import Step, excess, residuals
 from rmesh_nlp.mpcc.solver import _choose, _end, _failure
 from rmesh_nlp.mpcc.stationarity import Label
-from rmesh_nlp.optimize.nlp import NLPResult, Status
+from rmesh_nlp.optimize.solver import NLPResult
+from rmesh_nlp.optimize.status import Status
 
 HERE = np.array([2.0, 0.0])
 LABELLED = Verdict(Label("W", None), None, None)

@@ -17,7 +17,8 @@ from rmesh_nlp.mpcc.lpec import Direction
 from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.stationarity import Label
-from rmesh_nlp.optimize.nlp import NLPResult, Status
+from rmesh_nlp.optimize.solver import NLPResult
+from rmesh_nlp.optimize.status import Status
 
 ON_G, ON_H = np.array([True]), np.array([False])
 DOWN = Direction(-1.0, np.zeros(2), ON_H)

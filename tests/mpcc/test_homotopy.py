@@ -14,7 +14,7 @@ from rmesh_nlp.mpcc.classify import Verdict
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.mpcc.stationarity import Label
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 
 START = np.array([0.5, 0.5])
 SOLVED = Finish(np.array([2.0, 0.0]), 1.0, Status.CONVERGED)

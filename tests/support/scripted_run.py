@@ -13,7 +13,8 @@ from rmesh_nlp.mpcc import MPCC, Options
 from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.result import Step
 from rmesh_nlp.mpcc.run import Run
-from rmesh_nlp.optimize.nlp import NLPResult, Status
+from rmesh_nlp.optimize.solver import NLPResult
+from rmesh_nlp.optimize.status import Status
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 
