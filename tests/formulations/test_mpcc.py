@@ -11,7 +11,8 @@ import pytest
 from formulations import joint, mpcc, mpcc_start, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import RELAXATIONS
-from rmesh_nlp.optimize import solver
+from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solution.solution import Solution
 
@@ -67,14 +68,14 @@ def test_no_other_program_is_solved(objective: str, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(joint, "solve", forbidden)
     monkeypatch.setattr(nested, "solve", forbidden)
     monkeypatch.setattr(mpcc_start, "Solver", forbidden)
-    solved: list[nlp.NLP] = []
-    call = solver.Solver.__call__
+    solved: list[NLP] = []
+    call = Solver.__call__
 
-    def counted(self: solver.Solver, *arguments: Any, **keywords: Any) -> nlp.NLPResult:
+    def counted(self: Solver, *arguments: Any, **keywords: Any) -> NLPResult:
         solved.append(self.nlp)
         return call(self, *arguments, **keywords)
 
-    monkeypatch.setattr(solver.Solver, "__call__", counted)
+    monkeypatch.setattr(Solver, "__call__", counted)
     problem = coarse("6.1")
     record = mpcc.solve(problem, objective=objective).record()
     stages = record["stages"]
