@@ -19,6 +19,7 @@ from formulations.auto_cascade import solve_by_cascade
 from formulations.auto_flips import with_edges_flipped
 from formulations.auto_rules import agrees, first_rule, next_rule
 from rmesh_nlp.discretisation.freedoms import freedoms
+from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -83,6 +84,23 @@ def solve(
     on_step : callable, optional
         Called after each iteration, with the moves on the given mesh only.
     """
+    along = with_edge_gaps(problem)
+    if along is not problem:
+        found = solve(
+            along,
+            objective=objective,
+            settings=settings,
+            regularisation=regularisation,
+            flips=flips,
+            tolerance=tolerance,
+            time_limit_s=time_limit_s,
+            start=start,
+            seed=seed,
+            on_step=on_step,
+        )
+        return _chosen(
+            found, f"{found.extra.get('chosen', 'auto')}; gaps along edges: a foundation is curved"
+        )
     check_positive(tolerance=tolerance, time_limit_s=time_limit_s)
     chosen = _weighted(CascadeSettings.of(settings), regularisation)
     common: dict[str, Any] = {

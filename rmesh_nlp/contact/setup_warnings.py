@@ -125,8 +125,8 @@ def bought_gain(gain: float, work_before: float, work_after: float) -> list[Setu
     return [
         SetupWarning(
             "bought",
-            f"about {part:.0%} of the gain is penetration between contact nodes, not accuracy: refine the "
-            "contact boundary, or pin its nodes",
+            f"about {part:.0%} of the gain is penetration between contact nodes, not accuracy: let gaps "
+            "hold along edges (gap = 'edge'), refine the contact boundary, or pin its nodes",
         )
     ]
 
@@ -135,6 +135,8 @@ def _contact(
     problem: ContactProblem, part: ContactSet, system: ContactSystem, state: Equilibrium, u: Array
 ) -> Iterator[SetupWarning]:
     offset, touching = system.offset[part.rows], state.active.touching[part.rows]
+    if part.obstacle.gap == "edge":  # nodes keep off the foundation, which is no overlap
+        offset = part.obstacle.distances(problem.mesh.p[:, part.nodes])
     unit, extent = after(problem.units.length), _extent(problem)
     scale = extent if problem.components == 2 else max(float(np.max(np.abs(u))), 1e-300)
     inside = offset < -1e-9 * scale

@@ -9,8 +9,10 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.edge_gaps import edge_gap_function
 from rmesh_nlp.fem.fields import ElementTerm, Field, Index, constant_field
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, at, signed_areas
+from rmesh_nlp.problem.statement import ContactSet
 
 
 def friction_energy(obstacle: Obstacle) -> ca.Function:
@@ -67,12 +69,29 @@ def slip_function(obstacle: Obstacle) -> ca.Function:
 
 def gap_terms(problem: ContactProblem) -> list[ElementTerm]:
     """One constraint row per contact node and obstacle: its gap, of positions and displacement."""
-    return [
-        ElementTerm(
-            gap_function(part.obstacle, problem.components), (part.nodes[None, :],) * 2, part.rows[None, :]
-        )
-        for part in problem.contact_sets
-    ]
+    terms = []
+    for part in problem.contact_sets:
+        beside = _neighbours(problem, part) if part.obstacle.gap == "edge" else [()] * part.nodes.size
+        for sides in sorted({len(nodes) for nodes in beside}):
+            chosen = np.array([i for i, nodes in enumerate(beside) if len(nodes) == sides])
+            function = gap_function(part.obstacle, problem.components)
+            at = part.nodes[None, chosen]
+            patch = at
+            if sides:
+                function = edge_gap_function(part.obstacle, problem.components, sides)
+                patch = np.vstack([at, np.array([beside[i] for i in chosen]).T])
+            terms.append(ElementTerm(function, (patch, at), part.rows[None, chosen]))
+    return terms
+
+
+def _neighbours(problem: ContactProblem, part: ContactSet) -> list[tuple[int, ...]]:
+    """For each node of a contact set its neighbours along the contact boundary."""
+    beside: dict[int, list[int]] = {int(node): [] for node in part.nodes}
+    for a, b in contact_edges(problem, part.obstacle).T.tolist():
+        for one, other in ((a, b), (b, a)):
+            if one in beside:
+                beside[one].append(other)
+    return [tuple(beside[int(node)]) for node in part.nodes]
 
 
 def friction_terms(problem: ContactProblem) -> list[ElementTerm]:

@@ -125,7 +125,7 @@ def build(table: ProblemTable, path: Path) -> ContactProblem:
     obstacles = []
     for number, contact in enumerate(table.contact):
         with at_key(path, contact_key(table, number), table):
-            obstacles.append(_obstacle(contact, n))
+            obstacles.append(replace(_obstacle(contact, n), gap=contact.gap))
     loads = tuple(_point_load(table, number, mesh, n, path) for number in range(len(table.point_loads)))
     supports = []
     for name, value in table.dirichlet.items():

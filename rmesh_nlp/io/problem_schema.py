@@ -113,9 +113,12 @@ class ContactTable(Table):
     points: Points | None = None
     interior: Scalar | None = None
     friction: Scalar | None = None
+    gap: Literal["node", "edge"] = "node"
 
     @model_validator(mode="after")
     def _one_kind(self) -> ContactTable:
+        if self.gap == "edge" and self.interior is not None:
+            raise ValueError("gap = 'edge' needs a boundary: in the interior gaps hold at nodes")
         if (self.boundary is None) == (self.interior is None):
             raise ValueError("expected either a boundary or interior")
         kinds = [

@@ -59,6 +59,7 @@ height = -0.05                   # foundation below the graph y = height: number
 # curve = "y - 0.01*x**2"        # or any curve: zero on it, positive where the body may be
 # offset = 0.05                  # or the initial gap itself, along normal = [0, 1]
 # friction = 10.0                # Tresca bound: number or expression
+# gap = "edge"                   # gaps hold along edges too, not only at "node"s; chosen by auto for curves
 # For a scalar problem with u >= psi in the whole domain, instead of boundary:  interior = "..."
 
 [motion]

@@ -22,6 +22,7 @@ class Status(str, Enum):
     WORSE = "worse"
     QUADRATURE_EXPLOITED = "quadrature-exploited"
     PENETRATION = "penetration"
+    PENETRATION_EXPLOITED = "penetration-exploited"
     INVALID_MESH = "invalid_mesh"
     TOO_FEW_FREEDOMS = "too_few_freedoms"
     EVALUATION_ERROR = "evaluation_error"
@@ -48,6 +49,7 @@ _MESSAGES = {
     Status.WORSE: "The minimised objective, measured accurately, is above its value on the given mesh.",
     Status.QUADRATURE_EXPLOITED: "The gain is one of the quadrature rule: take a rule of higher degree.",
     Status.PENETRATION: "Between its nodes the contact boundary penetrates the foundation too far.",
+    Status.PENETRATION_EXPLOITED: "Most of the gain is penetration between contact nodes: take gap = 'edge'.",
     Status.INVALID_MESH: "An element is inverted or smaller than allowed.",
     Status.TOO_FEW_FREEDOMS: "There are more equations than free unknowns.",
     Status.EVALUATION_ERROR: "A function returned NaN or infinity.",

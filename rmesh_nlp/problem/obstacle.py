@@ -13,6 +13,9 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, on_points
 
+GAPS = ("node", "edge")
+"""Where gaps hold: at contact nodes, or along their edges."""
+
 
 class Place(Enum):
     """Where contact may happen when it is not on a named boundary."""
@@ -56,6 +59,11 @@ class Obstacle:
     fixed_in_space : bool
         Whether the offset is that of a shape in space, so that a rigid motion of the foundation
         carries it along; else it is the gap of each material point by itself.
+    gap : str
+        "node": it holds at contact nodes, and a convex foundation passes into the body between them.
+        "edge": it holds along the edges as well, since the foundation counts as nearer at a node by twice
+        the mean height of its arcs above their chords beside the node (:mod:`rmesh_nlp.fem.edge_gaps`).
+        The two are the same where the foundation is straight; in the interior there is "node" only.
     """
 
     boundary: str | Place
@@ -65,6 +73,7 @@ class Obstacle:
     kinks: tuple[float, ...] = ()
     level: PositionFunction | None = None
     fixed_in_space: bool = False
+    gap: str = "node"
 
     def __post_init__(self) -> None:
         if isinstance(self.offset, PiecewiseLinear) and not self.kinks:
@@ -76,6 +85,10 @@ class Obstacle:
             raise ValueError(f"the friction bound must not be negative, got {self.friction}")
         if self.frictional and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
             raise ValueError("friction needs a problem with two displacement components")
+        if self.gap not in GAPS:
+            raise ValueError(f"gap must be {' or '.join(map(repr, GAPS))}, got {self.gap!r}")
+        if self.gap == "edge" and self.boundary is Place.INTERIOR:
+            raise ValueError("gap = 'edge' needs a contact boundary: in the interior gaps hold at nodes")
 
     @classmethod
     def line(

@@ -248,6 +248,10 @@ class Referee:
         claimed, expected = claimed_energy, exact.value
         if equilibrium is not None:
             claimed, expected = found.energy, exact.equilibrium.energy
+        works = [
+            penetration_work_of(self.model, where, at)
+            for where, at in ((np.asarray(self.problem.mesh.p), self.initial), (nodes, found))
+        ]
         judged = verdict(
             status,
             Measured(
@@ -262,6 +266,7 @@ class Referee:
                 size=size,
                 is_energy=function is self.reduced,
                 stationary=residual <= tolerance or labelled or not relocates,
+                penetrated=works[1] - works[0],
             ),
         )
         detail = ""
@@ -277,7 +282,7 @@ class Referee:
             "contact_factorisations": factorisations if relocates else self.initial.iterations,
             **self._residuals(nodes, own or found, exact.equilibrium),
             **self._zones(exact.equilibrium),
-            "warnings": self._warnings(nodes, found),
+            "warnings": self._warnings(nodes, found, works),
         }
         if self.problem.motion.curves:
             areas = (signed_areas(x, self.problem.triangles).sum() for x in (nodes, self.problem.mesh.p))
@@ -316,17 +321,13 @@ class Referee:
             for kind, measure in (("equilibrium", equilibrium_residual), ("complementarity", law_residual))
         }
 
-    def _warnings(self, nodes: Array, state: Equilibrium) -> list[str]:
+    def _warnings(self, nodes: Array, state: Equilibrium, works: list[float]) -> list[str]:
         """Signs of a wrong set-up, and of foundations that pass into the relocated mesh."""
         found = setup_warnings(self.problem, self.model, self.initial, self._auditor.accurate)
         messages = [warning.message for warning in found if warning.kind != "penetration"]
         u = self.model.displacement.values(state.u)
         after = penetration_warnings(self.problem, nodes, u)
-        work = [
-            penetration_work_of(self.model, where, at)
-            for where, at in ((np.asarray(self.problem.mesh.p), self.initial), (nodes, state))
-        ]
-        after += bought_gain(self.initial.energy - state.energy, *work)
+        after += bought_gain(self.initial.energy - state.energy, *works)
         return messages + [warning.message for warning in after]
 
     @cached_property

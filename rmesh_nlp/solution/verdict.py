@@ -3,7 +3,7 @@
 Valid
     The contact problem is solved on the final mesh: equilibrium and complementarity hold to ``TOLERANCE``,
     no element is inverted, the penetration between contact nodes is bounded, and for the energy the
-    gain is confirmed by the audit.
+    gain is confirmed by the audit and is not penetration for the larger part.
 Improved
     The minimised objective, by the rule of the audit, is not above its value on the mesh as given.
 Stationary
@@ -26,6 +26,9 @@ GAIN_AGREEMENT = 0.1
 
 ROUNDING = 1e-9
 """Part of the objective's size below which differences of it are rounding."""
+
+MOST = 0.5
+"""Part of a gain from which on it is not a gain if penetration between contact nodes is worth that much."""
 
 FAILURES = (
     Status.INFEASIBLE,
@@ -57,6 +60,9 @@ class Measured:
     is_energy : bool
         Whether the energy is minimised.
     stationary : bool
+    penetrated : float
+        Increase of the energy that penetration between contact nodes is worth,
+        :func:`rmesh_nlp.contact.penetration.penetration_work`.
     """
 
     audit: Audit
@@ -68,6 +74,12 @@ class Measured:
     size: float
     is_energy: bool
     stationary: bool
+    penetrated: float = 0.0
+
+    @property
+    def is_penetration(self) -> bool:
+        """Whether most of the gain is penetration between contact nodes, not accuracy."""
+        return self.is_energy and self.penetrated > max(MOST * self.gain, ROUNDING * self.size)
 
     @property
     def exploited(self) -> bool:
@@ -88,7 +100,9 @@ class Measured:
             return Status.INACCURATE
         if not audit.penetration_excess <= 1:
             return Status.PENETRATION
-        return Status.QUADRATURE_EXPLOITED if self.exploited else None
+        if self.exploited:
+            return Status.QUADRATURE_EXPLOITED
+        return Status.PENETRATION_EXPLOITED if self.is_penetration else None
 
     @property
     def improved(self) -> bool:

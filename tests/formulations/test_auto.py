@@ -192,9 +192,27 @@ def test_a_coarse_map_that_gains_by_penetration_is_not_taken_whole() -> None:
     assert coarse.penetration > 0.1 * (given - coarse.energy)
     assert fine.taken < 1
     assert fine.energy <= given
-    row = auto.solve(problem, settings={"brief": 1, "iterations": 10, "stationary": 1}).record()
+
+
+def test_a_part_of_a_map_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(auto, "with_edge_gaps", lambda problem: problem)
+    few = {"brief": 1, "iterations": 10, "stationary": 1}
+    row = auto.solve(over_a_parabola(12), settings=few).record()
     assert "of a prolonged map a part was taken" in row["chosen"]
     assert row["gain_audited"] >= 0
+
+
+def test_over_a_curved_foundation_gaps_hold_along_edges_and_gains_are_true() -> None:
+    problem = over_a_parabola(6)
+    solution = auto.solve(problem, settings={"iterations": 20, "finish": 20})
+    row = solution.record()
+    assert row["success"]
+    assert "gaps along edges" in row["chosen"]
+    assert row["penetration"] < 1e-12
+    # below the energy of a much finer mesh with gaps at nodes, which is too low, no true gain can lead
+    finer = ContactModel(over_a_parabola(24))
+    assert finer.solve(finer.problem.mesh.p).energy < row["energy_audited"]
+    assert row["energy_audited"] < row["energy_initial_audited"]
 
 
 def test_a_map_is_halved_until_it_lowers_the_energy() -> None:

@@ -257,3 +257,15 @@ min_angle = 7
     assert motion.tied == ((4, 7),)
     assert motion.min_angle == 7
     assert motion.delta == (0.1, 0.1)
+
+
+def test_gaps_may_hold_along_edges(tmp_path: Path) -> None:
+    path = tmp_path / "problem.toml"
+    path.write_text(VALID)
+    assert load_problem(path).obstacles[0].gap == "node"
+    for line, gap in (('gap = "edge"', "edge"), ('gap = "node"', "node")):
+        path.write_text(VALID.replace("[contact]\n", f"[contact]\n{line}\n"))
+        assert load_problem(path).obstacles[0].gap == gap
+    path.write_text(VALID.replace("[contact]\n", '[contact]\ngap = "middle"\n'))
+    with pytest.raises(ProblemFileError, match="'middle'"):
+        load_problem(path)

@@ -39,6 +39,7 @@ def with_audit(**changes: Any) -> Measured:
         (with_audit(penetration_excess=1.1), Status.PENETRATION),
         (replace(GOOD, gain_audited=0.089, decrease=0.089), Status.QUADRATURE_EXPLOITED),
         (replace(GOOD, gain=0.089), Status.QUADRATURE_EXPLOITED),
+        (replace(GOOD, penetrated=0.051), Status.PENETRATION_EXPLOITED),
         (replace(GOOD, gain=-0.1, gain_audited=-0.1, decrease=-0.1), Status.WORSE),
         (replace(GOOD, is_energy=False, decrease=-1e-8), Status.WORSE),
     ],
@@ -47,6 +48,13 @@ def test_each_finding_has_a_status_and_is_no_success(measured: Measured, status:
     judged = verdict(Status.CONVERGED, measured)
     assert judged.status is status
     assert not judged.success
+
+
+def test_a_gain_may_be_penetration_to_half() -> None:
+    assert verdict(Status.CONVERGED, replace(GOOD, penetrated=0.049)).success
+    assert verdict(Status.CONVERGED, replace(GOOD, penetrated=0.09, is_energy=False)).success
+    unmoved = replace(GOOD, gain=0.0, gain_audited=0.0, decrease=0.0, penetrated=1e-12)
+    assert verdict(Status.CONVERGED, unmoved).success
 
 
 def test_differences_of_rounding_are_none() -> None:

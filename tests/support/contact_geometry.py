@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -32,6 +35,11 @@ def block_on_a_circle(n: int = 4) -> ContactProblem:
         tractions=(Traction("top", (-20.0, -120.0)),),
         name="circle",
     )
+
+
+def block_along_a_circle(n: int = 4) -> ContactProblem:
+    """The block on the disc with gaps that hold along edges."""
+    return with_edge_gaps(replace(block_on_a_circle(n), name="along"))
 
 
 def block_sliding_on_a_circle(n: int = 3) -> ContactProblem:
@@ -101,5 +109,6 @@ GEOMETRIES = (
     block_sliding_on_a_circle,
     block_between_two_foundations,
     block_in_a_corner,
+    block_along_a_circle,
     punch_held_by_symmetry,
 )

@@ -1,0 +1,113 @@
+"""Gaps that hold along edges: closed forms, and no penetration on any mesh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.contact_geometry import LAW, block_between_two_foundations
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.penetration import penetration, penetration_work_of
+from rmesh_nlp.fem.edge_gaps import edge_gap_function, with_edge_gaps
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, Traction
+
+CURVATURE = 0.8
+PARABOLA = Obstacle.graph("bottom", lambda x, y: -CURVATURE / 2 * (x - 1) ** 2)
+DISC = Obstacle.circle("bottom", (1.0, -1.0), 1.0)
+
+
+def block(n: int, obstacle: Obstacle) -> ContactProblem:
+    sides = (Dirichlet("left", (0.0, None)), Dirichlet("right", (0.0, None)))
+    return ContactProblem(
+        rectangle(2 * n, n, x=(0, 2)),
+        LAW,
+        sides,
+        obstacle,
+        Motion(None),
+        (Traction("top", (0.0, -900.0)),),
+    )
+
+
+def shaken(problem: ContactProblem, seed: int) -> ContactProblem:
+    """The problem with nodes of the lower side at other places on it."""
+    nodes = np.array(problem.mesh.p)
+    below = np.flatnonzero((nodes[1] == 0) & (nodes[0] > 0) & (nodes[0] < 2))
+    h = np.min(np.diff(np.sort(nodes[0, below])))
+    nodes[0, below] += np.random.default_rng(seed).uniform(-0.4, 0.4, below.size) * h
+    return replace(problem, mesh=replace(problem.mesh, doflocs=nodes))
+
+
+@pytest.mark.parametrize("lengths", [(0.3, 0.3), (0.3, 0.1), (0.05, 0.4)])
+def test_a_node_keeps_off_a_parabola_by_the_closed_form(lengths: tuple[float, float]) -> None:
+    h, k = lengths
+    x = np.array([0.7, 0.7 - h, 0.7 + k])
+    patch = np.vstack([x, np.zeros(3)]).ravel(order="F")
+    gap = float(edge_gap_function(PARABOLA, 2, 2)(patch, [0.2, 0.1])[1])
+    at_node = CURVATURE / 2 * 0.3**2 + 0.1
+    assert at_node - gap == pytest.approx(CURVATURE / 6 * (h**2 - h * k + k**2), rel=1e-12)
+    # enough for both edges: the arc of the longer one is no higher
+    assert at_node - gap >= CURVATURE / 8 * max(h, k) ** 2
+    # an end of the contact boundary has one edge
+    alone = float(edge_gap_function(PARABOLA, 2, 1)(patch[:4], [0.2, 0.1])[1])
+    assert at_node - alone == pytest.approx(CURVATURE / 6 * h**2, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "obstacle",
+    [Obstacle.line("bottom", (0, -0.1), (0.1, 1)), Obstacle.graph("bottom", lambda x, y: x**2 - 9)],
+)
+def test_straight_and_concave_foundations_need_nothing(obstacle: Obstacle) -> None:
+    problem = block(2, obstacle)
+    assert with_edge_gaps(problem) is problem
+    nodes, along = problem.mesh.p, replace(problem, obstacle=replace(obstacle, gap="edge"))
+    offsets = [ContactModel(p).system(nodes).offset for p in (problem, along)]
+    np.testing.assert_allclose(offsets[1], offsets[0], atol=1e-14)
+
+
+def test_only_foundations_that_rise_above_their_chords_are_changed() -> None:
+    along = with_edge_gaps(block_between_two_foundations())
+    assert [obstacle.gap for obstacle in along.obstacles] == ["node", "edge"]
+    assert with_edge_gaps(along) is along
+
+
+@pytest.mark.parametrize("obstacle", [PARABOLA, DISC])
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_passes_between_the_nodes_of_any_mesh(obstacle: Obstacle, seed: int) -> None:
+    at_nodes = shaken(block(6, obstacle), seed)
+    along = with_edge_gaps(at_nodes)
+    depths, energies = [], []
+    for problem in (at_nodes, along):
+        model, nodes = ContactModel(problem), np.asarray(problem.mesh.p)
+        state = model.solve(nodes)
+        depths.append(penetration(problem, nodes, model.displacement.values(state.u)))
+        energies.append(state.energy)
+    assert np.sum(state.active.touching) >= 2
+    assert depths[0] > 1e-4
+    assert depths[1] < 1e-12
+    assert penetration_work_of(model, nodes, state) < 1e-12
+    assert energies[1] > energies[0]
+
+
+@pytest.mark.parametrize("obstacle", [PARABOLA, DISC])
+def test_energies_fall_to_the_limit_from_above(obstacle: Obstacle) -> None:
+    energies = {
+        gap: [
+            ContactModel(p).solve(p.mesh.p).energy
+            for p in (block(n, replace(obstacle, gap=gap)) for n in (4, 8, 16))
+        ]
+        for gap in ("node", "edge")
+    }
+    assert np.all(np.diff(energies["edge"]) < 0)
+    # both tend to the same, the error and the difference by a factor of about four
+    difference = np.subtract(energies["edge"], energies["node"])
+    assert np.all(difference[:-1] / difference[1:] > 3)
+
+
+def test_bad_gaps_are_refused() -> None:
+    with pytest.raises(ValueError, match="'somewhere'"):
+        Obstacle("bottom", gap="somewhere")
+    with pytest.raises(ValueError, match="interior"):
+        replace(Obstacle.interior(0.0), gap="edge")
