@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from formulations import joint
-from formulations.mpcc_options import BARRIER, BARRIER_ENERGY, OPTIONS, TIGHT_OTHERS, ipopt_options
+from formulations.mpcc_options import BARRIER, OPTIONS, TIGHT_OTHERS, energy_options, ipopt_options
 from formulations.mpcc_start import Begin, begin, moves
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
@@ -147,9 +147,10 @@ def solve(
             force=contact.system.force_scale,
             value=abs(value) or 1.0,
         )
-    ipopt = ipopt_options(1.0, BARRIER, TIGHT_OTHERS)
     if outer.is_energy:
-        ipopt = ipopt_options(two_level.value / joint.pull(contact.gradient), BARRIER_ENERGY)
+        ipopt = energy_options(two_level.value / joint.pull(contact.gradient))
+    else:
+        ipopt = ipopt_options(1.0, BARRIER, TIGHT_OTHERS)
     recorder = Recorder(referee, on_step, time_limit_s, two_level.value, outer.is_energy)
     where = Begin(at.name, np.zeros(0))
 

@@ -81,10 +81,11 @@ def begin(
     if where.solution is None:
         return Begin(where.name, here)
     before = where.solution if isinstance(start, str) else None
+    options = _after_energy(two_level.value / joint.pull(contact.gradient)) if outer.is_energy else CERTIFY
     return Begin(
         where.name,
         here,
-        CERTIFY,
+        options,
         [] if before is None else list(before.history),
         where.iterations,
         where.contact_solves + 2,
@@ -123,7 +124,7 @@ def _joint(
 
 
 def _after_energy(scaling: float) -> dict[str, Any]:
-    """Options from the minimiser of the energy program on.
+    """Options from the minimiser of the energy program, or another strategy's, on.
 
     With the objective scaled and the barrier left about where that program left them, each
     slack times its multiplier is still the barrier: Ipopt goes on from there, as if it had been

@@ -157,6 +157,20 @@ def test_a_solution_and_positions_are_starts() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["6.1", "6.3"])
+def test_a_minimum_of_another_strategy_is_certified_where_it_is(name: str) -> None:
+    # from the given mesh mpcc ends in a lower minimum of 6.1: it must not leave nested's on the way there
+    problem = EXAMPLES[name]()
+    end = nested.solve(problem)
+    certified = mpcc.solve(problem, start=end)
+    np.testing.assert_allclose(certified.mesh.p, end.mesh.p, atol=1e-4)
+    assert certified.energy == pytest.approx(end.energy, rel=1e-8)
+    assert certified.success
+    assert certified.stationarity == "S"
+    assert certified.iterations < 40
+
+
+@pytest.mark.slow
 def test_starts_that_do_not_fit_are_refused() -> None:
     problem = coarse("6.1")
     with pytest.raises(ValueError, match="unknown start 'zero': choose from"):
