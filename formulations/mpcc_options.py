@@ -1,8 +1,9 @@
 """How ``mpcc`` runs the homotopy, and Ipopt in it; docs/notes/mpcc-speed.md has what chose the numbers.
 
 The settings were chosen on Example 6.1 with 5 to 26, and Examples 6.2 and 6.3 with 8 to 20 squares a
-side, other than the sizes that are reported, and on 16 random problems; the first barrier for the energy and how
-it falls on 6.1 with 32 squares and on the paper's grids, and 30 other random problems confirmed them.
+side, other than the sizes that are reported, and on 16 random problems; the first barrier for the energy
+and how it falls on 6.1 with 32 squares and on the paper's grids, and 30 other random problems confirmed
+them.
 """
 
 from __future__ import annotations
