@@ -39,7 +39,11 @@ MANY = 2000
 the number of nodes. On plates with two holes of 517 and 1,381 nodes both gain the same in the same time."""
 
 ENOUGH = 1e-3
-"""Part of the gain so far below which a predicted step is not worth taking, where there are many moves."""
+"""Part of the gain so far below which a predicted step is not worth taking, for 20,000 moves. It grows with
+the moves, since a step costs more of them: see :func:`enough_for`."""
+
+ENOUGH_MOVES = 20_000
+"""Moves up to which ``ENOUGH`` is taken as it is."""
 
 SCHEDULE = (1.0, 0.1, 0.01)
 """Weights of the distortion where constraints must hold and ``joint`` is run."""
@@ -119,8 +123,9 @@ def solve(
         )
         return _chosen(found, "nested: the objective is not the energy")
     if motion.delta is not None:
-        if freedoms(problem).n > MANY and not flips and regularisation is None:
-            found = nested.solve(problem, outer="newton", settings={"enough": ENOUGH}, **common)
+        moves = freedoms(problem).n
+        if moves > MANY and not flips and regularisation is None:
+            found = nested.solve(problem, outer="newton", settings={"enough": enough_for(moves)}, **common)
             return _chosen(found, f"nested, newton: nodes have boxes, and more than {MANY} moves are many")
         found = joint.solve(problem, flips=flips, regularisation=regularisation, **common)
         return _chosen(found, "joint: nodes have boxes")
@@ -141,6 +146,11 @@ def solve(
     if flips:
         found = with_edges_flipped(problem, found, chosen, tolerance, time_limit_s)
     return found if found.status is Status.TIME_LIMIT else _with_worth(problem, found)
+
+
+def enough_for(moves: int) -> float:
+    """Part of the gain so far below which a predicted step is not worth taking."""
+    return ENOUGH * max(1.0, moves / ENOUGH_MOVES)
 
 
 def _weighted(settings: CascadeSettings, regularisation: Regularisation) -> CascadeSettings:

@@ -47,6 +47,9 @@ SUCCESS = 0
 FILES = ("record.json", "solution.vtu", "history.csv", "mesh.msh")
 """What a solve writes, the series of its iterates aside."""
 
+SERIES_NODES = 200_000
+"""Nodes of all frames of a series together: with more, writing them takes longer than the solve."""
+
 
 def new(path: Path) -> int:
     """Write the commented template; an existing file is never replaced."""
@@ -132,7 +135,7 @@ def solve(
     table = read_table(path)
     problem = _load(path, notes=voice == "text")
     name, keywords = _plan(path, formulation, options)
-    series = Series(problem)
+    series = Series(problem, most=max(2, SERIES_NODES // problem.mesh.p.shape[1]))
     case = Case(problem, name, keywords, certify or table.solve.certify)
     watched = not keywords.keys() & {"starts", "levels"}
     folder = Path("results") / safe_name(problem.name) if out is None else out
@@ -193,7 +196,7 @@ def _write(
         write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
         if series.frames:
             manifest.claim(*(f"iterations/{name}" for name in series.names()))
-            series.write(folder / "iterations")
+            series.write(folder / "iterations", pressure=np.asarray(solution.pressure))
     write_single(folder, outcome.record, lambda places: campaign.save(outcome, places))
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, factorised
 from rmesh_nlp.evaluation import Array
@@ -45,6 +46,16 @@ def first_set(system: ContactSystem) -> ActiveSet:
     if system.offset.size >= FEW * (4 if system.slip_bound.size else 1):
         return predicted_set(system)
     return ActiveSet(system.offset <= 0, np.zeros(system.slip_bound.size, dtype=np.int8))
+
+
+def touching_set(system: ContactSystem, touching: NDArray[np.bool_]) -> ActiveSet | None:
+    """The active set of contact nodes (gaps,) that touched on a similar mesh; None where friction acts.
+
+    Which nodes slide is then not known, and a guess of the whole set is better.
+    """
+    if system.slip_bound.size:
+        return None
+    return ActiveSet(np.array(touching), np.zeros(0, dtype=np.int8))
 
 
 def predicted_set(system: ContactSystem) -> ActiveSet:

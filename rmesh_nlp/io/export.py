@@ -10,7 +10,8 @@ import meshio
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.first_guess import touching_set
+from rmesh_nlp.contact.model import ContactModel, solve
 from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.evaluation import Array
@@ -154,10 +155,12 @@ class Series:
     problem : ContactProblem
     every : int
         Keep one of so many iterates, the first and the last always.
+    most : int, optional
+        Keep no more than about so many, evenly; each costs a contact solve and a file.
     """
 
-    def __init__(self, problem: ContactProblem, every: int = 1) -> None:
-        self.problem, self.every = problem, every
+    def __init__(self, problem: ContactProblem, every: int = 1, most: int | None = None) -> None:
+        self.problem, self.every, self.most = problem, every, most
         self._steps: list[Step] = []
 
     def __call__(self, step: Step) -> None:
@@ -174,14 +177,21 @@ class Series:
         """Names of the files that :meth:`write` will write."""
         return [f"{name}.pvd", *(self._file(step, name) for step in self._chosen())]
 
-    def write(self, folder: str | Path, name: str = "iterations") -> Path:
-        """Write ``name.pvd`` and one VTU file per frame, each whole; returns the path of the former."""
+    def write(self, folder: str | Path, name: str = "iterations", pressure: Array | None = None) -> Path:
+        """Write ``name.pvd`` and one VTU file per frame, each whole; returns the path of the former.
+
+        A contact ``pressure`` (nodes,) on a similar mesh saves the first frame the search for the nodes that
+        touch.
+        """
         folder = Path(folder)
         model, free = ContactModel(self.problem), freedoms(self.problem)
         entries, active = [], None
         for step in self._chosen():
             nodes = free.positions.values(np.asarray(step.q))
-            state = model.solve(nodes, active)
+            system = model.system(nodes)
+            if active is None and pressure is not None:
+                active = touching_set(system, pressure[model.contact_nodes] > 0)
+            state = solve(system, active)
             active = state.active
             u = model.displacement.values(state.u)
             file = self._file(step, name)
@@ -202,7 +212,10 @@ class Series:
 
     def _chosen(self) -> list[Step]:
         last = len(self._steps) - 1
-        return [s for i, s in enumerate(self._steps) if i % self.every == 0 or i == last]
+        every = self.every
+        if self.most is not None:
+            every = max(every, -(-last // max(self.most - 1, 1)))
+        return [s for i, s in enumerate(self._steps) if i % every == 0 or i == last]
 
     @staticmethod
     def _file(step: Step, name: str) -> str:

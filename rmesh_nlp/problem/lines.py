@@ -109,14 +109,18 @@ def _labels(problem: ContactProblem) -> NDArray[np.int64]:
     inside = right >= 0
     sides = np.vstack([zone[left], np.where(inside, zone[right], -1)])
     on_line = ~inside | (sides[0] != sides[1]) | np.any(member > 0, axis=1)
-    key = np.hstack([np.sort(sides, axis=0).T, member])
-    return np.where(on_line, 1 + np.unique(key, axis=0, return_inverse=True)[1].ravel(), 0)
+    result = np.zeros(n_facets, dtype=np.int64)
+    key = np.hstack([np.sort(sides[:, on_line], axis=0).T, member[on_line]])
+    result[on_line] = 1 + np.unique(key, axis=0, return_inverse=True)[1].ravel()
+    return result
 
 
 def element_zones(problem: ContactProblem) -> NDArray[np.int64]:
     """A number per element: which set of named subdomains it belongs to."""
     mesh = problem.mesh
     names = sorted(name for name in (mesh.subdomains or {}) if not name.startswith("gmsh:"))
+    if not names:
+        return np.zeros(mesh.t.shape[1], dtype=np.int64)
     member = np.zeros((mesh.t.shape[1], len(names) + 1), dtype=bool)
     for column, name in enumerate(names):
         member[np.asarray(mesh.subdomains[name]), column] = True

@@ -20,6 +20,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.limits import draw_limits, draw_motion
 from rmesh_nlp.report.page import Page
+from rmesh_nlp.report.pixels import draw_edges, draw_field, is_fine
 from rmesh_nlp.report.states import Drawable, State, after, before
 from rmesh_nlp.report.style import FOUNDATION, GRID_LINE, MAP, look, new_figure, save
 
@@ -29,9 +30,6 @@ PICTURES = ("mesh", "displacement", "stress", "flux", "pressure", "motion", "lim
 
 LARGEST_DEFORMATION = 0.08
 """Displacements are drawn no longer than this part of the body's extent."""
-
-FINE = 10_000
-"""Triangles above which edges are drawn as pixels: as lines they make files of megabytes."""
 
 ROOM = 0.15
 """A foundation is drawn up to this part of the extent outside the body."""
@@ -52,7 +50,7 @@ def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> lis
 
 def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
     """Names and figures, made one by one."""
-    states = [before(solution.problem), after(solution)]
+    states = [before(solution.problem, np.asarray(solution.pressure)), after(solution)]
     moved = bool(np.any(states[0].nodes != states[1].nodes))
     if not moved:
         states = states[1:]
@@ -80,24 +78,14 @@ def _meshes(states: Sequence[State], page: Page) -> Figure:
     figure, axes = page.panels(len(states), windows, below=0.3)
     for k, state in enumerate(states):
         top = axes[0, k]
-        top.triplot(
-            _triangulation(state, state.nodes),
-            color=GRID_LINE,
-            linewidth=_line_width(state),
-            rasterized=_is_fine(state),
-        )
+        _edges(top, state, state.nodes)
         _contact_set(top, state)
         _boundary(top, state)
         if deforms:
             _foundation(top, states[0], 1.0)
             bottom = axes[1, k]
             moved = state.nodes + factor * state.displacement
-            bottom.triplot(
-                _triangulation(state, moved),
-                color=GRID_LINE,
-                linewidth=_line_width(state),
-                rasterized=_is_fine(state),
-            )
+            _edges(bottom, state, moved)
             _foundation(bottom, states[0], factor)
             bottom.set_title("deformed, u and gap" + (f" × {factor:g}" if factor != 1 else ""))
     _finish(axes, states, windows)
@@ -126,15 +114,15 @@ def _coloured(states: Sequence[State], values: list[Array], label: str, page: Pa
     windows = [_window(states, 0.0)]
     figure, axes = page.panels(len(states), windows, below=0.75)
     for axis, state, value in zip(axes[0], states, values, strict=True):
-        mesh = _triangulation(state, state.nodes)
-        smooth = value.size == state.nodes.shape[1]
-        given: dict[str, Any] = {"facecolors": value}
-        if smooth:
-            given = {"shading": "gouraud"}
-        painted = axis.tripcolor(
-            mesh, *([value] if smooth else []), vmin=low, vmax=high, cmap=MAP, rasterized=True, **given
-        )
-        axis.triplot(mesh, color="white", linewidth=0.4 * _line_width(state), rasterized=_is_fine(state))
+        colours: dict[str, Any] = {"vmin": low, "vmax": high, "cmap": MAP}
+        if is_fine(state.problem.triangles):
+            painted = draw_field(axis, state.nodes, state.problem.triangles, value, **colours)
+        else:
+            mesh = _triangulation(state, state.nodes)
+            smooth = value.size == state.nodes.shape[1]
+            given: dict[str, Any] = {"shading": "gouraud"} if smooth else {"facecolors": value}
+            painted = axis.tripcolor(mesh, *([value] if smooth else []), rasterized=True, **given, **colours)
+            axis.triplot(mesh, color="white", linewidth=0.4 * _line_width(state))
         _contact_set(axis, state, filled=False)
     _finish(axes, states, windows)
     bar = figure.colorbar(painted, ax=axes.ravel().tolist(), location="bottom", aspect=40, shrink=0.8)
@@ -267,9 +255,12 @@ def _triangulation(state: State, nodes: Array) -> Triangulation:
     return Triangulation(nodes[0], nodes[1], state.problem.triangles.T)
 
 
-def _is_fine(state: State) -> bool:
-    """Whether a mesh has so many edges that they are pixels in a PDF file, too."""
-    return bool(state.problem.mesh.t.shape[1] > FINE)
+def _edges(axis: Axes, state: State, nodes: Array) -> None:
+    """The edges of the mesh."""
+    if is_fine(state.problem.triangles):
+        draw_edges(axis, nodes, state.problem.mesh.facets, GRID_LINE)
+    else:
+        axis.triplot(_triangulation(state, nodes), color=GRID_LINE, linewidth=_line_width(state))
 
 
 def _line_width(state: State) -> float:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.problem.units import bracketed
+from rmesh_nlp.report.pixels import draw_field, is_fine
 from rmesh_nlp.report.states import Drawable
 from rmesh_nlp.report.style import MAP
 
@@ -48,7 +49,9 @@ def limits(solution: Drawable) -> NDArray[np.object_]:
 def draw_limits(figure: Figure, axis: Axes, solution: Drawable) -> None:
     """Every node with the colour of its limit."""
     nodes = np.asarray(solution.mesh.p)
-    axis.triplot(nodes[0], nodes[1], solution.problem.triangles.T, color="0.85", linewidth=0.3)
+    fine = is_fine(solution.problem.triangles)
+    if not fine:
+        axis.triplot(nodes[0], nodes[1], solution.problem.triangles.T, color="0.85", linewidth=0.3)
     kinds = limits(solution)
     used = np.zeros(nodes.shape[1], dtype=bool)
     used[np.unique(solution.mesh.t)] = True
@@ -58,7 +61,17 @@ def draw_limits(figure: Figure, axis: Axes, solution: Drawable) -> None:
         if np.any(here):
             label, colour, marker = limit.value
             x, y = nodes[:, here]
-            axis.scatter(x, y, s=size, c=colour, marker=marker, linewidths=0, label=label, zorder=2)
+            axis.scatter(
+                x,
+                y,
+                s=size,
+                c=colour,
+                marker=marker,
+                linewidths=0,
+                label=label,
+                zorder=2,
+                rasterized=fine,
+            )
     axis.set_title("what limits each node")
     legend = figure.legend(loc="outside lower center", handletextpad=0.2, borderpad=0.1, labelspacing=0.25)
     for handle in legend.legend_handles:
@@ -69,10 +82,14 @@ def draw_motion(figure: Figure, axis: Axes, solution: Drawable) -> None:
     """The way of each node over the colours of its length."""
     old, new = np.asarray(solution.problem.mesh.p), np.asarray(solution.mesh.p)
     length = np.linalg.norm(new - old, axis=0)
-    mesh = Triangulation(new[0], new[1], solution.problem.triangles.T)
-    painted = axis.tripcolor(mesh, length, cmap=MAP, shading="gouraud", vmin=0.0, rasterized=True)
-    ways = np.stack([old, new]).transpose(2, 0, 1)[length > 0]
-    axis.add_collection(LineCollection(list(ways), color="white", linewidth=0.6))
+    triangles = solution.problem.triangles
+    if is_fine(triangles):  # the ways would hide the colours
+        painted = draw_field(axis, new, triangles, length, cmap=MAP, vmin=0.0)
+    else:
+        mesh = Triangulation(new[0], new[1], triangles.T)
+        painted = axis.tripcolor(mesh, length, cmap=MAP, shading="gouraud", vmin=0.0, rasterized=True)
+        ways = np.stack([old, new]).transpose(2, 0, 1)[length > 0]
+        axis.add_collection(LineCollection(list(ways), color="white", linewidth=0.6))
     bar = figure.colorbar(painted, ax=axis, location="bottom", aspect=25, shrink=0.9, pad=0.03)
     bar.set_label(f"motion{bracketed(solution.problem.units.length)}")
     bar.locator = MaxNLocator(4)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.first_guess import touching_set
+from rmesh_nlp.contact.model import ContactModel, solve
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.stress import stresses, von_mises
@@ -67,11 +68,16 @@ class State:
         return closed
 
 
-def before(problem: ContactProblem) -> State:
-    """The contact solution on the mesh as given, by one contact solve."""
+def before(problem: ContactProblem, pressure: Array | None = None) -> State:
+    """The contact solution on the mesh as given, by one contact solve.
+
+    A contact ``pressure`` (nodes,) on a similar mesh saves it the search for the nodes that touch.
+    """
     model = ContactModel(problem)
     nodes = np.asarray(problem.mesh.p)
-    state = model.solve(nodes)
+    system = model.system(nodes)
+    start = None if pressure is None else touching_set(system, pressure[model.contact_nodes] > 0)
+    state = solve(system, start)
     pressure = np.zeros(nodes.shape[1])
     if state.normal_force.size:
         np.add.at(pressure, model.contact_nodes, state.normal_force / nodal_weights(problem, nodes))

@@ -13,9 +13,10 @@ import numpy as np
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration, penetration_excess
-from rmesh_nlp.contact.system import ContactSystem, Equilibrium
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation.validity import least_area_ratio
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.nlp import Status
 from rmesh_nlp.problem import ContactProblem
 
 AUDIT_DEGREE = 20
@@ -63,9 +64,14 @@ class Auditor:
         self.accurate = model.with_rule(AUDIT_DEGREE)
         self.accurate_problem = self.accurate.problem
 
-    def solve(self, nodes: Array) -> Equilibrium:
-        """Contact solution by the rule of the audit at node positions (2, nodes)."""
-        return self.accurate.solve(nodes)
+    def solve(self, nodes: Array, start: ActiveSet | None = None) -> Equilibrium:
+        """Contact solution by the rule of the audit at node positions (2, nodes).
+
+        ``start`` is the active set by the rule of the problem, with which it begins; what it does not solve
+        from there is solved from a guess of its own.
+        """
+        found = self.accurate.solve(nodes, start)
+        return found if found.status is Status.CONVERGED or start is None else self.accurate.solve(nodes)
 
     def __call__(self, nodes: Array, found: Equilibrium, accurate: Equilibrium) -> Audit:
         """Audit a contact solution on a mesh; ``accurate`` is that of :meth:`solve`."""

@@ -85,6 +85,7 @@ class Referee:
         with self.clock.during("audit"):
             self._auditor = Auditor(problem, self.model)
             self.initial, self._contact_time = timed(lambda: self.model.solve(np.asarray(problem.mesh.p)))
+            self.reduced.knows(self.initial)
         self.clock.enter("solve")
 
     def function(self, objective: str | Objective) -> Reduced:
@@ -235,7 +236,8 @@ class Referee:
         if not ratio > 0:
             return _without_solution(common, self.problem, ratio)
         cold, factorisations = self.reduced.cold_solves, self.reduced.factorisations
-        exact, accurate = self.reduced(q), self._auditor.solve(nodes)
+        exact = self.reduced(q)
+        accurate = self._auditor.solve(nodes, exact.equilibrium.active)
         found = equilibrium or exact.equilibrium
         audit = self._auditor(nodes, found, accurate)
         function = self.function(objective)
@@ -333,7 +335,7 @@ class Referee:
     @cached_property
     def _accurate_start(self) -> Equilibrium:
         """The contact solution on the mesh as given by the rule of the audit."""
-        return self._auditor.solve(np.asarray(self.problem.mesh.p))
+        return self._auditor.solve(np.asarray(self.problem.mesh.p), self.initial.active)
 
     def _decrease(
         self,
