@@ -92,6 +92,21 @@ def load_problem(path: str | Path) -> ContactProblem:
 def read_table(path: str | Path) -> ProblemTable:
     """The checked tables of a problem file, its mesh not yet read."""
     path = Path(path)
+    data = read_toml(path)
+    try:
+        return ProblemTable.model_validate(data)
+    except ValidationError as error:
+        raise ProblemFileError([pydantic_line(path, item, data) for item in error.errors()]) from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file as they stand there.
+
+    Raises
+    ------
+    ProblemFileError
+        If the file cannot be read, is too large or no TOML; an expression without quotes is named.
+    """
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -99,14 +114,10 @@ def read_table(path: str | Path) -> ProblemTable:
     if len(raw) > LARGEST_FILE:
         raise ProblemFileError([f"{path}: has {len(raw)} bytes: more than {LARGEST_FILE} are not read"])
     try:
-        data = tomllib.loads(raw.decode())
+        return tomllib.loads(raw.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         hint = unquoted(raw, str(error))
         raise ProblemFileError([f"{path}: {hint or f'is not valid TOML: {one_line(error)}'}"]) from error
-    try:
-        return ProblemTable.model_validate(data)
-    except ValidationError as error:
-        raise ProblemFileError([pydantic_line(path, item, data) for item in error.errors()]) from error
 
 
 def build(table: ProblemTable, path: Path) -> ContactProblem:
@@ -277,6 +288,13 @@ def _motion(table: MotionTable) -> Motion:
     )
 
 
+UNNAMED = (
+    'the mesh file names none: name its curves in gmsh, Physical Curve("left") = {1};, or boundaries by '
+    "conditions under [boundaries]"
+)
+"""What to do with a file without physical groups."""
+
+
 def _check_names(table: ProblemTable, mesh: MeshTri, path: Path) -> None:
     """Names of boundaries and subdomains, with the nearest known one in the message."""
     boundaries, subdomains = sorted(mesh.boundaries or {}), sorted(mesh.subdomains or {})
@@ -291,6 +309,8 @@ def _check_names(table: ProblemTable, mesh: MeshTri, path: Path) -> None:
     for key, name in used:
         if name not in boundaries:
             expected = f"expected a boundary of the mesh{nearest(name, boundaries)}"
+            if table.mesh.file and not set(boundaries) - set(table.boundaries):
+                expected += f"; {UNNAMED}"
             raise error_at(path, key, shown(table, key), expected)
     for name in table.materials:
         if name not in subdomains:

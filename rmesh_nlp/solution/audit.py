@@ -16,7 +16,7 @@ from rmesh_nlp.contact.penetration import penetration, penetration_excess
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation.validity import least_area_ratio
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 
 AUDIT_DEGREE = 20

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from rmesh_nlp.io.problem_file import LARGEST_FILE
+from rmesh_nlp.io.problem_file import read_toml
 from rmesh_nlp.io.problem_messages import ProblemFileError, as_text, nearest, one_line
 from rmesh_nlp.study.schema import LimitsTable, RandomTable, StudyTable
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found,unused-ignore]
 
 _TABLES: dict[str, type[BaseModel]] = {"": StudyTable, "random": RandomTable, "limits": LimitsTable}
 
@@ -29,7 +23,7 @@ def read_study(path: str | Path) -> StudyTable:
         With one line per error.
     """
     path = Path(path)
-    data = _toml(path)
+    data = read_toml(path)
     try:
         return StudyTable.model_validate(data)
     except ValidationError as error:
@@ -38,20 +32,7 @@ def read_study(path: str | Path) -> StudyTable:
 
 def is_study(path: str | Path) -> bool:
     """Whether a TOML file states a study rather than a problem."""
-    return "strategies" in _toml(Path(path))
-
-
-def _toml(path: Path) -> dict[str, Any]:
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise ProblemFileError([f"{path}: cannot be read: {error.strerror}"]) from error
-    if len(raw) > LARGEST_FILE:
-        raise ProblemFileError([f"{path}: has {len(raw)} bytes: more than {LARGEST_FILE} are not read"])
-    try:
-        return tomllib.loads(raw.decode())
-    except (ValueError, RecursionError) as error:  # of the decoding as well
-        raise ProblemFileError([f"{path}: is not valid TOML: {one_line(error)}"]) from error
+    return "strategies" in read_toml(Path(path))
 
 
 def _line(path: Path, item: Any) -> str:

@@ -6,6 +6,7 @@ import shutil
 import signal
 from pathlib import Path
 
+import meshio
 import pytest
 from matplotlib import image
 
@@ -153,3 +154,20 @@ def test_ctrl_c_during_the_audit_keeps_the_solution(
     row = json.loads(Path("one/record.json").read_text())
     assert row["status"] == "interrupted"
     assert row["gain_audited"] > 0
+
+
+def test_check_says_what_to_do_about_missing_quotes_and_missing_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "my.toml"
+    path.write_text('[mesh]\nshape = "rectangle"\n[contact]\nboundary = "bottom"\nheight = -0.1*x**2\n')
+    assert cli.run(["check", str(path)]) == 2
+    assert 'expressions need quotes (line 5), as in height = "-0.1*x**2"' in capsys.readouterr().err
+    points, triangles = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], [[0, 1, 2], [0, 2, 3]]
+    meshio.Mesh(points, [("triangle", triangles)]).write(tmp_path / "body.vtk")
+    path.write_text(
+        '[mesh]\nfile = "body.vtk"\n[material]\nlaw = "plane-strain"\nyoung = 1.0\npoisson = 0.3\n'
+        "[dirichlet]\nleft = [0, 0]\n"
+    )
+    assert cli.run(["check", str(path)]) == 2
+    assert "the mesh file names none: name its curves in gmsh" in capsys.readouterr().err
