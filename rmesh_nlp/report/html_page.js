@@ -39,32 +39,43 @@ if (viewer) {
     return "rgb(" + MAP[i].map((c, k) => Math.round(c + w * (MAP[i + 1][k] - c))).join(",") + ")";
   };
   solves.forEach((solve, i) => chosen.add(new Option(solve.name, i)));
-  let place = [];
+  const low = viewer.querySelector("#low"), high = viewer.querySelector("#high");
+  let place = [], printed = false;
+  // In print the given and the relocated mesh stand side by side; on the screen there is one, where the slider is.
   const draw = () => {
-    const solve = solves[chosen.value], t = Number(slider.value), n = solve.x.length;
-    const width = Math.max(canvas.clientWidth, 200), ratio = window.devicePixelRatio || 1;
+    const solve = solves[chosen.value], t = Number(slider.value), steps = printed ? [0, 1] : [t];
+    const width = Math.max(canvas.clientWidth, 200), ratio = printed ? 3 : window.devicePixelRatio || 1;
     const all = { x: solve.x.concat(solve.x0), y: solve.y.concat(solve.y0) };
     const lo = [Math.min(...all.x), Math.min(...all.y)], hi = [Math.max(...all.x), Math.max(...all.y)];
-    const pad = 12, scale = Math.min((width - 2 * pad) / (hi[0] - lo[0] || 1), 560 / (hi[1] - lo[1] || 1));
-    const height = (hi[1] - lo[1]) * scale + 2 * pad;
+    const pad = 12, head = printed ? 16 : 0, each = width / steps.length;
+    const scale = Math.min((each - 2 * pad) / (hi[0] - lo[0] || 1), 560 / (hi[1] - lo[1] || 1));
+    const height = (hi[1] - lo[1]) * scale + 2 * pad + head;
     canvas.width = width * ratio; canvas.height = height * ratio; canvas.style.height = height + "px";
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    const left = (width - (hi[0] - lo[0]) * scale) / 2;
-    place = [];
-    for (let i = 0; i < n; i++) {
-      const x = solve.x0[i] + t * (solve.x[i] - solve.x0[i]), y = solve.y0[i] + t * (solve.y[i] - solve.y0[i]);
-      place.push([left + (x - lo[0]) * scale, height - pad - (y - lo[1]) * scale, x, y]);
-    }
-    const values = solve.fields[field.value], low = Math.min(...values), high = Math.max(...values);
-    pen.lineWidth = 0.6; pen.strokeStyle = "#fff";
-    for (const [a, b, c] of solve.t) {
-      pen.fillStyle = colour(((values[a] + values[b] + values[c]) / 3 - low) / (high - low || 1));
-      pen.beginPath(); pen.moveTo(place[a][0], place[a][1]); pen.lineTo(place[b][0], place[b][1]);
-      pen.lineTo(place[c][0], place[c][1]); pen.closePath(); pen.fill(); pen.stroke();
-    }
+    const values = solve.fields[field.value], least = Math.min(...values), most = Math.max(...values);
+    steps.forEach((step, panel) => {
+      const left = panel * each + (each - (hi[0] - lo[0]) * scale) / 2;
+      place = solve.x0.map((_, i) => {
+        const x = solve.x0[i] + step * (solve.x[i] - solve.x0[i]), y = solve.y0[i] + step * (solve.y[i] - solve.y0[i]);
+        return [left + (x - lo[0]) * scale, height - pad - (y - lo[1]) * scale, x, y];
+      });
+      pen.lineWidth = 0.6; pen.strokeStyle = "#fff";
+      for (const [a, b, c] of solve.t) {
+        pen.fillStyle = colour(((values[a] + values[b] + values[c]) / 3 - least) / (most - least || 1));
+        pen.beginPath(); pen.moveTo(place[a][0], place[a][1]); pen.lineTo(place[b][0], place[b][1]);
+        pen.lineTo(place[c][0], place[c][1]); pen.closePath(); pen.fill(); pen.stroke();
+      }
+      if (printed) {
+        pen.fillStyle = "#1a1a1a"; pen.font = "12px sans-serif";
+        pen.fillText((step === 0 ? "given" : "relocated") + ": " + solve.name, left, 12);
+      }
+    });
+    low.textContent = field.value + " " + least.toPrecision(4); high.textContent = most.toPrecision(4);
     shown.textContent = t === 0 ? "given mesh" : t === 1 ? "relocated mesh" : Math.round(100 * t) + " % of the way";
-    viewer.dataset.drawn = chosen.value + " " + t + " " + field.value;
+    viewer.dataset.drawn = chosen.value + " " + steps + " " + field.value;
   };
+  window.addEventListener("beforeprint", () => { printed = true; draw(); });
+  window.addEventListener("afterprint", () => { printed = false; draw(); });
   const choose = () => {
     const solve = solves[chosen.value], before = field.value;
     field.replaceChildren(...Object.keys(solve.fields).map((name) => new Option(name, name)));

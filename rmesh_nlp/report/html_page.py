@@ -199,7 +199,7 @@ def _convergence(results: Sequence[Result]) -> str:
                     gap = np.where(one.feasible, np.maximum(np.abs(one.energy - best), floor), np.nan)
                     lines.append(Line(name, one.cost, gap, looks[name]))
             symbol, what = ("J", "") if objective == "energy" else ("F", f", {objective}")
-            title = f"{block.title}{what}"[:60]
+            title = f"{block.title}{what}"
             label = f"|{symbol} - {symbol}*|"
             svg = line_chart(lines, title, "cost [contact solves]", label, log_x=True, log_y=True)
             parts.append(f"<figure>{svg}</figure>")

@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 
 WIDTH, HEIGHT = 480, 300
 LEFT, RIGHT, TOP, BOTTOM = 58, 12, 26, 44
+TITLE = 54
+"""Characters of a title that fit above a chart."""
+
 DASHES = {"-": "", "--": "7 4", "-.": "8 3 2 3", ":": "2 3"}
 
 
@@ -49,7 +52,7 @@ def line_chart(
     parts = [
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT + 18 * math.ceil(len(lines) / 3)}" role="img" '
         f'aria-label="{escape(title)}" class="chart">',
-        f'<text x="{LEFT}" y="16" class="title">{escape(title)}</text>',
+        f'<text x="{LEFT}" y="16" class="title">{escape(_short(title))}<title>{escape(title)}</title></text>',
     ]
     for value, text in x_axis.ticks():
         at = x_axis.place(value)
@@ -75,6 +78,11 @@ def line_chart(
         parts.append(f'<path d="M{x} {y}h26" {pen}/>')
         parts.append(f'<text x="{x + 31}" y="{y + 4}">{escape(line.name[:20])}</text>')
     return "".join([*parts, "</svg>"])
+
+
+def _short(title: str) -> str:
+    """A title that fits above the chart; the whole of it is shown on hover."""
+    return title if len(title) <= TITLE else title[: TITLE - 1].rstrip(" ,") + "…"
 
 
 class _Axis:

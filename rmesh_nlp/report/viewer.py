@@ -37,7 +37,8 @@ def viewer(results: Sequence[Result]) -> str:
         '<label>solve <select id="solve"></select> colour <select id="field"></select></label>'
         '<label>given <input id="slider" type="range" min="0" max="1" step="0.01" value="1" '
         'aria-label="from the given to the relocated mesh"> relocated <output id="shown"></output></label>'
-        '<canvas></canvas><div class="hover">Point at a node to read its values.</div></div>'
+        '<canvas></canvas><div class="scale"><span id="low"></span><i></i><span id="high"></span></div>'
+        '<div class="hover">Point at a node to read its values.</div></div>'
         f'<script type="application/json" id="meshes-json">{safe_json(data)}</script>'
     )
 

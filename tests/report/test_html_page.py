@@ -108,6 +108,9 @@ for (let part = 0; part < 1 && !(verdict.hover || "").startsWith("node"); part +
   canvas.dispatchEvent(new PointerEvent("pointermove", where));
   verdict.hover = document.querySelector(".hover").textContent;
 }
+verdict.scale = document.querySelector(".scale").textContent;
+dispatchEvent(new Event("beforeprint")); verdict.printed = document.querySelector("#viewer").dataset.drawn;
+dispatchEvent(new Event("afterprint")); verdict.again = document.querySelector("#viewer").dataset.drawn;
 verdict.empty = [...document.querySelectorAll("svg.chart")].filter(
   (chart) => ![...chart.querySelectorAll("path.curve")].some((path) => path.getTotalLength() > 40)).length;
 verdict.charts = document.querySelectorAll("svg.chart").length;
@@ -138,6 +141,10 @@ def test_the_page_works_in_a_browser(folder: Path, tmp_path: Path, window: str) 
     assert verdict["moved"]
     assert verdict["shown"] == "given mesh"
     assert verdict["hover"].startswith("node ")
+    values = re.fullmatch(r"u (\S+?)(-?\d+\.\d+)", verdict["scale"])
+    assert values is not None
+    assert verdict["printed"] == "0 0,1 u"  # both meshes side by side on paper
+    assert verdict["again"] == "0 0 u"
     assert verdict["charts"] >= 8
     assert verdict["empty"] == 0
     assert verdict["overflow"] <= 0
