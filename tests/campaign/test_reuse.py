@@ -1,0 +1,341 @@
+"""Which rows of an earlier run are used again, and what a run leaves of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.problem_files import VALID
+
+from rmesh_nlp.campaign import run as campaign
+from rmesh_nlp.campaign import strategies
+from rmesh_nlp.campaign.cases import Case, build_problem, make_cases
+from rmesh_nlp.campaign.run import Ended, Outcome, run, solve
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.results import RECORDS, Results, read_results
+from rmesh_nlp.optimize.nlp import Status
+
+
+@pytest.fixture(scope="module")
+def cases() -> list[Case]:
+    """Two solves that take some milliseconds each."""
+    return make_cases(["6.2"], ["fixed"], n=(4, 2)) + make_cases(["6.2"], ["fixed"], n=(2, 2))
+
+
+def resumed(cases: Sequence[Case], folder: Path) -> list[str]:
+    """Keys of those that are solved again."""
+    keys: list[str] = []
+    rows = list(run(cases, Results(folder), resume=True, on_start=lambda case: keys.append(case.key)))
+    assert sorted(row["key"] for row in rows) == sorted(case.key for case in cases)
+    return keys
+
+
+def changed(folder: Path, key: str, **entries: Any) -> None:
+    """Change the row of a key in the file."""
+    results = Results(folder)
+    results.replace_all([{**row, **entries} if row["key"] == key else row for row in results.read()])
+
+
+def test_successes_are_not_solved_again_whatever_their_place(cases: list[Case], tmp_path: Path) -> None:
+    list(run(cases, Results(tmp_path)))
+    assert resumed(cases, tmp_path) == []
+    assert resumed(cases[::-1], tmp_path) == []
+    assert len(Results(tmp_path).read()) == 2
+
+
+@pytest.mark.parametrize(
+    "entries", [{"success": False, "status": "stalled"}, {"status": "interrupted"}, {"success": False}]
+)
+def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(
+    cases: list[Case], tmp_path: Path, entries: dict[str, Any]
+) -> None:
+    list(run(cases, Results(tmp_path)))
+    changed(tmp_path, cases[0].key, **entries)
+    assert resumed(cases, tmp_path) == [cases[0].key]
+    rows = Results(tmp_path).read()
+    assert sorted(row["key"] for row in rows) == sorted(case.key for case in cases)
+    assert all(row["success"] and row["status"] == "converged" for row in rows)
+
+
+@pytest.mark.parametrize("kind", ["vtu", "history", "nodes", "nan"])
+def test_a_row_whose_files_are_missing_or_of_another_mesh_is_solved_again(
+    cases: list[Case], tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    list(run(cases, Results(tmp_path)))
+    results = Results(tmp_path)
+    record = next(row for row in results.read() if row["key"] == cases[0].key)
+    places = results.result(record)
+    assert results.is_intact(record)
+    if kind == "vtu":
+        places.vtu.unlink()
+    elif kind == "history":
+        places.history.unlink()
+    elif kind == "nodes":
+        changed(tmp_path, cases[0].key, nodes=7)
+    else:
+        text = places.vtu.read_text()
+        assert text.count("displacement") == 1
+        fields = campaign.write_solution
+        outcome = solve(cases[0])
+        assert outcome.solution is not None
+        u = outcome.solution.displacement.copy()
+        u[0, 0] = np.nan
+        fields(replace(outcome.solution, displacement=u), places.vtu, "vtu")
+    assert resumed(cases, tmp_path) == [cases[0].key]
+    assert resumed(cases, tmp_path) == []
+
+
+def test_rows_of_versions_that_counted_no_nodes_are_reused(cases: list[Case], tmp_path: Path) -> None:
+    list(run(cases, Results(tmp_path)))
+    results = Results(tmp_path)
+    results.replace_all([{k: v for k, v in row.items() if k != "nodes"} for row in results.read()])
+    assert resumed(cases, tmp_path) == []
+
+
+def test_more_repeats_or_a_certificate_are_a_reason_to_solve_again(cases: list[Case], tmp_path: Path) -> None:
+    list(run(cases[:1], Results(tmp_path)))
+    assert resumed([replace(cases[0], repeats=2)], tmp_path) == [cases[0].key]
+    assert Results(tmp_path).read()[0]["repeats"] == 2
+    assert resumed([replace(cases[0], repeats=2)], tmp_path) == []
+    assert resumed(cases[:1], tmp_path) == []  # fewer would do
+    assert resumed([replace(cases[0], certify=True)], tmp_path) == [cases[0].key]
+    assert resumed([replace(cases[0], certify=True)], tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["example", "n", "quadrature", "delta", "formulation"])
+def test_rows_of_another_problem_under_the_same_key_are_refused(
+    cases: list[Case], tmp_path: Path, name: str
+) -> None:
+    list(run(cases[:1], Results(tmp_path)))
+    other = {"example": "6.3", "n": "9x9", "quadrature": 7, "delta": [0.1, 0.1], "formulation": "nested"}
+    changed(tmp_path, cases[0].key, **{name: other[name]})
+    with pytest.raises(BadInputError, match=rf"cannot resume .* with {name} "):
+        resumed(cases[:1], tmp_path)
+    changed(tmp_path, cases[0].key, success=False)  # a failure is not resumed, whatever it was
+    assert resumed(cases[:1], tmp_path) == [cases[0].key]
+
+
+def test_without_resume_the_earlier_run_stays_until_a_solve_has_ended(
+    cases: list[Case], tmp_path: Path
+) -> None:
+    list(run(cases, Results(tmp_path)))
+    rows = run(cases[:1], Results(tmp_path), on_start=lambda _: seen.append(len(read_results(tmp_path))))
+    seen: list[int] = []
+    next(rows)
+    assert seen == [2]
+    assert len(read_results(tmp_path)) == 1
+    assert len(read_results(tmp_path / "previous")) == 2
+    assert list(rows) == []
+    assert not (tmp_path / "previous-2").exists()
+    list(run(cases, Results(tmp_path)))  # set aside once, not once for each case
+    assert len(read_results(tmp_path)) == 2
+    assert len(read_results(tmp_path / "previous-2")) == 1
+    assert not (tmp_path / "previous-3").exists()
+
+
+def test_an_interrupted_solve_leaves_its_row_and_is_the_last(
+    cases: list[Case], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(case: Case, on_step: Any = None) -> Outcome:
+        outcome = solve(case)
+        return replace(outcome, record={**outcome.record, "status": "interrupted"})
+
+    monkeypatch.setattr(campaign, "solve", stopped)
+    rows = run(cases, Results(tmp_path))
+    assert next(rows)["status"] == "interrupted"
+    with pytest.raises(KeyboardInterrupt):
+        next(rows)
+    assert len(Results(tmp_path).read()) == 1
+    monkeypatch.undo()
+    assert resumed(cases, tmp_path) == [case.key for case in cases]
+
+
+def test_the_lock_is_taken_unless_the_caller_has_it(cases: list[Case], tmp_path: Path) -> None:
+    with Results(tmp_path).locked():
+        with pytest.raises(BadInputError, match="written by another"):
+            list(run(cases[:1], Results(tmp_path)))
+        assert len(list(run(cases[:1], Results(tmp_path), locked=True))) == 1
+
+
+def test_another_solver_gets_what_is_not_done(cases: list[Case], tmp_path: Path) -> None:
+    list(run(cases[:1], Results(tmp_path)))
+    got: list[Case] = []
+
+    def solver(todo: Sequence[Case]) -> Iterator[Ended]:
+        got.extend(todo)
+        for case in todo:
+            outcome = solve(case)
+            yield Ended(case, outcome.record, lambda places, o=outcome: campaign.save(o, places))
+
+    rows = list(run(cases, Results(tmp_path), resume=True, solver=solver))
+    assert got == [cases[1]]
+    assert [row["key"] for row in rows] == [case.key for case in cases]
+
+
+class TestSolve:
+    """One case, as often as it asks for."""
+
+    @pytest.fixture
+    def calls(self, monkeypatch: pytest.MonkeyPatch) -> list[Case]:
+        calls: list[Case] = []
+        self.statuses: list[str] = []
+
+        def once(case: Case, on_step: Any) -> Outcome:
+            calls.append(case)
+            status = self.statuses.pop(0) if self.statuses else "converged"
+            record = {"status": status, "build_time_s": 1.0 * len(calls), "solve_time_s": 1.0}
+            return Outcome(record, None if status == "failed" else object())  # type: ignore[arg-type]
+
+        monkeypatch.setattr(campaign, "_solve", once)
+        return calls
+
+    def case(self, cases: list[Case], **changes: Any) -> Case:
+        return replace(cases[0], certify=True, trace=True, **changes)
+
+    def test_repeats_are_bare_and_joined(self, calls: list[Case], cases: list[Case]) -> None:
+        outcome = solve(self.case(cases, repeats=3))
+        assert [(case.certify, case.trace) for case in calls] == [
+            (True, True),
+            (False, False),
+            (False, False),
+        ]
+        assert outcome.record["build_time_s"] == 2.0
+        assert outcome.record["repeats"] == 3
+
+    def test_one_is_as_it_is(self, calls: list[Case], cases: list[Case]) -> None:
+        assert "repeats" not in solve(self.case(cases)).record
+        assert len(calls) == 1
+
+    @pytest.mark.parametrize("status", ["failed", "interrupted"])
+    def test_a_failure_or_an_interrupted_solve_is_not_repeated(
+        self, calls: list[Case], cases: list[Case], status: str
+    ) -> None:
+        self.statuses = [status]
+        outcome = solve(self.case(cases, repeats=3))
+        assert (len(calls), outcome.record["status"]) == (1, status)
+
+    def test_an_interrupted_repetition_is_the_row(self, calls: list[Case], cases: list[Case]) -> None:
+        self.statuses = ["converged", "interrupted"]
+        outcome = solve(self.case(cases, repeats=3))
+        assert (len(calls), outcome.record["status"]) == (2, "interrupted")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "message"),
+    [
+        (ValueError("not\n this"), "refused", "not this"),
+        (ValueError(), "refused", "ValueError"),
+        (ZeroDivisionError("by zero"), "failed", "ZeroDivisionError: by zero"),
+    ],
+)
+def test_an_exception_is_a_row(
+    cases: list[Case], error: Exception, status: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(problem: Any, *, seed: int | None = None, objective: str = "energy") -> None:
+        raise error
+
+    monkeypatch.setattr(strategies, "load", lambda name: broken)
+    case = replace(cases[0], options={"seed": 3, "objective": "error-l2"}, repeats=2)
+    outcome = solve(case)
+    row = outcome.record
+    assert outcome.solution is None
+    assert (row["status"], row["success"], row["message"]) == (status, False, message)
+    assert (row["seed"], row["objective"], row["stationarity"], row["energy"]) == (3, "error-l2", "", None)
+    assert 0 <= row["wall_time_s"] < 60
+    assert row["versions"]["python"]
+    assert {name: row[name] for name in case.identity} == case.identity
+
+
+def test_a_solve_that_raised_leaves_no_files_of_an_earlier_one(cases: list[Case], tmp_path: Path) -> None:
+    (row,) = run(cases[:1], Results(tmp_path))
+    places = Results(tmp_path).result(row)
+    assert places.vtu.exists()
+    assert places.history.exists()
+    campaign.save(Outcome(row, None), places)
+    assert not places.vtu.exists()
+    assert not places.history.exists()
+    campaign.save(Outcome(row, None), places)  # nothing to remove is no error
+
+
+def test_theorem_41_is_not_asked_of_a_broken_mesh(cases: list[Case], monkeypatch: pytest.MonkeyPatch) -> None:
+    good = solve(cases[0]).solution
+    assert good is not None
+    broken = replace(good, audit=replace(good.audit, min_area_ratio=0.0), status=Status.INVALID_MESH)
+    monkeypatch.setattr(strategies, "load", lambda name: lambda problem: broken)
+    monkeypatch.setattr(campaign, "error_terms", lambda _: pytest.fail("it was asked"))
+    assert solve(cases[0]).record["status"] == "invalid_mesh"
+
+
+class TestCases:
+    """Settings that do not suit a problem are refused before anything is solved."""
+
+    @pytest.fixture
+    def file(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+        monkeypatch.chdir(tmp_path)
+        Path("own.toml").write_text(VALID)
+        return "own.toml"
+
+    @pytest.mark.parametrize("setting", [{"n": 4}, {"delta": 0.01}, {"quadrature": 4}])
+    def test_sizes_are_for_the_examples(self, file: str, setting: dict[str, Any]) -> None:
+        with pytest.raises(BadInputError, match="for the examples"):
+            make_cases([file], ["fixed"], **setting)
+        make_cases(["6.1"], ["fixed"], **{"n": 4, **setting})
+
+    def test_of_a_file_uniform_refinements_without_motion_are_cases_too(self, file: str) -> None:
+        (given,) = make_cases([file], ["nested"], certify=True, refined=0)
+        own, finer = make_cases([file], ["nested"], certify=True, refined=1)
+        assert [given.formulation, own.formulation, finer.formulation] == ["nested", "nested", "fixed"]
+        assert finer.problem.mesh.t.shape[1] == 4 * own.problem.mesh.t.shape[1]
+        assert given.certify
+        assert finer.certify
+
+    def test_keys_are_file_names(self) -> None:
+        (case,) = make_cases(["6.1"], ["nested"], n=4, options={"seed": 3, "objective": "energy"})
+        assert case.key == "6.1-4-nested-energy-seed3"
+        assert replace(case, options={}).key == "6.1-4-nested"
+        assert case.identity["key"] == case.key
+
+    def test_size_and_delta_reach_the_example(self) -> None:
+        problem = build_problem("6.1", n=5, delta=0.02, quadrature=6)
+        assert (problem.size, problem.rule) == ("5", 6)
+        assert problem.motion.delta_record() == [0.02, 0.02]
+        assert build_problem("6.1").size == "8"
+        with pytest.raises(BadInputError, match=r"6\.9"):
+            build_problem("6.9")
+        with pytest.raises(BadInputError):
+            build_problem("6.1", n=-1)
+
+    @pytest.mark.parametrize(
+        ("options", "said"),
+        [
+            ({"objective": "nonsense"}, "nonsense"),
+            ({"objective": ["energy", "nonsense"]}, "nonsense"),
+            ({"relaxation": "nonsense"}, "nonsense"),
+            ({"outer": "nonsense"}, "nonsense"),
+            ({"relaxation": "scholtes"}, "not an option of fixed"),
+        ],
+    )
+    def test_options_are_checked(self, options: dict[str, Any], said: str) -> None:
+        with pytest.raises(BadInputError, match=said):
+            make_cases(["6.1"], ["fixed"], n=4, options=options)
+
+    def test_limits_go_to_those_that_heed_them_and_are_no_error_for_others(self) -> None:
+        (case,) = make_cases(["6.1"], ["fixed"], n=4, options={"time_limit_s": 5.0})
+        assert case.options == {}
+        nested, fixed = make_cases(["6.1"], ["nested", "fixed"], n=4, options={"time_limit_s": 5.0})
+        assert (nested.options, fixed.options) == ({"time_limit_s": 5.0}, {})
+
+    def test_an_objective_of_errors_gives_every_problem_a_reference(self) -> None:
+        (case,) = make_cases(["6.2"], ["fixed"], n=(4, 2), options={"objective": ["energy"]})
+        assert case.problem.exact is None
+
+
+def test_records_are_claimed_before_they_are_written(cases: list[Case], tmp_path: Path) -> None:
+    list(run(cases[:1], Results(tmp_path)))
+    names = Results(tmp_path).manifest.names()
+    stem = f"solutions/{cases[0].key}"
+    assert {RECORDS, f"{stem}.vtu", f"{stem}.csv"} <= set(names)

@@ -1,0 +1,245 @@
+"""Folders of versions that kept no list of their files, rows of studies, and files that are half there."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.reporting import failed_61, fixed_61, joint_61
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.manifest import MANIFEST, Manifest
+from rmesh_nlp.io.results import (
+    FIGURES,
+    HISTORY_FIELDS,
+    RECORD,
+    RECORDS,
+    DamagedRecordsWarning,
+    Results,
+    damaged_last_line,
+    read_lines,
+    read_results,
+    read_rows,
+    row_files,
+    single_result,
+    to_json,
+    write_history,
+    write_single,
+)
+
+
+def fill(folder: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+ROW = to_json(fixed_61(key="a")) + "\n"
+OWN = {
+    RECORDS: ROW + "not a record\n" + to_json(joint_61(key="b_c")) + "\n",
+    "solutions/a.vtu": "x",
+    "solutions/a.csv": "x",
+    "solutions/b_c.vtu": "x",
+    f"{FIGURES}/a-grid.png": "x",
+    f"{FIGURES}/a-grid.pdf": "x",
+    "table.md": "# Comparison of strategies\n",
+    "table.csv": "a,b\n",
+    "table.tex": "% made by rmesh\n",
+}
+MINE = {
+    "solutions/other.vtu": "x",
+    f"{FIGURES}/mine.png": "x",
+    "thesis.txt": "x",
+    "record.json": "{}",
+    "solution.vtu": "x",
+}
+
+
+def test_what_an_earlier_version_wrote_is_known_by_its_records_and_its_heads(tmp_path: Path) -> None:
+    fill(tmp_path, OWN | MINE)
+    assert sorted(Results(tmp_path).manifest.names()) == sorted(OWN)
+    Results(tmp_path).set_aside()
+    assert {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()} == {
+        *MINE, *(f"previous/{name}" for name in OWN), f"previous/{MANIFEST}"
+    }  # fmt: skip
+
+
+def test_the_list_of_a_folder_is_not_made_anew(tmp_path: Path) -> None:
+    Manifest(tmp_path).claim("mine.txt")
+    fill(tmp_path, OWN)
+    assert Results(tmp_path).manifest.names() == ["mine.txt"]
+
+
+@pytest.mark.parametrize(
+    ("files", "adopted"),
+    [
+        ({RECORD: ROW, "solution.vtu": "x", "history.csv": "x"}, [RECORD, "solution.vtu", "history.csv"]),
+        ({RECORD: "{}", "solution.vtu": "x"}, []),
+        ({RECORDS: "my own\n", "table.csv": "a,b\n"}, []),
+        ({"table.md": "# My table\n", "table.csv": "a,b\n"}, []),
+        ({"table.tex": "% made by me\n"}, []),
+        ({"table.tex": "% made by rmesh, 2026\n", "table.csv": "a\n"}, ["table.tex"]),
+        ({}, []),
+    ],
+)
+def test_a_single_solve_and_tables_are_known_too_and_nothing_else(
+    tmp_path: Path, files: dict[str, str], adopted: list[str]
+) -> None:
+    fill(tmp_path, files)
+    assert sorted(Results(tmp_path).manifest.names()) == sorted(adopted)
+    assert (tmp_path / MANIFEST).exists() == bool(adopted)
+
+
+def test_a_folder_that_is_not_there_has_no_list(tmp_path: Path) -> None:
+    assert Results(tmp_path / "nowhere").manifest.names() == []
+    assert not (tmp_path / "nowhere").exists()
+
+
+def study(folder: Path, *files: list[Any]) -> None:
+    fill(folder, {f"rows/records-{k}.jsonl": "".join(to_json(row) + "\n" for row in rows)
+                  for k, rows in enumerate(files)})  # fmt: skip
+
+
+def test_of_rows_of_a_study_with_one_key_the_first_success_counts_else_the_first(tmp_path: Path) -> None:
+    study(
+        tmp_path,
+        [fixed_61(key="a", gain=1.0), failed_61(key="b", message="one"), failed_61(key="c", message="one")],
+        [fixed_61(key="a", gain=2.0), failed_61(key="b", message="two"), fixed_61(key="c", gain=3.0)],
+        [failed_61(key="a"), fixed_61(key="c", gain=4.0)],
+    )
+    assert len(row_files(tmp_path)) == 3
+    rows = {row["key"]: row for row in read_rows(tmp_path)}
+    assert list(rows) == ["a", "b", "c"]
+    assert (rows["a"]["gain"], rows["b"]["message"], rows["c"]["gain"]) == (1.0, "one", 3.0)
+    assert [result.record["key"] for result in read_results(tmp_path)] == ["a", "b", "c"]
+
+
+def test_which_of_several_records_a_folder_is_read_from(tmp_path: Path) -> None:
+    single, campaign, both = (tmp_path / name for name in ("single", "campaign", "both"))
+    fill(single, {RECORD: ROW})
+    (result,) = read_results(single)
+    assert (result.record["key"], result.vtu, result.history) == (
+        "a", single / "solution.vtu", single / "history.csv"
+    )  # fmt: skip
+    fill(campaign, {RECORD: ROW, RECORDS: to_json(joint_61(key="b")) + "\n"})
+    (result,) = read_results(campaign)
+    assert (result.record["key"], result.vtu) == ("b", campaign / "solutions" / "b.vtu")
+    # a campaign is noted, but only the record of a single solve is there
+    fill(both, {RECORD: ROW})
+    Manifest(both).claim(RECORDS)
+    assert [result.record["key"] for result in read_results(both)] == ["a"]
+    noted = tmp_path / "noted"
+    noted.mkdir()
+    Manifest(noted).claim(RECORDS)
+    assert read_results(noted) == []
+
+
+def test_a_single_solve_is_recorded_after_its_files(tmp_path: Path) -> None:
+    seen = []
+
+    def save(places: Any) -> None:
+        seen.append((places.vtu, places.history, (tmp_path / RECORD).exists()))
+
+    write_single(tmp_path, fixed_61(), save)
+    known = single_result(tmp_path, fixed_61())
+    assert seen == [(known.vtu, known.history, False)]
+    text = (tmp_path / RECORD).read_text()
+    assert json.loads(text) == fixed_61()
+    assert text.startswith('{\n  "')  # for people
+    assert text.endswith("}\n")
+
+
+def test_a_history_comes_back_and_unknown_values_are_nan(tmp_path: Path) -> None:
+    result = single_result(tmp_path, fixed_61())
+    assert result.steps() == []
+    rows: list[dict[str, Any]] = [dict.fromkeys(HISTORY_FIELDS, 1.5), dict.fromkeys(HISTORY_FIELDS)]
+    rows[1]["t"] = float("inf")
+    write_history(result.history, rows)
+    first, second = result.steps()
+    assert first == dict.fromkeys(HISTORY_FIELDS, 1.5)
+    assert second["t"] == np.inf
+    assert np.all(np.isnan([value for name, value in second.items() if name != "t"]))
+    older = [name for name in HISTORY_FIELDS if name != "stationarity"]
+    with result.history.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerows([older, ["2"] * len(older)])
+    assert result.steps() == [dict.fromkeys(older, 2.0)]
+
+
+@pytest.mark.parametrize(
+    ("content", "kept", "damaged"),
+    [
+        (b"", 0, b""),
+        (b"\n", 1, b""),
+        (b'{"a": 1}\n', 9, b""),
+        (b'{"a": 1}', 0, b'{"a": 1}'),  # no end: the next row would be glued to it
+        (b'{"a": 1}\n{"b"\n', 9, b'{"b"\n'),
+        (b'{"a": 1}\n\0\0\n', 9, b"\0\0\n"),
+        (b'{"a": 1}\ngarbage\n', 17, b""),  # whole lines of others are for the reader to name
+        (b'{"a"\n', 5, b""),  # the only line: a file of something else
+        (b'{"a": 1}\n{"b": \xff}\n', 9, b'{"b": \xff}\n'),
+        (b"x" * 5000 + b"\n" + b'{"b": 2}\n', 5010, b""),
+        (b"x" * 5000 + b"\n" + b'{"b"' + b" " * 40000 + b"\n", 5001, b'{"b"' + b" " * 40000 + b"\n"),
+        (b'{"a": 1}\n{"n": 1' + b"0" * 5000 + b"}\n", 9 + 5008 + 1, b""),  # JSON, if not ours
+    ],
+)
+def test_where_the_whole_lines_of_a_file_end(
+    tmp_path: Path, content: bytes, kept: int, damaged: bytes
+) -> None:
+    path = tmp_path / "records.jsonl"
+    path.write_bytes(content)
+    assert damaged_last_line(path) == (kept, damaged)
+    path.unlink()
+    assert damaged_last_line(path) == (0, b"")
+
+
+def test_the_start_of_a_damaged_line_is_shown(tmp_path: Path) -> None:
+    path = tmp_path / "records.jsonl"
+    path.write_text(ROW + '{"example": "' + "x" * 100)
+    with pytest.warns(DamagedRecordsWarning) as caught:
+        assert len(read_lines(path)) == 1
+    message = str(caught[0].message)
+    assert '{"example": "' + "x" * 27 in message
+    assert "x" * 28 not in message
+    assert caught[0].filename == __file__  # where it was read
+
+
+def test_mending_cuts_the_file_at_its_last_whole_line(tmp_path: Path) -> None:
+    results = Results(tmp_path)
+    results.append(fixed_61(key="a"))
+    whole = (tmp_path / RECORDS).read_bytes()
+    results.mend()
+    assert not (tmp_path / "records-damaged.txt").exists()
+    for _ in range(2):
+        with (tmp_path / RECORDS).open("ab") as file:
+            file.write(b'{"half')
+        with pytest.warns(DamagedRecordsWarning, match="is moved to"):
+            results.mend()
+    assert (tmp_path / RECORDS).read_bytes() == whole
+    assert (tmp_path / "records-damaged.txt").read_text() == '{"half\n' * 2
+    assert "records-damaged.txt" in results.manifest.names()
+
+
+def test_rows_without_a_key_are_all_kept_and_nothing_is_written_without_need(tmp_path: Path) -> None:
+    results = Results(tmp_path)
+    rows = [fixed_61(), fixed_61(), failed_61(key="b"), failed_61(key="b", message="later")]
+    for row in rows[:3]:
+        results.append(row)
+    before = (tmp_path / RECORDS).stat().st_mtime_ns
+    assert results.repaired() == rows[:3]
+    assert (tmp_path / RECORDS).stat().st_mtime_ns == before
+    results.append(rows[3])
+    assert results.repaired() == [rows[0], rows[1], rows[3]]
+    assert results.read() == [rows[0], rows[1], rows[3]]
+
+
+def test_a_text_that_is_no_folder_and_a_broken_record_are_named(tmp_path: Path) -> None:
+    fill(tmp_path, {"file": "x", "bad/record.json": "{}"})
+    with pytest.raises(BadInputError, match="is not a folder"):
+        read_results(tmp_path / "file")
+    with pytest.raises(BadInputError, match=r"record\.json"):
+        read_results(tmp_path / "bad")
