@@ -1,0 +1,155 @@
+"""How contact solutions change, against difference quotients of solutions with the same active set."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from support.problems import sloped_block
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.sensitivity import adjoint, tangent_response, weakly_active
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.problem import ContactProblem
+
+PROBLEMS = {
+    "scalar": lambda: EXAMPLES["6.1"](4),
+    "frictionless": lambda: EXAMPLES["6.2"]((6, 3)),
+    "friction": lambda: EXAMPLES["6.3"]((6, 3)),
+    "sloped, stick and slip": sloped_block,
+}
+
+
+@pytest.fixture(params=PROBLEMS)
+def solved(request: pytest.FixtureRequest) -> tuple[ContactSystem, Equilibrium]:
+    problem: ContactProblem = PROBLEMS[request.param]()
+    model = ContactModel(discretise(problem))
+    system = model.system(np.asarray(problem.mesh.p))
+    return system, model.solve(np.asarray(problem.mesh.p))
+
+
+def test_the_response_is_that_of_the_equilibrium_with_the_active_set_held(
+    solved: tuple[ContactSystem, Equilibrium],
+) -> None:
+    """A quadratic program with a held active set is linear: one difference is exact."""
+    system, state = solved
+    random = np.random.default_rng(0)
+    size = system.force_scale
+    force, gap = size * random.normal(size=state.u.size), 1e-3 * random.normal(size=system.offset.size)
+    moved = replace(system, load=system.load - force, offset=system.offset + gap)
+    other = moved.equilibrium(state.active)
+    u, normal, tangential = tangent_response(system, state.active)(force, gap, np.zeros(gap.size))
+    assert np.any(state.active.touching)
+    np.testing.assert_allclose(u, other.u - state.u, atol=1e-9 * np.max(np.abs(u)))
+    np.testing.assert_allclose(
+        normal, other.normal_force - state.normal_force, atol=1e-9 * np.max(np.abs(normal))
+    )
+    if system.slip_bound.size:
+        sticking = state.active.sliding == 0
+        change = np.where(sticking, other.tangential_force - state.tangential_force, 0.0)
+        np.testing.assert_allclose(tangential, change, atol=1e-9 * max(size, np.max(np.abs(normal))))
+    else:
+        assert not np.any(tangential)
+
+
+def test_a_slip_that_is_imposed_appears_at_sticking_nodes_alone() -> None:
+    model = ContactModel(discretise(sloped_block()))
+    nodes = np.asarray(sloped_block().mesh.p)
+    system, state = model.system(nodes), model.solve(nodes)
+    sticking = system.rotated.slips & (state.active.sliding == 0)
+    assert np.any(sticking)
+    slip = np.random.default_rng(1).normal(size=sticking.size)
+    u, _, _ = tangent_response(system, state.active)(np.zeros(state.u.size), 0 * slip, slip)
+    np.testing.assert_allclose((system.tangents @ u)[sticking], -slip[sticking], rtol=1e-9)
+    np.testing.assert_allclose((system.normals @ u)[state.active.touching], 0, atol=1e-12)
+
+
+def test_the_adjoint_gives_the_response_of_any_linear_functional(
+    solved: tuple[ContactSystem, Equilibrium],
+) -> None:
+    """``right . du`` is ``-p . force - reaction . gap - friction . slip``."""
+    system, state = solved
+    random = np.random.default_rng(2)
+    right = random.normal(size=state.u.size)
+    force, gap, slip = (random.normal(size=n) for n in (right.size, system.offset.size, system.offset.size))
+    p, reaction, friction = adjoint(system, state.active, right)
+    u, _, _ = tangent_response(system, state.active)(force, gap, slip)
+    change = -(p @ force + reaction @ gap + friction @ slip)
+    assert right @ u == pytest.approx(change, rel=1e-9)
+    np.testing.assert_array_equal(reaction[~state.active.touching], 0)
+    assert np.any(reaction[state.active.touching] != 0)
+    sticking = np.zeros(gap.size, dtype=bool)
+    if system.slip_bound.size:
+        sticking = system.rotated.slips & (state.active.sliding == 0)
+    np.testing.assert_array_equal(friction[~sticking], 0)
+
+
+def spring(gap: float, normal: float, slip: float, tangential: float, **changes: Any) -> tuple[Any, Any]:
+    """One node that has moved by 2, under a force of 8, the units, with a friction bound of 4."""
+    system = ContactSystem(
+        stiffness=sp.csc_array(10.0 * np.eye(4)),
+        load=np.array([8.0, 0.0, 0.0, 0.0]),
+        constant=0.0,
+        normals=sp.csr_array(np.array([[0.0, 1.0, 0.0, 0.0]])),
+        tangents=sp.csr_array(np.array([[0.0, 0.0, 1.0, 0.0]])),
+        offset=np.array([gap + 1.0]),
+        slip_bound=np.array([4.0]),
+        **changes,
+    )
+    state = Equilibrium(
+        u=np.array([2.0, -1.0, slip, 0.0]),
+        energy=0.0,
+        normal_force=np.array([normal]),
+        tangential_force=np.array([tangential]),
+        active=ActiveSet(np.array([True]), np.zeros(1, dtype=np.int8)),
+        status=Status.CONVERGED,
+        iterations=1,
+    )
+    return system, state
+
+
+@pytest.mark.parametrize(
+    ("values", "weak"),
+    [
+        ((0.0, 0.0, 1.0, 4.0), True),  # touches without a force
+        ((1e-6, 4e-6, 1.0, 4.0), True),  # half a millionth of the units
+        ((-1e-6, -4e-6, 1.0, 4.0), True),
+        ((4e-6, 0.0, 1.0, 4.0), False),  # open
+        ((-4e-6, 0.0, 1.0, 4.0), False),
+        ((0.0, 16e-6, 1.0, 4.0), False),  # pressed
+        ((0.0, -16e-6, 1.0, 4.0), False),
+        ((0.0, 5.0, 0.0, 4.0), True),  # rests at the bound of friction
+        ((0.0, 5.0, 1e-6, -4.0 + 4e-6), True),
+        ((0.0, 5.0, -1e-6, 4.0 - 4e-6), True),
+        ((0.0, 5.0, 4e-6, 4.0), False),  # slides
+        ((0.0, 5.0, -4e-6, 4.0), False),
+        ((0.0, 5.0, 0.0, 4.0 - 16e-6), False),  # sticks
+        ((0.0, 5.0, 0.0, 0.0), False),
+        ((1.0, 0.0, 1.0, 0.0), False),
+    ],
+)
+def test_strict_complementarity_fails_where_two_things_vanish_at_once(values: Any, weak: bool) -> None:
+    assert bool(weakly_active(*spring(*values))[0]) == weak
+
+
+def test_friction_counts_only_where_it_may_act() -> None:
+    at_the_bound = (0.0, 5.0, 0.0, 4.0)
+    assert weakly_active(*spring(*at_the_bound, frictional=np.array([True])))[0]
+    assert not weakly_active(*spring(*at_the_bound, frictional=np.array([False])))[0]
+    system, state = spring(*at_the_bound)
+    smooth = replace(system, slip_bound=np.zeros(0))
+    assert not weakly_active(smooth, state)[0]
+
+
+def test_a_body_at_rest_is_weak_only_where_it_touches() -> None:
+    """Without any displacement the gap itself tells: no length is there to divide by."""
+    system, state = spring(0.0, 0.0, 1.0, 4.0)
+    rest = replace(state, u=np.zeros(4))
+    assert weakly_active(replace(system, offset=np.zeros(1), slip_bound=np.zeros(0)), rest)[0]
+    assert not weakly_active(replace(system, offset=np.full(1, 1e-9), slip_bound=np.zeros(0)), rest)[0]
