@@ -52,7 +52,7 @@ def peak_pressure(
         problem: ContactProblem, positions: Field, displacement: Field, _: Field
     ) -> list[ElementGroup]:
         obstacle, contact = _contact_on(problem, boundary)
-        forces = [_force(law, problem.quadrature) for law, _elements in problem.regions]
+        forces = [_force(law, problem.rule) for law, _elements in problem.regions]
         p, edges = problem.mesh.p, contact_edges(problem, obstacle)
         length = float(np.linalg.norm(p[:, edges[1]] - p[:, edges[0]], axis=0).sum())
         result = []

@@ -1,0 +1,244 @@
+"""Quantities of interest, and the text they are written in, by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rmesh_nlp as rm
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.fem.assembly import element_values
+from rmesh_nlp.fem.contact_terms import nodal_weights
+from rmesh_nlp.fem.objective_text import _split, parse_objective
+from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
+from rmesh_nlp.programs.energy_program import relocation
+
+
+def value(problem: ContactProblem, objective: Any, u: np.ndarray | None = None) -> float:
+    """The objective at the given mesh with nodal displacements u, zero by default."""
+    found = discretise(problem)
+    rel = relocation(found)
+    groups = parse_objective(objective).groups(problem, rel.freedoms.positions, rel.displacement, rel.slip)
+    x = np.zeros(rel.nlp.n_x)
+    if u is not None:
+        state = ContactModel(found).displacement
+        given = state.values(np.zeros(rel.n_u))
+        columns = [(state.values(e) - given).ravel() for e in np.eye(rel.n_u)]
+        free = np.linalg.lstsq(np.column_stack(columns), (u - given).ravel(), rcond=None)[0]
+        x[rel.n_q : rel.n_q + rel.n_u] = free
+        np.testing.assert_allclose(state.values(free), u, atol=1e-12)
+    return float(sum(np.sum(part) for part in element_values(groups)(x)))
+
+
+@pytest.fixture(scope="module")
+def plate() -> ContactProblem:
+    """(0, 2) x (0, 1), so that lengths are not 1; nothing is held at the right."""
+    mesh = rm.shapes.rectangle(3, 2, x=(0, 2)).with_subdomains({"left half": lambda x: x[0] < 0.5})
+    return ContactProblem(
+        mesh, PlaneStrain(1.0, 1.0), ("left",), Obstacle("bottom", (0.0, 1.0), 0.0), Motion(0.01)
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("body(x**5*y**3)", 2**6 / 6 / 4),  # degree 8: exact
+        ("body(1)", 2.0),
+        ("boundary(top, x**8)", 2**9 / 9),
+        ("boundary(right, y**8 + 2)", 1 / 9 + 2),
+        ("mean(top, x**8)", 2**8 / 9),
+        ("mean(top, 3)", 3.0),
+        ("2*body(x) + mean(top, x)", 2 * 2 + 1),
+        ("-body(x)", -2.0),
+        ("-1.5*body(x)", -3.0),
+        ("1e+1*body(x)+2e-1*body(y)", 20 + 0.2),
+        ("1.e+1*body(x)", 20.0),
+        ("body(x+y*(x-(1)))", 2 + 1 / 2 * (2 - 2)),
+        ("body(2*(x + 1e-3))", 4 + 4e-3),
+        (" body( x ) ", 2.0),
+        ("body(y)", 1.0),
+        ("boundary(bottom, nx - 2*ny)", 4.0),
+        ("boundary(left, -nx*y)", 0.5),
+    ],
+)
+def test_integrals_over_a_plate_by_hand(plate: ContactProblem, text: str, expected: float) -> None:
+    assert value(plate, text) == pytest.approx(expected, rel=1e-11)
+
+
+def test_integrals_of_a_displacement_and_its_slopes_by_hand(plate: ContactProblem) -> None:
+    x, y = plate.mesh.p
+    u = np.stack([0.3 * x, -0.2 * x])
+    assert value(plate, "body(ux_x + 10*uy_x + 100*ux_y + 1000*uy_y)", u) == pytest.approx(2 * (0.3 - 2))
+    assert value(plate, "body(ux*uy)", u) == pytest.approx(-0.06 * 8 / 3)
+    assert value(plate, "boundary(top, ux - uy)", u) == pytest.approx(0.5 * 2)
+    assert value(plate, "node(2, 1, 10*ux + uy + 100*y)", u) == pytest.approx(6 - 0.4 + 100)
+    sheared = np.stack([0.5 * x * y, 0.0 * x])  # on nodes; slopes are those of the triangles
+    mean_slope = value(plate, "body(ux_y)", sheared)
+    assert mean_slope == pytest.approx(0.5 * 2, rel=0.2)
+
+
+def test_densities_on_a_subdomain_and_functions_of_nodes(plate: ContactProblem) -> None:
+    part = rm.quantities.body_integral(lambda x, y, u, slope: x, subdomain="left half")
+    elements = plate.mesh.subdomains["left half"]
+    centres = plate.mesh.p[:, plate.mesh.t[:, elements]].mean(axis=1)
+    (a, b, c) = (plate.mesh.p[:, plate.mesh.t[k, elements]] for k in range(3))
+    areas = np.abs((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]) / 2
+    assert value(plate, part) == pytest.approx(float(areas @ centres[0]), rel=1e-12)
+    last = plate.mesh.p.shape[1] - 1
+    for node in (0, last):
+        position = value(plate, rm.quantities.nodal([node], lambda X, u: X[0, 0] + 10 * X[1, 0]))
+        assert position == pytest.approx(plate.mesh.p[0, node] + 10 * plate.mesh.p[1, node])
+    for nodes in ([], [-1], [last + 1], [0, last + 1]):
+        with pytest.raises(ValueError, match=f"between 0 and {last}"):
+            value(plate, rm.quantities.nodal(nodes, lambda X, u: X[0, 0]))
+
+
+def test_a_point_is_a_node_within_a_millionth_of_the_mesh(plate: ContactProblem) -> None:
+    for off, found in ((0.0, True), (1.9e-6, True), (2.1e-6, False)):
+        text = f"node({2 - off!r}, 1, x)"
+        if found:
+            assert value(plate, text) == pytest.approx(2)
+        else:
+            with pytest.raises(ValueError, match="no node at"):
+                value(plate, text)
+
+
+def test_an_interface_inside_the_body_is_not_a_boundary(plate: ContactProblem) -> None:
+    inner = np.flatnonzero(plate.mesh.f2t[1] >= 0)
+    outer = plate.mesh.boundaries["top"]
+    for facets in (inner[:1], np.concatenate([outer, inner[:1]])):
+        mesh = replace(plate.mesh, _boundaries={**plate.mesh.boundaries, "mixed": facets})
+        with pytest.raises(ValueError, match="is an interface inside the body"):
+            value(replace(plate, mesh=mesh), "mean(mixed, x)")
+
+
+def test_a_function_of_several_values_and_unknown_names_are_refused(plate: ContactProblem) -> None:
+    with pytest.raises(ValueError, match=r"one value, got one of shape \(2, 1\)"):
+        value(plate, rm.quantities.nodal([0, 1], lambda X, u: X[:, 0]))
+    with pytest.raises(ValueError, match="no subdomain 'soft': choose from left half"):
+        value(plate, rm.quantities.body_integral(lambda *_: 1, subdomain="soft"))
+
+
+@pytest.mark.parametrize(
+    ("text", "separator", "parts"),
+    [
+        ("a+b", "+", ["a", "b"]),
+        ("a + (b + c) + d", "+", ["a", "(b + c)", "d"]),
+        ("1e+3*a", "+", ["1e+3*a"]),
+        ("1.E+3*a + b", "+", ["1.E+3*a", "b"]),
+        ("9e+3", "+", ["9e+3"]),
+        ("e+3", "+", ["e", "3"]),  # a name that ends with e
+        ("ae+3", "+", ["ae", "3"]),
+        ("quale+b", "+", ["quale", "b"]),
+        ("f(a, g(b, c)), d", ",", ["f(a, g(b, c))", "d"]),
+        ("((a)),b", ",", ["((a))", "b"]),
+        ("", ",", [""]),
+        ("a,", ",", ["a", ""]),
+    ],
+)
+def test_texts_are_split_outside_of_brackets_and_numbers(text: str, separator: str, parts: list[str]) -> None:
+    assert _split(text, separator) == parts
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("inf*quality", "must be positive and finite"),
+        ("nan*quality", "must be positive and finite"),
+        ("0*body(x)", "must be positive and finite"),
+        ("-0.5*quality", "must be positive"),
+        ("x*quality", "'x' in .* is not a number"),
+        ("body", "unknown objective 'body'"),
+        ("body)x(", "unknown objective"),
+        ("body(x", "unknown objective"),
+        ("volume(x)", "unknown objective"),
+        ("body(x, y)", r"expected body\(EXPR\)"),
+        ("body()", r"expected body\(EXPR\)"),
+        ("boundary(top)", r"expected boundary\(NAME, EXPR\)"),
+        ("mean(top, )", r"expected mean\(NAME, EXPR\)"),
+        ("mean(top, x, y)", r"expected mean\(NAME, EXPR\)"),
+        ("node(1, x)", r"expected node\(X, Y, EXPR\)"),
+        ("node(a, 1, x)", "'a' is not a number"),
+        ("node(inf, 1, x)", "'inf' is not a finite number"),
+        ("peak-pressure(bottom)", "expected peak-pressure"),
+        ("peak-pressure(bottom, 1, 4, 5)", "expected peak-pressure"),
+        ("peak-pressure(bottom, inf)", "not a finite number"),
+        ("peak-pressure(bottom, 0)", "must be positive, got 0"),
+        ("peak-pressure(bottom, 1, 4.5)", "whole number, got 4.5"),
+        ("boundary(top, u_x)", "unknown name 'u_x'"),
+        ("body(nx)", "unknown name 'nx'"),
+        ("node(0, 0, nx)", "unknown name 'nx'"),
+    ],
+)
+def test_what_is_wrong_with_a_text_is_said(text: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        parse_objective(text)
+
+
+def test_a_reference_or_an_exponent_of_no_sense_is_refused() -> None:
+    for reference in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(ValueError, match="must be positive"):
+            rm.quantities.peak_pressure("bottom", reference)
+    with pytest.raises(ValueError, match="at least 3, got 2"):
+        rm.quantities.peak_pressure("bottom", 1.0, exponent=2)
+    assert rm.quantities.peak_pressure("bottom", 1.0, exponent=3)
+
+
+def test_terms_keep_their_weights_and_names() -> None:
+    objective = parse_objective("energy + 0.25*quality + -2*body(x)")
+    assert [(weight, term.name) for weight, term in objective.terms] == [
+        (1.0, "energy"), (0.25, "quality"), (-2.0, "body(x)")
+    ]  # fmt: skip
+    assert parse_objective(objective) is objective
+
+
+def pressed(n: tuple[int, int], laws: Any, subdomains: dict[str, Any] | None = None, **obstacle: Any) -> Any:
+    """A block (0, 2) x (0, 1) that its own weight presses on a flat foundation; it slides at the sides."""
+    mesh = rm.shapes.rectangle(*n, x=(0, 2))
+    if subdomains:
+        mesh = mesh.with_subdomains(subdomains)
+    sides = (rm.Dirichlet("left", (0.0, None)), rm.Dirichlet("right", (0.0, None)))
+    return ContactProblem(mesh, laws, sides, Obstacle("bottom", (0.0, 1.0), 0.0, **obstacle), Motion(0.01))
+
+
+@pytest.mark.parametrize("exponent", [3, 8])
+def test_the_pressure_under_a_heavy_block_is_its_weight_per_length(exponent: int) -> None:
+    """The pressures of the nodes carry the weight of the block, and their power mean is the objective."""
+    law = PlaneStrain(0.0, 50.0, body_force=(0.0, -4.0))
+    for laws, subdomains in (
+        (law, None),
+        ({"a": law, "b": replace(law, body_force=(0.0, -4.0), lame_mu=50.0)},
+         {"a": lambda x: x[0] < 0.9, "b": lambda x: x[0] > 0.9}),
+    ):  # fmt: skip
+        problem = pressed((3, 2), laws, subdomains)
+        solution = rm.solve(problem, "fixed")
+        contact = problem.contact_nodes
+        total = solution.pressure[contact] @ nodal_weights(problem, problem.mesh.p)
+        assert total == pytest.approx(8.0, rel=1e-9)  # the weight of the whole block
+        objective = f"peak-pressure(bottom, 3, {exponent})"
+        expected = (
+            np.sum(nodal_weights(problem, problem.mesh.p) * (solution.pressure[contact] / 3) ** exponent) / 2
+        )
+        assert value(problem, objective, solution.displacement) == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_pressure_of_two_materials_on_a_curved_foundation_is_that_of_the_solution() -> None:
+    laws = {"soft": PlaneStrain(10.0, 20.0, body_force=(0.5, -4.0)), "stiff": PlaneStrain(50.0, 90.0)}
+    mesh = rm.shapes.rectangle(5, 2, x=(0, 2)).with_subdomains(
+        {"soft": lambda x: x[0] < 1.1, "stiff": lambda x: x[0] > 1.1}
+    )
+    bowl = Obstacle.graph("bottom", lambda x, y: 0.05 * (x - 1) ** 2 - 0.01)
+    problem = ContactProblem(mesh, laws, (rm.Dirichlet("top", (0.0, -0.06)),), bowl, Motion(0.01))
+    solution = rm.solve(problem, "fixed")
+    contact, weights = problem.contact_nodes, nodal_weights(problem, problem.mesh.p)
+    assert np.count_nonzero(solution.pressure) >= 3
+    expected = float(weights @ (solution.pressure[contact] / 2) ** 4) / 2
+    assert value(problem, "peak-pressure(bottom, 2, 4)", solution.displacement) == pytest.approx(
+        expected, rel=1e-7
+    )
+    with pytest.raises(ValueError, match="'top' is not a contact boundary: choose from bottom"):
+        value(problem, "peak-pressure(top, 2, 4)")
