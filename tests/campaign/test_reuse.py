@@ -17,7 +17,7 @@ from rmesh_nlp.campaign.cases import Case, build_problem, make_cases
 from rmesh_nlp.campaign.run import Ended, Outcome, run, solve
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import RECORDS, Results, read_results
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from rmesh_nlp.contact.sensitivity import adjoint, tangent_response, weakly_acti
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 
 PROBLEMS = {

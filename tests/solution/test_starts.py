@@ -13,7 +13,7 @@ import pytest
 
 from formulations import fixed
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.nlp import Status
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
 from rmesh_nlp.solution.solution import Solution
 from rmesh_nlp.solution.starts import MultiStart, multilevel, multistart, prolong, refine, with_starts
