@@ -1,238 +1,128 @@
-"""Is relocation worth it? Error of the energy against nodes and time.
+"""Is relocation worth it? Error against nodes and time, without boxes, beside what else could be done.
 
-Uniform grids, h-adaptive meshes, boxes, large moves, large moves with flips, hr.
+    python scripts/benchmark_worth.py                              Example 6.1 with 8, 16, 32 squares a side
+    python scripts/benchmark_worth.py --cases L-shape 6.3 wedge    other problems
+    python scripts/benchmark_worth.py --acceptance 0.13            `rmesh solve` on a gmsh part of 5,000 nodes
+    python scripts/benchmark_worth.py --large 128                  one large mesh: time and memory
 
-On Example 6.1, whose energy is known exactly. Every error is that of a rule of degree 10; programs use
-degree 6.
-Writes DIR/worth.json, DIR/worth.md and DIR/worth.png.
+Uniform grids, h-adaptive meshes (with the exact errors as an oracle, with a residual estimator), boxes, large
+moves without and with flips, hr. Cases: 6.1, L-shape, 6.3, wedge, free boundary, plate, Hertz, Signorini
+(scripts/worth/cases.py). Errors are those of the energy by a rule of degree 10, against the exact one or that
+of a locally refined mesh; of free boundary, Hertz and Signorini half the square of the error in the energy
+norm. Programs use degree 6.
 
-    python scripts/benchmark_worth.py                       8, 16, 32 squares a side, two minutes
-    python scripts/benchmark_worth.py --sizes 8 16 32 64 128 224 --out results/worth
+Rows are kept in DIR/rows.jsonl: run again, it measures only what is missing. Writes DIR/goals.md,
+DIR/rows.md and DIR/worth.png from all rows that are there.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import resource
+import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from formulations import auto, nested
-from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.discretisation.validity import least_angles
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.fields import constant_field
-from rmesh_nlp.fem.objectives import error_energy
-from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
-from rmesh_nlp.programs.hr import hr
-from rmesh_nlp.programs.refinement import locally_refined, marked, residual_indicators
+SCRIPTS = Path(__file__).resolve().parent
+sys.path[:0] = [str(path) for path in (SCRIPTS, SCRIPTS / "gallery") if str(path) not in sys.path]
 
-RULE, JUDGE = 6, 10
+from worth import methods  # noqa: E402
+from worth.acceptance import accepted  # noqa: E402
+from worth.cases import CASES, Case  # noqa: E402
+from worth.goals import goals, table  # noqa: E402
+from worth.picture import picture  # noqa: E402
+from worth.rows import Row, Store  # noqa: E402
 
+from formulations import auto  # noqa: E402
+from rmesh_nlp.programs.refinement import residual_indicators  # noqa: E402
 
-@dataclass(frozen=True)
-class Row:
-    """One mesh: method, nodes, error of the energy, seconds of processor time, least area ratio and angle."""
-
-    method: str
-    nodes: int
-    error: float
-    seconds: float
-    units: float
-    least_area: float
-    least_angle: float
-    note: str = ""
+ALL = ("uniform", "oracle", "residual", "boxes", "large", "flips", "hr")
+USUAL = ("uniform", "oracle", "large", "flips")
 
 
-def stated(n: int) -> ContactProblem:
-    """Example 6.1 without boxes."""
-    return replace(EXAMPLES["6.1"](n=n), motion=Motion(None), quadrature=RULE)
+def measure(store: Store, case: Case, names: Sequence[str], sizes: Sequence[int]) -> None:
+    """The methods on a case at some sizes; a problem is stated only where something is missing."""
+    most = int(case.problem(max(sizes)).mesh.p.shape[1])
+    oracle, residual = "h-adaptive, oracle", "h-adaptive, residual estimator"
+
+    def keep(method: str, size: int, rows: Iterator[Row]) -> None:
+        store.measured(case.name, method, str(size), lambda: rows)
+
+    if "oracle" in names:
+        keep(oracle, most, methods.adaptive(case, oracle, case.local, most))
+    if "residual" in names:
+        keep(residual, most, methods.adaptive(case, residual, residual_indicators, most))
+    if "hr" in names:
+        keep("hr", most // 2, methods.refined_and_relocated(case, most // 2))
+    for size in sizes:
+        if "uniform" in names:
+            keep("uniform", size, methods.uniform(case, size))
+        if "boxes" in names:
+            keep("boxes", size, methods.boxes(case, size))
+        if "large" in names:
+            keep("large moves", size, methods.large(case, size, False))
+        if "flips" in names:
+            keep("large moves, flips", size, methods.large(case, size, True))
 
 
-def error(problem: ContactProblem) -> float:
-    """Error of the energy on a mesh."""
+def large_mesh(n: int) -> Iterator[Row]:
+    """Example 6.1 on a large mesh by `auto`: wall time and peak memory of this process."""
+    case = CASES["6.1"]
+    problem = case.problem(n)
+    began, spent = time.perf_counter(), time.process_time()
+    solution = auto.solve(problem)
+    seconds, spent = time.perf_counter() - began, time.process_time() - spent
     assert problem.exact is not None
-    return (
-        ContactModel(replace(problem, quadrature=JUDGE)).solve(problem.mesh.p).energy - problem.exact.energy
+    before, after = (
+        energy - problem.exact.energy
+        for energy in (solution.energy_initial_audited, solution.audit.energy_audited)
     )
+    figures = {
+        "triangles": int(problem.mesh.t.shape[1]),
+        "factor": before / after,
+        "processor_seconds": spent,
+        "peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "success": solution.success,
+        "status": solution.status.value,
+        "contact_solves": solution.contact_solves,
+    }
+    nodes, area = int(problem.mesh.p.shape[1]), float(solution.audit.min_area_ratio)
+    yield Row("large", "large moves", str(n), nodes, after, seconds, least_area=area, figures=figures)
 
 
-def unit(problem: ContactProblem) -> float:
-    """Processor time of one cold contact solve."""
-    model, began = ContactModel(problem), time.process_time()
-    for _ in range(3):
-        model.solve(problem.mesh.p)
-    return (time.process_time() - began) / 3
-
-
-def row(
-    method: str, problem: ContactProblem, seconds: float, areas: Array | None = None, note: str = ""
-) -> Row:
-    """Measure a mesh."""
-    now = signed_areas(problem.mesh.p, problem.triangles)
-    least = float(np.min(now / areas)) if areas is not None else float("nan")
-    angle = float(np.min(least_angles(np.asarray(problem.mesh.p), problem.triangles)))
-    nodes = int(problem.mesh.p.shape[1])
-    return Row(method, nodes, error(problem), seconds, seconds / unit(problem), least, angle, note)
-
-
-def uniform(sizes: list[int]) -> Iterator[Row]:
-    """The grids as given."""
-    for n in sizes:
-        problem = stated(n)
-        began = time.process_time()
-        ContactModel(problem).solve(problem.mesh.p)
-        yield row("uniform", problem, time.process_time() - began)
-
-
-def adaptive(method: str, indicators: Callable[[ContactProblem], Array], most: int) -> Iterator[Row]:
-    """Local refinement by some indicators from the coarsest grid on; time is that of all meshes so far."""
-    problem, spent = stated(8), 0.0
-    while problem.mesh.p.shape[1] <= most:
-        began = time.process_time()
-        found = indicators(problem)
-        spent += time.process_time() - began
-        yield row(method, problem, spent)
-        began = time.process_time()
-        problem = locally_refined(problem, marked(found))
-        spent += time.process_time() - began
-
-
-def oracle(problem: ContactProblem) -> Array:
-    """The exact error of each element."""
-    model = ContactModel(problem)
-    values = model.displacement.values(model.solve(problem.mesh.p).u)
-    fields = (constant_field(problem.mesh.p), constant_field(values), constant_field(values))
-    return element_values(error_energy(problem, *fields))(np.zeros(0))[0]
-
-
-def boxes(sizes: list[int]) -> Iterator[Row]:
-    """Boxes that shrink with the mesh, as in the paper."""
-    for n in sizes:
-        problem = replace(EXAMPLES["6.1"](n=n), quadrature=RULE)
-        began = time.process_time()
-        solution = nested.solve(problem, outer="newton")
-        seconds = time.process_time() - began
-        yield row("boxes", _moved(problem, solution.mesh.p), seconds, _areas(problem))
-
-
-def large(sizes: list[int], flips: bool) -> Iterator[Row]:
-    """Large moves by a cascade, with or without flips."""
-    for n in sizes:
-        problem = stated(n)
-        began = time.process_time()
-        solution = auto.solve(problem, flips=flips)
-        seconds = time.process_time() - began
-        final = replace(solution.problem, mesh=solution.mesh, quadrature=RULE)
-        levels = solution.record()["cascade"]
-        one = unit(problem)
-        finest = levels[-1]["seconds"] / one
-        whole = sum(level["seconds"] for level in levels) / one
-        built = sum(level["build_seconds"] for level in levels) / one
-        note = f"finest {finest:.0f}, all meshes {whole:.0f}, statement of the programs {built:.0f} units"
-        name = "large moves, flips" if flips else "large moves"
-        yield row(name, final, seconds, solution.initial_areas, note)
-
-
-def refined_and_relocated(most: int) -> Iterator[Row]:
-    """Hr with flips; the time is that of all meshes up to a number of nodes."""
-    began = time.process_time()
-    stages = hr(stated(8), nodes=most // 2)
-    seconds = time.process_time() - began
-    total = sum(stage.problem.mesh.p.shape[1] for stage in stages)
-    spent = 0.0
-    for stage in stages:
-        spent += seconds * stage.problem.mesh.p.shape[1] / total
-        yield row("hr", stage.problem, spent)
-
-
-def _moved(problem: ContactProblem, nodes: Array) -> ContactProblem:
-    return replace(problem, mesh=replace(problem.mesh, doflocs=np.asarray(nodes)))
-
-
-def _areas(problem: ContactProblem) -> Array:
-    return signed_areas(problem.mesh.p, problem.triangles)
-
-
-def table(rows: list[Row]) -> str:
-    """Markdown; the factor compares with a uniform grid of as many nodes, by interpolation."""
-    grid = [one for one in rows if one.method == "uniform"]
-    slope = np.polyfit(np.log([g.nodes for g in grid[-2:]]), np.log([g.error for g in grid[-2:]]), 1)
-
-    def same(nodes: int) -> float:
-        inside = nodes <= grid[-1].nodes
-        x, y = np.log([g.nodes for g in grid]), np.log([g.error for g in grid])
-        return float(np.exp(np.interp(np.log(nodes), x, y) if inside else np.polyval(slope, np.log(nodes))))
-
-    lines = [
-        "| method | nodes | error of the energy | times less than uniform | seconds | units | "
-        "least area ratio | least angle | |",
-        "|---|--:|--:|--:|--:|--:|--:|--:|---|",
-    ]
-    for one in rows:
-        area = f"{one.least_area:.4f}" if np.isfinite(one.least_area) else ""
-        lines.append(
-            f"| {one.method} | {one.nodes} | {one.error:.5f} | {same(one.nodes) / one.error:.2f} | "
-            f"{one.seconds:.2f} | {one.units:.0f} | {area} | {one.least_angle:.2f} | {one.note} |"
-        )
-    return "\n".join(lines) + "\n"
-
-
-def picture(rows: list[Row]) -> Figure:
-    """Error against nodes and against time."""
-    figure = Figure(figsize=(11, 4.5), layout="constrained")
-    axes = figure.subplots(1, 2)
-    for method in dict.fromkeys(one.method for one in rows):
-        part = [one for one in rows if one.method == method]
-        for axis, x in zip(axes, ("nodes", "seconds"), strict=True):
-            axis.loglog(
-                [getattr(o, x) for o in part], [o.error for o in part], "o-", markersize=4, label=method
-            )
-    axes[0].set(xlabel="nodes", ylabel="error of the energy")
-    axes[1].set(xlabel="processor time in seconds, statement of the programs included")
-    for axis in axes:
-        axis.grid(which="both", alpha=0.25)
-    axes[0].legend(fontsize=8)
-    return figure
-
-
-def main(sizes: list[int], out: Path) -> list[Row]:
-    """Measure, and write as each method ends."""
-    most = (max(sizes) + 1) ** 2
-    methods = (
-        lambda: uniform(sizes),
-        lambda: adaptive("h-adaptive, oracle", oracle, most),
-        lambda: adaptive("h-adaptive, residual estimator", residual_indicators, most),
-        lambda: boxes([n for n in sizes if n <= 32]),
-        lambda: large(sizes, False),
-        lambda: large(sizes, True),
-        lambda: refined_and_relocated(most),
-    )
-    rows: list[Row] = []
-    out.mkdir(parents=True, exist_ok=True)
-    for method in methods:
-        for one in method():
-            rows.append(one)
-            figures = f"{one.nodes:6} nodes  error {one.error:.5f}  {one.seconds:8.2f} s"
-            print(f"{one.method:32} {figures}  {one.note}", flush=True)
-        (out / "worth.json").write_text(json.dumps([asdict(one) for one in rows], indent=1) + "\n")
-        (out / "worth.md").write_text(table(rows))
-        picture(rows).savefig(out / "worth.png", dpi=110)
-    return rows
-
-
-if __name__ == "__main__":
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure what is missing, and write the tables and the figure."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--sizes", type=int, nargs="+", default=[8, 16, 32], help="squares a side")
+    parser.add_argument("--cases", nargs="*", choices=sorted(CASES), help="6.1, if nothing else is asked for")
+    parser.add_argument("--methods", nargs="+", choices=ALL, help="all on 6.1; four elsewhere")
+    parser.add_argument("--sizes", type=int, nargs="+", help="of the cases; 8 16 32 squares a side on 6.1")
+    parser.add_argument("--acceptance", type=float, nargs="*", default=[], help="edge lengths of the part")
+    parser.add_argument("--large", type=int, nargs="*", default=[], help="squares a side of a large mesh")
     parser.add_argument("--out", type=Path, default=Path("results/worth"), help="folder")
-    given = parser.parse_args()
-    main(sorted(given.sizes), given.out)
+    given = parser.parse_args(arguments)
+    store = Store(given.out / "rows.jsonl")
+    other = given.acceptance or given.large or given.cases is not None
+    for name in given.cases or ([] if other else ["6.1"]):
+        case = CASES[name]
+        sizes = sorted(given.sizes or (case.sizes[:3] if name == "6.1" else case.sizes))
+        measure(store, case, given.methods or (ALL if name == "6.1" else USUAL), sizes)
+    for h in given.acceptance:
+        folder = given.out / f"part_{h:g}"
+        store.measured("acceptance", "rmesh solve", f"{h:g}", lambda h=h, folder=folder: accepted(h, folder))
+    for n in given.large:
+        store.measured("large", "large moves", str(n), lambda n=n: large_mesh(n))
+    (given.out / "goals.md").write_text(goals(store.rows))
+    (given.out / "rows.md").write_text(table(store.rows))
+    if any(row.case == "6.1" for row in store.rows):
+        picture(store.rows).savefig(given.out / "worth.png", dpi=110)
+    print(goals(store.rows))
+    return 0 if all(np.isfinite(row.error) for row in store.rows) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
