@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.edge_gaps import edge_gap_function
+from rmesh_nlp.fem.edge_gaps import edge_gap_function, edges_of
 from rmesh_nlp.fem.fields import ElementTerm, Field, Index, constant_field
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, at, signed_areas
 from rmesh_nlp.problem.statement import ContactSet
@@ -85,9 +85,9 @@ def gap_terms(problem: ContactProblem) -> list[ElementTerm]:
 
 
 def _neighbours(problem: ContactProblem, part: ContactSet) -> list[tuple[int, ...]]:
-    """For each node of a contact set its neighbours along the contact boundary."""
+    """For each node of a contact set its neighbours along the contact boundary, or in the interior all."""
     beside: dict[int, list[int]] = {int(node): [] for node in part.nodes}
-    for a, b in contact_edges(problem, part.obstacle).T.tolist():
+    for a, b in edges_of(problem, part.obstacle).T.tolist():
         for one, other in ((a, b), (b, a)):
             if one in beside:
                 beside[one].append(other)

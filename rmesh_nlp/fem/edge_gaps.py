@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 
 DEGREE = 7
@@ -29,6 +30,14 @@ DEGREE = 7
 ENOUGH = 2.0
 """How many times the mean height of the arcs a node keeps off: the least that is enough for any two edges."""
 
+
+POWER = 4
+"""In the interior a node keeps off by the norm with this power of the mean heights on its edges: at least
+their largest. Inside a triangle a paraboloid rises above its interpolant by ``k h^2 / 6``, on an edge by
+``k h^2 / 8``; twice the mean height is ``k h^2 / 6``."""
+
+TINY = 1e-200
+"""Added below the root, which has no derivative at zero."""
 
 STRAIGHT = 1e-9
 """Height of an arc over the largest distance of its foundation up to which it is rounding."""
@@ -47,9 +56,9 @@ def with_edge_gaps(problem: ContactProblem) -> ContactProblem:
 
 
 def _rises(problem: ContactProblem, obstacle: Obstacle) -> bool:
-    if isinstance(obstacle.boundary, Place) or obstacle.gap == "edge":
+    if obstacle.gap == "edge":
         return False
-    ends = problem.mesh.p[:, problem.mesh.facets[:, np.asarray(problem.mesh.boundaries[obstacle.boundary])]]
+    ends = problem.mesh.p[:, edges_of(problem, obstacle)]
     at_ends = [obstacle.distances(ends[:, i]) for i in range(2)]
     size = max(float(np.max(np.abs(distance), initial=0.0)) for distance in at_ends)
     for t in (0.25, 0.5, 0.75):
@@ -58,6 +67,14 @@ def _rises(problem: ContactProblem, obstacle: Obstacle) -> bool:
         if np.max(arc, initial=0.0) > STRAIGHT * size:
             return True
     return False
+
+
+def edges_of(problem: ContactProblem, obstacle: Obstacle) -> Array:
+    """(2, edges) node numbers of the edges of a contact boundary, or of all edges for the interior."""
+    facets = np.asarray(problem.mesh.facets, dtype=np.int64)
+    if isinstance(obstacle.boundary, Place):
+        return facets
+    return facets[:, np.asarray(problem.mesh.boundaries[obstacle.boundary])]
 
 
 def edge_gap_function(obstacle: Obstacle, components: int, sides: int) -> ca.Function:
@@ -74,14 +91,18 @@ def edge_gap_function(obstacle: Obstacle, components: int, sides: int) -> ca.Fun
     X, u = ca.SX.sym("X", 2, 1 + sides), ca.SX.sym("u", components)
     here = obstacle.distance(X[0, 0], X[1, 0])
     points, weights = get_quadrature_line(DEGREE)
-    height = weight = 0
+    interior = isinstance(obstacle.boundary, Place)
+    height = weight = largest = 0
     for side in range(1, 1 + sides):
         step = X[:, side] - X[:, 0]
         length, there = ca.norm_2(step), obstacle.distance(X[0, side], X[1, side])
+        arcs = 0
         for t, w in zip(points.ravel(), weights, strict=True):
             chord = (1 - t) * here + t * there
             arc = chord - obstacle.distance(X[0, 0] + t * step[0], X[1, 0] + t * step[1])
-            height += length * w * (1 - t) * ca.fmax(arc, 0)
-        weight += length / 2
-    gap = ca.dot(obstacle.direction(X[0, 0], X[1, 0]), u) + here - ENOUGH * height / weight
+            arcs += w * (1 - t) * ca.fmax(arc, 0)
+        height, weight = height + length * arcs, weight + length / 2
+        largest += (2 * arcs) ** POWER
+    off = ENOUGH * ((largest + TINY) ** (1 / POWER) if interior else height / weight)
+    gap = ca.dot(obstacle.direction(X[0, 0], X[1, 0]), u) + here - off
     return ca.Function("edge_gap", [ca.vec(X), u], [0, gap])

@@ -117,8 +117,6 @@ class ContactTable(Table):
 
     @model_validator(mode="after")
     def _one_kind(self) -> ContactTable:
-        if self.gap == "edge" and self.interior is not None:
-            raise ValueError("gap = 'edge' needs a boundary: in the interior gaps hold at nodes")
         if (self.boundary is None) == (self.interior is None):
             raise ValueError("expected either a boundary or interior")
         kinds = [

@@ -63,7 +63,7 @@ class Obstacle:
         "node": it holds at contact nodes, and a convex foundation passes into the body between them.
         "edge": it holds along the edges as well, since the foundation counts as nearer at a node by twice
         the mean height of its arcs above their chords beside the node (:mod:`rmesh_nlp.fem.edge_gaps`).
-        The two are the same where the foundation is straight; in the interior there is "node" only.
+        The two are the same where the foundation is straight.
     """
 
     boundary: str | Place
@@ -87,8 +87,6 @@ class Obstacle:
             raise ValueError("friction needs a problem with two displacement components")
         if self.gap not in GAPS:
             raise ValueError(f"gap must be {' or '.join(map(repr, GAPS))}, got {self.gap!r}")
-        if self.gap == "edge" and self.boundary is Place.INTERIOR:
-            raise ValueError("gap = 'edge' needs a contact boundary: in the interior gaps hold at nodes")
 
     @classmethod
     def line(

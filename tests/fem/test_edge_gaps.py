@@ -12,7 +12,7 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration, penetration_work_of
 from rmesh_nlp.fem.edge_gaps import edge_gap_function, with_edge_gaps
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, Traction
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, Traction
 
 CURVATURE = 0.8
 PARABOLA = Obstacle.graph("bottom", lambda x, y: -CURVATURE / 2 * (x - 1) ** 2)
@@ -109,5 +109,21 @@ def test_energies_fall_to_the_limit_from_above(obstacle: Obstacle) -> None:
 def test_bad_gaps_are_refused() -> None:
     with pytest.raises(ValueError, match="'somewhere'"):
         Obstacle("bottom", gap="somewhere")
-    with pytest.raises(ValueError, match="interior"):
-        replace(Obstacle.interior(0.0), gap="edge")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_passes_through_the_triangles_over_an_obstacle(seed: int) -> None:
+    dome = Obstacle.interior(lambda x, y: 0.05 - 0.4 * (x - 0.4) ** 2 - 0.6 * (y - 0.5) ** 2)
+    mesh = rectangle(7, 7)
+    nodes, inside = np.array(mesh.p), mesh.interior_nodes()
+    nodes[:, inside] += np.random.default_rng(seed).uniform(-0.04, 0.04, (2, inside.size))
+    mesh = replace(mesh, doflocs=nodes)
+    problem = ContactProblem(mesh, Laplace(-2.0), ("left", "right"), dome, Motion(None))
+    depths = []
+    for one in (problem, with_edge_gaps(problem)):
+        model = ContactModel(one)
+        state = model.solve(nodes)
+        depths.append(penetration(one, nodes, model.displacement.values(state.u)))
+        assert np.sum(state.active.touching) > 5
+    assert depths[0] > 1e-3
+    assert depths[1] < 1e-12
