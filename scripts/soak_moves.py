@@ -219,7 +219,7 @@ def main(arguments: list[str] | None = None) -> int:
         f"{len(tried)} problems ({len(done) - len(tried)} refused before a solve), "
         f"{sum(bool(row['success']) for row in tried)} successes, "
         f"{sum(row['status'] == 'converged' for row in tried)} converged, "
-        f"{sum('higher energy' in row['faults'] for row in tried)} with a higher audited energy; contact solves "
+        f"{sum('higher energy' in row['faults'] for row in tried)} with a higher energy; contact solves "
         f"{np.median(solves) if solves else 0:.0f} in the median and {max(solves, default=0)} at most"
     )
     return 1 if faulty else 0

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 
 DEGREE = 7
@@ -69,7 +69,7 @@ def _rises(problem: ContactProblem, obstacle: Obstacle) -> bool:
     return False
 
 
-def edges_of(problem: ContactProblem, obstacle: Obstacle) -> Array:
+def edges_of(problem: ContactProblem, obstacle: Obstacle) -> Index:
     """(2, edges) node numbers of the edges of a contact boundary, or of all edges for the interior."""
     facets = np.asarray(problem.mesh.facets, dtype=np.int64)
     if isinstance(obstacle.boundary, Place):
