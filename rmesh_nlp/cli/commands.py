@@ -104,6 +104,7 @@ def compare(
     resume: bool,
     jobs: int = 1,
     voice: str = "text",
+    draw: bool = True,
 ) -> int:
     """Many solves, tables and figures; returns the exit code.
 
@@ -113,6 +114,8 @@ def compare(
         Processes that solve.
     voice : str
         What is printed: "text", "json" (a list of the records) or "quiet".
+    draw : bool
+        Whether to write figures.
     """
     if jobs > 1 and any(name.endswith(".toml") for name in examples):
         raise BadInputError("--jobs is for the examples: put problem files into a study (rmesh new --study)")
@@ -142,7 +145,8 @@ def compare(
                 hint = "--resume goes on, rmesh table and rmesh figures show them"
                 raise InterruptedSolveError(f"{kept}; {hint}") from None
         table(out, voice)
-        figures(out, voice)
+        if draw:
+            figures(out, voice)
     if voice == "json":
         print(f"[{', '.join(to_json(record) for record in records)}]")
     asked = [record for record in records if not does_not_apply(record)]

@@ -116,6 +116,10 @@ def compare(
     ] = False,
     jobs: Jobs = 1,
     repeats: Repeats = 1,
+    figures: Annotated[
+        bool,
+        typer.Option("--figures/--no-figures", help="Draw to DIR/figures; rmesh figures DIR does it later."),
+    ] = True,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -143,6 +147,7 @@ def compare(
             resume,
             jobs,
             "json" if json else "quiet" if quiet else "text",
+            figures,
         )
     )
 

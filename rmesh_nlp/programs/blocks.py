@@ -43,7 +43,7 @@ class SecondDerivatives:
 
     def __init__(self, relocation: Relocation) -> None:
         self._relocation = rel = relocation
-        hessian, jacobian = rel.derivatives.hess_lag, rel.derivatives.jac_g
+        hessian, jacobian = rel.assembled.hess_lag, rel.assembled.jac_g
         self._hessian, self._jacobian = Evaluator(hessian), Evaluator(jacobian)
         q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
         upper = numbered(hessian.sparsity_out(0))
@@ -55,7 +55,7 @@ class SecondDerivatives:
     def __call__(self, x: Array, equilibrium: Equilibrium) -> Blocks:
         """At unknowns ``x = (q, u, s)`` of a contact solution."""
         rel = self._relocation
-        rows = np.zeros(rel.nlp.n_g)
+        rows = np.zeros(rel.n_rows)
         rows[rel.gap_rows] = -equilibrium.normal_force
         if rel.n_s:
             rows[rel.slip_rows] = -equilibrium.tangential_force[rel.friction_rows]

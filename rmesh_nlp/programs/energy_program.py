@@ -13,6 +13,7 @@ derivatives also give the energy gradient (5.7), (5.11) of ``nested`` and the au
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -36,10 +37,11 @@ class Relocation:
     Attributes
     ----------
     discretisation : Discretisation
-    nlp : NLP
-        Unknowns ``(q, u, s)``; rows: gaps, the two slip rows of each contact node, validity.
-    derivatives : Assembled
-        Those of ``nlp``, second ones included.
+    x : MX symbol
+        The unknowns ``(q, u, s)``.
+    assembled : Assembled
+        Objective, rows and their derivatives, each stated when it is first asked for: a descent in the
+        moves alone needs the first derivatives only.
     displacement, slip : Field
         (components, nodes) and (obstacles, nodes), functions of the unknowns; slip is zero where there
         is no friction.
@@ -50,12 +52,30 @@ class Relocation:
     """
 
     discretisation: Discretisation
-    nlp: NLP
-    derivatives: Assembled
+    x: ca.MX
+    assembled: Assembled
     displacement: Field
     slip: Field
     validity: Validity
     objective: Objective = ENERGY
+
+    @cached_property
+    def nlp(self) -> NLP:
+        """The program with its derivatives; rows: gaps, the two slip rows of each contact node, validity."""
+        bound, rest = self.freedoms.bound, np.full(self.n_u + self.n_s, np.inf)
+        ends = np.cumsum([0, self.n_q, self.n_u, self.n_s]).tolist()
+        return NLP(
+            x=self.x,
+            p=ca.MX(0, 1),
+            f=self.assembled.f,
+            g=self.assembled.g,
+            lbx=np.concatenate([-bound, -rest]),
+            ubx=np.concatenate([bound, rest]),
+            lbg=np.concatenate([np.zeros(self.n_rows - self.n_valid), self.validity.bound]),
+            ubg=np.full(self.n_rows, np.inf),
+            derivatives=self.assembled.derivatives,
+            parts=dict(zip(("q", "u", "slip"), ca.vertsplit(self.x, ends), strict=True)),
+        )
 
     @property
     def problem(self) -> ContactProblem:
@@ -86,6 +106,16 @@ class Relocation:
     def n_contact(self) -> int:
         """Number of gap rows."""
         return self.discretisation.n_contact
+
+    @property
+    def n_x(self) -> int:
+        """Number of unknowns."""
+        return self.n_q + self.n_u + self.n_s
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows."""
+        return self.n_contact + 2 * self.n_s + self.n_valid
 
     @property
     def n_valid(self) -> int:
@@ -152,24 +182,6 @@ def relocation(problem: ContactProblem | Discretisation, objective: Objective = 
     if objective.has_barrier and parts.problem.motion.min_angle == 0:
         validity = validity.without_rows()
     groups.append(replace(validity.group, rows=validity.group.rows + n_rows))
-    x, p = ca.MX.sym("x", free.n + n_u + n_s), ca.MX(0, 1)
-    assembled = parts.assemble(groups, x, p, n_rows + validity.size)
-    nlp = NLP(
-        x=x,
-        p=p,
-        f=assembled.f,
-        g=assembled.g,
-        lbx=np.concatenate([-free.bound, np.full(n_u + n_s, -np.inf)]),
-        ubx=np.concatenate([free.bound, np.full(n_u + n_s, np.inf)]),
-        lbg=np.concatenate([np.zeros(n_rows), validity.bound]),
-        ubg=np.full(n_rows + validity.size, np.inf),
-        derivatives=assembled.derivatives,
-        parts=dict(
-            zip(
-                ("q", "u", "slip"),
-                ca.vertsplit(x, [0, free.n, free.n + n_u, free.n + n_u + n_s]),
-                strict=True,
-            )
-        ),
-    )
-    return Relocation(parts, nlp, assembled, displacement, slip, validity, objective)
+    x = ca.MX.sym("x", free.n + n_u + n_s)
+    assembled = parts.assemble(groups, x, ca.MX(0, 1), n_rows + validity.size)
+    return Relocation(parts, x, assembled, displacement, slip, validity, objective)

@@ -37,7 +37,7 @@ class Recombination:
         groups = relocation.discretisation.energy(*fields)
         self._values = element_values(groups)
         self._unknowns = [np.concatenate([field.index for field in g.arguments]) for g in groups]
-        self._node = np.zeros(relocation.nlp.n_x, dtype=np.int64)
+        self._node = np.zeros(relocation.n_x, dtype=np.int64)
         for field in fields:
             _name_owners(self._node, field)
         self._area = signed_areas(problem.mesh.p, problem.triangles)

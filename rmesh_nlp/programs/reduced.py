@@ -68,17 +68,17 @@ class ReducedEnergy:
         self._given: Equilibrium | None = None
         self._is_given_counted = False
         self._last: ReducedPoint | None = None
-        nlp = relocation.nlp
+        x, none, assembled = relocation.x, ca.MX(0, 1), relocation.assembled
         normal, tangential = (
             ca.MX.sym("normal", relocation.n_contact),
             ca.MX.sym("tangential", relocation.n_s),
         )
-        jacobian = relocation.derivatives.jac_g(nlp.x, nlp.p)[1][:, : relocation.n_q]
-        gradient = relocation.derivatives.grad_f(nlp.x, nlp.p)[1][: relocation.n_q]
+        jacobian = assembled.jac_g(x, none)[1][:, : relocation.n_q]
+        gradient = assembled.grad_f(x, none)[1][: relocation.n_q]
         gradient -= jacobian[relocation.gap_rows, :].T @ normal
         gradient -= jacobian[relocation.slip_rows, :].T @ tangential
         self._gradient = Evaluator(
-            ca.Function("reduced_gradient", [nlp.x, normal, tangential], [ca.densify(gradient)])
+            ca.Function("reduced_gradient", [x, normal, tangential], [ca.densify(gradient)])
         )
         fields = (relocation.freedoms.positions, relocation.displacement, relocation.slip)
         self._position_terms = element_values(
@@ -92,7 +92,7 @@ class ReducedEnergy:
 
     def of_positions(self, q: Array) -> float:
         """The terms of the objective in the positions alone; NaN where they are not defined."""
-        x = np.concatenate([q, np.zeros(self.relocation.nlp.n_x - q.size)])
+        x = np.concatenate([q, np.zeros(self.relocation.n_x - q.size)])
         return float(sum(values.sum() for values in self._position_terms(x)))
 
     def is_defined(self, q: Array) -> bool:
@@ -169,10 +169,9 @@ class ReducedObjective:
     def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
         self.energy, self.objective = energy, objective
         rel = energy.relocation
-        nlp = rel.nlp
         fields = (rel.freedoms.positions, rel.displacement, rel.slip)
         groups = rel.discretisation.objective(objective, *fields)
-        outer = rel.discretisation.assemble(groups, nlp.x, nlp.p, 0)
+        outer = rel.discretisation.assemble(groups, rel.x, ca.MX(0, 1), 0)
         self._kept = outer
         self._outer = Evaluator(outer.grad_f)
         self._has_barrier = objective.has_barrier

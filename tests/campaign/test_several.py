@@ -12,6 +12,8 @@ from rmesh_nlp.cli.commands import does_not_apply
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import read_results
 
+QUICKLY = ("--quiet", "--no-figures")
+
 
 def test_objectives_and_seeds_are_multiplied() -> None:
     options = {"objective": ["energy", "error-l2"], "seed": [1, 2]}
@@ -43,7 +45,7 @@ def test_wrong_options_are_named(text: str, said: str) -> None:
 @pytest.mark.slow
 def test_an_objective_that_joint_refuses_is_a_dash_and_no_failure(tmp_path: Path) -> None:
     arguments = ["compare", "6.1", "--n", "4", "--quadrature", "6", "--formulations", "joint,nested"]
-    arguments += ["--quiet"]
+    arguments += [*QUICKLY]
     assert run([*arguments, "--objective", "energy", "--objective", "error-l2", "--out", str(tmp_path)]) == 0
     rows = [result.record for result in read_results(tmp_path)]
     assert [does_not_apply(row) for row in rows] == [False, False, True, False]
@@ -53,20 +55,21 @@ def test_an_objective_that_joint_refuses_is_a_dash_and_no_failure(tmp_path: Path
 
 
 def test_refusing_the_only_objective_is_no_success(tmp_path: Path) -> None:
-    arguments = ["compare", "6.1", "--n", "4", "--formulations", "joint", "--quiet", "--out", str(tmp_path)]
+    arguments = ["compare", "6.1", "--n", "4", "--formulations", "joint", *QUICKLY, "--out", str(tmp_path)]
     assert run([*arguments, "--objective", "error-l2"]) == 1
 
 
 def test_seeds_given_one_after_the_other_are_all_solved_and_joined(tmp_path: Path) -> None:
-    arguments = ["compare", "6.1", "--n", "3", "--quadrature", "6", "--formulations", "joint", "--quiet"]
+    arguments = ["compare", "6.1", "--n", "3", "--quadrature", "6", "--formulations", "joint", *QUICKLY]
     assert run([*arguments, "--seed", "1", "--seed", "2,3", "--out", str(tmp_path)]) == 0
     assert [result.record["seed"] for result in read_results(tmp_path)] == [1, 2, 3]
     assert "## Several starts" in (tmp_path / "table.md").read_text()
 
 
 def test_another_objective_joins_what_is_there(tmp_path: Path) -> None:
-    arguments = ["compare", "6.1", "--n", "3", "--quadrature", "6", "--formulations", "nested", "--quiet"]
+    arguments = ["compare", "6.1", "--n", "3", "--quadrature", "6", "--formulations", "nested", *QUICKLY]
     assert run([*arguments, "--objective", "energy", "--out", str(tmp_path)]) == 0
     assert run([*arguments, "--objective", "error-l2", "--resume", "--out", str(tmp_path)]) == 0
     assert [result.record["objective"] for result in read_results(tmp_path)] == ["energy", "error-l2"]
     assert not (tmp_path / "previous").exists()
+    assert not (tmp_path / "figures").exists()  # as asked

@@ -13,7 +13,6 @@ from rmesh_nlp.contact.first_guess import predicted_set
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.sums import to_casadi
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
@@ -64,11 +63,11 @@ def ipopt_reference(system: ContactSystem) -> tuple[np.ndarray, float]:
     m, n_t = system.load.size, system.slip_bound.size
     x = ca.MX.sym("x", m + n_t)
     u, s = x[:m], x[m:]
-    K, N = to_casadi(system.stiffness), to_casadi(system.normals.tocsc())
+    K, N = (ca.sparsify(ca.DM(m.toarray())) for m in (system.stiffness, system.normals))
     f = ca.dot(u, K @ u) / 2 - ca.dot(system.load, u) + system.constant
     g = [N @ u + system.offset]
     if n_t:
-        T = to_casadi(system.tangents.tocsc())
+        T = ca.sparsify(ca.DM(system.tangents.toarray()))
         f += ca.dot(system.slip_bound, s)
         g += [s - T @ u, s + T @ u]
     g = ca.vertcat(*g)

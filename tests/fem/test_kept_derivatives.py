@@ -31,5 +31,5 @@ def test_a_problem_that_differs_in_its_load_alone_has_its_own_derivatives() -> N
     for stated in loads:
         program = relocation(stated)
         x = np.linspace(0, 1, program.nlp.n_x)
-        gradients.append(np.ravel(program.derivatives.grad_f(x, [])[1]))
+        gradients.append(np.ravel(program.assembled.grad_f(x, [])[1]))
     assert np.max(np.abs(gradients[0] - gradients[1])) > 1e-3

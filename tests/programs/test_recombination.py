@@ -26,7 +26,7 @@ def random_unknowns(referee: Referee, seed: int) -> np.ndarray:
 def test_the_energy_never_rises_and_every_unknown_comes_from_one_of_the_two(name, size, across) -> None:
     referee = Referee(EXAMPLES[name](size))
     relocation = referee.relocation
-    energy = relocation.derivatives.grad_f
+    energy = relocation.assembled.grad_f
     x, other = random_unknowns(referee, 1), random_unknowns(referee, 2)
     mixed = Recombination(relocation)(x, other, across, shift=0.5)
     assert np.all((mixed == x) | (mixed == other))
