@@ -233,6 +233,8 @@ def solve(
         if violations == 0:
             return replace(state, iterations=iteration)
         proposal = holding(system, active, state, proposal)
+        if proposal.key() == active.key():  # nodes that pull are needed to hold the body
+            return replace(state, status=Status.CYCLED, iterations=iteration)
         if violations < fewest:
             fewest, patience = violations, PATIENCE
             seen.clear()

@@ -184,7 +184,7 @@ def _foundation(axis: Axes, state: State, factor: float) -> None:
             LineCollection(
                 list(lines.transpose(1, 2, 0)),
                 color=FOUNDATION,
-                linewidth=2.2,
+                linewidth=4.0,
                 capstyle="round",
                 label="rigid foundation" if number == 0 else None,
             )
@@ -219,6 +219,7 @@ def _boundary(axis: Axes, state: State) -> None:
                     color="#009E73",
                     linewidth=1.5,
                     label="may come in contact" if number == 0 else None,
+                    zorder=3,  # over a foundation that it lies on
                 )
             )
 

@@ -26,7 +26,7 @@ class Limit(Enum):
     """What holds a node: label, colour, marker."""
 
     PINNED = ("does not move", "0.6", "o")
-    NOTHING = ("nothing: it is where it wants to be", "#56B4E9", "o")
+    NOTHING = ("nothing", "#56B4E9", "o")
     BOX = ("its box", "#D55E00", "s")
     AREA = ("the area or an angle of an element", "#000000", "^")
 

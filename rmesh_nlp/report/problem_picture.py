@@ -93,10 +93,9 @@ def _draw_foundations(axis: Axes, problem: ContactProblem) -> list[str]:
             LineCollection(
                 list(one.lines.transpose(1, 2, 0)),
                 color=FOUNDATION,
-                linewidth=3,
-                alpha=0.8,
+                linewidth=8,  # seen on both sides of a boundary that lies on it
                 label="rigid foundation",
-                zorder=1.5,
+                zorder=0.5,
             )
         )
         nodes = problem.mesh.p[:, one.nodes]

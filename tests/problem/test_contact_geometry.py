@@ -311,3 +311,20 @@ def test_a_point_load_is_not_certified() -> None:
     problem = replace(punch_held_by_symmetry(), dirichlet=("left",))
     with pytest.raises(NotCertifiableError, match="point load"):
         certify(fixed.solve(problem))
+
+
+def test_half_a_ring_that_balances_on_a_hill_is_refused() -> None:
+    # nodes that pull would be needed to hold it; the search for the touching nodes ends there
+    mesh = rectangle(8, 3, x=(np.pi, 2 * np.pi), y=(0.4, 1))
+    angle, radius = mesh.p
+    with pytest.raises(ProblemError, match="not in one place"):
+        ContactModel(
+            ContactProblem(
+                mesh=replace(mesh, doflocs=radius * np.array([np.cos(angle), np.sin(angle)])),
+                law=LAW,
+                dirichlet=(),
+                tractions=(Traction("left", (0.0, -1.0)), Traction("right", (0.0, -1.0))),
+                obstacle=Obstacle.curve("top", lambda x, y: y + 1.002 + 0.3 * x**2),
+                motion=Motion(0.05),
+            )
+        )
