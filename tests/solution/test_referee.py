@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,7 @@ from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneSt
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.solution import referee as refereeing
 from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.solution import Solution, Step, _gain, _plain, counted
-from rmesh_nlp.solution.verification import TaylorTest, verify_gradient
+from rmesh_nlp.solution.solution import Solution
 
 
 @pytest.fixture(scope="module")
@@ -214,139 +212,3 @@ class TestReduced:
         function = plain.function("quality")
         assert function.is_defined(q)
         assert not function.is_defined(20 * (-1.0) ** np.arange(q.size))
-
-
-class TestTaylor:
-    """The order of the remainder, from halved steps."""
-
-    def made(self, orders: list[float]) -> TaylorTest:
-        n = len(orders) + 1
-        return TaylorTest("mine", 1.0, 2.0, np.ones(n), np.ones(n), np.array(orders))
-
-    def test_the_last_known_order_decides(self) -> None:
-        assert self.made([1.0, 2.0, np.nan]).order == 2.0
-        assert self.made([2.0, 1.0]).order == 1.0
-        assert not self.made([2.0, 1.89])
-        assert self.made([1.0, 1.9])
-        assert self.made([np.nan, np.nan]).order == np.inf
-        text = " ".join(value for _, value in self.made([2.0, 1.5]).summary())
-        assert "order 2.00" in text
-        assert "WRONG: order 1.50" in text
-        rows = self.made([2.0, 2.0]).summary()
-        assert len(rows) == 5
-        assert rows[-1][1] == "right: order 2.00"
-        assert "order" not in rows[1][1]
-
-    def test_it_measures_what_it_says_inside_of_the_boxes(
-        self, problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        points: list[Any] = []
-        evaluate = ReducedEnergy.__call__
-
-        def noted(self: ReducedEnergy, q: np.ndarray) -> Any:
-            points.append((q.copy(), evaluate(self, q)))
-            return points[-1][1]
-
-        monkeypatch.setattr(ReducedEnergy, "__call__", noted)
-        test = verify_gradient(problem, seed=2)
-        assert test
-        (q, here), *others = points
-        assert np.max(np.abs([point for point, _ in points])) <= 1
-        assert np.max(np.abs(q)) > 0.3  # not the mesh as given
-        np.testing.assert_allclose(test.steps, 1e-2 * 0.5 ** np.arange(5))
-        direction = (others[0][0] - q) / test.steps[0]
-        assert 0.5 < np.max(np.abs(direction)) <= 1
-        for (point, found), step, remainder in zip(others, test.steps, test.remainders, strict=True):
-            np.testing.assert_allclose(point, q + step * direction, atol=1e-12)
-            exact = abs(found.value - here.value - step * here.gradient @ direction)
-            assert remainder == pytest.approx(exact, rel=1e-6, abs=1e-15)
-        np.testing.assert_allclose(test.orders, np.log2(test.remainders[:-1] / test.remainders[1:]))
-        assert test.slope == pytest.approx(here.gradient @ direction)
-        assert (test.value, test.objective) == (here.value, "energy")
-        again, other = verify_gradient(problem, seed=2), verify_gradient(problem, seed=3)
-        assert again.value == test.value != other.value
-
-    def test_a_wrong_gradient_is_of_first_order(
-        self, problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        gradient = ReducedEnergy.gradient
-        monkeypatch.setattr(ReducedEnergy, "gradient", lambda *arguments: 1.01 * gradient(*arguments))
-        test = verify_gradient(problem)
-        assert test.order == pytest.approx(1, abs=0.1)
-        assert not test.passed
-
-    def test_rounding_says_nothing(self) -> None:
-        """The position of a node is linear: its remainders are rounding, and no order is known."""
-        problem = ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(0.05))
-        node = int(np.argmin(np.abs(problem.mesh.p - 1 / 3).sum(axis=0)))
-        test = verify_gradient(problem, rm.quantities.nodal([node], lambda X, u: X[0, 0] + 3.0))
-        assert np.all(np.isnan(test.orders))
-        assert test.order == np.inf
-        assert test
-
-    def test_nothing_that_moves_is_refused(self) -> None:
-        problem = ContactProblem(rectangle(1, 1), Laplace(1.0), ("left",), motion=Motion(0.05))
-        with pytest.raises(ValueError, match="no node of .* may move"):
-            verify_gradient(problem)
-
-
-class TestRecord:
-    @pytest.fixture(scope="class")
-    def solution(self) -> Solution:
-        return joint.solve(EXAMPLES["6.2"]((4, 2)))
-
-    def test_figures_are_those_of_the_solution(self, solution: Solution) -> None:
-        made = replace(
-            solution, build_time_s=1.0, solve_time_s=20.0, audit_time_s=300.0, energy_initial=-1.0,
-            energy=-1.5,
-            energy_initial_audited=-2.0, audit=replace(solution.audit, energy_audited=-2.25), detail="More.",
-            stationarity_residual=float("nan"), seed=5, extra={"mine": np.float64(2.5)},
-        )  # fmt: skip
-        record = made.record()
-        assert (record["wall_time_s"], record["gain"], record["gain_audited"]) == (321.0, 0.5, 0.25)
-        assert (record["u_min"], record["u_max"]) == (made.displacement.min(), made.displacement.max())
-        assert (record["nodes"], record["triangles"]) == (made.mesh.p.shape[1], made.mesh.t.shape[1])
-        assert record["stationarity_residual"] is None
-        assert (record["seed"], record["mine"], type(record["mine"])) == (5, 2.5, float)
-        assert record["message"].endswith(" More.")
-        rows = dict(made.summary())
-        assert rows["audited gain"].endswith("(12.5 %)")
-        assert rows["success"] == ("yes" if made.success else "no")
-        assert rows["iterations, contact solves"] == f"{made.iterations}, {made.contact_solves}"
-        motion = np.linalg.norm(made.mesh.p - made.problem.mesh.p, axis=0).max()
-        assert float(rows["largest motion"]) == pytest.approx(motion, rel=1e-3)
-        boxes = np.sum(solution.multipliers.box > 0)
-        assert rows["limited by boxes"].startswith(f"{boxes} nodes, largest ")
-        areas = np.sum(solution.multipliers.area > 0)
-        assert rows["limited by areas"].startswith(f"{areas} elements")
-        assert "limited by boxes" not in dict(replace(made, multipliers=None).summary())
-        assert "worth it?" not in rows
-        assert dict(replace(made, extra={"worth": {"text": "yes"}}).summary())["worth it?"] == "yes"
-
-    def test_gains_have_a_part_where_there_is_something_to_be_a_part_of(self) -> None:
-        assert _gain(0.5, -2.0).endswith("(25 %)")
-        assert "%" not in _gain(0.5, 0.0)
-
-    def test_histories_are_plain_and_keep_an_infinite_t(self) -> None:
-        step = Step(3, -1.0, float("inf"), 0.0, float("nan"), 7, 0.25, np.ones(2))
-        solution = SimpleNamespace(history=(step, replace(step, t=float("nan"))))
-        first, second = Solution.history_rows(solution)  # type: ignore[arg-type]
-        assert "q" not in first
-        assert first["t"] == float("inf")
-        assert second["t"] is None
-        assert (first["iteration"], first["energy"], first["dual_residual"]) == (3, -1.0, None)
-        assert (first["objective"], first["product"], first["biactive"], first["stationarity"]) == (None,) * 4
-
-    def test_work_is_summed_where_all_counted_it(self) -> None:
-        one = SimpleNamespace(extra={"cold_contact_solves": 1, "contact_factorisations": 5})
-        two = SimpleNamespace(extra={"cold_contact_solves": 2, "kkt_factorisations": 7})
-        assert counted([one, two]) == {"cold_contact_solves": 3}  # type: ignore[list-item]
-        assert counted([one]) == one.extra  # type: ignore[list-item]
-
-    @pytest.mark.parametrize(
-        ("value", "plain"),
-        [(np.int64(3), 3), (np.bool_(True), True), (np.nan, None), (-np.inf, None), ("x", "x"), (0.5, 0.5)],
-    )
-    def test_values_become_plain(self, value: Any, plain: Any) -> None:
-        assert _plain(value) == plain
-        assert type(_plain(value)) is type(plain)

@@ -1,0 +1,76 @@
+"""What a solution says of itself: its record, its summary, its history."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from formulations import joint
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.solution.solution import Solution, Step, _gain, _plain, counted
+
+
+class TestRecord:
+    @pytest.fixture(scope="class")
+    def solution(self) -> Solution:
+        return joint.solve(EXAMPLES["6.2"]((4, 2)))
+
+    def test_figures_are_those_of_the_solution(self, solution: Solution) -> None:
+        made = replace(
+            solution, build_time_s=1.0, solve_time_s=20.0, audit_time_s=300.0, energy_initial=-1.0,
+            energy=-1.5,
+            energy_initial_audited=-2.0, audit=replace(solution.audit, energy_audited=-2.25), detail="More.",
+            stationarity_residual=float("nan"), seed=5, extra={"mine": np.float64(2.5)},
+        )  # fmt: skip
+        record = made.record()
+        assert (record["wall_time_s"], record["gain"], record["gain_audited"]) == (321.0, 0.5, 0.25)
+        assert (record["u_min"], record["u_max"]) == (made.displacement.min(), made.displacement.max())
+        assert (record["nodes"], record["triangles"]) == (made.mesh.p.shape[1], made.mesh.t.shape[1])
+        assert record["stationarity_residual"] is None
+        assert (record["seed"], record["mine"], type(record["mine"])) == (5, 2.5, float)
+        assert record["message"].endswith(" More.")
+        rows = dict(made.summary())
+        assert rows["audited gain"].endswith("(12.5 %)")
+        assert rows["success"] == ("yes" if made.success else "no")
+        assert rows["iterations, contact solves"] == f"{made.iterations}, {made.contact_solves}"
+        motion = np.linalg.norm(made.mesh.p - made.problem.mesh.p, axis=0).max()
+        assert float(rows["largest motion"]) == pytest.approx(motion, rel=1e-3)
+        boxes = np.sum(solution.multipliers.box > 0)
+        assert rows["limited by boxes"].startswith(f"{boxes} nodes, largest ")
+        areas = np.sum(solution.multipliers.area > 0)
+        assert rows["limited by areas"].startswith(f"{areas} elements")
+        assert "limited by boxes" not in dict(replace(made, multipliers=None).summary())
+        assert "worth it?" not in rows
+        assert dict(replace(made, extra={"worth": {"text": "yes"}}).summary())["worth it?"] == "yes"
+
+    def test_gains_have_a_part_where_there_is_something_to_be_a_part_of(self) -> None:
+        assert _gain(0.5, -2.0).endswith("(25 %)")
+        assert "%" not in _gain(0.5, 0.0)
+
+    def test_histories_are_plain_and_keep_an_infinite_t(self) -> None:
+        step = Step(3, -1.0, float("inf"), 0.0, float("nan"), 7, 0.25, np.ones(2))
+        solution = SimpleNamespace(history=(step, replace(step, t=float("nan"))))
+        first, second = Solution.history_rows(solution)  # type: ignore[arg-type]
+        assert "q" not in first
+        assert first["t"] == float("inf")
+        assert second["t"] is None
+        assert (first["iteration"], first["energy"], first["dual_residual"]) == (3, -1.0, None)
+        assert (first["objective"], first["product"], first["biactive"], first["stationarity"]) == (None,) * 4
+
+    def test_work_is_summed_where_all_counted_it(self) -> None:
+        one = SimpleNamespace(extra={"cold_contact_solves": 1, "contact_factorisations": 5})
+        two = SimpleNamespace(extra={"cold_contact_solves": 2, "kkt_factorisations": 7})
+        assert counted([one, two]) == {"cold_contact_solves": 3}  # type: ignore[list-item]
+        assert counted([one]) == one.extra  # type: ignore[list-item]
+
+    @pytest.mark.parametrize(
+        ("value", "plain"),
+        [(np.int64(3), 3), (np.bool_(True), True), (np.nan, None), (-np.inf, None), ("x", "x"), (0.5, 0.5)],
+    )
+    def test_values_become_plain(self, value: Any, plain: Any) -> None:
+        assert _plain(value) == plain
+        assert type(_plain(value)) is type(plain)

@@ -1,0 +1,94 @@
+"""The Taylor test that users run: it measures what it says, and notices a wrong gradient."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rmesh_nlp as rm
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.solution.verification import TaylorTest, verify_gradient
+
+
+@pytest.fixture(scope="module")
+def problem() -> ContactProblem:
+    return EXAMPLES["6.3"]((4, 2))
+
+
+class TestTaylor:
+    """The order of the remainder, from halved steps."""
+
+    def made(self, orders: list[float]) -> TaylorTest:
+        n = len(orders) + 1
+        return TaylorTest("mine", 1.0, 2.0, np.ones(n), np.ones(n), np.array(orders))
+
+    def test_the_last_known_order_decides(self) -> None:
+        assert self.made([1.0, 2.0, np.nan]).order == 2.0
+        assert self.made([2.0, 1.0]).order == 1.0
+        assert not self.made([2.0, 1.89])
+        assert self.made([1.0, 1.9])
+        assert self.made([np.nan, np.nan]).order == np.inf
+        text = " ".join(value for _, value in self.made([2.0, 1.5]).summary())
+        assert "order 2.00" in text
+        assert "WRONG: order 1.50" in text
+        rows = self.made([2.0, 2.0]).summary()
+        assert len(rows) == 5
+        assert rows[-1][1] == "right: order 2.00"
+        assert "order" not in rows[1][1]
+
+    def test_it_measures_what_it_says_inside_of_the_boxes(
+        self, problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        points: list[Any] = []
+        evaluate = ReducedEnergy.__call__
+
+        def noted(self: ReducedEnergy, q: np.ndarray) -> Any:
+            points.append((q.copy(), evaluate(self, q)))
+            return points[-1][1]
+
+        monkeypatch.setattr(ReducedEnergy, "__call__", noted)
+        test = verify_gradient(problem, seed=2)
+        assert test
+        (q, here), *others = points
+        assert np.max(np.abs([point for point, _ in points])) <= 1
+        assert np.max(np.abs(q)) > 0.3  # not the mesh as given
+        np.testing.assert_allclose(test.steps, 1e-2 * 0.5 ** np.arange(5))
+        direction = (others[0][0] - q) / test.steps[0]
+        assert 0.5 < np.max(np.abs(direction)) <= 1
+        for (point, found), step, remainder in zip(others, test.steps, test.remainders, strict=True):
+            np.testing.assert_allclose(point, q + step * direction, atol=1e-12)
+            exact = abs(found.value - here.value - step * here.gradient @ direction)
+            assert remainder == pytest.approx(exact, rel=1e-6, abs=1e-15)
+        np.testing.assert_allclose(test.orders, np.log2(test.remainders[:-1] / test.remainders[1:]))
+        assert test.slope == pytest.approx(here.gradient @ direction)
+        assert (test.value, test.objective) == (here.value, "energy")
+        again, other = verify_gradient(problem, seed=2), verify_gradient(problem, seed=3)
+        assert again.value == test.value != other.value
+
+    def test_a_wrong_gradient_is_of_first_order(
+        self, problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        gradient = ReducedEnergy.gradient
+        monkeypatch.setattr(ReducedEnergy, "gradient", lambda *arguments: 1.01 * gradient(*arguments))
+        test = verify_gradient(problem)
+        assert test.order == pytest.approx(1, abs=0.1)
+        assert not test.passed
+
+    def test_rounding_says_nothing(self) -> None:
+        """The position of a node is linear: its remainders are rounding, and no order is known."""
+        problem = ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(0.05))
+        node = int(np.argmin(np.abs(problem.mesh.p - 1 / 3).sum(axis=0)))
+        test = verify_gradient(problem, rm.quantities.nodal([node], lambda X, u: X[0, 0] + 3.0))
+        assert np.all(np.isnan(test.orders))
+        assert test.order == np.inf
+        assert test
+
+    def test_nothing_that_moves_is_refused(self) -> None:
+        problem = ContactProblem(rectangle(1, 1), Laplace(1.0), ("left",), motion=Motion(0.05))
+        with pytest.raises(ValueError, match="may move: there is no gradient"):
+            verify_gradient(problem)
