@@ -25,6 +25,9 @@ from rmesh_nlp.programs.stationary import Finish, finished
 from rmesh_nlp.solution.referee import OnStep, Referee
 from rmesh_nlp.solution.solution import Solution
 
+SOLVES_PER_ITERATION = 4 / 3
+"""Contact solves of an iteration, steps that are refused included."""
+
 CORRECTIONS = 10
 """Iterations of the descent that follows a change of the rule."""
 
@@ -79,7 +82,7 @@ def solve_by_cascade(
     residual = solution.stationarity_residual
     if result and not watch.is_late() and residual > tolerance and q.size and is_small(problem, settings):
         began, before = time.process_time(), referee.reduced.contact_solves
-        last = watch.run(partial(_finished, referee, q, result, settings, tolerance, watch))
+        last = watch.run(partial(_finished, referee, q, result, settings, tolerance, watch, solves))
         if last is None:  # stopped
             q, status = watch.best(stated), Status.FAILED
         else:
@@ -144,16 +147,18 @@ def _finished(
     settings: CascadeSettings,
     tolerance: float,
     watch: Watch,
+    spent: int,
 ) -> Finish:
-    """The way to a stationary point from the end of the cascade."""
+    """The way to a stationary point from the end of the cascade, after ``spent`` contact solves."""
     energy = referee.reduced
+    left = int((settings.most - spent) / SOLVES_PER_ITERATION)
     return finished(
         energy,
         q,
         referee.residual(energy),
         tolerance=tolerance,
         reference=energy(q).value + result.gain_estimate,
-        max_iterations=settings.finish,
+        max_iterations=max(1, min(settings.finish, left)),
         on_step=lambda iteration, x, value: watch(iteration, energy, x, value, ends=False),
     )
 

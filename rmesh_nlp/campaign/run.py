@@ -21,6 +21,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solution.certify import Certificate, certified
 from rmesh_nlp.solution.solution import Solution, Step, versions
 from rmesh_nlp.solution.theorem41 import error_terms
+from rmesh_nlp.solution.worth import by_certificate
 
 OnStep = Callable[[Step], None]
 
@@ -89,6 +90,10 @@ def _solve(case: Case, on_step: OnStep | None) -> Outcome:
     if not case.certify:
         return Outcome(record, solution)
     bounds, certificate = certified(solution)
+    if certificate is not None and "worth" in solution.extra:
+        found = by_certificate(solution.extra["worth"], certificate)
+        solution = replace(solution, extra={**solution.extra, "worth": found})
+        bounds = {**bounds, "worth": found}
     return Outcome({**record, **bounds}, solution, certificate)
 
 

@@ -40,6 +40,8 @@ class CascadeSettings(Settings):
         Largest number of nodes of a given mesh on which ``auto`` goes on to a stationary point.
     finish : int
         Limit of the iterations of that.
+    most : int
+        Contact solves of all meshes together after which ``auto`` does not go on to a stationary point.
     """
 
     regularisation: float = 0.003
@@ -54,6 +56,7 @@ class CascadeSettings(Settings):
     brief_unnested: int = 20
     stationary: int = 1200
     finish: int = 120
+    most: int = 200
 
     def __post_init__(self) -> None:
         check_positive(
@@ -65,6 +68,7 @@ class CascadeSettings(Settings):
             brief=self.brief,
             brief_unnested=self.brief_unnested,
             finish=self.finish,
+            most=self.most,
         )
         regularised(1.0, self.regularisation, self.distortion)
         if not self.regularisation > 0:

@@ -29,6 +29,7 @@ from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.hr import EFFECTIVITY
 from rmesh_nlp.programs.levels import refined
 from rmesh_nlp.programs.refinement import edge_gains
+from rmesh_nlp.solution.certify import Certificate
 
 REFINED_NODES = 20000
 """Largest mesh whose error is extrapolated from a uniform refinement; that of a larger one is estimated
@@ -50,7 +51,9 @@ class Worth:
     error_initial, error : float
         Error of the energy before and after.
     source : str
-        What the errors are measured against: "exact", "extrapolated" or "estimated".
+        What the errors are measured against: "exact", "extrapolated" or "estimated"; or "certified", where
+        errors are upper bounds and the factor is a lower one, and "bracket", where the certificate's bounds
+        are not guaranteed.
     factor : float
     nodes : int
     uniform_nodes, adaptive_nodes : int
@@ -77,9 +80,14 @@ class Worth:
             "exact": "by the exact energy",
             "extrapolated": "extrapolated from a uniform refinement",
             "estimated": "estimated from the gains of new nodes",
+            "certified": "proved by the certificate",
+            "bracket": "by the certificate, whose bounds are not guaranteed here",
         }[self.source]
-        errors = f"error of the energy {figure(self.error_initial)} before, {figure(self.error)} after ({by})"
-        gain = f"{self.factor:.2g} times less on {self.nodes} nodes, for {self.contact_solves} contact solves"
+        at_most, at_least = ("at most ", "at least ") if self.source == "certified" else ("", "")
+        before, after = figure(self.error_initial), figure(self.error)
+        errors = f"error of the energy {at_most}{before} before, {at_most}{after} after ({by})"
+        cost = f"for {self.contact_solves} contact solves"
+        gain = f"{at_least}{self.factor:.2g} times less on {self.nodes} nodes, {cost}"
         others = f"a uniform grid needs about {self.uniform_nodes} nodes for that"
         text = f"{errors}: {gain}; {others}, an ideally refined one {self.adaptive_nodes}"
         if self.gain_geometry is not None:
@@ -113,6 +121,31 @@ def worth(
     nodes, factor = int(problem.mesh.p.shape[1]), before / after
     same = _uniform(problem, before, after), _ideal(nodes, local, factor)
     return Worth(before, after, source, factor, nodes, *same, contact_solves, geometry)
+
+
+def by_certificate(found: Mapping[str, Any], certificate: Certificate) -> dict[str, Any]:
+    """The record of a :class:`Worth` with the bounds of a certificate in the place of what was extrapolated.
+
+    ``E - lower`` bounds the error of an energy E from above. The true factor ``(E_0 - J) / (E_1 - J)``, with
+    J the least energy, grows with J, so that ``(E_0 - lower) / (E_1 - lower)`` bounds it from below. What is
+    measured against an exact energy stays; so does what counts the polygon of a curved boundary.
+    """
+    values = {name: value for name, value in found.items() if name != "text"}
+    one = Worth(**values)
+    before, after = (bound**2 / 2 for bound in (certificate.error_bound_initial, certificate.error_bound))
+    if one.source == "exact" or one.gain_geometry is not None or not before >= after > 0:
+        return one.record()
+    proved = certificate.guaranteed_lower and certificate.guaranteed_upper and certificate.guaranteed_initial
+    factor = before / after
+    return replace(
+        one,
+        error_initial=before,
+        error=after,
+        source="certified" if proved else "bracket",
+        factor=factor,
+        uniform_nodes=round(one.nodes * factor),
+        adaptive_nodes=round(one.adaptive_nodes * factor / one.factor),
+    ).record()
 
 
 def gain_of_polygon(problem: ContactProblem, mesh: MeshTri) -> float:
