@@ -12,7 +12,8 @@ of a locally refined mesh; of free boundary, Hertz and Signorini half the square
 norm. Programs use degree 6.
 
 Rows are kept in DIR/rows.jsonl: run again, it measures only what is missing. Writes DIR/goals.md,
-DIR/rows.md and DIR/worth.png from all rows that are there.
+DIR/rows.md and DIR/worth.png from all rows that are there; `--page docs/large_moves.md` puts the table and
+the figure into the page.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ sys.path[:0] = [str(path) for path in (SCRIPTS, SCRIPTS / "gallery") if str(path
 from worth import methods  # noqa: E402
 from worth.acceptance import accepted  # noqa: E402
 from worth.cases import CASES, Case  # noqa: E402
-from worth.goals import goals, table  # noqa: E402
+from worth.goals import goals, on_page, table  # noqa: E402
 from worth.picture import picture  # noqa: E402
 from worth.rows import Row, Store  # noqa: E402
 
@@ -104,9 +105,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--acceptance", type=float, nargs="*", default=[], help="edge lengths of the part")
     parser.add_argument("--large", type=int, nargs="*", default=[], help="squares a side of a large mesh")
     parser.add_argument("--out", type=Path, default=Path("results/worth"), help="folder")
+    parser.add_argument("--page", type=Path, help="docs/large_moves.md: its table and figure are made anew")
     given = parser.parse_args(arguments)
     store = Store(given.out / "rows.jsonl")
-    other = given.acceptance or given.large or given.cases is not None
+    other = given.acceptance or given.large or given.page or given.cases is not None
     for name in given.cases or ([] if other else ["6.1"]):
         case = CASES[name]
         sizes = sorted(given.sizes or (case.sizes[:3] if name == "6.1" else case.sizes))
@@ -120,6 +122,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     (given.out / "rows.md").write_text(table(store.rows))
     if any(row.case == "6.1" for row in store.rows):
         picture(store.rows).savefig(given.out / "worth.png", dpi=110)
+    if given.page is not None:
+        given.page.write_text(on_page(given.page.read_text(), store.rows))
+        picture(store.rows).savefig(given.page.parent / "worth.png", dpi=110)
     print(goals(store.rows))
     return 0 if all(np.isfinite(row.error) for row in store.rows) else 1
 

@@ -65,7 +65,7 @@ def _by_node(relocation: Relocation, q: Array, rest: Array, stopped: NDArray[np.
     index, scale = free.positions.index, free.positions.slopes(q)
     moving = (index != CONSTANT) & (free.mobility != Mobility.TIED)
     rate = np.zeros(index.shape)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # a curve may run along an axis; see below
         rate[moving] = pull[index[moving]] / np.abs(scale[moving])
     # one move behind both coordinates: the box along the longer step is the one that stops it
     slanted = np.all(moving, axis=0) & (index[0] == index[1])

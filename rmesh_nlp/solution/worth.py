@@ -196,21 +196,17 @@ def _refinements(problem: ContactProblem) -> tuple[list[int], list[float]]:
 
 
 def _uniform(problem: ContactProblem, before: float, after: float) -> int:
-    """Nodes of a uniform refinement with the error ``after``, by the rate of the errors of refinements."""
+    """Nodes of a uniform refinement with the error ``after``, by the rate of two refinements."""
     n = int(problem.mesh.p.shape[1])
-    if n > REFINED_NODES:
+    if n > REFINED_TWICE:  # one refinement alone does not tell the rate of still finer meshes
         return round(n * before / after)
     nodes, energies = _refinements(problem)
-    errors = [before - (energies[0] - energy) for energy in energies]
-    # two refinements tell the rate; if there is one only, it is not yet that of still finer meshes
-    known = [e for e in errors if e > 0.01 * before]
-    if len(errors) < 3 or len(known) < 2 or not np.all(np.diff(known) < 0):
+    errors = before - (energies[0] - np.asarray(energies))
+    if not (np.all(np.diff(errors) < 0) and errors[-1] > 0.01 * before):
         return round(n * before / after)
-    logs = np.log(known), np.log(nodes[: len(known)])
-    k = min(int(np.sum(np.asarray(known) > after)), len(known) - 1)
-    k = max(k, 1)
-    slope = (logs[1][k] - logs[1][k - 1]) / (logs[0][k] - logs[0][k - 1])
-    return round(float(np.exp(logs[1][k] + slope * (np.log(after) - logs[0][k]))))
+    k = 1 if after > errors[1] else 2
+    slope = np.log(nodes[k] / nodes[k - 1]) / np.log(errors[k] / errors[k - 1])
+    return round(float(nodes[k] * (after / errors[k]) ** slope))
 
 
 def _accurate(problem: ContactProblem) -> ContactProblem:

@@ -69,6 +69,15 @@ def goals(rows: list[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
+BEGIN, END = "<!-- goals: begin -->", "<!-- goals: end -->"
+
+
+def on_page(page: str, rows: list[Row]) -> str:
+    """A page with its table of goals, between its two marks, made anew."""
+    head, rest = page.split(BEGIN)
+    return f"{head}{BEGIN}\n{goals(rows)}{END}{rest.split(END)[1]}"
+
+
 def _factors_61(rows: list[Row]) -> Iterator[Goal]:
     grid = of(rows, "6.1", "uniform")
     for method, least in zip(RELOCATED, (8.0, 10.0), strict=True):

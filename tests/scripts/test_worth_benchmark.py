@@ -143,3 +143,12 @@ def test_the_benchmark_writes_its_tables_and_its_figure(tmp_path: Path) -> None:
     kept = (tmp_path / "rows.jsonl").read_text()
     assert benchmark.main(arguments) == 0
     assert (tmp_path / "rows.jsonl").read_text() == kept
+
+
+def test_the_page_takes_its_table_between_its_marks() -> None:
+    goals = script("worth.goals")
+    rows = rows_of("uniform", [100, 400], 8.0) + rows_of("large moves", [100, 400], 0.98)
+    page = f"before\n{goals.BEGIN}\nstale\n{goals.END}\nafter\n"
+    new = goals.on_page(page, rows)
+    assert new == f"before\n{goals.BEGIN}\n{goals.goals(rows)}{goals.END}\nafter\n"
+    assert goals.on_page(new, rows) == new
