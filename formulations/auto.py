@@ -25,7 +25,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.regularisation import weights
-from rmesh_nlp.settings import check_positive
+from rmesh_nlp.settings import check_limits
 from rmesh_nlp.solution.beginning import Start
 from rmesh_nlp.solution.flipping import check_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S
@@ -57,6 +57,7 @@ def solve(
     regularisation: Regularisation = None,
     flips: bool = False,
     tolerance: float = STATIONARY,
+    max_iterations: int | None = None,
     time_limit_s: float = TIME_LIMIT_S,
     start: Start = None,
     seed: int | None = None,
@@ -79,6 +80,8 @@ def solve(
         Largest first-order residual, of the energy with the distortion, of a solution that is called
         converged. Up to ``settings.stationary`` nodes the descent goes on until then; larger meshes get a few
         iterations only, so that their solutions are successes that are not.
+    max_iterations : int, optional
+        Of what runs; of a cascade over all its meshes together, after which it ends as by the time limit.
     time_limit_s : float
         After it, as after Ctrl-C, the best mesh so far is the solution: coarsening and the statement of
         programs count, nothing more is stated than what the audit needs, and ``worth`` is not worked out.
@@ -97,6 +100,7 @@ def solve(
             regularisation=regularisation,
             flips=flips,
             tolerance=tolerance,
+            max_iterations=max_iterations,
             time_limit_s=time_limit_s,
             start=start,
             seed=seed,
@@ -105,10 +109,11 @@ def solve(
         return _chosen(
             found, f"{found.extra.get('chosen', 'auto')}; gaps along edges: a foundation is curved"
         )
-    check_positive(tolerance=tolerance, time_limit_s=time_limit_s)
+    check_limits(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     chosen = _weighted(CascadeSettings.of(settings), regularisation)
     common: dict[str, Any] = {
         "tolerance": tolerance,
+        "max_iterations": max_iterations,
         "time_limit_s": time_limit_s,
         "start": start,
         "seed": seed,
@@ -140,10 +145,10 @@ def solve(
         return _chosen(found, "nested, newton: large moves from the start that was given")
     if freedoms(problem).n == 0:
         return _chosen(nested.solve(problem, **common), "nested: no node can move")
-    found = solve_by_cascade(problem, chosen, tolerance, time_limit_s, on_step)
+    found = solve_by_cascade(problem, chosen, tolerance, max_iterations, time_limit_s, on_step)
     if found.status is Status.INTERRUPTED:
         return found
-    if flips:
+    if flips and (max_iterations is None or found.iterations < max_iterations):
         found = with_edges_flipped(problem, found, chosen, tolerance, time_limit_s)
     return found if found.status is Status.TIME_LIMIT else _with_worth(problem, found)
 

@@ -36,12 +36,13 @@ def solve_by_cascade(
     problem: ContactProblem,
     settings: CascadeSettings,
     tolerance: float,
+    max_iterations: int | None,
     time_limit_s: float,
     on_step: OnStep | None,
 ) -> Solution:
     """Solve without boxes over a cascade of meshes; the result is judged on the problem as given."""
     rule = first_rule(problem)
-    watch = Watch(problem, settings, time_limit_s, on_step)
+    watch = Watch(problem, settings, time_limit_s, on_step, max_iterations)
     stated = replace(problem, quadrature=rule)
     result = watch.run(lambda: cascade(stated, settings, watch, watch.is_late))
     objective = result.objective if result else "energy"
@@ -59,7 +60,7 @@ def solve_by_cascade(
             history=watch.steps,
             iterations=watch.iterations,
             contact_solves=solves,
-            settings=settings.changed(),
+            settings=watch.changed(),
             extra=_figures(result, rules, settings),
         )
 

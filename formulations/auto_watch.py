@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +33,14 @@ class Watch:
     """What listens to a cascade: :data:`rmesh_nlp.programs.cascade.OnMove`, with a clock."""
 
     def __init__(
-        self, problem: ContactProblem, settings: CascadeSettings, limit: float, on_step: OnStep | None
+        self,
+        problem: ContactProblem,
+        settings: CascadeSettings,
+        limit: float,
+        on_step: OnStep | None,
+        max_iterations: int | None = None,
     ) -> None:
+        self._most = max_iterations
         self._nodes, self._limit, self._on_step = problem.mesh.p.shape[1], limit, on_step
         self._settings = settings
         self._began = time.perf_counter()
@@ -108,10 +114,17 @@ class Watch:
         return rate * left
 
     def is_late(self) -> bool:
-        """Whether the solve was stopped, or its time is up."""
+        """Whether the solve was stopped, or its time is up, or it has taken all its iterations."""
+        if self.stopped is None and self._most is not None and self.iterations >= self._most:
+            self.stopped = Status.ITERATION_LIMIT
         if self.stopped is None and self.seconds > self._limit:
             self.stopped = Status.TIME_LIMIT
         return self.stopped is not None
+
+    def changed(self) -> dict[str, Any]:
+        """Settings that differ from the defaults, for the record."""
+        given = {} if self._most is None else {"max_iterations": self._most}
+        return {**self._settings.changed(), **given}
 
     def run(self, solve: Callable[[], T]) -> T | None:
         """The result of ``solve``; None after Ctrl-C, and if the time was up before there was one."""

@@ -12,7 +12,7 @@ from rmesh_nlp.contact import model
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import Settings, check_positive
+from rmesh_nlp.settings import Settings, check_limits, check_positive
 from rmesh_nlp.solution.beginning import Start
 from rmesh_nlp.solution.history import TIME_LIMIT_S
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
@@ -64,6 +64,7 @@ def solve(
     on_step : callable, optional
         Called once with the only step.
     """
+    check_limits(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     chosen = FixedSettings.of(settings)
     if max_iterations is not None:
         chosen = replace(chosen, max_iterations=max_iterations)
@@ -87,6 +88,7 @@ def solve(
         contact_solves=1,
         stationarity="",
         relocates=False,
+        tolerance=tolerance,
         objective=objective,
         settings=chosen.changed(),
         extra=extra,

@@ -23,7 +23,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.reduced import ReducedPoint
-from rmesh_nlp.settings import Settings, check_positive
+from rmesh_nlp.settings import Settings, check_limits, check_positive
 from rmesh_nlp.solution.beginning import Start, beginning
 from rmesh_nlp.solution.flipping import solve_with_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
@@ -196,7 +196,7 @@ def solve(
             f"joint minimises the energy only, or with terms in the positions, not {outer.text!r}: with "
             "another outer objective the inner problem must stay a constraint; use mpcc or nested"
         )
-    check_positive(tolerance=tolerance, time_limit_s=time_limit_s)
+    check_limits(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     chosen = JointSettings.of(settings)
     if max_iterations is not None:
         chosen = replace(chosen, max_iterations=max_iterations)

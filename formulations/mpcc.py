@@ -25,7 +25,7 @@ from rmesh_nlp.mpcc import MPCC, MPCCResult, MPCCSolver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.kkt_program import Bilevel, bilevel
-from rmesh_nlp.settings import check_positive
+from rmesh_nlp.settings import check_limits
 from rmesh_nlp.solution.beginning import Start
 from rmesh_nlp.solution.flipping import solve_with_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
@@ -133,7 +133,7 @@ def solve(
             on_step=on_step,
         )
     outer = parse_objective(objective)
-    check_positive(tolerance=tolerance, time_limit_s=time_limit_s, max_iterations=max_iterations)
+    check_limits(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     referee = Referee(problem)
     at = moves(start, seed, referee, outer, time_limit_s)
     contact = referee.reduced(at.q)
@@ -175,7 +175,7 @@ def solve(
         "history": steps,
         "start": where.name,
         "seed": seed,
-        "settings": dict(settings or {}),
+        "settings": {**(settings or {}), **({"max_iterations": max_iterations} if max_iterations else {})},
     }
     if result is None or result.status in LIMITS:
         q = recorder.best(function, at.q)

@@ -27,7 +27,7 @@ from rmesh_nlp.programs.outer_solvers import (
     reduced_nlp,
 )
 from rmesh_nlp.programs.residual import OuterResidual
-from rmesh_nlp.settings import check_positive
+from rmesh_nlp.settings import check_limits
 from rmesh_nlp.solution.beginning import Start, beginning
 from rmesh_nlp.solution.flipping import solve_with_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Watch
@@ -132,7 +132,7 @@ def solve(
             seed=seed,
             on_step=on_step,
         )
-    check_positive(tolerance=tolerance, time_limit_s=time_limit_s)
+    check_limits(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     chosen = NestedSettings.of(settings)
     if max_iterations is not None:
         chosen = replace(chosen, max_iterations=max_iterations)

@@ -68,3 +68,10 @@ def check_positive(**values: float | None) -> None:
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         if value is not None and not (number and 0 < value < float("inf")):
             raise BadInputError(f"{name} must be positive and finite, got {value!r}")
+
+
+def check_limits(*, tolerance: float, max_iterations: int | None, time_limit_s: float) -> None:
+    """Raise a BadInputError for what no strategy takes as the tolerance or a limit of its solve."""
+    check_positive(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
+    if max_iterations is not None and max_iterations != int(max_iterations):
+        raise BadInputError(f"max_iterations must be a whole number, got {max_iterations!r}")

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations import fixed, joint, mpcc, nested
+from formulations import auto, fixed, joint, mpcc, nested
+from rmesh_nlp.campaign import strategies
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
@@ -21,11 +22,11 @@ from rmesh_nlp.solution.solution import Step
 STRATEGIES = [fixed, nested, joint, mpcc]
 COMMON = {"settings", "tolerance", "max_iterations", "time_limit_s", "start", "seed", "on_step", "objective"}
 SMALL = EXAMPLES["6.2"]((4, 2))
+NO_BOXES = replace(SMALL, motion=replace(SMALL.motion, delta=None))
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_the_same_keywords_and_one_clock(strategy: Any) -> None:
-    assert set(inspect.signature(strategy.solve).parameters) >= COMMON
     record = strategy.solve(SMALL).record()
     parts = [record[f"{name}_time_s"] for name in ("build", "solve", "audit")]
     assert min(parts) > 0
@@ -34,6 +35,39 @@ def test_the_same_keywords_and_one_clock(strategy: Any) -> None:
     assert record["start"] == "given"
     assert record["settings"] == {}
     assert record["gain_audited"] == record["energy_initial_audited"] - record["energy_audited"]
+
+
+@pytest.mark.parametrize("name", ["fixed", "nested", "joint", "mpcc", "auto"])
+def test_every_strategy_has_the_common_keywords(name: str) -> None:
+    assert set(inspect.signature(strategies.available()[name].load()).parameters) >= COMMON
+
+
+@pytest.mark.parametrize(
+    ("strategy", "problem"),
+    [(nested, SMALL), (joint, SMALL), (mpcc, SMALL), (auto, SMALL), (auto, NO_BOXES)],
+    ids=["nested", "joint", "mpcc", "auto-boxes", "auto-cascade"],
+)
+def test_a_limit_of_iterations_holds_and_is_said(strategy: Any, problem: Any) -> None:
+    steps: list[Step] = []
+    solution = strategy.solve(problem, max_iterations=2, tolerance=1e-5, on_step=steps.append)
+    assert solution.status is Status.ITERATION_LIMIT
+    assert solution.iterations == 2
+    assert solution.valid
+    assert solution.energy < solution.energy_initial
+    assert steps[-1].iteration == 2
+    record = solution.record()
+    assert record["tolerance"] == 1e-5
+    assert record["settings"] == {"max_iterations": 2}
+
+
+@pytest.mark.parametrize("strategy", [*STRATEGIES, auto])
+def test_limits_of_no_sense_are_refused(strategy: Any) -> None:
+    for name in ("tolerance", "max_iterations", "time_limit_s"):
+        for value in (0, -1, float("nan"), "1"):
+            with pytest.raises(BadInputError, match=f"{name} must be positive and finite, got {value!r}"):
+                strategy.solve(SMALL, **{name: value})
+    with pytest.raises(BadInputError, match=r"max_iterations must be a whole number, got 1\.5"):
+        strategy.solve(SMALL, max_iterations=1.5)
 
 
 def test_phases_add_up_to_what_has_passed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,9 +154,19 @@ def test_settings_are_checked_and_recorded() -> None:
         joint.solve(SMALL, settings={"tl": 1.0})
     with pytest.raises(BadInputError, match="tol must be positive"):
         joint.solve(SMALL, settings={"tol": -1.0})
-    for name in ("tolerance", "time_limit_s"):
-        with pytest.raises(BadInputError, match=f"{name} must be positive"):
-            nested.solve(SMALL, **{name: 0.0})
+
+
+@pytest.mark.parametrize(
+    ("strategy", "settings"),
+    [
+        (nested, {"newton": {"forcing": 0.2}}),
+        (joint, {"tol": 1e-8}),
+        (mpcc, {"crossover": 1e-3}),
+        (fixed, {"max_iterations": 7}),
+    ],
+)
+def test_settings_that_differ_from_the_defaults_are_in_the_record(strategy: Any, settings: Any) -> None:
+    assert strategy.solve(SMALL, settings=settings).record()["settings"] == settings
 
 
 @pytest.mark.parametrize("outer", ["trust-constr", "slsqp", "ipopt", "newton"])
