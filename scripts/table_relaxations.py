@@ -24,6 +24,7 @@ from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solution.history import TIME_LIMIT_S
 
 OBJECTIVES = ("energy", "error-energy", "error-l2", "error-h1", "contact", "energy+0.1*quality")
 COLUMNS = {
@@ -52,14 +53,18 @@ def cost(record: dict[str, Any]) -> float:
     return float(record["build_time_s"] + record["solve_time_s"])
 
 
-def row(problem: ContactProblem, objective: str, relaxation: str) -> dict[str, Any]:
+def row(
+    problem: ContactProblem, objective: str, relaxation: str, time_limit_s: float = TIME_LIMIT_S
+) -> dict[str, Any]:
     """One solve; a solve that raises is a row with its message as status.
 
     ``joint`` is solved anew beside each row: on a busy machine only neighbours can be compared.
     """
     try:
-        record = mpcc.solve(problem, objective=objective, relaxation=relaxation).record()
-        reference = joint.solve(problem).record()
+        record = mpcc.solve(
+            problem, objective=objective, relaxation=relaxation, time_limit_s=time_limit_s
+        ).record()
+        reference = joint.solve(problem, time_limit_s=time_limit_s).record()
         record["over_joint"] = cost(record) / cost(reference)
         if objective == "energy":
             record["loss"] = 100 * (record["energy"] - reference["energy"]) / reference["gain"]
@@ -86,6 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--n", type=int, help="columns of the grid (6.2, 6.3: half as many rows)")
     parser.add_argument("--degree", type=int, help="of the rule for loads; by default the paper's midpoints")
     parser.add_argument("--reference", action="store_true", help="errors of 6.2 and 6.3, slow")
+    parser.add_argument("--time-limit", type=float, default=TIME_LIMIT_S, help="seconds of each solve")
     parser.add_argument("--out", type=Path, default=Path("relaxations"))
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -102,7 +108,7 @@ def main(arguments: list[str] | None = None) -> int:
             if needs_exact:
                 problem = with_reference(problem)
             for relaxation in options.relaxations:
-                rows.append(row(problem, objective, relaxation))
+                rows.append(row(problem, objective, relaxation, options.time_limit))
                 print(f"{name} {objective} {relaxation}: {rows[-1]['status']}", file=sys.stderr)
                 # written after every row, so that an interruption keeps what is done
                 pd.DataFrame(rows).to_csv(options.out / "relaxations.csv", index=False)

@@ -12,6 +12,9 @@ from rmesh_nlp.report.blocks import Block, audited, blocks, label
 ROUNDING = 1e-9
 """An energy is below a bound if by more than this part of it."""
 
+TIED = 1e-8
+"""Energies that differ by less than this part of them are one: two solvers' ends of the same minimum."""
+
 LEGEND = (
     "J is the energy with the example's own quadrature. Audited is that of the contact problem solved "
     "again with a rule of degree 20, on the given mesh and on the final one: strategies are compared by "
@@ -61,8 +64,17 @@ def ranking(block: Block) -> list[str]:
     rows = [record for record in block.succeeded if record["objective"] == "energy"]
     if len(rows) < 2:
         return []
-    order = ", ".join(f"{label(record)} {audited(record):.6f}" for record in sorted(rows, key=audited))
+    places: list[tuple[float, list[str]]] = []
+    for record in sorted(rows, key=audited):
+        if not places or not _tied(audited(record), places[-1][0]):
+            places.append((audited(record), []))
+        places[-1][1].append(label(record))
+    order = "; ".join(f"{' = '.join(names)} {energy:.6f}" for energy, names in places)
     return [f"Example {block.example}: by audited energy {order}."]
+
+
+def _tied(energy: float, lower: float) -> bool:
+    return energy - lower <= TIED * max(abs(energy), abs(lower))
 
 
 def below_infimum(block: Block) -> list[str]:
@@ -117,7 +129,8 @@ def _final(block: Block, paper: PaperValues) -> list[str]:
     moved = [r for r in block.succeeded if r["formulation"] != "fixed" and r["objective"] == "energy"]
     if not moved:
         return ["no strategy relocated the grid here, so the printed final energy is not compared."]
-    best = min(moved, key=lambda record: record["energy"])
+    lowest = min(record["energy"] for record in moved)
+    best = next(record for record in moved if _tied(record["energy"], lowest))
     ours = f"the lowest here is {best['energy']:.6f} ({label(best)})"
     printed = f"printed final energy {paper.energy_final:.4f}"
     if truncated(best["energy"]) > truncated(paper.energy_final):

@@ -234,8 +234,19 @@ def test_strategies_are_ranked_by_audited_energy() -> None:
     low = record(energy=-4.91, energy_audited=-4.92)
     high = record(formulation="nested", energy=-4.93, energy_audited=-4.90)
     (said,) = [note for note in notes([high, low]) if "by audited energy" in note]
-    assert said.endswith("by audited energy joint -4.920000, nested -4.900000.")
+    assert said.endswith("by audited energy joint -4.920000; nested -4.900000.")
     assert Block((high, low)).best is low
+
+
+def test_ends_of_one_minimum_share_a_place_and_the_first_row_is_named_as_the_lowest() -> None:
+    # two solvers stop at one minimum, apart by rounding: neither is to be called the better one
+    joint = record(energy=-4.92, energy_audited=-4.92)
+    mpcc = record(formulation="mpcc", energy=-4.92 - 1e-11, energy_audited=-4.92 + 1e-11)
+    nested = record(formulation="nested", energy=-4.92 + 1e-6, energy_audited=-4.92 + 1e-6)
+    said = notes([joint, mpcc, nested])
+    (order,) = [note for note in said if "by audited energy" in note]
+    assert order.endswith("by audited energy joint = mpcc -4.920000; nested -4.919999.")
+    assert any("-4.920000 (joint)" in note for note in said)
 
 
 def test_an_energy_below_the_infimum_is_flagged() -> None:
