@@ -97,22 +97,34 @@ class DualEnergy:
         self._load = system.load
         at_rest = np.zeros(system.slip_bound.size) if slip is None or not frictional else slip
         self._gap = np.concatenate([system.offset, at_rest])
-        self._stiffness, self._factor = system.stiffness, factorised(system.stiffness)
+        self._stiffness, self._order = system.stiffness, system.order
+        K = system.stiffness
+        if system.order is not None:
+            K = K[:, system.order][system.order]
+        self._factor = factorised(K, ordered=system.order is not None)
         compliance = 1 / system.stiffness.diagonal()
         self._diagonal = self._rows.multiply(self._rows) @ compliance + 1e-3 * np.max(compliance)
 
     def displacement(self, y: Array) -> Array:
         """Displacement under the load and the contact forces."""
-        return np.asarray(self._factor.solve(self._load + self._columns @ y))
+        return self._solved(self._load + self._columns @ y)
+
+    def _solved(self, load: Array) -> Array:
+        """Displacement under a load, without contact."""
+        if self._order is None:
+            return np.asarray(self._factor.solve(load))
+        u = np.empty_like(load)
+        u[self._order] = self._factor.solve(load[self._order])
+        return u
 
     def refined(self, y: Array) -> Array:
         """The same with a step of iterative refinement if that is worth while."""
         load = self._load + self._columns @ y
-        u = np.asarray(self._factor.solve(load))
+        u = self._solved(load)
         residual = load - self._stiffness @ u
         if np.max(np.abs(residual), initial=0.0) <= EXACT * np.max(np.abs(load), initial=0.0):
             return u
-        return np.asarray(u + self._factor.solve(residual))
+        return u + self._solved(residual)
 
     def evaluate(self, y: Array) -> Evaluation:
         """The dual function, gap and slip as its gradient."""
@@ -122,7 +134,7 @@ class DualEnergy:
 
     def __call__(self, d: Array) -> Array:
         """Gap and slip that contact forces ``d`` alone would make."""
-        return np.asarray(self._rows @ self._factor.solve(self._columns @ d))
+        return np.asarray(self._rows @ self._solved(self._columns @ d))
 
     def diagonal(self) -> Array:
         """That of the Hessian, up to a factor that is much the same for all contact nodes."""

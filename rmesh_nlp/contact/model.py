@@ -20,13 +20,16 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from rmesh_nlp.contact.first_guess import first_set
 from rmesh_nlp.contact.floating import check_load, check_unique, holding
+from rmesh_nlp.contact.ordering import LARGE, elimination_order
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
@@ -146,7 +149,16 @@ class ContactModel:
             bound,
             self.frictional,
             self._rigid(nodes) if self._floats else None,
+            self._order,
         )
+
+    @cached_property
+    def _order(self) -> NDArray[np.int64] | None:
+        """The order of elimination on a large mesh."""
+        mesh = self.problem.mesh
+        if mesh.p.shape[1] <= LARGE:
+            return None
+        return elimination_order(mesh.p, mesh.facets, self.displacement.index)
 
     def slips(self, nodes: Array, u: Array) -> Array:
         """Displacements (gaps,) along the tangents at node positions (2, nodes)."""

@@ -42,6 +42,8 @@ class ContactSystem:
         Where friction may act if there is any; everywhere by default.
     rigid : (m, motions) array, optional
         Rigid motions that only contact prevents; none by default.
+    order : (m,) int array, optional
+        The unknowns in the order of their elimination; by default it is found for each factorisation.
     """
 
     stiffness: sp.csc_array
@@ -53,6 +55,7 @@ class ContactSystem:
     slip_bound: Array
     frictional: NDArray[np.bool_] | None = None
     rigid: Array | None = None
+    order: NDArray[np.int64] | None = None
 
     def energy(self, u: Array) -> float:
         """J(u), friction included."""
@@ -139,13 +142,14 @@ class Equilibrium:
     iterations: int
 
 
-def factorised(K: sp.csc_array) -> Any:
-    """Sparse factorisation of a symmetric positive definite matrix."""
+def factorised(K: sp.csc_array, *, ordered: bool = False) -> Any:
+    """Sparse factorisation of a symmetric positive definite matrix, in its own order if ``ordered``."""
     # SuperLU takes 32-bit indices; SciPy before 1.13 makes 64-bit ones when a matrix is sliced
     indices, starts = (a.astype(np.int32, copy=False) for a in (K.indices, K.indptr))
     K = sp.csc_array((K.data, indices, starts), shape=K.shape)
     # pivots on the diagonal: anything else would give up the ordering, and with it the sparsity
-    return splu(K, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    order = "NATURAL" if ordered else "MMD_AT_PLUS_A"
+    return splu(K, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 class RotatedSystem:
@@ -163,6 +167,7 @@ class RotatedSystem:
         self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
         self.F = system.load if basis is None else basis.T @ system.load
         self._frictional = system.slip_bound.size > 0
+        self._order = system.order
         self._factor: tuple[bytes, NDArray[np.intp], Any] | None = None
 
     def free(self, active: ActiveSet) -> NDArray[np.bool_]:
@@ -174,14 +179,16 @@ class RotatedSystem:
         return free
 
     def factor(self, active: ActiveSet) -> tuple[NDArray[np.intp], Any]:
-        """The free unknowns and the factorised stiffness over them; the last one is kept.
+        """The free unknowns, in the order of elimination, and the factorised stiffness; the last is kept.
 
         So derivatives at a contact solution need no factorisation of their own.
         """
         if self._factor is None or self._factor[0] != active.key():
-            inside = np.flatnonzero(self.free(active))
+            free = self.free(active)
+            inside = np.flatnonzero(free) if self._order is None else self._order[free[self._order]]
             self._factor = None  # its memory first
-            self._factor = active.key(), inside, factorised(self.K[:, inside][inside])
+            factor = factorised(self.K[:, inside][inside], ordered=self._order is not None)
+            self._factor = active.key(), inside, factor
         return self._factor[1:]
 
 

@@ -184,7 +184,7 @@ def _foundation(axis: Axes, state: State, factor: float) -> None:
             LineCollection(
                 list(lines.transpose(1, 2, 0)),
                 color=FOUNDATION,
-                linewidth=4.0,
+                linewidth=2.2 if factor != 1 else 4.0,  # thick where a boundary may lie on it
                 capstyle="round",
                 label="rigid foundation" if number == 0 else None,
             )
