@@ -39,13 +39,13 @@ def test_given_and_tied_unknowns_are_left_out() -> None:
 
 
 def test_the_fill_is_about_that_of_minimum_degree() -> None:
-    mesh = rectangle(40, 40)
+    mesh = rectangle(60, 60)
     model = ContactModel(replace(blocks()[2], mesh=mesh))
     K = model.system(mesh.p).stiffness
     order = elimination_order(mesh.p, mesh.facets, model.displacement.index)
     fill = factorised(K[:, order][order], ordered=True).L.nnz
-    band = K.shape[0] * 2 * 41  # what the order along the rows of nodes fills
-    assert fill < 0.5 * band
+    band = K.shape[0] * 2 * 61  # what the order along the rows of nodes fills
+    assert fill < 0.6 * band
     assert fill < 1.5 * factorised(K).L.nnz
 
 
