@@ -8,6 +8,7 @@ import numpy as np
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.cascade_settings import CascadeSettings
@@ -45,6 +46,8 @@ def hr(
 ) -> tuple[Stage, ...]:
     """Relocate, then refine, flip and relocate in turn; all meshes, coarsest first.
 
+    Over curved foundations gaps hold along edges (:mod:`rmesh_nlp.fem.edge_gaps`).
+
     Parameters
     ----------
     problem : ContactProblem
@@ -68,6 +71,7 @@ def hr(
     if problem.motion.delta is not None:
         raise BadInputError('hr needs a problem without boxes: delta = "none"')
     chosen = settings or CascadeSettings()
+    problem = with_edge_gaps(problem)
     first = cascade(problem, chosen)
     here = _at(problem, first.energy.relocation.nodes(first.q))
     stages = [_stage(here, sum(level.iterations for level in first.levels), 0)]

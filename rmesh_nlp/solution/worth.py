@@ -19,10 +19,9 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.contact.penetration import penetration_work_of
-from rmesh_nlp.contact.setup_warnings import bought_gain
 from rmesh_nlp.display import figure
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.cascade_settings import CascadeSettings
@@ -232,8 +231,7 @@ class Advice:
     ----------
     relocation : float
         Factor by which the error falls on this mesh by a map found on a coarse one, with one iteration on
-        this one. What penetration between contact nodes is worth to first order does not count as a gain; NaN
-        where what is left of the gain is still as large as the whole error.
+        this one.
     refinement : float
         Factor by which as many nodes, ideally distributed by local refinement, would lower it.
     rate : float
@@ -241,9 +239,6 @@ class Advice:
     error : float
         Of the energy, extrapolated with this rate.
     recommendation : str
-    warning : str
-        Where much of the fall of the energy is penetration between contact nodes, the same words as in the
-        record of a solve; else empty.
     """
 
     relocation: float
@@ -251,61 +246,42 @@ class Advice:
     rate: float
     error: float
     recommendation: str
-    warning: str = ""
 
     def rows(self) -> list[tuple[str, str]]:
         """As (label, value) for people."""
-        warning = [("warning", self.warning)] if self.warning else []
-        known = np.isfinite(self.relocation)
-        moved = f"{self.relocation:.2g} times less error" if known else "not known, see the warning"
+        moved = f"{self.relocation:.2g} times less error"
         return [
             ("error of the energy, extrapolated", figure(self.error)),
             ("rate under uniform refinement", f"N^-{self.rate:.2f}"),
             ("relocation, coarse map only", moved),
             ("local refinement, same nodes", f"{self.refinement:.2g} times less error"),
             ("recommendation", self.recommendation),
-            *warning,
         ]
 
 
 def advise(problem: ContactProblem, settings: CascadeSettings | Mapping[str, Any] | None = None) -> Advice:
     """Relocate on the coarsest mesh, prolong the map, refine uniformly twice; recommend what to do.
 
-    Costs about the contact solves of two uniform refinements. Boxes are not regarded.
+    Costs about the contact solves of two uniform refinements. Boxes are not regarded; over curved
+    foundations gaps hold along edges, as in ``auto``.
     """
     chosen = CascadeSettings.of(settings)
+    problem = with_edge_gaps(problem)
     free = replace(problem, motion=replace(problem.motion, delta=None))
     given = _accurate(free)
     finer = refined(given, polygon=True)
     grids = [given, finer, refined(finer)]
-    # where foundations pass between nodes, energies are compared with what that is worth added to them
-    found = [_solved(grid) for grid in grids]
-    energies = [energy + work for energy, work in found]
+    models = [ContactModel(grid) for grid in grids]
+    energies = [model.solve(model.problem.mesh.p).energy for model in models]
     first, second = energies[0] - energies[1], energies[1] - energies[2]
     rate = float(np.clip(np.log2(first / second) / 2, 0.2, 1.5)) if first > 0 and second > 0 else 1.0
     error = max(first / (1 - 4**-rate), 1e-300)
     last = cascade(given, replace(chosen, brief=1, brief_unnested=1)).levels[-1]
-    left = error - (energies[0] - last.energy - last.penetration)
-    bought = bought_gain(found[0][0] - last.energy, found[0][1], last.penetration)
-    warning = bought[0].message if bought else ""
+    left = error - (energies[0] - last.energy)
     relocation = error / max(left, 0.01 * error)
     local = edge_gains(given)
     refinement = local.size * float(np.sum(local)) / max(float(np.sum(np.sqrt(local))) ** 2, 1e-300)
-    text = recommended(relocation, refinement, rate)
-    if warning:
-        text = (
-            "refine the contact boundary first, or pin its nodes: relocation gains penetration between them"
-        )
-        if left < 0.01 * error:  # more than the whole error: no gain in accuracy at all can be told from it
-            relocation = float("nan")
-    return Advice(relocation, refinement, rate, error, text, warning)
-
-
-def _solved(problem: ContactProblem) -> tuple[float, float]:
-    """Energy of the mesh, and what penetration between contact nodes is worth in it."""
-    model, nodes = ContactModel(problem), np.asarray(problem.mesh.p)
-    state = model.solve(nodes)
-    return state.energy, penetration_work_of(model, nodes, state)
+    return Advice(relocation, refinement, rate, error, recommended(relocation, refinement, rate))
 
 
 def recommended(relocation: float, refinement: float, rate: float) -> str:

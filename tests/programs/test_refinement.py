@@ -10,6 +10,7 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.meshes.shapes import l_shape, rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -22,6 +23,7 @@ from rmesh_nlp.problem import (
     signed_areas,
 )
 from rmesh_nlp.programs.hr import EFFECTIVITY, hr
+from rmesh_nlp.programs.levels import refined
 from rmesh_nlp.programs.refinement import edge_gains, locally_refined, marked, residual_indicators
 from rmesh_nlp.solution.worth import advise, recommended
 
@@ -164,12 +166,14 @@ def test_advice_does_not_praise_penetration_between_contact_nodes() -> None:
         motion=Motion(None),
     )
     advice = advise(problem)
-    assert "penetration between contact nodes" in advice.warning
-    assert advice.recommendation.startswith("refine the contact boundary")
-    assert not advice.relocation >= 10
-    assert ("warning", advice.warning) in advice.rows()
-    flat = advise(replace(problem, obstacle=Obstacle.line("bottom", (0.0, 0.0), (0.0, 1.0))))
-    assert flat.warning == ""
+    # with gaps at nodes the energy falls by more than the whole error, by pulling nodes apart
+    assert 1 <= advice.relocation < 20
+    true = with_edge_gaps(problem)
+    finer = true
+    for _ in range(3):
+        finer = refined(finer)
+    energies = [ContactModel(one).solve(one.mesh.p).energy for one in (true, finer)]
+    assert advice.error == pytest.approx(energies[0] - energies[1], rel=0.4)
 
 
 @pytest.mark.parametrize(
