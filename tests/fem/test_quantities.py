@@ -10,11 +10,18 @@ from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, Functional
 import rmesh_nlp as rm
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.problem import Motion
+from rmesh_nlp.solution.referee import Referee
 
 
 @pytest.fixture(scope="module")
 def block() -> rm.ContactProblem:
     return rm.EXAMPLES["6.2"]((6, 3))
+
+
+@pytest.fixture(scope="module")
+def referee(block: rm.ContactProblem) -> Referee:
+    """What every strategy hands an objective to."""
+    return Referee(block)
 
 
 @pytest.fixture(scope="module")
@@ -149,9 +156,9 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("text", REFUSED)
-def test_what_is_wrong_is_said(block: rm.ContactProblem, text: str) -> None:
+def test_what_is_wrong_is_said(referee: Referee, text: str) -> None:
     with pytest.raises(ValueError, match=REFUSED[text]):
-        rm.verify_gradient(block, text)
+        referee.function(text)
 
 
 def test_objects_refuse_weights_of_no_sense() -> None:

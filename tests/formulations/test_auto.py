@@ -182,6 +182,7 @@ def over_a_parabola(n: int) -> ContactProblem:
     )
 
 
+@pytest.mark.slow
 def test_a_coarse_map_that_gains_by_penetration_is_not_taken_whole() -> None:
     problem = over_a_parabola(12)
     result = cascade(problem, CascadeSettings(brief=1, iterations=10))
@@ -194,6 +195,7 @@ def test_a_coarse_map_that_gains_by_penetration_is_not_taken_whole() -> None:
     assert fine.energy <= given
 
 
+@pytest.mark.slow
 def test_a_part_of_a_map_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(auto, "with_edge_gaps", lambda problem: problem)
     few = {"brief": 1, "iterations": 10, "stationary": 1}
@@ -202,6 +204,7 @@ def test_a_part_of_a_map_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert row["gain_audited"] >= 0
 
 
+@pytest.mark.slow
 def test_over_a_curved_foundation_gaps_hold_along_edges_and_gains_are_true() -> None:
     problem = over_a_parabola(6)
     solution = auto.solve(problem, settings={"iterations": 20, "finish": 20})

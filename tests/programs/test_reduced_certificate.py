@@ -32,6 +32,7 @@ def test_the_gradient_is_right(kind, objective):
     assert rm.verify_gradient(boxed(kind), objective, seed=1).order > 1.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["scalar", "membrane"])
 def test_nested_lowers_the_bound_from_the_given_mesh_and_from_that_of_least_energy(kind):
     problem = boxed(kind)

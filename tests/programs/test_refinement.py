@@ -156,6 +156,7 @@ def test_advice() -> None:
     assert advice.recommendation.startswith("relocate")
 
 
+@pytest.mark.slow
 def test_advice_does_not_praise_penetration_between_contact_nodes() -> None:
     problem = ContactProblem(
         rectangle(8, 4, x=(0, 2)),
