@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 import os
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,6 +17,11 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import append_whole, read_text, safe_name, write_text
 from rmesh_nlp.io.lock import FolderLock
 from rmesh_nlp.io.manifest import Manifest
+from rmesh_nlp.io.record_lines import DamagedRecordsWarning as DamagedRecordsWarning
+from rmesh_nlp.io.record_lines import damaged_last_line as damaged_last_line
+from rmesh_nlp.io.record_lines import read_lines as read_lines
+from rmesh_nlp.io.record_lines import to_json as to_json
+from rmesh_nlp.io.record_lines import warn_of
 from rmesh_nlp.io.record_model import REQUIRED as REQUIRED
 from rmesh_nlp.io.record_model import Record as Record
 from rmesh_nlp.io.record_model import read_record as read_record
@@ -49,10 +52,6 @@ HISTORY_FIELDS = (
 
 LATER_FIELDS = ("stationarity",)
 """Columns that histories of older versions do not have."""
-
-
-class DamagedRecordsWarning(UserWarning):
-    """A record that was not written to its end is passed over."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +152,7 @@ class Results:
         path = self.folder / RECORDS
         kept, damaged = damaged_last_line(path)
         if damaged:
-            _warn_of(path, damaged, f"is moved to {DAMAGED}")
+            warn_of(path, damaged, f"is moved to {DAMAGED}")
             self.manifest.claim(DAMAGED)
             append_whole(self.folder / DAMAGED, damaged.decode(errors="replace").rstrip("\n") + "\n")
             with path.open("r+b") as file:
@@ -200,69 +199,6 @@ class Results:
         if len(chosen) < len(rows):
             self.replace_all(list(chosen.values()))
         return list(chosen.values())
-
-
-def damaged_last_line(path: Path) -> tuple[int, bytes]:
-    """How many bytes of a file of records are whole lines, and what stands behind them.
-
-    A last line is damaged if it has no end, or if it begins like a record, or with a zero as after
-    a power cut, and is not JSON.
-    """
-    if not path.exists():
-        return 0, b""
-    try:
-        start, line = _last_line(path)
-    except OSError as error:
-        raise BadInputError(f"cannot read {path}: {error.strerror}") from error
-    if line and (not line.endswith(b"\n") or (start and line[:1] in b"{\0" and not _is_json(line))):
-        return start, line
-    return start + len(line), b""
-
-
-def _last_line(path: Path) -> tuple[int, bytes]:
-    """Where the last line begins, and the line; only the end of the file is read."""
-    with path.open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        length = 4096
-        while True:
-            begin = max(0, size - length)
-            file.seek(begin)
-            tail = file.read()
-            start = tail.rfind(b"\n", 0, max(len(tail) - 1, 0)) + 1
-            if start or not begin:
-                return begin + start, tail[start:]
-            length *= 8
-
-
-def _is_json(line: bytes) -> bool:
-    try:
-        json.loads(line)
-    except (json.JSONDecodeError, UnicodeDecodeError):
-        return False
-    except (ValueError, RecursionError):
-        pass  # JSON, if not ours: an error for the reader
-    return True
-
-
-def read_lines(path: Path) -> list[Record]:
-    """The records of one file, see :meth:`Results.read`."""
-    if not path.exists():
-        return []
-    kept, damaged = damaged_last_line(path)
-    if damaged:
-        _warn_of(path, damaged, "is passed over")
-    try:
-        text = path.read_bytes()[:kept].decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInputError(f"cannot read {path}: {error}") from error
-    lines = enumerate(text.split("\n"), 1)
-    return [read_record(line, f"{path}, line {i}") for i, line in lines if line.strip()]
-
-
-def _warn_of(path: Path, damaged: bytes, what: str) -> None:
-    shown = damaged[:40].decode(errors="replace").strip()
-    message = f"{path}: the last line was not written to its end and {what}: {shown!r}"
-    warnings.warn(message, DamagedRecordsWarning, stacklevel=3)
 
 
 def row_files(folder: Path) -> list[Path]:
@@ -324,25 +260,6 @@ def write_history(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         writer = csv.DictWriter(file, HISTORY_FIELDS)
         writer.writeheader()
         writer.writerows(rows)
-
-
-def to_json(record: Record, indent: int | None = None) -> str:
-    """Strict JSON: what is not a finite number becomes null, half a character a question mark."""
-    return json.dumps(_plain(record), indent=indent, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, str):
-        return value.encode(errors="replace").decode()
-    return value
 
 
 def _unlisted(folder: Path) -> list[str]:

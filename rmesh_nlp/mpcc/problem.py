@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.checks import bound, checked, column, numbers, refuse_crossing, refuse_free_symbols
 from rmesh_nlp.mpcc.extension import extended_derivatives
 from rmesh_nlp.mpcc.mixed import completion, pair_bound, split
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
@@ -81,11 +82,11 @@ class MPCC:
         )
 
     def __post_init__(self) -> None:
-        x = _column("x", self.x, None)
+        x = column("x", self.x, None)
         kind = type(x)
         if kind not in (ca.SX, ca.MX) or not x.is_valid_input():
             raise ValueError(f"x must be a column of CasADi SX or MX symbols, got {self.x!r}"[:300])
-        columns = {name: _column(name, getattr(self, name), kind) for name in ("f", "g", "G", "H", "p")}
+        columns = {name: column(name, getattr(self, name), kind) for name in ("f", "g", "G", "H", "p")}
         columns["x"] = x
         if columns["f"].shape != (1, 1):
             raise ValueError(f"f must be a scalar expression, its shape is {columns['f'].shape}")
@@ -94,13 +95,13 @@ class MPCC:
         n_G, n_H = columns["G"].shape[0], columns["H"].shape[0]
         if n_G != n_H:
             raise ValueError(f"G has length {n_G} and H has length {n_H}: they must pair up")
-        _refuse_free_symbols(columns)
+        refuse_free_symbols(columns)
         for name, value in columns.items():
             object.__setattr__(self, name, value)
         for name, n in (("x", x.shape[0]), ("g", columns["g"].shape[0])):
-            lower = _bound(f"lb{name}", getattr(self, f"lb{name}"), n)
-            upper = _bound(f"ub{name}", getattr(self, f"ub{name}"), n)
-            _refuse_crossing(name, lower, upper)
+            lower = bound(f"lb{name}", getattr(self, f"lb{name}"), n)
+            upper = bound(f"ub{name}", getattr(self, f"ub{name}"), n)
+            refuse_crossing(name, lower, upper)
             object.__setattr__(self, f"lb{name}", lower)
             object.__setattr__(self, f"ub{name}", upper)
         self._check_derivatives()
@@ -308,7 +309,7 @@ class MPCC:
 
     def start(self, x0: ArrayLike, p: ArrayLike = ()) -> Array:
         """Return ``x0`` as a checked array; a scalar fills it, what :meth:`mixed` added is completed."""
-        if self.completion is None or np.size(_numbers("x0", x0)) == self.n_x:
+        if self.completion is None or np.size(numbers("x0", x0)) == self.n_x:
             return checked("x0", x0, self.n_x, "unknowns")
         own = checked("x0", x0, self.n_own, "unknowns of its own")
         added = np.asarray(self.completion(own, self.parameters(p))).ravel()
@@ -317,79 +318,3 @@ class MPCC:
     def parameters(self, p: ArrayLike) -> Array:
         """Return the values of ``p`` as a checked array."""
         return checked("p", p, int(self.p.shape[0]), "parameters")
-
-
-def checked(name: str, value: ArrayLike, n: int, what: str) -> Array:
-    """Return ``value`` as a finite array of length ``n`` or say what is wrong with it."""
-    array = np.array(_numbers(name, value), dtype=float)
-    array = np.full(n, float(array)) if array.ndim == 0 else array.ravel()
-    if array.size != n:
-        raise ValueError(f"{name} has length {array.size}, the problem has {n} {what}")
-    if not np.all(np.isfinite(array)):
-        i = int(np.flatnonzero(~np.isfinite(array))[0])
-        raise ValueError(f"{name}[{i}] = {array[i]} is not finite")
-    return array
-
-
-def _numbers(name: str, value: Any) -> Any:
-    if isinstance(value, ca.DM):
-        return value.full()
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{name} must be numeric, got {value!r}"[:300]) from error
-
-
-def _column(name: str, value: Any, kind: Any) -> Any:
-    """``value`` (None, expression, number or list of them) as one column of ``kind``."""
-    if value is None:
-        return kind(0, 1) if kind is not None else None
-    try:
-        column = ca.vertcat(*value) if isinstance(value, (list, tuple)) else value
-        if kind is not None:
-            column = kind(0, 1) if isinstance(column, ca.DM) and column.is_empty() else kind(column)
-    except (NotImplementedError, TypeError, RuntimeError) as error:
-        raise ValueError(f"{name} must be a column of {kind.__name__ if kind else 'symbol'}s") from error
-    if kind is None and type(column) not in (ca.SX, ca.MX):
-        return column
-    if column.is_empty():
-        return type(column)(0, 1)
-    if not column.is_column():
-        if not column.is_row():
-            raise ValueError(f"{name} must be a column, its shape is {column.shape}")
-        column = column.T
-    return column if name == "x" else ca.densify(column)
-
-
-def _bound(name: str, value: ArrayLike, n: int) -> Array:
-    array = np.array(_numbers(name, value), dtype=float)
-    if array.ndim == 0:
-        array = np.full(n, float(array))
-    array = array.ravel()
-    if array.size != n:
-        raise ValueError(f"{name} has length {array.size}, expected {n}")
-    if np.any(np.isnan(array)):
-        raise ValueError(f"{name}[{int(np.flatnonzero(np.isnan(array))[0])}] is NaN")
-    return array
-
-
-def _refuse_crossing(name: str, lower: Array, upper: Array) -> None:
-    wrong = np.flatnonzero((lower > upper) | (lower == np.inf) | (upper == -np.inf))
-    if wrong.size:
-        i = int(wrong[0])
-        raise ValueError(
-            f"lb{name}[{i}] = {lower[i]} and ub{name}[{i}] = {upper[i]} leave no value: "
-            "the lower bound must not lie above the upper, and both cannot be the same infinity"
-        )
-
-
-def _refuse_free_symbols(columns: dict[str, Any]) -> None:
-    names = [name for name in ("f", "g", "G", "H") if columns[name].numel() > 0]
-    try:
-        oracle = ca.Function(
-            "check", [columns["x"], columns["p"]], [columns[name] for name in names], {"allow_free": True}
-        )
-    except RuntimeError as error:  # the same symbol twice
-        raise ValueError(f"x and p must be distinct symbols: {error}") from error
-    if oracle.has_free():
-        raise ValueError(f"free symbols {oracle.get_free()}: they are neither in x nor in p")
