@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -45,34 +43,54 @@ def _sticking(system: ContactSystem, active: ActiveSet) -> NDArray[np.bool_]:
     return system.rotated.slips & (active.sliding == 0)
 
 
-def tangent_response(
-    system: ContactSystem, active: ActiveSet
-) -> Callable[[Array, Array, Array], tuple[Array, Array, Array]]:
+class TangentResponse:
     """First-order change of displacement and contact forces with the active set held.
 
-    The returned function takes the changes of the out-of-balance force ``K u - F``, of the gaps and of the
-    slips, all at fixed displacement, and gives those of ``u``, of the normal forces, and of the tangential
-    forces of sticking nodes (zero at the others). Given matrices it does so column by column.
-    """
-    rotated = system.rotated
-    inside, factor = rotated.factor(active)
-    sticking, n_touching = _sticking(system, active), int(active.touching.sum())
-    held = np.concatenate([rotated.normal[active.touching], rotated.tangent[sticking]])
-    # the columns of held unknowns carry the change of gaps and slips, their rows the change of the forces
-    columns = sp.csr_array(rotated.K[:, held])
-    rows = sp.csr_array(rotated.K.T[held])
+    Parameters
+    ----------
+    system : ContactSystem
+    active : ActiveSet
 
-    def respond(force: Array, gap: Array, slip: Array) -> tuple[Array, Array, Array]:
+    Attributes
+    ----------
+    held : (held,) int array
+        Displacements in the coordinates of the system (:class:`~rmesh_nlp.contact.system.RotatedSystem`) that
+        touching and sticking nodes hold.
+    """
+
+    def __init__(self, system: ContactSystem, active: ActiveSet) -> None:
+        rotated = self._rotated = system.rotated
+        self._inside, self._factor = rotated.factor(active)
+        self._touching, self._sticking = active.touching, _sticking(system, active)
+        self.held = np.concatenate([rotated.normal[self._touching], rotated.tangent[self._sticking]])
+        # the columns of held unknowns carry the change of gaps and slips, their rows the change of the forces
+        self._columns = sp.csr_array(rotated.K[:, self.held])
+        self._held_rows = sp.csr_array(rotated.K.T[self.held])
+
+    def held_by(self, gap: sp.sparray, slip: sp.sparray) -> sp.sparray:
+        """Rows of gaps and slips (contact nodes, n) that hold a displacement, in the order of ``held``."""
+        return sp.vstack([sp.csr_array(gap)[self._touching], sp.csr_array(slip)[self._sticking]])
+
+    def __call__(self, force: Array, gap: Array, slip: Array) -> tuple[Array, Array, Array]:
+        """Changes of ``u``, of normal and of tangential forces; zero at nodes that do not touch or stick.
+
+        Parameters
+        ----------
+        force : (m,) or (m, k) array
+            Change of the out-of-balance force ``K u - F`` at fixed displacement; columns of a matrix are
+            dealt with one by one.
+        gap, slip : (contact nodes,) or (contact nodes, k) arrays
+            Those of gaps and slips at fixed displacement.
+        """
+        rotated, held, inside = self._rotated, self.held, self._inside
         turned = force if rotated.basis is None else rotated.basis.T @ force
         w = np.zeros(turned.shape)
-        w[held] = -np.concatenate([gap[active.touching], slip[sticking]])
-        w[inside] = factor.solve(-(turned + columns @ w[held])[inside])
-        change = rows @ w + turned[held]
+        w[held] = -np.concatenate([gap[self._touching], slip[self._sticking]])
+        w[inside] = self._factor.solve(-(turned + self._columns @ w[held])[inside])
+        change = self._held_rows @ w + turned[held]
         normal, tangential = np.zeros((2, *gap.shape))
-        normal[active.touching], tangential[sticking] = np.split(change, [n_touching])
+        normal[self._touching], tangential[self._sticking] = np.split(change, [int(self._touching.sum())])
         return (w if rotated.basis is None else rotated.basis @ w), normal, tangential
-
-    return respond
 
 
 def weakly_active(system: ContactSystem, state: Equilibrium) -> NDArray[np.bool_]:

@@ -46,13 +46,17 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class NewtonResult:
-    """Where the method stopped."""
+    """Where the method stopped.
+
+    ``crowded`` says that too many walls held a step; the status is then STALLED.
+    """
 
     x: Array
     value: float
     status: Status
     iterations: int
     products: int
+    crowded: bool = False
 
 
 def minimise(
@@ -106,6 +110,7 @@ def minimise(
     model = here.model()
     domain = _Box(lower, upper, use) if walls is None else _WalledBox(lower, upper, walls, use)
     domain.arrive(x)
+    before = np.inf
     for iteration in range(max_iterations + 1):
         if on_step is not None and on_step(iteration, x, here):
             return NewtonResult(x, here.value, Status.INTERRUPTED, iteration, products)
@@ -125,8 +130,13 @@ def minimise(
                 np.maximum(lower - x, -radius), np.minimum(upper - x, radius), use.forcing
             )
             products += step.products
+            if step.rows_held(s) > use.crowded:
+                return NewtonResult(x, here.value, Status.STALLED, iteration, products, crowded=True)
             if residual <= tolerance and predicted <= gain_tolerance * (reference - here.value):
                 return NewtonResult(x, here.value, Status.CONVERGED, iteration, products)
+            creeps = isinstance(step, WalledStep) and tolerance < residual > use.creeping * before
+            if creeps and predicted <= use.negligible * (reference - here.value):
+                return NewtonResult(x, here.value, Status.STALLED, iteration, products)
             if not np.any(s) or predicted <= 1e-16 * size:
                 status = Status.CONVERGED if residual <= tolerance else Status.STALLED
                 return NewtonResult(x, here.value, status, iteration, products)
@@ -139,7 +149,7 @@ def minimise(
             elif ratio > use.good:
                 radius = use.grow * radius
             if landed is not None and there is not None and ratio > use.sufficient:
-                x, here, accepted = landed, there, True
+                x, here, accepted, before = landed, there, True, residual
                 model = here.model()
                 domain.arrive(x)
     return NewtonResult(x, here.value, Status.ITERATION_LIMIT, max_iterations, products)

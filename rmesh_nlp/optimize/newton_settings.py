@@ -128,6 +128,12 @@ class NewtonSettings(Settings):
     close : float
         Slack at which an area constraint counts as met, and from when on steps take account of them. If
         they always do, Newton-CG ends the paper's 6.2 at -4.90994 in place of -4.91034.
+    crowded : int
+        Area constraints that hold one step beyond which the descent gives up: projections on so many cost
+        more than the rest of a step, and conjugate gradients along them crawl.
+    negligible, creeping : float
+        Where area constraints have been met it gives up too if the model predicts less than the first part of
+        the decrease so far, and the last step has left more than the second part of the residual.
     sufficient : float
         Least ratio of actual to predicted decrease of an accepted step.
     poor, good : float
@@ -142,6 +148,9 @@ class NewtonSettings(Settings):
     forcing: float = 0.1
     first_radius: float = 0.5
     close: float = 1e-2
+    crowded: int = 20
+    negligible: float = 1e-10
+    creeping: float = 0.8
     sufficient: float = 1e-4
     poor: float = 0.25
     good: float = 0.75
@@ -151,7 +160,7 @@ class NewtonSettings(Settings):
     projection: ProjectionSettings = field(default_factory=ProjectionSettings)
 
     def __post_init__(self) -> None:
-        _check(self, ("forcing",))
+        _check(self, ("forcing", "negligible", "creeping"), ("crowded",))
         _check_trust(self)
 
 

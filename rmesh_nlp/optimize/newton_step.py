@@ -54,6 +54,10 @@ class BoxStep:
                 break
         return s, self._decrease(s, Hs)
 
+    def rows_held(self, s: Array) -> int:
+        """Number of the rows of a wall that hold a step."""
+        return 0
+
     def _decrease(self, s: Array, Hs: Array) -> float:
         return float(-(self._g @ s + 0.5 * s @ Hs))
 
@@ -135,6 +139,10 @@ class WalledStep(BoxStep):
         room = self._wall.slack - self._wall.floor
         self._set = Polyhedron(lower, upper, room, self._wall.jacobian, self.scale, self._projection)
         return super().solve(lower, upper, forcing)
+
+    def rows_held(self, s: Array) -> int:
+        """Number of the rows of the wall that hold a step."""
+        return int(self._set.active(s).size)
 
     def multipliers(self, s: Array) -> Array:
         """What the rows that hold the step ``s`` pull with, by least squares; not negative."""

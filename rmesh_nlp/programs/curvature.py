@@ -11,10 +11,12 @@ solve. The slips at fixed displacement, sigma, move where a foundation is curved
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.contact.sensitivity import tangent_response
+from rmesh_nlp.contact.sensitivity import TangentResponse
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.programs.blocks import Blocks, SecondDerivatives
@@ -39,6 +41,31 @@ class Curvature:
         return Hessian(point, self._derivatives(x, point.equilibrium), rows)
 
 
+@dataclass(frozen=True)
+class Lifted:
+    """L'' as a Schur complement, ``moves - mixed^T stiffness^-1 mixed``, all three of them sparse.
+
+    Where the change of a displacement is known from the moves, at touching and at sticking nodes, it is put
+    in; what is left is the stiffness over the displacements that contact leaves free.
+
+    Attributes
+    ----------
+    moves : (n_q, n_q) sparse array
+    mixed : (free, n_q) sparse array
+    stiffness : (free, free) sparse array
+    free : (free,) int array
+        Numbers of these displacements, in the coordinates of the contact system.
+    n_u : int
+        Number of all displacements.
+    """
+
+    moves: sp.csc_array
+    mixed: sp.csc_array
+    stiffness: sp.csc_array
+    free: Index
+    n_u: int
+
+
 class Hessian:
     """L'' at one point."""
 
@@ -50,8 +77,10 @@ class Hessian:
         self._active = point.equilibrium.active
         self._rows = friction_rows
         self._tangents = point.system.tangents[friction_rows]
-        self._sliding = self._active.sliding[friction_rows] if friction_rows.size else np.zeros(0)
-        self._respond = tangent_response(point.system, self._active)
+        self._sliding = (
+            self._active.sliding[friction_rows].astype(float) if friction_rows.size else np.zeros(0)
+        )
+        self._respond = TangentResponse(point.system, self._active)
         self._rotated = point.system.rotated
 
     def diagonal(self) -> Array:
@@ -59,11 +88,36 @@ class Hessian:
         diagonal = np.abs(self.qq.diagonal())
         return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
 
-    def joint(self, width: Array) -> tuple[sp.csc_array, int]:
-        """Second derivatives in moves, in units of ``width``, and displacements that contact leaves free.
+    def lifted(self) -> Lifted:
+        """The sparse matrix in moves and displacements whose Schur complement is L''."""
+        rotated, active = self._rotated, self._active
+        mixed = self._uq
+        moves = self.qq
+        n_contact, n_q = active.touching.size, moves.shape[0]
+        slip = sp.csr_array((n_contact, n_q))
+        if self._rows.size:
+            at_contact = sp.csr_array(
+                (np.ones(self._rows.size), (self._rows, np.arange(self._rows.size))),
+                shape=(n_contact, self._rows.size),
+            )
+            slip = sp.csr_array(at_contact @ self._slip)
+            friction = self._qs @ sp.diags_array(self._sliding)
+            mixed = mixed + self._tangents.T @ friction.T
+            moves = moves + friction @ self._slip + (friction @ self._slip).T
+        if rotated.basis is not None:
+            mixed = rotated.basis.T @ mixed
+        mixed = sp.csr_array(mixed)
+        held, by_moves = self._respond.held, sp.csr_array(self._respond.held_by(self._gap, slip))
+        inside, _ = rotated.factor(active)
+        stiffness = sp.csr_array(rotated.K)
+        coupled = by_moves.T @ mixed[held]
+        moves = moves - coupled - coupled.T + by_moves.T @ stiffness[held][:, held] @ by_moves
+        mixed = mixed[inside] - stiffness[inside][:, held] @ by_moves
+        corner = rotated.K[:, inside][inside]
+        return Lifted(sp.csc_array(moves), sp.csc_array(mixed), corner, inside, rotated.F.size)
 
-        Its Schur complement in the moves is L'' where gaps and slips do not change with the moves and no
-        node slides against friction; elsewhere it is close.
+    def joint(self, width: Array) -> tuple[sp.csc_array, int]:
+        """The matrix of :meth:`lifted` with the moves in units of ``width``.
 
         Returns
         -------
@@ -71,11 +125,10 @@ class Hessian:
         n : int
             The first n unknowns are the moves.
         """
-        rotated, scale = self._rotated, sp.diags_array(width)
-        inside, _ = rotated.factor(self._active)
-        mixed = scale @ (self._qu if rotated.basis is None else self._qu @ rotated.basis)[:, inside]
-        corner = rotated.K[:, inside][inside]
-        return sp.csc_array(sp.block_array([[scale @ self.qq @ scale, mixed], [mixed.T, corner]])), width.size
+        lifted, scale = self.lifted(), sp.diags_array(width)
+        mixed = lifted.mixed @ scale
+        matrix = sp.block_array([[scale @ lifted.moves @ scale, mixed.T], [mixed, lifted.stiffness]])
+        return sp.csc_array(matrix), width.size
 
     def __call__(self, d: Array) -> Array:
         """``L'' d`` for a vector (n,), or for each column of a matrix (n, k)."""

@@ -20,8 +20,10 @@ class NestedSettings(Settings):
     max_iterations : int or None
         Of the outer solver; by default 500, and 200 for newton and newton-pair.
     exact : int
-        Number of moves up to which ipopt, and newton where element areas are constraints, have the Hessian of
-        the objective as a dense matrix.
+        Number of moves up to which an interior point has the Hessian of an objective other than the energy, a
+        dense matrix. That of the energy is sparse in moves and displacements together, for any number.
+    along_areas : int
+        Iterations after which newton-cg hands over to an interior point where element areas are constraints.
     tol_exact, acceptable_tol_exact : float
         Ipopt's least tolerances then, in units of the gradient on the given mesh. Many constraints are
         weakly active, and an interior point meets those only to the square root of its tolerance: it is the
@@ -71,6 +73,7 @@ class NestedSettings(Settings):
 
     max_iterations: int | None = None
     exact: int = 1500
+    along_areas: int = 40
     tol_exact: float = 1e-12
     acceptable_tol_exact: float = 1e-9
     warm_barrier: float = 1e-8

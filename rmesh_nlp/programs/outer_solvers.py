@@ -20,10 +20,10 @@ from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.newton import Evaluation
 from rmesh_nlp.optimize.newton import minimise as newton
 from rmesh_nlp.optimize.newton_step import Model
-from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.alternating import alternated
-from rmesh_nlp.programs.curved_program import curvature_of, with_hessian
+from rmesh_nlp.programs.curved_program import curvature_of
+from rmesh_nlp.programs.interior import LIMITED_MEMORY, OuterResult, interior
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.nested_settings import NestedSettings
 from rmesh_nlp.programs.recombination import Recombination
@@ -42,22 +42,11 @@ __all__ = [
 
 NAN = float("nan")
 
+CONJUGATE_GRADIENTS = "projected Newton-CG"
+
 UNDEFINED = 1e8
 """What the solvers of scipy are told where the objective, in units of its first value, is not defined: their
 line searches do not understand NaN or infinity."""
-
-
-@dataclass(frozen=True)
-class OuterResult:
-    """Where an outer solver stopped.
-
-    ``method`` names what it ran, where its name leaves that open.
-    """
-
-    q: Array
-    status: Status
-    iterations: int
-    method: str = ""
 
 
 OuterSolver = Callable[[ReducedProgram, Array, Monitor, NestedSettings], OuterResult]
@@ -67,59 +56,53 @@ class StoppedError(Exception):
     """The monitor asked a solver to stop that has no other way to be told."""
 
 
-INTERIOR = "interior point with exact Hessians"
-
-LIMITED_MEMORY = "interior point with limited memory"
-
-
 def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
-    """Ipopt with exact Hessians if there are few enough moves, else with limited memory.
+    """Ipopt.
 
-    The limited-memory descent ends at a residual near 1e-4 of the first one (see ``NestedSettings.tol``);
+    With limited memory it ends at a residual near 1e-4 of the first one (see ``NestedSettings.tol``);
     where boxes alone keep the elements valid, Newton's steps take it from there.
     """
-    if program.nlp.n_x <= settings.exact:
-        return _interior(program, start, monitor, settings)
-    options = settings.options(boxed=bool(np.all(np.isfinite(program.nlp.ubx))))
-    result = Solver(program.nlp, options=options, monitor=monitor)(start)
-    ended = result.converged or result.status is Status.STALLED
-    if not ended or program.nlp.n_g:
-        status = Status.CONVERGED if result.converged else result.status
-        return OuterResult(result.x, status, result.iterations, LIMITED_MEMORY)
-    end = _Descent(program, monitor, settings, result.iterations)(result.x, gain=settings.tight)
+    result = interior(program, start, monitor, settings)
+    tried = result.status in (Status.CONVERGED, Status.STALLED)
+    if result.method != LIMITED_MEMORY or not tried or program.nlp.n_g:
+        return result
+    end = _Descent(program, monitor, settings, result.iterations)(result.q, gain=settings.tight)
     return replace(end, method=f"{LIMITED_MEMORY}, then newton")
 
 
-def _interior(
-    program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings
-) -> OuterResult:
-    """Ipopt with the Hessian of the reduced objective, a dense matrix; never above the start."""
-    options = settings.exact_options(program.scale / program.unit, program.warm, program.tolerance)
-    result = Solver(with_hessian(program).nlp, options=options, monitor=monitor)(start)
-    status = Status.CONVERGED if result.converged else result.status
-    q = np.clip(result.x, program.nlp.lbx, program.nlp.ubx)
-    function = program.function
-    if not (np.isfinite(result.f) and function(q).value <= function(start).value):
-        return OuterResult(start, Status.STALLED if result.converged else status, result.iterations, INTERIOR)
-    return OuterResult(q, status, result.iterations, INTERIOR)
-
-
 def _newton(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
-    """Projected trust-region Newton-CG where boxes alone keep the elements valid.
-
-    Else an interior-point Newton method, if there are few enough moves: along many area constraints
-    conjugate gradients stall.
-    """
+    """Projected trust-region Newton-CG where boxes alone keep the elements valid, else an interior point."""
     function = program.function
     barrier = isinstance(function, ReducedEnergy) and function.relocation.objective.has_barrier
     if barrier and program.nlp.n_g == 0:
         return _large_moves(program, start, monitor, settings)
-    descent = _Descent(program, monitor, settings)
     if settings.enough is not None:
-        return descent(start, stationary=np.inf, gain=settings.enough)
-    if program.nlp.n_g and program.nlp.n_x <= settings.exact:
-        return _interior(program, start, monitor, settings)
-    return descent(start, gain=settings.tight)
+        return _Descent(program, monitor, settings)(start, stationary=np.inf, gain=settings.enough)
+    if program.nlp.n_g:
+        return interior(program, start, monitor, settings)
+    return _Descent(program, monitor, settings)(start, gain=settings.tight)
+
+
+def _newton_cg(
+    program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings
+) -> OuterResult:
+    """Projected Newton-CG, along element areas too; an interior point from where it stalls.
+
+    The cheapest way to a stationary point, but not to the lowest: see docs/verdict.md.
+    """
+    if not program.nlp.n_g:
+        return _newton(program, start, monitor, settings)
+    descent = _Descent(program, monitor, replace(settings, max_iterations=settings.along_areas))
+    found = descent(start, gain=settings.tight)
+    if found.status is Status.CONVERGED or descent.stopped:
+        return replace(found, method=CONJUGATE_GRADIENTS)
+    near = found.status is Status.STALLED and not descent.crowded
+    end = interior(replace(program, warm=near), found.q, descent.report, settings)
+    return replace(
+        end,
+        iterations=descent.iterations + end.iterations,
+        method=f"{CONJUGATE_GRADIENTS}, then {end.method}",
+    )
 
 
 def _large_moves(
@@ -162,9 +145,11 @@ def _newton_pair(
     q = x[: relocation.n_q]
     if not descent.is_valid(q) or descent.energy(q).value > points[0].value:
         q = points[0].q
-    if program.nlp.n_g and program.nlp.n_x <= settings.exact and not descent.stopped:
-        end = _interior(replace(program, warm=True), q, descent.report, settings)
-        return replace(end, iterations=descent.iterations + end.iterations, method=f"newton, then {INTERIOR}")
+    if program.nlp.n_g and not descent.stopped:
+        end = interior(replace(program, warm=True), q, descent.report, settings)
+        return replace(
+            end, iterations=descent.iterations + end.iterations, method=f"newton, then {end.method}"
+        )
     return descent(q, gain=settings.tight, reference=here.value)
 
 
@@ -201,7 +186,7 @@ class _Descent:
         self.energy = function if isinstance(function, ReducedEnergy) else function.energy
         self._curvature = curvature_of(program)
         self._program, self._monitor, self._settings = program, monitor, settings
-        self.stopped = False
+        self.stopped = self.crowded = False
         self._walls = self.energy.validity if program.nlp.n_g else None
         self.iterations = iterations
 
@@ -226,6 +211,7 @@ class _Descent:
         )
         self.iterations += result.iterations
         self.stopped = self.stopped or result.status is Status.INTERRUPTED
+        self.crowded = result.crowded
         return OuterResult(result.x, result.status, self.iterations)
 
     def report(self, iteration: int, q: Array, value: float) -> bool | None:
@@ -299,6 +285,7 @@ def _scipy(method: str) -> OuterSolver:
 OUTER_SOLVERS: dict[str, OuterSolver] = {
     "ipopt": _ipopt,
     "newton": _newton,
+    "newton-cg": _newton_cg,
     "newton-pair": _newton_pair,
     "slsqp": _scipy("SLSQP"),
     "trust-constr": _scipy("trust-constr"),

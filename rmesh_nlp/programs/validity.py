@@ -22,6 +22,9 @@ KEPT = 0.01
 NEAR = 1e-2
 """... unless it has no more slack than this."""
 
+CROWDED = 20
+"""Rows that are not obeyed beyond which there is no way back: a shorter step is cheaper."""
+
 RETURNS = 10
 """Linearisations on the way back."""
 
@@ -58,6 +61,8 @@ class Validity:
             slack, jacobian = self._rows(q)
             if np.all(slack >= enough):
                 return q
+            if np.count_nonzero(slack < enough) > CROWDED:
+                return None
             steps = Polyhedron(lower - q, upper - q, slack - wall.floor, jacobian, scale)
             q = np.clip(q + steps.project(np.zeros(q.size)), lower, upper)
         return None
