@@ -75,10 +75,10 @@ def solve(
     outer : str
         A name in ``rmesh_nlp.programs.outer_solvers.OUTER_SOLVERS``: "newton" (projected trust-region
         Newton-CG where boxes alone keep the elements valid, else an interior-point Newton method),
-        "newton-cg" (the former along element areas too, and the latter only where it stalls: cheaper, often to
-        another minimum),
-        "newton-pair" (two descents of the first kind, recombined: for fine meshes, the energy only), "ipopt"
-        (with exact second derivatives; with limited memory for many moves and another objective), "slsqp",
+        "newton-cg" (the former along element areas too, and the latter only where it stalls: cheaper, often
+        to another minimum), "newton-pair" (two descents of the first kind, recombined: for fine meshes, the
+        energy only), "ipopt" (with exact second derivatives; with limited memory for many moves and another
+        objective than the energy), "slsqp",
         "trust-constr" or "l-bfgs-b".
     settings : NestedSettings or mapping, optional
     tolerance : float

@@ -106,7 +106,8 @@ Outer = Annotated[
     typer.Option(
         "--outer",
         metavar="NAME",
-        help="Outer solver of nested: newton (default), newton-cg, newton-pair, ipopt, slsqp, trust-constr or l-bfgs-b.",
+        help="Outer solver of nested: newton (default), newton-cg, newton-pair, ipopt, slsqp, trust-constr "
+        "or l-bfgs-b.",
     ),
 ]
 TimeLimit = Annotated[
