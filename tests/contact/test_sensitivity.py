@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from support.problems import sloped_block
 
 from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.contact.sensitivity import adjoint, tangent_response, weakly_active
+from rmesh_nlp.contact.sensitivity import TangentResponse, adjoint, weakly_active
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
@@ -44,7 +44,7 @@ def test_the_response_is_that_of_the_equilibrium_with_the_active_set_held(
     force, gap = size * random.normal(size=state.u.size), 1e-3 * random.normal(size=system.offset.size)
     moved = replace(system, load=system.load - force, offset=system.offset + gap)
     other = moved.equilibrium(state.active)
-    u, normal, tangential = tangent_response(system, state.active)(force, gap, np.zeros(gap.size))
+    u, normal, tangential = TangentResponse(system, state.active)(force, gap, np.zeros(gap.size))
     assert np.any(state.active.touching)
     np.testing.assert_allclose(u, other.u - state.u, atol=1e-9 * np.max(np.abs(u)))
     np.testing.assert_allclose(
@@ -65,7 +65,7 @@ def test_a_slip_that_is_imposed_appears_at_sticking_nodes_alone() -> None:
     sticking = system.rotated.slips & (state.active.sliding == 0)
     assert np.any(sticking)
     slip = np.random.default_rng(1).normal(size=sticking.size)
-    u, _, _ = tangent_response(system, state.active)(np.zeros(state.u.size), 0 * slip, slip)
+    u, _, _ = TangentResponse(system, state.active)(np.zeros(state.u.size), 0 * slip, slip)
     np.testing.assert_allclose((system.tangents @ u)[sticking], -slip[sticking], rtol=1e-9)
     np.testing.assert_allclose((system.normals @ u)[state.active.touching], 0, atol=1e-12)
 
@@ -79,7 +79,7 @@ def test_the_adjoint_gives_the_response_of_any_linear_functional(
     right = random.normal(size=state.u.size)
     force, gap, slip = (random.normal(size=n) for n in (right.size, system.offset.size, system.offset.size))
     p, reaction, friction = adjoint(system, state.active, right)
-    u, _, _ = tangent_response(system, state.active)(force, gap, slip)
+    u, _, _ = TangentResponse(system, state.active)(force, gap, slip)
     change = -(p @ force + reaction @ gap + friction @ slip)
     assert right @ u == pytest.approx(change, rel=1e-9)
     np.testing.assert_array_equal(reaction[~state.active.touching], 0)
