@@ -140,6 +140,7 @@ friction = 5
 [[contact]]
 boundary = "top"
 curve = "6.005 + 0.0005*(x - 14)**2 - y"
+gap = "edge"
 """
 
 
