@@ -44,14 +44,18 @@ def _text(name: str) -> Callable[[Record], str]:
     return lambda record: str(record.get(name) or MISSING)
 
 
-def contact_units(record: Record) -> float | None:
-    """Build and solve over the time of one contact solve measured in the same run.
+def seconds_of_work(record: Record) -> float | None:
+    """Seconds of build and solve: the audit is no cost of a strategy.
 
     Records of older versions have no split time: their wall time counts.
     """
     build, solve = record.get("build_time_s"), record.get("solve_time_s")
-    seconds = record.get("wall_time_s") if build is None or solve is None else build + solve
-    unit = record.get("contact_time_s")
+    return record.get("wall_time_s") if build is None or solve is None else build + solve
+
+
+def contact_units(record: Record) -> float | None:
+    """Build and solve over the time of one contact solve measured in the same run."""
+    seconds, unit = seconds_of_work(record), record.get("contact_time_s")
     return seconds / unit if seconds is not None and unit else None
 
 

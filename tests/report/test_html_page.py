@@ -9,6 +9,7 @@ import subprocess
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.reporting import failed_61, fixed_61, joint_61
@@ -82,6 +83,23 @@ def test_a_failure_is_a_failure_in_table_and_profiles() -> None:
     for chart in charts(results):
         assert chart.profiles["a"](1e9) == 0.5, chart.name
         assert chart.profiles["b"](1e9) == 1.0, chart.name
+
+
+def test_the_audit_is_no_cost_in_tables_and_profiles() -> None:
+    # a's audit takes long, but it builds and solves in half of b's time
+    quick: dict[str, Any] = {
+        "build_time_s": 1.0,
+        "solve_time_s": 2.0,
+        "audit_time_s": 50.0,
+        "wall_time_s": 53.0,
+    }
+    slow: dict[str, Any] = {"build_time_s": 2.0, "solve_time_s": 4.0, "audit_time_s": 0.0, "wall_time_s": 6.0}
+    rows = [joint_61(strategy="a", **quick), joint_61(strategy="b", **slow)]
+    head, table = summary_rows(rows)
+    assert [row[head.index("build + solve [s]")] for row in table] == ["3", "6"]
+    seconds = {c.name: c for c in charts([Results(Path("nowhere")).result(row) for row in rows])}
+    profiles = seconds["build_and_solve"].profiles
+    assert (profiles["a"](1.0), profiles["b"](1.9), profiles["b"](2.0)) == (1.0, 0.0, 1.0)
 
 
 def test_the_command_says_where_the_page_is(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
