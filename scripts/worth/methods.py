@@ -40,11 +40,12 @@ def _unit(problem: ContactProblem) -> float:
 
 def uniform(case: Case, size: int) -> Iterator[Row]:
     """The grid as given."""
-    began = time.process_time()
     problem = case.problem(size)
-    solution = fixed.solve(problem)
+    began = time.process_time()
+    ContactModel(problem).solve(problem.mesh.p)
     seconds = time.process_time() - began
-    yield row(case, "uniform", str(size), problem, seconds, figures=_contact(case, solution))
+    figures = _contact(case, fixed.solve(problem)) if case.name == "Hertz" else {}
+    yield row(case, "uniform", str(size), problem, seconds, figures=figures)
 
 
 def adaptive(
@@ -92,12 +93,15 @@ def refined_and_relocated(case: Case, most: int) -> Iterator[Row]:
 
 
 def _relocated(case: Case, method: str, size: int, solution: Solution, seconds: float) -> Row:
+    # the audit, and what a solve is worth, are not part of it
+    record = solution.record()
+    seconds *= 1 - record["audit_time_s"] / record["wall_time_s"]
     final = replace(solution.problem, mesh=solution.mesh, quadrature=RULE, reference=None)
     figures: dict[str, Any] = {"status": solution.status.value, "success": solution.success}
     worth = solution.extra.get("worth")
     if worth:
         figures["claimed"] = round(worth["factor"], 3)
-    levels = solution.record().get("cascade")
+    levels = record.get("cascade")
     if levels:
         one = _unit(case.problem(size))
         figures["finest"] = round(levels[-1]["seconds"] / one)

@@ -24,6 +24,8 @@ def picture(rows: list[Row], case: str = "6.1") -> Figure:
     axes = figure.subplots(1, 2, sharey=True)
     for method, (colour, marker, style) in STYLES.items():
         part = of(rows, case, method)
+        if not part:
+            continue
         for axis, x in zip(axes, ("nodes", "seconds"), strict=True):
             axis.loglog(
                 [getattr(r, x) for r in part],
@@ -36,7 +38,7 @@ def picture(rows: list[Row], case: str = "6.1") -> Figure:
                 label=method,
             )
     axes[0].set(xlabel="nodes", ylabel=f"error of the energy, Example {case}")
-    axes[1].set(xlabel="processor time in seconds, statement of the programs included")
+    axes[1].set(xlabel="processor time in seconds, with the statement of the programs")
     for axis in axes:
         axis.grid(which="major", alpha=0.35)
         axis.grid(which="minor", alpha=0.12)
