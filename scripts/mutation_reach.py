@@ -84,17 +84,18 @@ def enter(checkout: Path) -> None:
 def record_reach(checkout: Path, target: Path, again: Sequence[str] = ()) -> None:
     """Run the quick tests that the file lacks under coverage, and add them; tests that are gone are left out.
 
-    Tests of files that begin with one of ``again`` are recorded anew.
+    With ``again``, files of tests, only those are run, anew.
     """
     enter(checkout)
     old = json.loads(target.read_text()) if target.exists() else {"lines": {}, "seconds": {}, "sources": {}}
-    known = {test for test in old["seconds"] if not test.startswith(tuple(again))}
+    known = {test for test in old["seconds"] if not test.startswith(tuple(again) or "-")}
     coverage = Coverage(source=[str(checkout / "rmesh_nlp")], data_file=None)
     recorder = _Recorder(coverage, known)
     coverage.start()
-    pytest.main([*PYTEST, "tests"], plugins=[recorder])
+    pytest.main([*PYTEST, *(again or ["tests"])], plugins=[recorder])
     coverage.stop()
-    known &= recorder.collected
+    if not again:
+        known &= recorder.collected
     data = coverage.get_data()
     names = {str(Path(name).relative_to(checkout)): name for name in data.measured_files()}
     lines: dict[str, dict[int, list[str]]] = {}

@@ -14,11 +14,12 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.solution.solution import Solution, Step, _gain, _plain, counted
 
 
-class TestRecord:
-    @pytest.fixture(scope="class")
-    def solution(self) -> Solution:
-        return joint.solve(EXAMPLES["6.2"]((4, 2)))
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    return joint.solve(EXAMPLES["6.2"]((4, 2)))
 
+
+class TestRecord:
     def test_figures_are_those_of_the_solution(self, solution: Solution) -> None:
         made = replace(
             solution, build_time_s=1.0, solve_time_s=20.0, audit_time_s=300.0, energy_initial=-1.0,
