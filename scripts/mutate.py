@@ -230,7 +230,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--map", type=Path, help="file with the lines that tests reach; what it lacks is added"
     )
-    parser.add_argument("--again", nargs="*", default=[], help="test files to be recorded anew in the map")
+    parser.add_argument(
+        "--again", nargs="*", help="first add what the map lacks, or record these test files anew"
+    )
     parser.add_argument("--list", action="store_true", help="print the mutants, run nothing")
     options = parser.parse_args(arguments)
     try:
