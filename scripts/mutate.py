@@ -78,6 +78,9 @@ MODULES = (
 SLOW_IMPORTS = ("casadi", "hypothesis", "matplotlib.pyplot", "meshio", "pandas", "pydantic", "skfem", "typer")
 """Loaded before a process is forked for a mutant of a copy; never this package itself."""
 
+NOT_TRIED = 99
+"""Exit code where the tests did not begin: no mutant is killed by that."""
+
 Ended = tuple[Mutant, int]
 """A mutant and the exit code of its tests: 0 if all passed, negative if they were stopped by the clock."""
 
@@ -96,7 +99,9 @@ def survivors_in_copies(
     def attempt(mutant: Mutant, tests: Sequence[str]) -> int:
         enter(places[mutant])
         (places[mutant] / mutant.path).write_text(mutant.source)
-        return int(pytest.main([*PYTEST, "-x", *tests]))
+        code = pytest.main([*PYTEST, "-x", *tests])
+        usable = (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED)
+        return int(code) if code in usable else NOT_TRIED
 
     for mutant, code in _forked(
         chosen, reach, jobs, budget, attempt, lambda m: places.update({m: free.pop()})
@@ -122,7 +127,9 @@ class Collected:
 
         def attempt(mutant: Mutant, tests: Sequence[str]) -> int:
             import_module(mutant.path.removesuffix(".py").replace("/", "."))
-            put_in_place(mutant, (ROOT / mutant.path).read_text())
+            text = (ROOT / mutant.path).read_text()
+            if mutant.source != text:
+                put_in_place(mutant, text)
             session.config.pluginmanager.unregister(reporter)
             wanted = [items[test] for test in tests if test in items]
             for item, following in zip(wanted, [*wanted[1:], None], strict=True):
@@ -178,7 +185,7 @@ def _try(
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 1)
         os.dup2(nowhere.fileno(), 2)
-    code = 1
+    code = NOT_TRIED
     try:
         code = attempt(mutant, tests)
     finally:
@@ -250,6 +257,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         mutant, code = ended
         same = (mutant.path, mutant.before, mutant.after) in equivalent
         word = "killed" if code > 0 else "stopped" if code < 0 else "equivalent" if same else "SURVIVED"
+        word = "NOT TRIED" if code == NOT_TRIED else word
         counts[word] += 1
         print(f"{word:10} {mutant if word == 'SURVIVED' else f'{mutant.path}:{mutant.line}'}", flush=True)
 
@@ -276,7 +284,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(
         f"{counts['equivalent']} equivalent, {counts['SURVIVED']} survived, {counts['stopped']} ran too long"
     )
-    return 1 if counts["SURVIVED"] > 0.1 * len(chosen) else 0
+    if counts["NOT TRIED"]:
+        print(f"{counts['NOT TRIED']} were not tried")
+    return 1 if len(chosen) - killed - counts["equivalent"] > 0.1 * len(chosen) else 0
 
 
 if __name__ == "__main__":

@@ -36,7 +36,10 @@ class Reach:
     seconds: Mapping[str, float]
 
     def tests(self, mutant: Mutant, budget: float) -> list[str]:
-        """Those that reach the mutant's line, else its file: those of its own wing first, then by time."""
+        """Those that reach the mutant's line, else its file: of its own wing first, and the shortest.
+
+        They run in the order in which they were collected: some share files that the ones before made.
+        """
         lines = self.lines.get(mutant.path, {})
         own = {test for line in range(mutant.line, mutant.last_line + 1) for test in lines.get(line, ())}
         of_the_file = {test for tests in lines.values() for test in tests}
@@ -48,7 +51,8 @@ class Reach:
             if total > budget and chosen:
                 break
             chosen.append(test)
-        return chosen
+        place = {test: number for number, test in enumerate(self.seconds)}
+        return sorted(chosen, key=lambda test: (not test.startswith(wing), place[test]))
 
 
 class _Recorder:
@@ -107,7 +111,7 @@ def record_reach(checkout: Path, target: Path, again: Sequence[str] = ()) -> Non
         for line, tests in data.contexts_by_lineno(names[path]).items() if path in names else ():
             found[line] = found.get(line, set()) | {test for test in tests if test}
         lines[path] = {line: sorted(tests) for line, tests in found.items() if tests}
-    seconds = {test: old["seconds"][test] for test in known} | recorder.seconds
+    seconds = {test: spent for test, spent in old["seconds"].items() if test in known} | recorder.seconds
     target.write_text(json.dumps({"lines": lines, "seconds": seconds, "sources": sources}))
 
 

@@ -16,7 +16,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
-from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedPoint
 from rmesh_nlp.solution import referee as refereeing
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.solution import Solution
@@ -180,7 +180,43 @@ def rm_area(problem: ContactProblem, nodes: np.ndarray) -> float:
     return float(np.min(areas(nodes) / areas(problem.mesh.p)))
 
 
+def test_what_the_message_advises_is_for_the_gain_of_the_audit() -> None:
+    problem = EXAMPLES["6.1"](2)
+    solution = joint.solve(problem)
+    assert solution.status is Status.QUADRATURE_EXPLOITED
+    advice = Referee(problem)._advice(np.asarray(solution.mesh.p), solution.gain_audited)
+    assert advice in solution.message
+
+
+@pytest.mark.parametrize("label", ["S", "B", "M", None])
+@pytest.mark.parametrize("weak", [(True, False), (False, True), (False, False)])
+def test_a_label_proves_stationarity_where_some_node_is_weak(
+    problem: ContactProblem, label: str | None, weak: tuple[bool, bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The mesh as given is not stationary by its residual."""
+    referee = Referee(problem)
+    monkeypatch.setattr(ReducedPoint, "weak", property(lambda point: np.array(weak)))
+    found = judged(referee, np.zeros(referee.relocation.n_q), stationarity=label)
+    proved = label in ("S", "B") and any(weak)
+    assert found.status is (Status.CONVERGED if proved else Status.NOT_STATIONARY)
+    assert found.stationarity == (label or "")
+
+
 class TestReduced:
+    def test_the_solution_on_the_given_mesh_is_counted_when_it_is_first_asked_for(
+        self, problem: ContactProblem
+    ) -> None:
+        referee = Referee(problem)
+        reduced, q = referee.reduced, np.zeros(referee.relocation.n_q)
+        assert (reduced.contact_solves, reduced.cold_solves, reduced.factorisations) == (0, 0, 0)
+        for _ in range(2):
+            assert reduced(q).equilibrium.energy == referee.initial.energy
+            assert (reduced.contact_solves, reduced.cold_solves) == (1, 1)
+            assert reduced.factorisations == referee.initial.iterations
+            reduced._last = None
+        reduced(q + 0.1)
+        assert (reduced.contact_solves, reduced.cold_solves) == (2, 1)
+
     def test_solves_are_counted_and_the_last_point_is_remembered(self, problem: ContactProblem) -> None:
         referee = Referee(problem)
         reduced = ReducedEnergy(referee.relocation)
