@@ -210,7 +210,6 @@ def _result(run: Run, reached: _End, build: float, total: float, rescues: int) -
     column = np.full(mpcc.n_g + 2 * mpcc.n_pairs, np.nan)
     lam_x = np.full(mpcc.n_x, np.nan)
     if multipliers is not None:
-        column[:] = 0.0
         column[lifted.rows] = multipliers.rows
         plain = np.setdiff1d(np.arange(mpcc.n_g, column.size), lifted.rows)
         column[plain] = np.concatenate([multipliers.G, multipliers.H])[plain - mpcc.n_g]
