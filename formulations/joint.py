@@ -160,36 +160,22 @@ def solve(
     ValueError
         If the levels do not collapse for the objective, or a setting or the start cannot be used.
     """
+    options: dict[str, Any] = {
+        "objective": objective,
+        "settings": settings,
+        "tolerance": tolerance,
+        "max_iterations": max_iterations,
+        "time_limit_s": time_limit_s,
+        "start": start,
+        "seed": seed,
+        "on_step": on_step,
+    }
     if flips:
         return solve_with_flips(
-            solve,
-            problem,
-            objective=objective,
-            regularisation=regularisation,
-            distortion=distortion,
-            settings=settings,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            time_limit_s=time_limit_s,
-            start=start,
-            seed=seed,
-            on_step=on_step,
+            solve, problem, regularisation=regularisation, distortion=distortion, **options
         )
     if regularisation is not None:
-        return solve_regularised(
-            solve,
-            problem,
-            regularisation,
-            distortion,
-            objective=objective,
-            settings=settings,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            time_limit_s=time_limit_s,
-            start=start,
-            seed=seed,
-            on_step=on_step,
-        )
+        return solve_regularised(solve, problem, regularisation, distortion, **options)
     outer = parse_objective(objective)
     if not outer.collapses:
         raise ValueError(

@@ -100,38 +100,23 @@ def solve(
     ValueError
         If the objective, the relaxation or the start is unknown or does not fit.
     """
+    options: dict[str, Any] = {
+        "objective": objective,
+        "relaxation": relaxation,
+        "settings": settings,
+        "tolerance": tolerance,
+        "max_iterations": max_iterations,
+        "time_limit_s": time_limit_s,
+        "start": start,
+        "seed": seed,
+        "on_step": on_step,
+    }
     if flips:
         return solve_with_flips(
-            solve,
-            problem,
-            objective=objective,
-            regularisation=regularisation,
-            distortion=distortion,
-            relaxation=relaxation,
-            settings=settings,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            time_limit_s=time_limit_s,
-            start=start,
-            seed=seed,
-            on_step=on_step,
+            solve, problem, regularisation=regularisation, distortion=distortion, **options
         )
     if regularisation is not None:
-        return solve_regularised(
-            solve,
-            problem,
-            regularisation,
-            distortion,
-            objective=objective,
-            relaxation=relaxation,
-            settings=settings,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            time_limit_s=time_limit_s,
-            start=start,
-            seed=seed,
-            on_step=on_step,
-        )
+        return solve_regularised(solve, problem, regularisation, distortion, **options)
     outer = parse_objective(objective)
     check_limits(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     referee = Referee(problem)

@@ -102,38 +102,23 @@ def solve(
     """
     if outer not in OUTER_SOLVERS:
         raise unknown("outer solver", outer, OUTER_SOLVERS)
+    options: dict[str, Any] = {
+        "objective": objective,
+        "outer": outer,
+        "settings": settings,
+        "tolerance": tolerance,
+        "max_iterations": max_iterations,
+        "time_limit_s": time_limit_s,
+        "start": start,
+        "seed": seed,
+        "on_step": on_step,
+    }
     if flips:
         return solve_with_flips(
-            solve,
-            problem,
-            objective=objective,
-            regularisation=regularisation,
-            distortion=distortion,
-            outer=outer,
-            settings=settings,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            time_limit_s=time_limit_s,
-            start=start,
-            seed=seed,
-            on_step=on_step,
+            solve, problem, regularisation=regularisation, distortion=distortion, **options
         )
     if regularisation is not None:
-        return solve_regularised(
-            solve,
-            problem,
-            regularisation,
-            distortion,
-            objective=objective,
-            outer=outer,
-            settings=settings,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            time_limit_s=time_limit_s,
-            start=start,
-            seed=seed,
-            on_step=on_step,
-        )
+        return solve_regularised(solve, problem, regularisation, distortion, **options)
     check_limits(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     chosen = NestedSettings.of(settings)
     if max_iterations is not None:
