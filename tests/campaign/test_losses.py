@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -181,6 +182,15 @@ def test_a_reader_that_never_ends_is_stopped(
     (tmp_path / name).write_text(content)
     with pytest.raises(ValueError, match="cannot be read as a mesh"):
         read_file(tmp_path / name)
+
+
+def test_a_reader_that_waits_for_the_processor_is_not_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rmesh_nlp.meshes.files.SECONDS", 0.1)
+    monkeypatch.setattr("meshio.read", lambda *_: time.sleep(0.3) or "a mesh")
+    (tmp_path / "a.vtk").write_text("")
+    assert read_file(tmp_path / "a.vtk") == "a mesh"
 
 
 def test_only_formats_of_the_extension_and_files_of_moderate_size_are_read(
