@@ -31,6 +31,7 @@ top = [0, -10]
 [[contact]]
 boundary = "bottom"
 circle = { centre = [0, -5.001], radius = 5 }
+gap = "edge"
 [[contact]]
 boundary = "right"
 line = { point = [2.005, 0], normal = [-1, 0] }
