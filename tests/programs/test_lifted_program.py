@@ -95,3 +95,18 @@ def test_crowded_areas_are_left_to_the_interior_point() -> None:
     numbers = [step.iteration for step in few.history]
     assert numbers == sorted(numbers)
     assert few.energy < few.energy_initial
+
+
+@pytest.mark.slow
+def test_thousands_of_moves_without_boxes_take_a_contact_solve_per_iteration() -> None:
+    problem = EXAMPLES["6.1"](40)
+    problem = replace(problem, motion=replace(problem.motion, delta=None), quadrature=8)
+    solution = nested.solve(problem, max_iterations=6)
+    assert solution.multipliers.area.size > 3000
+    assert solution.status.value == "iteration_limit"
+    assert solution.valid
+    assert solution.improved
+    assert solution.success
+    assert solution.iterations <= 6
+    assert solution.contact_solves <= 20
+    assert solution.energy < solution.energy_initial
