@@ -248,3 +248,20 @@ class TestReduced:
         function = plain.function("quality")
         assert function.is_defined(q)
         assert not function.is_defined(20 * (-1.0) ** np.arange(q.size))
+
+
+@pytest.mark.parametrize(("weight", "improved"), [(1e-9, True), (1e6, False)])
+def test_a_distortion_counts_in_what_has_improved(
+    problem: ContactProblem, weight: float, improved: bool
+) -> None:
+    """Moves that lower the energy distort the elements: whether that is better depends on the weight."""
+    lower = joint.solve(problem)
+    objective = f"energy + {weight}*quality"
+    referee = Referee(problem, objective)
+    q = referee.start(None, lower.mesh.p)
+    judged = referee.judge(
+        "moved", q, status=Status.CONVERGED, tolerance=1e-6, history=(), iterations=0, contact_solves=1,
+        objective=objective,
+    )  # fmt: skip
+    assert judged.energy_audited < judged.energy_initial_audited
+    assert judged.success == improved
