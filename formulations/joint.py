@@ -19,9 +19,10 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.units import Seen, Units
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.alternating import alternated
-from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.programs.energy_program import Relocation, relocation
 from rmesh_nlp.programs.reduced import ReducedPoint
 from rmesh_nlp.settings import Settings, check_limits, check_positive
 from rmesh_nlp.solution.beginning import Start, beginning
@@ -30,6 +31,9 @@ from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
 from rmesh_nlp.solution.solution import Solution
+
+ORDINARY = (1e-4, 1e4)
+"""Sizes of displacements that Ipopt is given as they are; others are measured in the largest of them."""
 
 _BARRIER: Mapping[str, Any] = {
     # Ipopt would add a factor of its own, which depends on the unit of force.
@@ -239,13 +243,29 @@ def minimise(
         contact = referee.reduced(q)
     else:
         unit = half_energy(contact) if areas else pull(contact.gradient)
+    units = _units(relocation, contact)
     with referee.clock.during("build"):
-        solver = Solver(relocation.nlp, options=settings.options(areas, unit), monitor=recorder)
+        nlp = relocation.nlp if units is None else units.program(relocation.nlp)
+        monitor = recorder if units is None else Seen(units, recorder, recorder.see_multipliers)
+        solver = Solver(nlp, options=settings.options(areas, unit), monitor=monitor)
     recorder.residual = referee.residual(referee.reduced).of_program
+    begin = referee.reduced.point(q, contact.equilibrium)
     try:
-        return solver(referee.reduced.point(q, contact.equilibrium))
+        return solver(begin) if units is None else units.result(solver(begin / units.x))
     finally:
         recorder.residual = None  # it may go on to watch another program
+
+
+def _units(relocation: Relocation, contact: ReducedPoint) -> Units | None:
+    """Units of displacements and gaps if theirs are far from one, as Ipopt's tolerances are absolute."""
+    length = float(np.max(np.abs(contact.equilibrium.u)))
+    if length == 0 or ORDINARY[0] <= length <= ORDINARY[1]:
+        return None
+    lengths, rows = relocation.n_u + relocation.n_s, relocation.n_rows - relocation.n_valid
+    return Units(
+        np.append(np.ones(relocation.n_q), np.full(lengths, length)),
+        np.append(np.full(rows, length), np.ones(relocation.n_valid)),
+    )
 
 
 def pull(gradient: Array) -> float:

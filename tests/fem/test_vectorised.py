@@ -80,13 +80,13 @@ def test_derivatives_of_a_large_mesh_do_not_depend_on_it(name, size) -> None:
     assert problem.triangles.shape[1] >= USUAL.numpy_from
     fast = relocation(problem)
     slow = relocation(discretise(problem, AssemblySettings(numpy_from=10**9)))
-    assert all(isinstance(kernel, Summed) for kernel in fast.derivatives.kernels)
-    assert fast.derivatives.kernels
-    assert not slow.derivatives.kernels
+    assert all(isinstance(kernel, Summed) for kernel in fast.nlp.derivatives.kernels)
+    assert fast.nlp.derivatives.kernels
+    assert not slow.nlp.derivatives.kernels
     rng = np.random.default_rng(0)
     x, lam = rng.uniform(-0.5, 0.5, fast.nlp.n_x), rng.uniform(size=fast.nlp.n_g)
     for which, arguments in (("grad_f", (x, [])), ("jac_g", (x, [])), ("hess_lag", (x, [], 0.7, lam))):
-        ours, theirs = (getattr(r.derivatives, which)(*arguments) for r in (fast, slow))
+        ours, theirs = (getattr(r.nlp.derivatives, which)(*arguments) for r in (fast, slow))
         ours, theirs = (r if isinstance(r, tuple) else (r,) for r in (ours, theirs))
         for a, b in zip(ours, theirs, strict=True):
             assert a.sparsity() == b.sparsity()

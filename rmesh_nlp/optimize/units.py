@@ -1,0 +1,104 @@
+"""A nonlinear program in other units of its unknowns and rows, solved and reported in its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.nlp import NLP, Derivatives
+from rmesh_nlp.optimize.solver import NLPResult
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units in which a solver with absolute tolerances sees a program.
+
+    Attributes
+    ----------
+    x : (n_x,) array
+        Units of the unknowns, positive.
+    g : (n_g,) array
+        Units of the rows, positive.
+    """
+
+    x: Array
+    g: Array
+
+    def program(self, nlp: NLP) -> NLP:
+        """The program in ``x / self.x`` with rows ``g / self.g``; its derivatives must be assembled."""
+        if nlp.derivatives is None:
+            raise ValueError("a program without assembled derivatives cannot be put in other units")
+        base, x = nlp.derivatives, ca.MX.sym("x", nlp.n_x)
+        values = ca.Function("values", [nlp.x, nlp.p], [nlp.f, nlp.g])
+        own, lam_f, lam_g = self.x * x, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nlp.n_g)
+        f, g = values(own, nlp.p)
+        value, gradient = base.grad_f(own, nlp.p)
+        rows, jacobian = base.jac_g(own, nlp.p)
+        hess_lag = None
+        if base.hess_lag is not None:
+            hessian = base.hess_lag(own, nlp.p, lam_f, lam_g / self.g)
+            hess_lag = ca.Function("nlp_hess_l", [x, nlp.p, lam_f, lam_g], [_scaled(hessian, self.x, self.x)])
+        return NLP(
+            x=x,
+            p=nlp.p,
+            f=f,
+            g=g / self.g,
+            lbx=nlp.lbx / self.x,
+            ubx=nlp.ubx / self.x,
+            lbg=nlp.lbg / self.g,
+            ubg=nlp.ubg / self.g,
+            derivatives=Derivatives(
+                ca.Function("nlp_grad_f", [x, nlp.p], [value, self.x * gradient]),
+                ca.Function("nlp_jac_g", [x, nlp.p], [rows / self.g, _scaled(jacobian, 1 / self.g, self.x)]),
+                hess_lag,
+                (*base.kernels, base.grad_f, base.jac_g),
+            ),
+        )
+
+    def result(self, found: NLPResult) -> NLPResult:
+        """A result of that program in the units of the original one."""
+        return replace(
+            found,
+            x=found.x * self.x,
+            g=found.g * self.g,
+            lam_x=found.lam_x / self.x,
+            lam_g=found.lam_g / self.g,
+        )
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What watches the original program, shown the iterates of that in other units.
+
+    Attributes
+    ----------
+    units : Units
+    step : callable
+        ``(iteration, x, f) ->`` whether to stop.
+    multipliers : callable
+        Takes the multipliers of the rows of each iterate.
+    """
+
+    units: Units
+    step: Callable[[int, Array, float], bool]
+    multipliers: Callable[[Array], None]
+
+    def see_multipliers(self, lam_g: Array) -> None:
+        """Hand the multipliers on."""
+        self.multipliers(lam_g / self.units.g)
+
+    def __call__(self, iteration: int, x: Array, f: float) -> bool:
+        """Hand the iterate on."""
+        return self.step(iteration, x * self.units.x, f)
+
+
+def _scaled(matrix: ca.MX, rows: ArrayLike, columns: ArrayLike) -> ca.MX:
+    """``diag(rows) @ matrix @ diag(columns)``, of the same sparsity."""
+    pattern = matrix.sparsity()
+    factors = np.asarray(rows)[pattern.row()] * np.asarray(columns)[pattern.get_col()]
+    return matrix * ca.DM(pattern, factors)
