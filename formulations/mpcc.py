@@ -133,7 +133,8 @@ def solve(
             value=abs(value) or 1.0,
         )
     if outer.is_energy:
-        ipopt = energy_options(two_level.value / joint.pull(contact.gradient))
+        boxed = bool(np.all(np.isfinite(referee.relocation.freedoms.bound)))
+        ipopt = energy_options(two_level.value / joint.pull(contact.gradient), boxed)
     else:
         ipopt = ipopt_options(1.0, BARRIER, TIGHT_OTHERS)
     recorder = Recorder(referee, on_step, time_limit_s, two_level.value, outer.is_energy)
