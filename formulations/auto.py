@@ -31,7 +31,7 @@ from rmesh_nlp.solution.flipping import check_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S
 from rmesh_nlp.solution.referee import STATIONARY, OnStep
 from rmesh_nlp.solution.regularised import Regularisation
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.solution import Solution, interrupted
 from rmesh_nlp.solution.worth import worth
 
 MANY = 2000
@@ -192,7 +192,7 @@ def _with_worth(problem: ContactProblem, solution: Solution) -> Solution:
     try:
         found = worth(stated, solution.mesh, *energies, solution.contact_solves)
     except KeyboardInterrupt:  # the solution is there
-        return replace(solution, status=Status.INTERRUPTED)
+        return interrupted(solution)
     if found is None:
         return solution
     return replace(

@@ -44,7 +44,7 @@ _MESSAGES = {
     Status.UNBOUNDED: "The iterates diverge: the problem may be unbounded.",
     Status.STALLED: "No further progress was possible before the tolerance was met.",
     Status.CYCLED: "The active set repeated itself without a solution.",
-    Status.INACCURATE: "The solver stopped, but a residual of the source problem is above its tolerance.",
+    Status.INACCURATE: "A residual of the problem is above its tolerance, or the solver's energy is wrong.",
     Status.NOT_STATIONARY: "The solver met its own test, but not the tolerance of the first-order residual.",
     Status.WORSE: "The minimised objective, measured accurately, is above its value on the given mesh.",
     Status.QUADRATURE_EXPLOITED: "The gain is one of the quadrature rule: take a rule of higher degree.",

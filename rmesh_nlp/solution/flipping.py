@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.energy_flips import Round, flips_and_moves, mean_around
 from rmesh_nlp.programs.regularisation import gain_estimate
 from rmesh_nlp.solution.solution import Given, Solution, counted
-from rmesh_nlp.solution.verdict import GAIN_AGREEMENT
+from rmesh_nlp.solution.verdict import verdict
 
 
 def check_flips(problem: ContactProblem) -> None:
@@ -109,18 +108,33 @@ def with_flips(
 
 
 def _judged_as_a_whole(first: Solution, final: Solution) -> Solution:
-    """The last solution with the verdict on the gain of all rounds: its own gain is that of the last one."""
-    gain = first.energy_initial - final.energy
-    audited = first.energy_initial_audited - final.audit.energy_audited
-    wrong = abs(gain - audited) > GAIN_AGREEMENT * max(abs(gain), abs(audited))
-    if wrong or not audited >= 0:
-        status = Status.QUADRATURE_EXPLOITED if wrong else Status.WORSE
-        return replace(final, status=status, success=False, valid=not wrong, improved=audited >= 0)
-    if final.status not in (Status.QUADRATURE_EXPLOITED, Status.WORSE):
+    """The last solution with the verdict on the gain of all rounds: its own gain is that of the last one.
+
+    With an objective other than the energy the verdict is that of the last round.
+    """
+    one, last = first.measured, final.measured
+    if one is None or last is None or not last.is_energy:
         return final
-    stationary = final.stationarity_residual <= final.extra["tolerance"]
-    status = Status.CONVERGED if stationary else Status.NOT_STATIONARY
-    return replace(final, status=status, success=True, valid=True, improved=True, detail="")
+    audited = first.energy_initial_audited - final.audit.energy_audited
+    whole = replace(
+        last,
+        gain=first.energy_initial - final.energy,
+        gain_audited=audited,
+        decrease=audited,
+        size=max(one.size, last.size),
+        penetrated=last.penetrated_given + last.penetrated - one.penetrated_given,
+        penetrated_given=one.penetrated_given,
+    )
+    judged = verdict(final.solver_status or final.status, whole)
+    return replace(
+        final,
+        status=judged.status,
+        success=judged.success,
+        valid=judged.valid,
+        improved=judged.improved,
+        detail="" if judged.status is not final.status else final.detail,
+        measured=whole,
+    )
 
 
 def given_areas(problem: ContactProblem, triangles: np.ndarray) -> np.ndarray:

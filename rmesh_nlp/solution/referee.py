@@ -33,7 +33,7 @@ from rmesh_nlp.programs.residual import OuterResidual, size_of
 from rmesh_nlp.solution.audit import Audit, Auditor, equilibrium_residual, law_residual
 from rmesh_nlp.solution.clock import Clock, timed
 from rmesh_nlp.solution.interrupts import deferred
-from rmesh_nlp.solution.solution import Solution, Step
+from rmesh_nlp.solution.solution import Solution, Step, interrupted
 from rmesh_nlp.solution.verdict import Measured, verdict
 
 OnStep = Callable[[Step], None]
@@ -177,7 +177,7 @@ class Referee:
         stationarity : str, optional
             Label computed by the strategy; by default "KKT" if the measured residual allows.
         """
-        with self.clock.during("audit"), deferred() as interrupted:
+        with self.clock.during("audit"), deferred() as stopped:
             draft = self._judged(
                 formulation,
                 q,
@@ -197,8 +197,8 @@ class Referee:
                 settings=dict(settings or {}),
                 extra=extra or {},
             )
-        if interrupted():
-            draft = replace(draft, status=Status.INTERRUPTED)
+        if stopped():
+            draft = interrupted(draft)
         return replace(
             draft,
             build_time_s=self.clock.seconds("build"),
@@ -234,7 +234,7 @@ class Referee:
         )
         ratio = least_area_ratio(self.problem, nodes)
         if not ratio > 0:
-            return _without_solution(common, self.problem, ratio)
+            return _without_solution(common, self.problem, ratio, status)
         cold, factorisations = self.reduced.cold_solves, self.reduced.factorisations
         exact = self.reduced(q)
         accurate = self._auditor.solve(nodes, exact.equilibrium.active)
@@ -254,23 +254,22 @@ class Referee:
             penetration_work_of(self.model, where, at)
             for where, at in ((np.asarray(self.problem.mesh.p), self.initial), (nodes, found))
         ]
-        judged = verdict(
-            status,
-            Measured(
-                audit=audit,
-                contact=exact.equilibrium.status,
-                consistent=claimed is None
-                or abs(claimed - expected) <= ENERGY_AGREEMENT * size_of(exact)
-                or size_of(exact) == 0,
-                gain=self.initial.energy - found.energy,
-                gain_audited=start.energy - accurate.energy,
-                decrease=decrease,
-                size=size,
-                is_energy=function is self.reduced,
-                stationary=residual <= tolerance or labelled or not relocates,
-                penetrated=works[1] - works[0],
-            ),
+        measured = Measured(
+            audit=audit,
+            contact=_first_fault(self.initial, start, exact.equilibrium, accurate),
+            consistent=claimed is None
+            or abs(claimed - expected) <= ENERGY_AGREEMENT * size_of(exact)
+            or size_of(exact) == 0,
+            gain=self.initial.energy - found.energy,
+            gain_audited=start.energy - accurate.energy,
+            decrease=decrease,
+            size=size,
+            is_energy=function is self.reduced,
+            stationary=residual <= tolerance or labelled or not relocates,
+            penetrated=works[1] - works[0],
+            penetrated_given=works[0],
         )
+        judged = verdict(status, measured)
         detail = ""
         if judged.status is Status.QUADRATURE_EXPLOITED:
             detail = self._advice(nodes, start.energy - accurate.energy)
@@ -304,6 +303,8 @@ class Referee:
             stationarity_residual=residual,
             multipliers=multipliers(self.reduced, q, point.gradient),
             detail=detail,
+            solver_status=status,
+            measured=measured,
         )
 
     def _zones(self, state: Equilibrium) -> dict[str, int]:
@@ -380,7 +381,14 @@ class Referee:
         return stress
 
 
-def _without_solution(common: dict[str, Any], problem: ContactProblem, ratio: float) -> Solution:
+def _first_fault(*states: Equilibrium) -> Status:
+    """CONVERGED, or the status of the first contact solve that did not."""
+    return next((s.status for s in states if s.status is not Status.CONVERGED), Status.CONVERGED)
+
+
+def _without_solution(
+    common: dict[str, Any], problem: ContactProblem, ratio: float, said: Status
+) -> Solution:
     """A row for a mesh on which the contact problem cannot be solved."""
     nan = float("nan")
     n_nodes = problem.mesh.p.shape[1]
@@ -397,4 +405,5 @@ def _without_solution(common: dict[str, Any], problem: ContactProblem, ratio: fl
         success=False,
         stationarity="",
         stationarity_residual=nan,
+        solver_status=said,
     )

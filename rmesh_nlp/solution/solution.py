@@ -18,6 +18,7 @@ from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.multipliers import Multipliers
 from rmesh_nlp.solution import plotting
 from rmesh_nlp.solution.audit import Audit
+from rmesh_nlp.solution.verdict import Measured
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -147,6 +148,10 @@ class Solution:
         What the status leaves open, such as the degree of quadrature to take.
     given : Given or None
         The mesh as given, if edges were flipped: ``problem`` then is on the last mesh before the last moves.
+    solver_status : Status or None
+        How the solver says that it ended; ``status`` is the verdict on what it ended with.
+    measured : Measured or None
+        What the verdict rests on; None where the contact problem could not be solved.
     """
 
     problem: ContactProblem
@@ -180,6 +185,8 @@ class Solution:
     multipliers: Multipliers | None = None
     detail: str = ""
     given: Given | None = None
+    solver_status: Status | None = None
+    measured: Measured | None = field(default=None, repr=False)
 
     @property
     def message(self) -> str:
@@ -226,6 +233,7 @@ class Solution:
             "valid": self.valid,
             "improved": self.improved,
             "message": self.message,
+            "solver_status": None if self.solver_status is None else self.solver_status.value,
             "energy_initial": self.energy_initial,
             "energy": self.energy,
             "energy_initial_audited": self.energy_initial_audited,
@@ -326,6 +334,14 @@ def _step_row(step: Step) -> dict[str, Any]:
 def _gain(gain: float, initial: float) -> str:
     """A gain by itself and as a part of the initial value."""
     return figure(gain) + (f" ({100 * gain / abs(initial):.3g} %)" if initial else "")
+
+
+def interrupted(solution: Solution) -> Solution:
+    """A solution after which Ctrl-C ended the run; of one that is no success the message still says why."""
+    if solution.status is Status.INTERRUPTED:
+        return solution
+    why = "" if solution.success else f"That point is no success, {solution.status.value}: {solution.message}"
+    return replace(solution, status=Status.INTERRUPTED, detail=why)
 
 
 COUNTS = ("cold_contact_solves", "contact_factorisations", "kkt_factorisations")

@@ -19,7 +19,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.levels import refined
 from rmesh_nlp.solution.registry import accepted
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.solution import Solution, interrupted
 
 Solve = Callable[..., Solution]
 
@@ -60,9 +60,9 @@ class MultiStart:
             "start_energies": [None if np.isnan(e) else float(e) for e in self.energies],
             "start_spread": self.spread,
         }
-        last = self.solutions[-1].status
-        status = last if last is Status.INTERRUPTED else self.best.status
-        return replace(self.best, status=status, extra={**self.best.extra, **figures})
+        stopped = self.solutions[-1].status is Status.INTERRUPTED
+        best = interrupted(self.best) if stopped else self.best
+        return replace(best, extra={**best.extra, **figures})
 
 
 def multistart(

@@ -11,11 +11,13 @@ Stationary
     tolerance of the solve.
 
 A success is valid and improved, also if a limit stopped the solve. Converged is a success that is
-stationary, whatever the solver said.
+stationary, whatever the solver said. A status never contradicts that: where a solver failed after it had
+found a better mesh, the mesh is a success, its status is STALLED, and the solver's own word is kept beside.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from rmesh_nlp.optimize.status import Status
@@ -39,6 +41,12 @@ FAILURES = (
 )
 """Ends of a solver that say nothing for the point where it stopped: only a gain makes that a success."""
 
+MET = (Status.CONVERGED, Status.ACCEPTABLE, Status.NOT_STATIONARY)
+"""Ends of a solver that met a test of its own."""
+
+LIMITS = (Status.ITERATION_LIMIT, Status.TIME_LIMIT, Status.INTERRUPTED, Status.STALLED)
+"""Ends of a solver that leave the point where it stopped usable. Every other end is a failure."""
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -48,7 +56,8 @@ class Measured:
     ----------
     audit : Audit
     contact : Status
-        Of the contact solve on the final mesh.
+        Of the contact solves on the given and the final mesh, by the rules of the problem and of the
+        audit: CONVERGED if all of them have.
     consistent : bool
         Whether the strategy's own energy is that of the contact solve.
     gain, gain_audited : float
@@ -62,7 +71,9 @@ class Measured:
     stationary : bool
     penetrated : float
         Increase of the energy that penetration between contact nodes is worth,
-        :func:`rmesh_nlp.contact.penetration.penetration_work`.
+        :func:`rmesh_nlp.contact.penetration.penetration_work`, from the given mesh to the final one.
+    penetrated_given : float
+        The same on the given mesh.
     """
 
     audit: Audit
@@ -75,6 +86,13 @@ class Measured:
     is_energy: bool
     stationary: bool
     penetrated: float = 0.0
+    penetrated_given: float = 0.0
+
+    @property
+    def is_known(self) -> bool:
+        """Whether every figure that the verdict compares is a number."""
+        figures = (self.gain, self.gain_audited, self.decrease, self.size, self.penetrated)
+        return all(math.isfinite(figure) for figure in figures)
 
     @property
     def is_penetration(self) -> bool:
@@ -98,6 +116,8 @@ class Measured:
             return self.contact
         if not max(audit.equilibrium_residual, audit.complementarity_residual) <= TOLERANCE:
             return Status.INACCURATE
+        if not self.is_known:
+            return Status.EVALUATION_ERROR
         if not audit.penetration_excess <= 1:
             return Status.PENETRATION
         if self.exploited:
@@ -112,7 +132,16 @@ class Measured:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Three things apart, and what follows from them."""
+    """Three things apart, and what follows from them.
+
+    Whatever was measured, and whatever the solver said,
+
+    - a success is valid and improved, and its status is CONVERGED, NOT_STATIONARY or one of ``LIMITS``;
+    - the status is CONVERGED if and only if the solution is a success and stationary;
+    - what is valid and improved is a success, unless the solver failed and nothing was gained: then the
+      status is one of ``FAILURES``;
+    - what is valid but not improved is WORSE, and the status of what is not valid names the fault.
+    """
 
     valid: bool
     improved: bool
@@ -123,14 +152,17 @@ class Verdict:
 
 def verdict(said: Status, measured: Measured) -> Verdict:
     """Judge what was measured; ``said`` is how the solver says that it ended."""
-    fault, improved = measured.fault, measured.improved
+    fault, improved, stationary = measured.fault, measured.improved, measured.stationary
+    if fault is None and said in MET and not measured.consistent:
+        fault = Status.INACCURATE
     if fault is not None or not improved:
-        return Verdict(fault is None, improved, measured.stationary, False, fault or Status.WORSE)
-    if said is Status.CONVERGED and not measured.consistent:
-        return Verdict(True, True, measured.stationary, False, Status.INACCURATE)
-    if measured.stationary:
+        return Verdict(fault is None, improved, stationary, False, fault or Status.WORSE)
+    if stationary:
         return Verdict(True, True, True, True, Status.CONVERGED)
-    gained = measured.decrease > ROUNDING * measured.size
-    success = gained or said not in FAILURES
-    met = said in (Status.CONVERGED, Status.ACCEPTABLE)
-    return Verdict(True, True, False, success, Status.NOT_STATIONARY if met else said)
+    if said in MET:
+        return Verdict(True, True, False, True, Status.NOT_STATIONARY)
+    if said in LIMITS:
+        return Verdict(True, True, False, True, said)
+    if measured.decrease > ROUNDING * measured.size:  # the solver failed on the way from a valid, better mesh
+        return Verdict(True, True, False, True, Status.STALLED)
+    return Verdict(True, True, False, False, said if said in FAILURES else Status.FAILED)

@@ -27,7 +27,7 @@ from rmesh_nlp.solution.verdict import Measured, Verdict, verdict
         (
             Status.CONVERGED,
             replace(GOOD, consistent=False),
-            Verdict(True, True, True, False, Status.INACCURATE),
+            Verdict(False, True, True, False, Status.INACCURATE),
         ),
         (
             Status.CONVERGED,

@@ -8,6 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from support.verdicts import GOOD
 
 from formulations import fixed, joint, nested
@@ -19,9 +21,10 @@ from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, Plan
 from rmesh_nlp.problem.quadrature import polynomial_degree
 from rmesh_nlp.solution import audit as auditing
 from rmesh_nlp.solution import referee as refereeing
-from rmesh_nlp.solution.audit import equilibrium_residual, law_residual
+from rmesh_nlp.solution.audit import Audit, equilibrium_residual, law_residual
 from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.verdict import Measured, verdict
+from rmesh_nlp.solution.solution import interrupted
+from rmesh_nlp.solution.verdict import FAILURES, Measured, verdict
 
 
 def with_audit(**changes: Any) -> Measured:
@@ -86,11 +89,132 @@ def test_a_point_that_is_not_stationary_keeps_its_limit_and_may_be_a_success(
     assert (judged.status, judged.success, judged.stationary) == (status, True, False)
 
 
-def test_a_failed_solver_needs_a_gain() -> None:
+@pytest.mark.parametrize("said", [*FAILURES, Status.CYCLED, Status.INACCURATE, Status.INVALID_MESH])
+def test_a_failed_solver_needs_a_gain(said: Status) -> None:
     still = replace(GOOD, stationary=False, gain=0.0, gain_audited=0.0, decrease=0.0)
-    assert not verdict(Status.FAILED, still).success
-    assert verdict(Status.TIME_LIMIT, still).success
-    assert not verdict(Status.CONVERGED, replace(GOOD, consistent=False)).success
+    judged = verdict(said, still)
+    assert not judged.success
+    assert judged.status is (said if said in FAILURES else Status.FAILED)
+    # a success is never called infeasible: the better mesh is one at which the solver got stuck
+    gained = verdict(said, replace(GOOD, stationary=False))
+    assert (gained.status, gained.success) == (Status.STALLED, True)
+
+
+def test_an_energy_that_the_solver_made_up_is_a_fault() -> None:
+    judged = verdict(Status.CONVERGED, replace(GOOD, consistent=False))
+    assert (judged.status, judged.valid, judged.success) == (Status.INACCURATE, False, False)
+    # of a point where a limit stopped a solver it is no claim
+    assert verdict(Status.TIME_LIMIT, replace(GOOD, consistent=False)).success
+
+
+figures = st.one_of(
+    st.sampled_from([0.0, 1e-12, -1e-12, 0.1, 0.0899, 0.0901, -0.1, 0.05, float("nan"), float("inf")]),
+    st.floats(-1, 1),
+)
+residuals = st.sampled_from([0.0, 9.9e-7, 1e-6, 1.1e-6, float("nan"), float("inf")])
+measurements = st.builds(
+    Measured,
+    audit=st.builds(
+        Audit,
+        energy_audited=figures,
+        equilibrium_residual=residuals,
+        complementarity_residual=residuals,
+        min_area_ratio=st.sampled_from([0.5, 0.0, -1.0, float("nan")]),
+        penetration=st.just(0.0),
+        penetration_excess=st.sampled_from([0.0, 1.0, 1.1, float("nan")]),
+    ),
+    contact=st.sampled_from([Status.CONVERGED, Status.CONVERGED, Status.CYCLED, Status.ITERATION_LIMIT]),
+    consistent=st.booleans(),
+    gain=figures,
+    gain_audited=figures,
+    decrease=figures,
+    size=st.sampled_from([0.0, 1.0, 1e3, float("nan")]),
+    is_energy=st.booleans(),
+    stationary=st.booleans(),
+    penetrated=figures,
+)
+sound = st.builds(
+    lambda gain, decrease, penetrated, is_energy, stationary, consistent: replace(
+        GOOD,
+        gain=gain,
+        gain_audited=gain,
+        decrease=decrease,
+        penetrated=penetrated,
+        is_energy=is_energy,
+        stationary=stationary,
+        consistent=consistent,
+    ),
+    *3 * [figures],
+    *3 * [st.booleans()],
+)
+LEGITIMATE = {"converged", "not_stationary", "stalled", "iteration_limit", "time_limit", "interrupted"}
+"""What docs/verdict.md allows as the status of a success."""
+FAILED = {"infeasible", "unbounded", "too_few_freedoms", "evaluation_error", "failed"}
+FAULTS = {
+    "invalid_mesh", "cycled", "iteration_limit", "inaccurate", "evaluation_error", "penetration",
+    "quadrature-exploited", "penetration-exploited",
+}  # fmt: skip
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.sampled_from(list(Status)), st.one_of(measurements, sound))
+def test_no_verdict_contradicts_itself(said: Status, measured: Measured) -> None:
+    judged = verdict(said, measured)
+    word = judged.status.value
+    assert judged.stationary == measured.stationary
+    assert (word == "converged") == (judged.success and judged.stationary)
+    if judged.success:
+        audit, numbers = measured.audit, (measured.gain, measured.gain_audited, measured.decrease)
+        assert judged.valid
+        assert judged.improved
+        assert word in LEGITIMATE
+        assert max(audit.equilibrium_residual, audit.complementarity_residual) <= 1e-6
+        assert audit.min_area_ratio > 0
+        assert np.all(np.isfinite([*numbers, measured.penetrated]))
+        assert measured.contact is Status.CONVERGED
+        assert measured.decrease >= -1e-9 * measured.size
+        if measured.is_energy and max(map(abs, numbers)) > 1e-3 * measured.size:
+            assert abs(measured.gain - measured.gain_audited) <= 0.11 * max(map(abs, numbers))
+    elif not judged.valid:
+        assert word in FAULTS
+    elif not judged.improved:
+        assert word == "worse"
+    else:
+        assert word in FAILED
+        assert not measured.decrease > 1e-9 * measured.size
+
+
+def test_a_contact_solve_that_failed_anywhere_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also one of the audit, or on the given mesh: a gain is a difference of four of them."""
+    problem = EXAMPLES["6.2"]((4, 2))
+    for number in range(2):
+        referee = Referee(problem)
+        solve, calls = referee._auditor.solve, []
+
+        def failing(nodes, start=None, solve=solve, calls=calls, number=number):
+            calls.append(nodes)
+            found = solve(nodes, start)
+            return replace(found, status=Status.CYCLED) if len(calls) == number + 1 else found
+
+        monkeypatch.setattr(referee._auditor, "solve", failing)
+        common: dict[str, Any] = {"status": Status.CONVERGED, "history": [], "iterations": 0}
+        found = referee.judge("x", np.zeros(referee.relocation.n_q), contact_solves=1, **common)
+        assert (found.status, found.valid, found.success) == (Status.CYCLED, False, False)
+    sick = Referee(problem)
+    sick.initial = replace(sick.initial, status=Status.ITERATION_LIMIT)
+    found = sick.judge("x", np.zeros(sick.relocation.n_q), contact_solves=1, **common)
+    assert (found.status, found.success) == (Status.ITERATION_LIMIT, False)
+    assert found.record()["solver_status"] == "converged"
+
+
+def test_ctrl_c_after_a_solve_does_not_hide_a_fault() -> None:
+    good = fixed.solve(EXAMPLES["6.2"]((4, 2)))
+    stopped = interrupted(good)
+    assert (stopped.status, stopped.success) == (Status.INTERRUPTED, True)
+    assert stopped.message == Status.INTERRUPTED.message
+    bad = interrupted(replace(good, status=Status.WORSE, success=False, improved=False))
+    assert (bad.status, bad.success) == (Status.INTERRUPTED, False)
+    assert "no success, worse" in bad.message
 
 
 def test_a_worse_mesh_is_no_success_and_the_degree_to_take_is_named() -> None:
