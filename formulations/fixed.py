@@ -12,7 +12,7 @@ from rmesh_nlp.contact import model
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import Settings, check_limits, check_positive
+from rmesh_nlp.settings import Count, Settings, check_limits
 from rmesh_nlp.solution.beginning import Start
 from rmesh_nlp.solution.history import TIME_LIMIT_S
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
@@ -30,10 +30,7 @@ class FixedSettings(Settings):
         Factorisations that the contact solve may take.
     """
 
-    max_iterations: int = model.MAX_ITERATIONS
-
-    def __post_init__(self) -> None:
-        check_positive(max_iterations=self.max_iterations)
+    max_iterations: Count = model.MAX_ITERATIONS
 
 
 @ignoring("start", "seed", "tolerance", "time_limit_s")

@@ -6,13 +6,12 @@ Outer and inner objective are the same energy, so the bilevel problem collapses 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -24,7 +23,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.energy_program import Relocation, relocation
 from rmesh_nlp.programs.reduced import ReducedPoint
-from rmesh_nlp.settings import Settings, check_limits, check_positive
+from rmesh_nlp.settings import Count, Limit, Positive, Settings, check_limits
 from rmesh_nlp.solution.beginning import Start, beginning
 from rmesh_nlp.solution.flipping import solve_with_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
@@ -76,20 +75,14 @@ class JointSettings(Settings):
         Further Ipopt options, which override all others.
     """
 
-    max_iterations: int = 3000
-    tol: float = 1e-10
-    acceptable_tol: float = 1e-7
-    tol_areas: float = 1e-12
-    acceptable_tol_areas: float = 1e-9
-    fine: int = 3000
-    alternating: float = 0.3
+    max_iterations: Limit = 3000
+    tol: Positive = 1e-10
+    acceptable_tol: Positive = 1e-7
+    tol_areas: Positive = 1e-12
+    acceptable_tol_areas: Positive = 1e-9
+    fine: Count = 3000
+    alternating: Positive = 0.3
     ipopt: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        names = [f.name for f in fields(self) if f.name not in ("ipopt", "max_iterations")]
-        check_positive(**{name: getattr(self, name) for name in names})
-        if not (isinstance(self.max_iterations, int) and self.max_iterations >= 0):
-            raise BadInputError(f"max_iterations must be a number >= 0, got {self.max_iterations!r}")
 
     def options(self, areas: bool, unit: float) -> dict[str, Any]:
         """Ipopt's options, the objective in units of ``unit``, ``areas`` as constraints or without."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, fields
-from typing import Any, TypeVar
+from dataclasses import MISSING, Field, dataclass, fields, replace
+from functools import cache
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from rmesh_nlp.errors import BadInputError, unknown
 
@@ -12,12 +14,64 @@ S = TypeVar("S", bound="Settings")
 
 
 @dataclass(frozen=True)
+class Number:
+    """What a number may be: finite and above ``above``, and below ``below``.
+
+    Attributes
+    ----------
+    above, below : float
+    whole : bool
+        An int, not a float that happens to be whole.
+    zero : bool
+        0 may be too.
+    infinite : bool
+        Infinity may be too, such as for a limit that is none.
+    """
+
+    above: float = 0.0
+    below: float = math.inf
+    whole: bool = False
+    zero: bool = False
+    infinite: bool = False
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise a BadInputError that names the value if it is not such a number."""
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if number and ((self.zero and value == 0) or (self.infinite and value == math.inf)):
+            return
+        if not (number and 0 < value < math.inf):
+            what = "finite and not negative" if self.zero else "positive and finite"
+            raise BadInputError(f"{name} must be {what}, got {value!r}")
+        if not value > self.above:
+            raise BadInputError(f"{name} must be above {self.above:g}, got {value!r}")
+        if not value < self.below:
+            raise BadInputError(f"{name} must be below {self.below:g}, got {value!r}")
+        if self.whole and not isinstance(value, int):
+            raise BadInputError(f"{name} must be a whole number, got {value!r}")
+
+
+Positive = Annotated[float, Number()]
+Part = Annotated[float, Number(below=1.0)]
+Factor = Annotated[float, Number(above=1.0)]
+Count = Annotated[int, Number(whole=True)]
+Limit = Annotated[int, Number(whole=True, zero=True)]
+Seconds = Annotated[float, Number(infinite=True)]
+
+
+@dataclass(frozen=True)
 class Settings:
     """Base of the settings of a method.
 
     A subclass is a frozen dataclass all of whose fields have defaults, each documented with its source
-    or with the benchmark that chose it. Fields may be settings themselves.
+    or with the benchmark that chose it. A field's type says what it may be: one of the types of number
+    above, by itself, in a tuple, or as an alternative to None; or settings themselves. Only what concerns
+    several fields is left to the subclass.
     """
+
+    def __post_init__(self) -> None:
+        own: Any = type(self)
+        for name, kind in _kinds(own).items():
+            _check(name, getattr(self, name), kind)
 
     @classmethod
     def of(cls: type[S], given: Settings | Mapping[str, Any] | None) -> S:
@@ -34,15 +88,25 @@ class Settings:
             return given
         if isinstance(given, Settings):
             raise BadInputError(f"expected settings of kind {cls.__name__}, got {type(given).__name__}")
-        known = {field.name: field for field in fields(cls)}
+        return cls().having(given)
+
+    def having(self: S, given: Mapping[str, Any]) -> S:
+        """These settings with other values of some fields.
+
+        Raises
+        ------
+        BadInputError
+            If there is no such field.
+        """
+        known = {field.name for field in fields(self)}
         values = {}
         for name, value in given.items():
             if name not in known:
-                raise unknown("setting", name, known)
-            default = _default(known[name])
-            inner = isinstance(default, Settings) and isinstance(value, Mapping)
-            values[name] = type(default).of(value) if inner else value
-        return cls(**values)
+                raise unknown("setting", name, sorted(known))
+            now = getattr(self, name)
+            inner = isinstance(now, Settings) and isinstance(value, Mapping)
+            values[name] = now.having(value) if inner else value
+        return replace(self, **values)
 
     def changed(self) -> dict[str, Any]:
         """The fields that differ from their defaults, as plain values."""
@@ -62,12 +126,34 @@ def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else value
 
 
+@cache
+def _kinds(settings: type[Any]) -> dict[str, Any]:
+    hints = get_type_hints(settings, include_extras=True)
+    return {field.name: hints[field.name] for field in fields(settings)}
+
+
+def _check(name: str, value: Any, kind: Any) -> None:
+    """Raise a BadInputError if a value is not what the type of its field says, beyond what Python's says."""
+    if get_origin(kind) is Annotated:
+        for rule in get_args(kind)[1:]:
+            rule.check(name, value)
+    elif type(None) in get_args(kind):
+        if value is not None:
+            _check(name, value, get_args(kind)[0])
+    elif get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is Annotated:
+        if not (isinstance(value, (tuple, list)) and value):
+            raise BadInputError(f"{name} must be one or more numbers, got {value!r}")
+        for one in value:
+            _check(name, one, get_args(kind)[0])
+    elif isinstance(kind, type) and issubclass(kind, Settings) and not isinstance(value, kind):
+        raise BadInputError(f"{name} must be settings of the method, or a mapping, got {value!r}")
+
+
 def check_positive(**values: float | None) -> None:
     """Raise a BadInputError for a value that is not positive and finite; None stands for a default."""
     for name, value in values.items():
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if value is not None and not (number and 0 < value < float("inf")):
-            raise BadInputError(f"{name} must be positive and finite, got {value!r}")
+        if value is not None:
+            Number().check(name, value)
 
 
 def check_limits(*, tolerance: float, max_iterations: int | None, time_limit_s: float) -> None:

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array, Evaluator
-from rmesh_nlp.settings import Settings, check_positive
+from rmesh_nlp.settings import Count, Settings
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,8 @@ class AssemblySettings(Settings):
         Elements at a time, so that what is being worked on stays in the cache.
     """
 
-    numpy_from: int = 1000
-    chunk: int = 4096
-
-    def __post_init__(self) -> None:
-        check_positive(numpy_from=self.numpy_from, chunk=self.chunk)
+    numpy_from: Count = 1000
+    chunk: Count = 4096
 
 
 USUAL = AssemblySettings()

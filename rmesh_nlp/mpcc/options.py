@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
+from rmesh_nlp.settings import Count, Part, Positive, Seconds, Settings, check_positive
 
 _RELAXED: Mapping[str, Any] = {
     "tol": 1e-8,
@@ -53,7 +54,7 @@ _WARM_EXACT: Mapping[str, Any] = {
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(Settings):
     """How an MPCC is solved.
 
     Attributes
@@ -107,46 +108,35 @@ class Options:
     """
 
     relaxation: str = "scholtes"
-    t0: float = 1.0
-    factor: float = 0.1
-    t_final: float = 1e-8
+    t0: Positive = 1.0
+    factor: Part = 0.1
+    t_final: Positive = 1e-8
     rescues: tuple[tuple[str, float], ...] = (
         ("steffensen-ulbrich", 1.0),
         ("scholtes", 1e-3),
         ("l1-penalty", 1.0),
     )
-    crossover: float = 1e-2
+    crossover: Positive = 1e-2
     warm_duals: bool = False
     warm_finish: bool = True
     newton_finish: bool = True
     tie_barrier: bool = False
     second_path: bool = True
-    time_limit_s: float = math.inf
-    max_iterations: int | None = None
-    feasibility: float = 1e-8
-    complementarity: float = 1e-8
-    activity: float = BOUND_OF_AN_NLP
-    corner: float = ZERO
-    stationarity: float = 1e-6
-    max_pivots: int = 30
+    time_limit_s: Seconds = math.inf
+    max_iterations: Count | None = None
+    feasibility: Positive = 1e-8
+    complementarity: Positive = 1e-8
+    activity: Positive = BOUND_OF_AN_NLP
+    corner: Positive = ZERO
+    stationarity: Positive = 1e-6
+    max_pivots: Count = 30
     ipopt_relaxed: Mapping[str, Any] = field(default_factory=dict)
     ipopt_exact: Mapping[str, Any] = field(default_factory=dict)
     ipopt_warm: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        positive = {name: getattr(self, name) for name in ("t0", "t_final", "crossover")}
-        positive.update({f"t0 of rescue {name}": t for name, t in self.rescues})
-        for name, value in positive.items():
-            if not 0 < value < float("inf"):
-                raise ValueError(f"{name} = {value} must be positive and finite")
-        if not 0 < self.factor < 1:
-            raise ValueError(f"factor = {self.factor} must lie between 0 and 1")
-        if not self.time_limit_s > 0:
-            raise ValueError(f"time_limit_s = {self.time_limit_s} must be positive")
-        if self.max_iterations is not None and self.max_iterations < 1:
-            raise ValueError(f"max_iterations = {self.max_iterations} must be at least 1")
-        if self.max_pivots < 1:
-            raise ValueError(f"max_pivots = {self.max_pivots} must be at least 1")
+        super().__post_init__()
+        check_positive(**{f"t0 of rescue {name}": t for name, t in self.rescues})
         if self.t_final > self.t0:
             raise ValueError(f"t_final = {self.t_final} lies above t0 = {self.t0}")
 

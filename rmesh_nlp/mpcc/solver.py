@@ -37,7 +37,7 @@ class MPCCSolver:
 
     def __init__(self, mpcc: MPCC, options: Options | None = None, **changes: object) -> None:
         self.mpcc = mpcc
-        self.options = replace(options or Options(), **changes)  # type: ignore[arg-type]
+        self.options = (options or Options()).having(changes)
         self.programs = Programs(mpcc, self.options)
 
     def __call__(

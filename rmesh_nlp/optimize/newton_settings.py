@@ -2,27 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.optimize.activity import ROW_OF_A_STEP
-from rmesh_nlp.settings import Settings, check_positive
-
-
-def _check(settings: Settings, parts: tuple[str, ...] = (), counts: tuple[str, ...] = ()) -> None:
-    """Positive numbers; those of ``parts`` below 1, those of ``counts`` whole."""
-    numbers = {
-        one.name: getattr(settings, one.name)
-        for one in fields(settings)
-        if not isinstance(getattr(settings, one.name), Settings)
-    }
-    check_positive(**numbers)
-    for name in parts:
-        if not numbers[name] < 1:
-            raise BadInputError(f"{name} must be below 1, got {numbers[name]!r}")
-    for name in counts:
-        if not isinstance(numbers[name], int):
-            raise BadInputError(f"{name} must be a whole number, got {numbers[name]!r}")
+from rmesh_nlp.settings import Count, Factor, Part, Positive, Settings
 
 
 def _check_trust(settings: NewtonSettings | LocalNewtonSettings) -> None:
@@ -56,18 +40,14 @@ class StepSettings(Settings):
         Lengths that a projected search tries.
     """
 
-    max_products: int = 40
-    max_products_walled: int = 250
-    worthwhile: float = 0.06
-    overshoot: float = 2.0
-    decrease: float = 0.01
-    shorten_cauchy: float = 0.25
-    shorten: float = 0.5
-    searches: int = 30
-
-    def __post_init__(self) -> None:
-        counts = ("max_products", "max_products_walled", "searches")
-        _check(self, ("worthwhile", "decrease", "shorten_cauchy", "shorten"), counts)
+    max_products: Count = 40
+    max_products_walled: Count = 250
+    worthwhile: Part = 0.06
+    overshoot: Positive = 2.0
+    decrease: Part = 0.01
+    shorten_cauchy: Part = 0.25
+    shorten: Part = 0.5
+    searches: Count = 30
 
 
 @dataclass(frozen=True)
@@ -96,21 +76,16 @@ class ProjectionSettings(Settings):
         Least part of the slope of the dual that an accepted step gives (Armijo's rule).
     """
 
-    max_steps: int = 200
-    exact: float = 1e-10
-    held: float = ROW_OF_A_STEP
-    regular: float = 1e-10
-    damping: float = 1e-4
-    damping_up: float = 10.0
-    damping_down: float = 0.01
-    shorten: float = 0.3
-    searches: int = 8
-    sufficient: float = 1e-4
-
-    def __post_init__(self) -> None:
-        _check(self, ("damping_down", "shorten", "sufficient"), ("max_steps", "searches"))
-        if not self.damping_up > 1:
-            raise BadInputError(f"damping_up must be above 1, got {self.damping_up!r}")
+    max_steps: Count = 200
+    exact: Positive = 1e-10
+    held: Positive = ROW_OF_A_STEP
+    regular: Positive = 1e-10
+    damping: Positive = 1e-4
+    damping_up: Factor = 10.0
+    damping_down: Part = 0.01
+    shorten: Part = 0.3
+    searches: Count = 8
+    sufficient: Part = 1e-4
 
 
 @dataclass(frozen=True)
@@ -145,22 +120,22 @@ class NewtonSettings(Settings):
     projection : ProjectionSettings
     """
 
-    forcing: float = 0.1
-    first_radius: float = 0.5
-    close: float = 1e-2
-    crowded: int = 20
-    negligible: float = 1e-10
-    creeping: float = 0.8
-    sufficient: float = 1e-4
-    poor: float = 0.25
-    good: float = 0.75
-    shrink: float = 0.25
-    grow: float = 4.0
+    forcing: Part = 0.1
+    first_radius: Positive = 0.5
+    close: Positive = 1e-2
+    crowded: Count = 20
+    negligible: Part = 1e-10
+    creeping: Part = 0.8
+    sufficient: Positive = 1e-4
+    poor: Positive = 0.25
+    good: Positive = 0.75
+    shrink: Positive = 0.25
+    grow: Positive = 4.0
     step: StepSettings = field(default_factory=StepSettings)
     projection: ProjectionSettings = field(default_factory=ProjectionSettings)
 
     def __post_init__(self) -> None:
-        _check(self, ("forcing", "negligible", "creeping"), ("crowded",))
+        super().__post_init__()
         _check_trust(self)
 
 
@@ -194,19 +169,19 @@ class LocalNewtonSettings(Settings):
     step : StepSettings
     """
 
-    forcing: float = 0.1
-    first: float = 1.0
-    least: float = 1e-6
-    hidden: float = 0.05
-    rounding: float = 1e-14
-    nothing: float = 1e-20
-    sufficient: float = 1e-4
-    poor: float = 0.25
-    good: float = 0.75
-    shrink: float = 0.25
-    grow: float = 2.0
+    forcing: Part = 0.1
+    first: Positive = 1.0
+    least: Part = 1e-6
+    hidden: Part = 0.05
+    rounding: Part = 1e-14
+    nothing: Part = 1e-20
+    sufficient: Positive = 1e-4
+    poor: Positive = 0.25
+    good: Positive = 0.75
+    shrink: Positive = 0.25
+    grow: Positive = 2.0
     step: StepSettings = field(default_factory=StepSettings)
 
     def __post_init__(self) -> None:
-        _check(self, ("forcing", "least", "hidden", "rounding", "nothing"))
+        super().__post_init__()
         _check_trust(self)

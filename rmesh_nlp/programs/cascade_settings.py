@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.programs.regularisation import regularised, weights
-from rmesh_nlp.settings import Settings, check_positive
+from rmesh_nlp.settings import Count, Limit, Positive, Settings
 
 
 @dataclass(frozen=True)
@@ -44,34 +43,22 @@ class CascadeSettings(Settings):
         Contact solves of all meshes together after which ``auto`` does not go on to a stationary point.
     """
 
-    regularisation: float = 0.003
+    regularisation: Positive = 0.003
     distortion: str = "shape-size"
     schedules: tuple[tuple[float, ...], ...] = ((1.0, 0.1),)
-    coarsest: int = 60
-    thorough: int = 1200
-    end: float = 1e-3
-    continued: float = 1e-2
-    iterations: int = 60
-    brief: int = 8
-    brief_unnested: int = 20
-    stationary: int = 1200
-    finish: int = 120
-    most: int = 200
+    coarsest: Count = 60
+    thorough: Count = 1200
+    end: Positive = 1e-3
+    continued: Positive = 1e-2
+    iterations: Count = 60
+    brief: Count = 8
+    brief_unnested: Count = 20
+    stationary: Limit = 1200
+    finish: Count = 120
+    most: Count = 200
 
     def __post_init__(self) -> None:
-        check_positive(
-            coarsest=self.coarsest,
-            thorough=self.thorough,
-            end=self.end,
-            continued=self.continued,
-            iterations=self.iterations,
-            brief=self.brief,
-            brief_unnested=self.brief_unnested,
-            finish=self.finish,
-            most=self.most,
-        )
+        super().__post_init__()
         regularised(1.0, self.regularisation, self.distortion)
-        if not self.regularisation > 0:
-            raise BadInputError("the cascade needs a regularisation above 0: it keeps the elements valid")
         for schedule in self.schedules:
             weights((*schedule, self.regularisation), "a schedule of the cascade")

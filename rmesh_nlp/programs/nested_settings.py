@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.optimize.newton_settings import LocalNewtonSettings, NewtonSettings
-from rmesh_nlp.settings import Settings, check_positive
+from rmesh_nlp.settings import Count, Positive, Settings
 
 
 @dataclass(frozen=True)
@@ -71,40 +70,26 @@ class NestedSettings(Settings):
         Further Ipopt options, which override all others.
     """
 
-    max_iterations: int | None = None
-    exact: int = 1500
-    along_areas: int = 40
-    tol_exact: float = 1e-12
-    acceptable_tol_exact: float = 1e-9
-    warm_barrier: float = 1e-8
-    warm_push: float = 1e-6
-    memory: int = 50
-    tol: float = 1e-6
-    boxed_curvature: float = 1e-2
-    tight: float = 1e-4
-    enough: float | None = None
-    loose: float = 1.5e-3
-    alternating: float = 0.1
-    large_moves: float = 1e-15
-    blocks: tuple[int, ...] = (16, 8)
-    scipy_tol: float = 1e-8
+    max_iterations: Count | None = None
+    exact: Count = 1500
+    along_areas: Count = 40
+    tol_exact: Positive = 1e-12
+    acceptable_tol_exact: Positive = 1e-9
+    warm_barrier: Positive = 1e-8
+    warm_push: Positive = 1e-6
+    memory: Count = 50
+    tol: Positive = 1e-6
+    boxed_curvature: Positive = 1e-2
+    tight: Positive = 1e-4
+    enough: Positive | None = None
+    loose: Positive = 1.5e-3
+    alternating: Positive = 0.1
+    large_moves: Positive = 1e-15
+    blocks: tuple[Count, ...] = (16, 8)
+    scipy_tol: Positive = 1e-8
     newton: NewtonSettings = field(default_factory=NewtonSettings)
     local_newton: LocalNewtonSettings = field(default_factory=LocalNewtonSettings)
     ipopt: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        numbers = [
-            f.name for f in fields(self) if f.name not in ("ipopt", "blocks", "newton", "local_newton")
-        ]
-        check_positive(**{name: getattr(self, name) for name in numbers})
-        if not isinstance(self.newton, NewtonSettings):
-            raise BadInputError(f"newton must be settings of the method, or a mapping, got {self.newton!r}")
-        if not isinstance(self.local_newton, LocalNewtonSettings):
-            raise BadInputError(
-                f"local_newton must be settings of the method, or a mapping, got {self.local_newton!r}"
-            )
-        if not self.blocks or not all(isinstance(size, int) and size > 0 for size in self.blocks):
-            raise BadInputError(f"blocks must be whole numbers above 0, got {self.blocks!r}")
 
     def options(self, boxed: bool) -> dict[str, Any]:
         """Ipopt's options."""

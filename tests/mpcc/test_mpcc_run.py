@@ -104,7 +104,7 @@ def test_the_time_limit_holds_within_an_nlp():
 
 @pytest.mark.parametrize(("name", "value"), [("time_limit_s", 0), ("max_iterations", 0), ("max_pivots", 0)])
 def test_limits_out_of_range_are_refused(name, value):
-    with pytest.raises(ValueError, match=f"{name} = 0 must be"):
+    with pytest.raises(ValueError, match=f"{name} must be positive and finite, got 0"):
         Options(**{name: value})
 
 
