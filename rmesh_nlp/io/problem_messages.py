@@ -85,8 +85,8 @@ def pydantic_line(path: Path, item: Any, data: dict[str, Any]) -> str:
             location[0] = f"{location[0]}[{number + 1}]"
     key = ".".join(location) or "file"
     if item["type"] == "extra_forbidden":
-        known = _known_keys(location[:-1])
-        return f"{path}: {key} = {as_text(item['input'])}: unknown key{nearest(location[-1], known)}"
+        hint = _home(location[-1]) or nearest(location[-1], _known_keys(location[:-1]))
+        return f"{path}: {key} = {as_text(item['input'])}: unknown key{hint}"
     if item["type"] == "missing":
         return f"{path}: {key} = nothing: expected, but it is missing"
     if item["type"] == "literal_error":
@@ -121,6 +121,14 @@ def _known_keys(location: list[str]) -> list[str]:
     """Keys that the table at this place may have."""
     place = "materials" if location[:1] == ["materials"] else re.sub(r"\[\d+\]", "", ".".join(location))
     return list(_TABLES.get(place, ProblemTable).model_fields)
+
+
+def _home(name: str) -> str:
+    """The end of a message about a key that stands in the wrong table; empty if no table has it."""
+    homes = [place for place, table in _TABLES.items() if name in table.model_fields and place != "materials"]
+    if homes:
+        return f" here: it belongs in {' or '.join(f'[{place}]' for place in homes)}"
+    return " here: it belongs at the top of the file" if name in ProblemTable.model_fields else ""
 
 
 def nearest(name: str, known: list[str]) -> str:

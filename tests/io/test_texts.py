@@ -1,5 +1,6 @@
 """What people read when something of theirs is wrong, and when they print a result."""
 
+import re
 from pathlib import Path
 
 import casadi as ca
@@ -60,6 +61,21 @@ def test_missing_quotes_are_named_with_their_key(tmp_path: Path, old: str, new: 
     assert f"{path}: {key} = " in str(caught.value)
     assert "expressions need quotes (line" in str(caught.value)
     assert str(caught.value).endswith(f"as in {message}")
+
+
+@pytest.mark.parametrize(
+    ("text", "home"),
+    [
+        ('source = "x"\nmesh = { shape = "rectangle", nx = 2, ny = 2 }', "belongs in [material]"),
+        ('mesh = { shape = "rectangle", nx = 2, ny = 2, friction = 1 }', "belongs in [contact]"),
+        ('mesh = { shape = "rectangle", nx = 2, ny = 2, quadrature = 4 }', "belongs at the top of the file"),
+    ],
+)
+def test_a_key_in_the_wrong_table_is_sent_home(tmp_path: Path, text: str, home: str) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(text)
+    with pytest.raises(ProblemFileError, match=re.escape(home)):
+        load_problem(path)
 
 
 def test_other_errors_of_toml_stay_as_they_are(tmp_path: Path) -> None:
