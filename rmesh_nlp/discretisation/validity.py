@@ -9,7 +9,7 @@ is accepted as a start and as a solution.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.discretisation.freedoms import Freedoms
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import Assembled, assemble
+from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_field, without_elements
 from rmesh_nlp.fem.vectorised import USUAL, AssemblySettings
 from rmesh_nlp.problem import ContactProblem, signed_areas
@@ -73,6 +74,20 @@ class Validity:
     def assembled(self) -> Assembled:
         """The rows and their derivatives as functions of ``q`` and an empty ``p``."""
         return assemble([self.group], self.q, ca.MX(0, 1), self.size, self.assembly)
+
+    @property
+    def upright_group(self) -> ElementGroup:
+        """The same rows, the area not a number where the element is inverted.
+
+        Stiffness is divided by the area, so equilibrium can hold with inverted elements, too, and a solver
+        that may violate the rows goes there and does not come back. Ipopt shortens a step to a point where
+        a row is not a number: so it never gets there.
+        """
+        symbols = local_symbols(self.group.function)
+        f, rows = self.group.function(*symbols)
+        area, *angles = ca.vertsplit(rows)
+        upright = ca.vertcat(ca.if_else(area > 0, area, type(area)(np.nan)), *angles)
+        return replace(self.group, function=ca.Function("upright", symbols, [f, upright]))
 
     def without_rows(self) -> Validity:
         """No rows at all, where a barrier stands in their place."""

@@ -137,7 +137,7 @@ def bilevel(
         groups.append(gradient_group(weights.on(free.positions, slip), 1, n_u - (first + n_c), force))
     groups += bound_force_groups(parts.problem, n_u, friction)
     n_equations, area_bound = n_u + n_s, parts.validity.bound
-    validity = parts.validity.group
+    validity = parts.validity.upright_group
     groups.append(replace(validity, rows=validity.rows + n_equations))
     n_g = n_equations + area_bound.size
     pairs = [

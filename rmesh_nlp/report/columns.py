@@ -170,9 +170,13 @@ COSTS = (
 RESIDUALS = (
     STRATEGY,
     Column("equilibrium, own", _two("equil.", "own"), _number("own_equilibrium_residual", ".1e")),
-    Column("referee", _two("equil.", "referee"), _number("referee_equilibrium_residual", ".1e")),
+    Column("equilibrium, referee", _two("equil.", "referee"), _number("referee_equilibrium_residual", ".1e")),
     Column("complementarity, own", _two("compl.", "own"), _number("own_complementarity_residual", ".1e")),
-    Column("referee", _two("compl.", "referee"), _number("referee_complementarity_residual", ".1e")),
+    Column(
+        "complementarity, referee",
+        _two("compl.", "referee"),
+        _number("referee_complementarity_residual", ".1e"),
+    ),
     Column("stationarity", "stat.", _number("stationarity_residual", ".1e")),
     Column("biactive", "biactive", lambda record: _count(record.get("biactive_nodes"))),
     Column("label", "label", lambda record: label_in_words(record)),

@@ -13,6 +13,7 @@ from matplotlib.ticker import LogLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from rmesh_nlp.io.results import Record, Result
+from rmesh_nlp.problem.units import bracketed, units_of
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label
 from rmesh_nlp.report.style import TWO_COLUMNS, Look, look, new_figure
 
@@ -75,9 +76,11 @@ def curve(result: Result, unit: float | None = None) -> Curve | None:
 def convergence_figure(curves: Sequence[Curve], best: Record) -> Figure:
     """Distance to the best objective, on the left over iterations, on the right over cost.
 
-    Drawn is the value that the strategies see, by the problem's own rule.
+    Drawn is the value that the strategies see, by the problem's own rule. Energies are per unit of depth, so
+    their unit is that of force.
     """
     of_energy = best["objective"] == "energy"
+    unit = bracketed(units_of(best.get("units")).force) if of_energy else ""
     symbol = "J" if of_energy else "F"
     ends = [float(one.energy[-1]) for one in curves if one.feasible[-1]]
     reference = min(ends, default=float(best["energy" if of_energy else "objective_value"]))
@@ -90,11 +93,12 @@ def convergence_figure(curves: Sequence[Curve], best: Record) -> Figure:
         _draw(left, one.iteration, gap, one, look(position))
         _draw(right, one.cost, gap, one, look(position))
     left.set_yscale("log")
-    left.set_ylabel(f"|{symbol} − {symbol}*|,  {symbol}* = {reference:.6g}")
-    hollow = "" if all(one.feasible.all() for one in curves) else "\n(hollow: constraints not yet met)"
-    left.set_xlabel(f"iteration{hollow}")
+    least = f"{reference:.6g}".replace("-", "−")
+    left.set_ylabel(f"|{symbol} − {symbol}*|{unit},  {symbol}* = {least}")
+    hollow = "" if all(one.feasible.all() for one in curves) else "; hollow: constraints not yet met"
+    left.set_xlabel(f"iteration\n(drawn down to {_power(FLOOR)} |{symbol}*|{hollow})")
     right.set_xscale("log")
-    right.set_xlabel("cost [contact solves]\n(build and solve, in times of one)")
+    right.set_xlabel("cost\n(time of build and solve over that of one contact solve)")
     for axis in (left, right):
         axis.grid(color="0.9", linewidth=0.5)
         axis.minorticks_off()
@@ -104,6 +108,11 @@ def convergence_figure(curves: Sequence[Curve], best: Record) -> Figure:
     handles, names = left.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 5))
     return figure
+
+
+def _power(value: float) -> str:
+    """A power of ten as mathematics."""
+    return f"$10^{{{round(np.log10(value))}}}$"
 
 
 def _draw(axis: Axes, where: NDArray[np.float64], gap: NDArray[np.float64], one: Curve, style: Look) -> None:

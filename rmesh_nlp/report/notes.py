@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from rmesh_nlp.examples import PaperValues
 from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
 from rmesh_nlp.io.results import Record
+from rmesh_nlp.problem.units import units_of
 from rmesh_nlp.report.blocks import Block, audited, blocks, label
 
 ROUNDING = 1e-9
@@ -20,12 +21,14 @@ LEGEND = (
     "again with a rule of degree 20, on the given mesh and on the final one: strategies are compared by "
     "the latter.",
     "Least area: smallest element area over its initial value. Build + solve [solves]: their time over that "
-    "of one contact solve on the initial mesh, measured in the same run; the audit is no cost. Residuals are "
-    "dimensionless: own are those of the strategy's displacement and forces, the referee's those of its "
-    "contact solve on the strategy's mesh. Stationarity is the first-order residual of the outer problem, "
-    "relative to that on the given mesh. Label: the kind of stationarity that was computed; S (KKT) is "
-    "S-stationarity without a biactive pair, "
-    "which says no more than that the point is a KKT point.",
+    "of one contact solve on the initial mesh, measured in the same run; the audit is no cost.",
+    "Residuals are dimensionless. Own: those of the displacement and contact forces that the strategy "
+    "itself ended with. Referee: those of an independent contact solve on its final mesh; they say how well "
+    "that mesh can be solved on, not how well the strategy did. Stationarity: the first-order residual of "
+    "the outer problem, computed by the referee for every strategy, relative to that on the given mesh. "
+    "Biactive: pairs of gap and contact force that both vanish. Label: the kind of stationarity that was "
+    "computed; S (KKT) is S-stationarity without a biactive pair, which says no more than that the point is "
+    "a KKT point.",
     "Factorisations: those of the contact solver, and of KKT matrices at least as many as Ipopt took "
     "iterations; it does not say how often it repeated one. Common level and stationarity: what all "
     "successful strategies reach, and the cost until each was there first.",
@@ -36,6 +39,7 @@ def notes(records: Sequence[Record]) -> list[str]:
     """All notes to the tables of these records."""
     found = list(LEGEND)
     for block in blocks(records):
+        found += units_note(block)
         found += paper_notes(block)
         found += stick_zone(block)
         found += ranking(block)
@@ -46,6 +50,17 @@ def notes(records: Sequence[Record]) -> list[str]:
             if not record["success"]
         ]
     return found
+
+
+def units_note(block: Block) -> list[str]:
+    """The units of u and J where the problem names its own."""
+    units = units_of(block.records[0].get("units"))
+    if not (units.length and units.force):
+        return []
+    return [
+        f"Example {block.example}: u in {units.length}, J in {units.force}, "
+        f"the energy per {units.length} of depth."
+    ]
 
 
 def stick_zone(block: Block) -> list[str]:

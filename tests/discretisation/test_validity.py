@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.validity import is_valid
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
@@ -43,3 +44,18 @@ def test_a_least_angle_holds_with_and_without_a_barrier(by_barrier: bool) -> Non
     assert is_valid(problem(motion), squeezed(0.5), by_barrier=by_barrier)
     assert not is_valid(problem(motion), squeezed(0.1), by_barrier=by_barrier)
     assert is_valid(problem(replace(motion, min_angle=0.0)), squeezed(0.1), by_barrier=by_barrier)
+
+
+@pytest.mark.parametrize("min_angle", [0.0, 20.0])
+def test_an_inverted_element_is_not_a_number_and_no_other_is(min_angle: float) -> None:
+    stated = problem(Motion(delta=None, min_area_fraction=0.1, min_angle=min_angle))
+    validity = discretise(stated).validity
+    area0 = 0.125
+    for height, inverted in ((0.5, False), (1e-6, False), (-1e-6, True), (-0.3, True)):
+        corners = np.array([[0.0, 0.5, 0.0], [0.0, height, 0.5]]).ravel(order="F")
+        given = np.asarray(validity.group.function(corners, area0)[1]).ravel()
+        upright = np.asarray(validity.upright_group.function(corners, area0)[1]).ravel()
+        assert not np.any(np.isnan(given))
+        assert np.any(np.isnan(upright)) == inverted
+        if not inverted:
+            assert np.array_equal(upright, given)

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from formulations import joint, mpcc, mpcc_start, nested
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.discretisation.validity import least_area_ratio
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.optimize.nlp import NLP
@@ -196,3 +198,20 @@ def test_ipopts_barrier_is_no_relaxation_parameter() -> None:
     problem = coarse("6.1")
     assert {step.t for step in joint.solve(problem).history} == {np.inf}
     assert {step.t for step in nested.solve(problem, outer="newton").history} == {0.0}
+
+
+@pytest.mark.parametrize(("name", "n"), [("6.1", 3), ("6.2", (4, 2))])
+def test_without_boxes_no_iterate_inverts_an_element(name: str, n: Any) -> None:
+    given = EXAMPLES[name](n)
+    problem = replace(given, motion=replace(given.motion, delta=None), quadrature=6)
+    least: list[float] = []
+    solution = mpcc.solve(
+        problem, max_iterations=250, on_step=lambda step: least.append(area_at(problem, step.q))
+    )
+    assert solution.record()["status"] == "converged"
+    assert min(least) > 0
+
+
+def area_at(problem: ContactProblem, q: np.ndarray) -> float:
+    """The least element area at moves ``q``, over the initial one."""
+    return least_area_ratio(problem, discretise(problem).freedoms.positions.values(q))

@@ -114,10 +114,10 @@ MARKDOWN = """\
 | joint    | given |         44 |                       1 + 2 |                7; 44 or more |      0.02 |      0.06 |     0.003 |                     20 |         - | converged |
 | mpcc     |     - |          - |                           - |                            - |         - |         - |         - |                      - |         - |    failed |
 
-| strategy | equilibrium, own | referee | complementarity, own | referee | stationarity | biactive | label |
-|:---------|-----------------:|--------:|---------------------:|--------:|-------------:|---------:|------:|
-| joint    |          3.1e-09 | 4.7e-13 |              2.0e-10 |       0 |      2.9e-06 |        0 |   KKT |
-| mpcc     |                - |       - |                    - |       - |            - |        - |     - |
+| strategy | equilibrium, own | equilibrium, referee | complementarity, own | complementarity, referee | stationarity | biactive | label |
+|:---------|-----------------:|---------------------:|---------------------:|-------------------------:|-------------:|---------:|------:|
+| joint    |          3.1e-09 |              4.7e-13 |              2.0e-10 |                        0 |      2.9e-06 |        0 |   KKT |
+| mpcc     |                - |                    - |                    - |                        - |            - |        - |     - |
 
 ## Notes
 """  # noqa: E501
