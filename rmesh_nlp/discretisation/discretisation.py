@@ -8,7 +8,7 @@ its kind begins, and sums the same element terms on these fields.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -147,7 +147,7 @@ class Discretisation:
 
     def with_rule(self, rule: str | int) -> Discretisation:
         """The same with loads by another rule; what was made and does not depend on it is shared."""
-        other = Discretisation(replace(self.problem, quadrature=rule), self.assembly)
+        other = Discretisation(self.problem.with_rule(rule), self.assembly)
         kept = {name: made for name, made in vars(self).items() if name not in ("problem", "loads")}
         vars(other).update(kept)
         return other

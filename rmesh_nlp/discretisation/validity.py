@@ -28,6 +28,9 @@ ROUNDING = 1e-9
 """Slack of a validity row that counts as none, in parts of the initial area or in radians. An element whose
 row falls short by less is still valid; a descent keeps its active rows above their bound by so much."""
 
+BLOCK = 1024
+"""Elements whose 64 corners of the boxes are looked at together."""
+
 
 @dataclass(frozen=True)
 class Validity:
@@ -201,9 +204,11 @@ def _least_areas(free: Freedoms, triangles: NDArray) -> Array:
         boundless |= np.any(free.positions.bends.which[0][triangles] != STRAIGHT, axis=0)
     reach = np.where(np.isinf(bound), 0.0, bound) * np.abs(free.positions.scale)
     least = np.full(triangles.shape[1], np.inf)
-    for signs in itertools.product((-1.0, 1.0), repeat=6):
-        corner = np.reshape(signs, (2, 3, 1))
-        local = free.positions.offset[:, triangles] + corner * reach[:, triangles]
-        a, b, c = local[:, 0], local[:, 1], local[:, 2]
-        least = np.minimum(least, 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])))
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=6))).T.reshape(2, 3, -1, 1)
+    for part in np.array_split(np.arange(least.size), range(BLOCK, least.size, BLOCK)):
+        some = triangles[:, part]
+        offset, reach_there = free.positions.offset[:, some], reach[:, some]
+        a, b, c = (offset[:, i, None] + corners[:, i] * reach_there[:, i, None] for i in range(3))
+        area = 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]))
+        least[part] = np.min(area, axis=0)
     return np.where(boundless, -np.inf, least)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +33,13 @@ class ContactProblem(Statement):
             object.__setattr__(self, "mesh", onto_curves(self.mesh, self.motion.curves))
         except ValueError as error:
             raise ProblemError("curves", str(error)) from error
+
+    def with_rule(self, rule: str | int) -> ContactProblem:
+        """The same with another quadrature rule; what was checked does not depend on it, and is not again."""
+        other = copy(self)
+        object.__setattr__(other, "quadrature", rule)
+        vars(other).pop("rule", None)
+        return other
 
     def summary(self) -> list[tuple[str, str]]:
         """What the problem says, as (label, value) rows for people."""

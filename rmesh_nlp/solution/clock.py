@@ -19,7 +19,7 @@ TIMING_SECONDS = 0.05
 def timed(solve: Callable[[], T]) -> tuple[T, float]:
     """A result and the wall time that it takes, the median of a few where it is short."""
     seconds: list[float] = []
-    while len(seconds) < 5 and sum(seconds) < TIMING_SECONDS:
+    while not seconds or (len(seconds) < 5 and sum(seconds) < TIMING_SECONDS):
         began = time.perf_counter()
         result = solve()
         seconds.append(time.perf_counter() - began)

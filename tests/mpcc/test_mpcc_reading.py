@@ -328,7 +328,7 @@ def test_the_command_solves_files(tmp_path, capsys):
         (["x.gms"], "unknown format"),
         (["--families", "nothing"], "unknown family 'nothing'"),
         (["--families", "qpec", "--seeds", "0"], "--seeds 0"),
-        (["x.nl", "--time-limit", "0"], "time_limit_s = 0"),
+        (["x.nl", "--time-limit", "0"], "time_limit_s must be positive and finite, got 0"),
     ],
 )
 def test_the_command_refuses_bad_input_in_one_line(arguments, words, capsys):
