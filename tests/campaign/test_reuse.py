@@ -61,6 +61,7 @@ def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(
     assert all(row["success"] and row["status"] == "converged" for row in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["vtu", "history", "nodes", "nan"])
 def test_a_row_whose_files_are_missing_or_of_another_mesh_is_solved_again(
     cases: list[Case], tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
@@ -96,6 +97,7 @@ def test_rows_of_versions_that_counted_no_nodes_are_reused(cases: list[Case], tm
     assert resumed(cases, tmp_path) == []
 
 
+@pytest.mark.slow
 def test_more_repeats_or_a_certificate_are_a_reason_to_solve_again(cases: list[Case], tmp_path: Path) -> None:
     list(run(cases[:1], Results(tmp_path)))
     assert resumed([replace(cases[0], repeats=2)], tmp_path) == [cases[0].key]

@@ -59,6 +59,7 @@ def test_refusing_the_only_objective_is_no_success(tmp_path: Path) -> None:
     assert run([*arguments, "--objective", "error-l2"]) == 1
 
 
+@pytest.mark.slow
 def test_seeds_given_one_after_the_other_are_all_solved_and_joined(tmp_path: Path) -> None:
     arguments = ["compare", "6.1", "--n", "3", "--quadrature", "6", "--formulations", "joint", *QUICKLY]
     assert run([*arguments, "--seed", "1", "--seed", "2,3", "--out", str(tmp_path)]) == 0
@@ -66,6 +67,7 @@ def test_seeds_given_one_after_the_other_are_all_solved_and_joined(tmp_path: Pat
     assert "## Several starts" in (tmp_path / "table.md").read_text()
 
 
+@pytest.mark.slow
 def test_another_objective_joins_what_is_there(tmp_path: Path) -> None:
     arguments = ["compare", "6.1", "--n", "3", "--quadrature", "6", "--formulations", "nested", *QUICKLY]
     assert run([*arguments, "--objective", "energy", "--out", str(tmp_path)]) == 0

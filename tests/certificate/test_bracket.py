@@ -136,6 +136,7 @@ def test_a_load_that_jumps_inside_elements_is_flagged():
     assert "quadrature" in " ".join(found.why)
 
 
+@pytest.mark.slow
 def test_a_body_force_and_a_traction_that_vary_are_guaranteed_by_oscillation():
     """Against a mesh so fine that its own bracket says where the least energy is."""
     load = PlaneStrain(10.0, 8.0, (lambda x, y: ca.sin(3 * x), lambda x, y: -x * y))

@@ -40,6 +40,7 @@ def solved(arguments: list[str]) -> dict[str, object]:
     return record
 
 
+@pytest.mark.slow
 def test_weights_and_flips_are_given_in_the_file_or_on_the_command_line(square: Path) -> None:
     by_option = solved(["solve", str(square), "-f", "joint", "--regularisation", "0.1,0.02"])
     assert by_option["regularisation"] == [0.1, 0.02]
@@ -53,6 +54,7 @@ def test_weights_and_flips_are_given_in_the_file_or_on_the_command_line(square: 
     assert solved(["solve", str(square), "--regularisation", "0.5"])["regularisation"] == 0.5
 
 
+@pytest.mark.slow
 def test_compare_gives_the_weight_to_those_that_take_it(square: Path) -> None:
     strategies = ["--formulations", "fixed,joint", "--regularisation", "0.1"]
     cli.run(["compare", "6.1", "--n", "3", *strategies, "--out", "both", "-q", "--no-figures"])

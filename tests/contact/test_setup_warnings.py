@@ -95,6 +95,7 @@ def test_nearly_incompressible_plane_stress_does_not_lock() -> None:
     assert "locking" not in {warning.kind for warning in setup_warnings(problem)}
 
 
+@pytest.mark.slow
 def test_a_gain_that_is_penetration_is_told() -> None:
     # on a coarse mesh the contact nodes leave the ridge of the disc below them
     from support.contact_geometry import block_on_a_circle

@@ -99,6 +99,7 @@ def test_a_seed_starts_elsewhere_without_a_cascade() -> None:
     assert row["gain_audited"] > 0
 
 
+@pytest.mark.slow
 def test_the_rule_is_raised_until_the_audit_confirms_the_gain() -> None:
     source = Laplace(lambda x, y: 200 * ca.sin(17 * x) * ca.cos(19 * y))
     problem = ContactProblem(rectangle(8, 8), source, ("left", "right"), motion=Motion(None))
@@ -130,6 +131,7 @@ def test_bad_settings_are_refused(bad: dict) -> None:
         auto.solve(no_boxes(EXAMPLES["6.1"](n=4)), settings=bad)
 
 
+@pytest.mark.slow
 def test_many_moves_in_boxes_are_made_by_newton(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = EXAMPLES["6.1"](n=8)
     by_joint = auto.solve(problem).record()
@@ -264,6 +266,7 @@ class Interrupting:
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_ctrl_c_on_a_coarse_mesh_keeps_the_map_that_there_is() -> None:
     problem = no_boxes(EXAMPLES["6.1"](n=16))
     press = Interrupting(lambda step: step.iteration == 6)
@@ -275,6 +278,7 @@ def test_ctrl_c_on_a_coarse_mesh_keeps_the_map_that_there_is() -> None:
     assert solution.record()["gain_audited"] > 0
 
 
+@pytest.mark.slow
 def test_ctrl_c_on_the_way_to_a_stationary_point_keeps_the_best_mesh() -> None:
     problem = no_boxes(EXAMPLES["6.1"](n=8))
     # the steps of that way are the ones of which no limit of iterations is known
@@ -288,6 +292,7 @@ def test_ctrl_c_on_the_way_to_a_stationary_point_keeps_the_best_mesh() -> None:
     assert solution.record()["gain_audited"] > 0
 
 
+@pytest.mark.slow
 def test_steps_of_a_cascade_say_residual_gain_and_time_left() -> None:
     steps: list[Step] = []
     problem = replace(no_boxes(EXAMPLES["6.1"](n=16)), quadrature=6)

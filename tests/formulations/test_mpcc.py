@@ -115,6 +115,7 @@ def test_early_stages_relax_a_true_error() -> None:
     assert record["stationarity"] == "S"
 
 
+@pytest.mark.slow
 def test_t_goes_down_in_the_history_and_products_follow() -> None:
     solution = mpcc.solve(EXAMPLES["6.1"](), objective="error-l2")
     t = np.array([step.t for step in solution.history])

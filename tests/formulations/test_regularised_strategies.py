@@ -33,6 +33,7 @@ def test_all_at_once(solve) -> None:
     assert solution.status.value == "converged"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outer", ["newton", "ipopt", "slsqp", "l-bfgs-b", "trust-constr"])
 def test_every_outer_solver_takes_the_barrier(outer: str) -> None:
     check(nested.solve(problem(), regularisation=0.1, outer=outer, max_iterations=60))

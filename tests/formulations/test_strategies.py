@@ -74,6 +74,7 @@ def test_the_unit_of_force_does_not_matter(name, strategy, factor) -> None:
     assert solution.energy == pytest.approx(factor * usual.energy, rel=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
 def test_nested_reaches_its_bound(name: str) -> None:
     solution = nested.solve(EXAMPLES[name]())
@@ -90,6 +91,7 @@ def test_fixed_is_the_baseline(name: str) -> None:
     np.testing.assert_array_equal(solution.mesh.p, solution.problem.mesh.p)
 
 
+@pytest.mark.slow
 def test_the_reported_energy_and_the_audit_differ_by_quadrature_only() -> None:
     # on 6.2 there is no source, so the audit must repeat the energy; on 6.1 it must not
     same = joint.solve(EXAMPLES["6.2"]())
@@ -229,6 +231,7 @@ class TestOuterObjectives:
         assert record["stationarity"] == "S"
         assert record["b_stationary"]
 
+    @pytest.mark.slow
     def test_l2_error_by_nested_with_the_adjoint(self) -> None:
         record = nested.solve(EXAMPLES["6.1"](), objective="error-l2").record()
         assert record["success"]

@@ -112,6 +112,7 @@ def test_stress_of_plane_laws_under_tension() -> None:
         np.testing.assert_allclose(table["von_mises"], np.sqrt(xx**2 - xx * zz + zz**2), rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", [joint, nested])
 def test_a_series_plays_the_iterates(problem: ContactProblem, tmp_path: Path, module: object) -> None:
     series = Series(problem, every=5)
@@ -143,6 +144,7 @@ def test_displays_escape_and_tell(problem: ContactProblem, solution: Solution) -
     assert "converged" in text
 
 
+@pytest.mark.slow
 def test_starts_are_seeded_and_their_spread_is_reported(problem: ContactProblem) -> None:
     several = multistart(nested.solve, problem, 2)
     assert [s.seed for s in several.solutions] == [None, 1, 2]
@@ -162,6 +164,7 @@ def test_a_failed_start_has_no_energy(solution: Solution) -> None:
     assert several.spread == 0
 
 
+@pytest.mark.slow
 def test_levels_refine_and_go_on(problem: ContactProblem) -> None:
     coarse, fine = multilevel(joint.solve, problem, 1)
     alone = joint.solve(refine(problem))

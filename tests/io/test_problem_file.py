@@ -216,9 +216,9 @@ def test_random_edits_never_end_in_a_traceback() -> None:
     assert spec.loader is not None
     fuzz = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(fuzz)
-    counts = fuzz.run(edits=150, seed=7)
+    counts = fuzz.run(edits=60, seed=7)
     assert set(counts) == {"valid", "refused"}
-    assert min(counts.values()) > 15
+    assert min(counts.values()) > 5
 
 
 @pytest.mark.slow

@@ -196,6 +196,7 @@ def test_a_malformed_nosbench_file_is_refused_with_its_field(tmp_path, change, w
         read(path)
 
 
+@pytest.mark.slow
 def test_a_pyomo_model():
     pe = pytest.importorskip("pyomo.environ")
     mpec = pytest.importorskip("pyomo.mpec")

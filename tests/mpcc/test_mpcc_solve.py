@@ -190,6 +190,7 @@ def test_a_feasible_branch_is_found_when_the_sides_are_unclear():
     assert end.z == pytest.approx([0, 1e-3], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_multistart_finds_the_better_arm_and_is_repeatable():
     x, y = symbols(ca.SX, "xy")
     f = (x - 1) ** 2 + (y - 1) ** 2 - 0.1 * y

@@ -49,6 +49,7 @@ def assert_admissible(lifted: Lifted, lin: Linearisation, found: Multipliers, na
         ), (name, G, H)
 
 
+@pytest.mark.slow
 def test_labels_of_random_corners_are_those_of_the_enumeration() -> None:
     random = np.random.default_rng(0)
     names = []
@@ -63,6 +64,7 @@ def test_labels_of_random_corners_are_those_of_the_enumeration() -> None:
     assert {"S", "M", "C", "W"} <= set(names)
 
 
+@pytest.mark.slow
 def test_multipliers_of_a_solver_prove_s_only_where_it_holds() -> None:
     """An interior point returns one multiplier per unknown, those of its pairs and its bound together."""
     random = np.random.default_rng(1)

@@ -108,6 +108,7 @@ def test_strategies_agree(make: Make) -> None:
         assert other.energy == pytest.approx(solutions[0].energy, abs=1e-3 * gain)
 
 
+@pytest.mark.slow
 def test_a_gain_that_is_penetration_is_no_success() -> None:
     at_nodes = joint.solve(block_on_a_circle())
     assert at_nodes.energy < at_nodes.energy_initial

@@ -67,6 +67,7 @@ def test_area_constraints_are_met_at_a_stationary_point(outer: str) -> None:
     assert solution.contact_solves < 60
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
 def test_ipopt_ends_at_a_stationary_point_of_the_examples(name: str) -> None:
     solution = nested.solve(EXAMPLES[name](), outer="ipopt")
@@ -74,6 +75,7 @@ def test_ipopt_ends_at_a_stationary_point_of_the_examples(name: str) -> None:
     assert solution.stationarity_residual <= STATIONARY
 
 
+@pytest.mark.slow
 def test_a_limited_memory_descent_is_finished_by_newton() -> None:
     solution = nested.solve(EXAMPLES["6.1"](4), objective="error-l2", outer="ipopt", settings={"exact": 1})
     assert solution.record()["outer_method"] == "interior point with limited memory, then newton"

@@ -79,6 +79,7 @@ def test_few_contact_solves_lead_to_a_stationary_point(name: str, outer: str) ->
         assert all(step.stationarity > STATIONARY for step in solution.history[:-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["6.2", "6.3"])
 def test_conjugate_gradients_alone_do_where_no_area_is_in_the_way(name: str) -> None:
     one, two = (nested.solve(EXAMPLES[name](), outer=outer) for outer in ("newton-cg", "newton"))
@@ -87,6 +88,7 @@ def test_conjugate_gradients_alone_do_where_no_area_is_in_the_way(name: str) -> 
     assert one.contact_solves < two.contact_solves
 
 
+@pytest.mark.slow
 def test_crowded_areas_are_left_to_the_interior_point() -> None:
     problem = replace(EXAMPLES["6.1"](6, 0.15), quadrature=6)
     few = nested.solve(problem, outer="newton-cg", settings={"newton": {"crowded": 1}})

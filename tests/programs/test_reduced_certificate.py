@@ -51,6 +51,7 @@ def test_nested_lowers_the_bound_from_the_given_mesh_and_from_that_of_least_ener
     assert half_square <= 1.001 * rm.certify(by_energy).error_bound ** 2 / 2
 
 
+@pytest.mark.slow
 def test_others_refuse_and_fixed_tells_the_value():
     problem = boxed("scalar")
     for strategy in (formulations.joint, formulations.mpcc):
@@ -63,6 +64,7 @@ def test_others_refuse_and_fixed_tells_the_value():
     assert found.extra["objective_value"] > 0
 
 
+@pytest.mark.slow
 def test_secants_hold_at_the_points_of_the_descent():
     """After a step the approximation maps it to the change of the gradient, up to what is known exactly."""
     referee = Referee(boxed("scalar"))

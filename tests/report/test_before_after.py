@@ -62,6 +62,7 @@ def test_units_stand_on_the_axes_only_if_they_were_given() -> None:
         assert not any("[m]" in label for label in labels)
 
 
+@pytest.mark.slow
 def test_nothing_that_is_zero_is_drawn() -> None:
     # held and not loaded: no displacement, no stress, no pressure; and nothing moved
     rest = replace(membrane(), law=Laplace(0.0), obstacle=Obstacle.interior(-1.0))

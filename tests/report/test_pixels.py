@@ -14,7 +14,8 @@ from rmesh_nlp.report.before_after import write_pictures
 from rmesh_nlp.report.pixels import edge_image, field_image, is_fine
 
 
-def test_a_linear_field_is_itself_at_every_pixel() -> None:
+def test_a_linear_field_is_itself_at_every_pixel(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pixels, "ACROSS", 90)
     mesh = rectangle(7, 3, x=(1, 3), y=(0, 1))
     image, window = field_image(mesh.p, mesh.t, 2 * mesh.p[0] - mesh.p[1])
     rows, columns = image.shape
@@ -43,6 +44,7 @@ def test_pixels_are_darker_where_the_mesh_is_finer() -> None:
     assert image.max() <= 1.0
 
 
+@pytest.mark.slow
 def test_a_fine_mesh_is_drawn_by_images_and_its_files_stay_small(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

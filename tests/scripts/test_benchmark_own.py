@@ -25,6 +25,7 @@ def test_a_part_has_about_as_many_nodes_as_are_asked_for(benchmark_own: Any, tmp
     assert "delta = { relative = 0.3 }" in benchmark_own.part(tmp_path, 200, "boxes").read_text()
 
 
+@pytest.mark.slow
 def test_rows_are_solved_once_and_kept_with_how_they_ended(
     benchmark_own: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

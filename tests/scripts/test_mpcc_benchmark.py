@@ -19,6 +19,7 @@ def main(monkeypatch):
     return module.main
 
 
+@pytest.mark.slow
 def test_the_table_shows_hits_misses_and_the_plain_loop(main, tmp_path, capsys):
     path = tmp_path / "collection.py"
     path.write_text(MPCC_COLLECTION)
@@ -31,6 +32,7 @@ def test_the_table_shows_hits_misses_and_the_plain_loop(main, tmp_path, capsys):
     assert "time ratio" in out
 
 
+@pytest.mark.slow
 def test_a_collection_and_families_make_one_table(main, tmp_path, capsys):
     path = tmp_path / "collection.py"
     path.write_text(MPCC_COLLECTION)

@@ -10,6 +10,7 @@ import pytest
 from scripts import best_known, paper_figures
 
 
+@pytest.mark.slow
 def test_the_figures_are_drawn(tmp_path: Path) -> None:
     files = paper_figures.main(["--out", str(tmp_path)])
     assert [file.name for file in files] == ["figure-3.1.png", "figure-3.2.png", "figure-6.1.png"]

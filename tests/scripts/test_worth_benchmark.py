@@ -96,6 +96,7 @@ def test_a_reference_extrapolates_the_energy_of_a_singular_solution() -> None:
     assert abs(found.limit - exact) < 0.2 * abs(found.energy - exact)
 
 
+@pytest.mark.slow
 def test_quadratic_elements_from_outside_agree_with_refined_linear_ones() -> None:
     outside = script("worth.second_order")
     mesh = named(rectangle(8, 4, x=(0, 2)), {"load": lambda x: (x[1] == 1) & (x[0] > 1)})

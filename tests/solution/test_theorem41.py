@@ -24,6 +24,7 @@ def test_the_terms_sum_to_the_energy_above_the_exact_one() -> None:
     assert after.total < before.total
 
 
+@pytest.mark.slow
 def test_with_friction_the_third_term_closes_the_sum() -> None:
     found = []
     for n in (4, 8):

@@ -217,6 +217,7 @@ def test_ctrl_c_after_a_solve_does_not_hide_a_fault() -> None:
     assert "no success, worse" in bad.message
 
 
+@pytest.mark.slow
 def test_a_worse_mesh_is_no_success_and_the_degree_to_take_is_named() -> None:
     # issue: energy far below by the midpoint rule, above its initial value by an accurate one
     problem = EXAMPLES["6.1"](2)

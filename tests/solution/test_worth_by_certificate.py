@@ -40,6 +40,7 @@ def test_what_is_not_guaranteed_is_said_and_what_is_exact_stays() -> None:
     assert by_certificate(curved, CERTIFICATE) == curved
 
 
+@pytest.mark.slow
 def test_a_certified_solve_has_it_and_the_bound_of_the_factor_holds() -> None:
     exact = EXAMPLES["6.1"](n=4).exact
     assert exact is not None

@@ -91,6 +91,7 @@ def test_a_study_by_command_runs_once_and_has_fields(
     assert rows_of(out) == rows  # nothing was solved again
 
 
+@pytest.mark.slow
 def test_a_second_client_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = tmp_path / "study.toml", tmp_path / "out"
     path.write_text(SMALL)
@@ -232,6 +233,7 @@ def test_a_scheduler_that_is_there_already_is_used(tmp_path: Path) -> None:
         assert len(rows_of(out)) == 3
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
