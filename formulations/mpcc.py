@@ -9,7 +9,7 @@ levels do not collapse.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from rmesh_nlp.programs.kkt_program import Bilevel, bilevel
 from rmesh_nlp.settings import check_limits
 from rmesh_nlp.solution.beginning import Start
 from rmesh_nlp.solution.flipping import solve_with_flips
-from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
+from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder, ending_with_residual
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
 from rmesh_nlp.solution.solution import Solution
@@ -138,6 +138,8 @@ def solve(
     else:
         ipopt = ipopt_options(1.0, BARRIER, TIGHT_OTHERS)
     recorder = Recorder(referee, on_step, time_limit_s, two_level.value, outer.is_energy)
+    if outer.is_energy:
+        recorder.state_residual = _residual(referee, two_level)
     where = Begin(at.name, np.zeros(0))
 
     def run() -> MPCCResult | None:
@@ -181,7 +183,7 @@ def solve(
         )
     q, u, normal, tangential = two_level.split(result.x)
     inside = np.clip(q, -referee.relocation.freedoms.bound, referee.relocation.freedoms.bound)
-    return referee.judge(
+    solution = referee.judge(
         "mpcc",
         inside,
         status=result.status,
@@ -199,6 +201,19 @@ def solve(
         },
         **common,
     )
+    known = outer.is_energy or not recorder.ended_at(inside)
+    return solution if known else ending_with_residual(solution)
+
+
+def _residual(referee: Referee, two_level: Bilevel) -> Callable[[Array], float]:
+    """The first-order residual of the energy at unknowns of the MPCC, by its own displacement and forces."""
+    residual, rows = referee.residual(referee.reduced), two_level.friction_rows
+
+    def at(x: Array) -> float:
+        q, u, normal, tangential = two_level.split(x)
+        return residual.of_state(q, u, normal, tangential[rows])
+
+    return at
 
 
 def _figures(referee: Referee, two_level: Bilevel, where: Begin, result: MPCCResult) -> dict[str, Any]:

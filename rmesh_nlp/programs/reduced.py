@@ -152,9 +152,13 @@ class ReducedEnergy:
 
     def point(self, q: Array, equilibrium: Equilibrium) -> Array:
         """The unknowns ``(q, u, s)`` of the energy program at a contact solution."""
+        return self.unknowns(q, equilibrium.u)
+
+    def unknowns(self, q: Array, u: Array) -> Array:
+        """The unknowns ``(q, u, s)`` of the energy program at moves and displacements (n_u,)."""
         rows = self.relocation.friction_rows
-        slip = self.model.slips(self.relocation.nodes(q), equilibrium.u)[rows] if rows.size else np.zeros(0)
-        return np.concatenate([q, equilibrium.u, np.abs(slip)])
+        slip = self.model.slips(self.relocation.nodes(q), u)[rows] if rows.size else np.zeros(0)
+        return np.concatenate([q, u, np.abs(slip)])
 
 
 class ReducedObjective:

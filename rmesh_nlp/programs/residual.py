@@ -68,6 +68,21 @@ class OuterResidual:
         q = np.clip(x[: relocation.n_q], -box, box)  # an interior point may leave them by rounding
         return self.at(q, self._energy.gradient(x, normal, plus - minus))
 
+    def of_state(self, q: Array, u: Array, normal_force: Array, friction: Array) -> float:
+        """The residual of the energy at moves, displacements (n_u,) and contact forces of a solver's own.
+
+        It costs no contact solve, like :meth:`of_program`.
+
+        Parameters
+        ----------
+        normal_force : (contact nodes,) array
+        friction : (n_s,) array
+            Tangential forces where friction may act.
+        """
+        box = self._energy.relocation.freedoms.bound
+        q = np.clip(q, -box, box)
+        return self.at(q, self._energy.gradient(self._energy.unknowns(q, u), normal_force, friction))
+
     def at(self, q: Array, gradient: Array) -> float:
         """The residual at moves ``q`` with a gradient; infinite if that is not finite."""
         if not np.all(np.isfinite(gradient)):

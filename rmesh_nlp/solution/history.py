@@ -17,7 +17,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.outer_function import Reduced
 from rmesh_nlp.programs.outer_solvers import StoppedError
 from rmesh_nlp.solution.referee import OnStep, Referee
-from rmesh_nlp.solution.solution import Step
+from rmesh_nlp.solution.solution import Solution, Step
 
 NAN = float("nan")
 
@@ -92,6 +92,12 @@ class Watch:
                 return inside if function(inside).value < function(start).value else start
         return start
 
+    def ended_at(self, q: Array) -> bool:
+        """Whether the moves of the last iterate of an all-at-once solver are these, up to rounding."""
+        if not self._recent:
+            return False
+        return bool(np.allclose(self._recent[-1], q, rtol=0.0, atol=1e-8 * np.max(np.abs(q), initial=0.0)))
+
     def _is_valid(self, q: Array) -> bool:
         return self.referee.is_valid(q)
 
@@ -113,6 +119,8 @@ class Recorder(Watch):
     residual : callable or None
         ``(x, lam_g) ->`` first-order residual of the outer problem at an iterate, while a program runs whose
         multipliers give it; None by default, and the histories then do not know it.
+    state_residual : callable or None
+        ``x ->`` the same at an iterate of a homotopy, whose unknowns hold the forces.
     """
 
     def __init__(
@@ -128,6 +136,7 @@ class Recorder(Watch):
         self._before = 0
         self._steps: list[Step] = []
         self.residual: Callable[[Array, Array], float] | None = None
+        self.state_residual: Callable[[Array], float] | None = None
         self._lam_g: Array | None = None
 
     def see_multipliers(self, lam_g: Array) -> None:
@@ -151,6 +160,7 @@ class Recorder(Watch):
             one.x,
             one.objective,
             t=one.t,
+            residual=NAN if self.state_residual is None else self.state_residual(one.x),
             violation=one.constraint_violation,
             product=one.product,
             biactive=one.biactive,
@@ -200,3 +210,12 @@ class Recorder(Watch):
             return steps
         violation = result.history["inf_pr"]
         return [replace(step, primal_residual=v) for step, v in zip(steps, violation, strict=False)]
+
+
+def ending_with_residual(solution: Solution) -> Solution:
+    """A solution whose last step is its end, with the residual that the referee measured there in that step.
+
+    Where each step of an all-at-once solver would need an adjoint to know it, the history has this one only.
+    """
+    last = replace(solution.history[-1], dual_residual=solution.stationarity_residual)
+    return replace(solution, history=(*solution.history[:-1], last))

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.verdicts import GOOD
 
-from formulations import fixed, joint, nested
+from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
@@ -357,14 +357,20 @@ class TestResidual:
         assert np.any(solution.multipliers.area > 0)
         assert solution.history[-1].dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
 
+    @pytest.mark.parametrize("strategy", [joint, mpcc])
     @pytest.mark.parametrize("name", ["6.1", "6.3"])
-    def test_history_and_record_of_joint_agree(self, name: str) -> None:
-        """The program's own multipliers are the contact forces: no contact solve is needed on the way."""
-        solution = joint.solve(EXAMPLES[name](4) if name == "6.1" else EXAMPLES[name]((4, 3)))
+    def test_history_and_record_agree_where_no_contact_is_solved(self, strategy: Any, name: str) -> None:
+        """The contact forces are multipliers of one program and unknowns of the other."""
+        solution = strategy.solve(EXAMPLES[name](4) if name == "6.1" else EXAMPLES[name]((4, 3)))
         first, last = solution.history[0], solution.history[-1]
         assert first.dual_residual > 100 * last.dual_residual
         # both are rounding of a minimiser, the contact forces of one an interior point's
         assert abs(last.dual_residual - solution.stationarity_residual) <= 1e-8 + 0.01 * last.dual_residual
+
+    def test_of_another_objective_the_end_of_mpcc_is_known(self) -> None:
+        solution = mpcc.solve(EXAMPLES["6.1"](3), objective="error-l2")
+        assert solution.history[-1].dual_residual == solution.stationarity_residual
+        assert all(np.isnan(step.dual_residual) for step in solution.history[:-1])
 
     @pytest.mark.slow
     def test_an_objective_of_errors_has_one(self) -> None:
