@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from formulations.joint_finish import Finish, finished
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -30,6 +31,7 @@ from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
 from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.verdict import LIMITS
 
 ORDINARY = (1e-4, 1e4)
 """Sizes of displacements that Ipopt is given as they are; others are measured in the largest of them."""
@@ -192,22 +194,32 @@ def solve(
     else:
         bound = referee.relocation.freedoms.bound
         q, claimed = np.clip(result.x[: bound.size], -bound, bound), result.f  # it may leave them by 2e-12
-    steps = recorder.steps(result)
+        if not result.converged and not referee.is_valid(q):  # elements may be inverted
+            q, claimed = recorder.best(referee.reduced, begin.q), None
+    said, steps = recorder.status(result), recorder.steps(result)
+    own = None if claimed is None or result is None else _own(referee, q, result)
+    factorisations = max(len(steps) - 1, 0)
+    finish = Finish(q, 0, 0)
+    if said not in LIMITS or said is Status.STALLED:
+        finish = finished(referee, q, factorisations, recorder, tolerance)
+        steps += recorder.steps()
+    if finish.q is not q:
+        claimed = own = None
     return referee.judge(
         "joint",
-        q,
-        status=recorder.status(result),
+        finish.q,
+        status=said,
         tolerance=tolerance,
         history=steps,
-        iterations=begin.iterations + max(len(steps) - 1, 0),
-        contact_solves=begin.contact_solves + 1,
+        iterations=begin.iterations + factorisations + finish.iterations,
+        contact_solves=begin.contact_solves + 1 + finish.contact_solves,
         objective=outer,
         claimed_energy=claimed,
-        own=None if claimed is None or result is None else _own(referee, q, result),
+        own=own,
         start=begin.name,
         seed=seed,
         settings=chosen.changed(),
-        extra={"kkt_factorisations": max(len(steps) - 1, 0)},
+        extra={"kkt_factorisations": factorisations},
     )
 
 

@@ -39,6 +39,13 @@ their largest. Inside a triangle a paraboloid rises above its interpolant by ``k
 TINY = 1e-200
 """Added below the root, which has no derivative at zero."""
 
+SMALL = 0.35
+"""Height of an arc, relative to the root mean square along its edge, below which it counts less; the least of
+a parabola is 0.396 of that."""
+
+ROUNDING = 1e-14
+"""Height over the length of an edge that is rounding."""
+
 STRAIGHT = 1e-9
 """Height of an arc over the largest distance of its foundation up to which it is rounding."""
 
@@ -96,13 +103,25 @@ def edge_gap_function(obstacle: Obstacle, components: int, sides: int) -> ca.Fun
     for side in range(1, 1 + sides):
         step = X[:, side] - X[:, 0]
         length, there = ca.norm_2(step), obstacle.distance(X[0, side], X[1, side])
-        arcs = 0
-        for t, w in zip(points.ravel(), weights, strict=True):
-            chord = (1 - t) * here + t * there
-            arc = chord - obstacle.distance(X[0, 0] + t * step[0], X[1, 0] + t * step[1])
-            arcs += w * (1 - t) * ca.fmax(arc, 0)
+        above = [
+            (1 - t) * here + t * there - obstacle.distance(X[0, 0] + t * step[0], X[1, 0] + t * step[1])
+            for t in points.ravel()
+        ]
+        arcs = ca.dot(weights * (1 - points.ravel()), _positive_parts(ca.vertcat(*above), length))
         height, weight = height + length * arcs, weight + length / 2
         largest += (2 * arcs) ** POWER
     off = ENOUGH * ((largest + TINY) ** (1 / POWER) if interior else height / weight)
     gap = ca.dot(obstacle.direction(X[0, 0], X[1, 0]), u) + here - off
     return ca.Function("edge_gap", [ca.vec(X), u], [0, gap])
+
+
+def _positive_parts(heights: ca.SX, length: ca.SX) -> ca.SX:
+    """``max(a, 0)`` of the heights a of one edge, rounded off where a is small beside the others.
+
+    Where an edge spans an inflection some heights change sign, and a kink there would stop Newton's method
+    and interior points. A height below ``SMALL`` times the root mean square of all is taken less, by a smooth
+    step with two continuous derivatives; those of a parabola are all larger.
+    """
+    small = SMALL**2 * ca.sumsqr(heights) / heights.numel() + (ROUNDING * length) ** 2
+    r = ca.fmin(heights**2 / small, 1)
+    return ca.if_else(heights > 0, heights * r**3 * (10 - 15 * r + 6 * r**2), 0)

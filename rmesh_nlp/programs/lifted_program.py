@@ -22,7 +22,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT
+from rmesh_nlp.fem.edge_gaps import edges_of
+from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.energy_program import Relocation
@@ -105,7 +106,12 @@ class _LiftedOracle(ca.Callback):
         q, lam_f, lam_g = arg[0].full().ravel(), float(arg[1]), arg[2].full().ravel()
         values = np.zeros(self._keys.size)
         matrix = self._matrix(q, lam_f, lam_g)
-        values[np.searchsorted(self._keys, _keys(matrix))] = matrix.data
+        keys = _keys(matrix)
+        place = np.minimum(np.searchsorted(self._keys, keys), self._keys.size - 1)
+        known = self._keys[place] == keys
+        if np.any(matrix.data[~known]):
+            raise RuntimeError("the lifted Hessian has entries outside its pattern")
+        values[place[known]] = matrix.data[known]
         return [ca.DM(self._upper, values.tolist())]
 
     def _matrix(self, q: Array, lam_f: float, lam_g: Array) -> sp.csc_array:
@@ -132,20 +138,56 @@ class _LiftedOracle(ca.Callback):
 
 
 def _pattern(relocation: Relocation) -> sp.csc_array:
-    """Where the lifted Hessian may have entries: unknowns of one element, of its upper triangle."""
-    triangles = relocation.problem.triangles
-    n_q = relocation.n_q
-    of_node = np.vstack([relocation.freedoms.positions.index, relocation.displacement.index])
-    unknown = of_node[:, triangles].reshape(-1, triangles.shape[1])
-    element = np.broadcast_to(np.arange(triangles.shape[1]), unknown.shape)
-    inside = unknown != CONSTANT
-    size = n_q + relocation.n_u
-    belongs = sp.csr_array(
-        (np.ones(int(inside.sum())), (unknown[inside], element[inside])), shape=(size, triangles.shape[1])
-    )
-    pattern = sp.csc_array(sp.triu(belongs @ belongs.T + sp.eye_array(size)))
+    """Where the lifted Hessian may have entries, of its upper triangle.
+
+    Nodes meet in an element. A touching node follows the moves that its gap depends on: its own, and those of
+    its neighbours on the contact boundary where gaps hold along edges. So moves meet where nodes do that
+    follow them.
+    """
+    meet = _elements(relocation)
+    follows = sp.csr_array(sp.eye_array(meet.shape[0]) + _beside(relocation))
+    moved = meet @ follows
+    to_moves = _to_unknowns(relocation.freedoms.positions.index, relocation.n_q)
+    to_others = _to_unknowns(relocation.displacement.index - relocation.n_q, relocation.n_u)
+    moves = to_moves.T @ (follows.T @ moved) @ to_moves + sp.eye_array(relocation.n_q)
+    mixed = to_others.T @ moved @ to_moves
+    others = to_others.T @ meet @ to_others + sp.eye_array(relocation.n_u)
+    pattern = sp.csc_array(sp.triu(sp.block_array([[moves, mixed.T], [mixed, others]])))
     pattern.sum_duplicates()
+    pattern.sort_indices()
     return pattern
+
+
+def _elements(relocation: Relocation) -> sp.csr_array:
+    """(nodes, nodes) Whether two nodes are of one element, or the same."""
+    triangles = relocation.problem.triangles
+    n = relocation.problem.mesh.p.shape[1]
+    element = np.broadcast_to(np.arange(triangles.shape[1]), triangles.shape)
+    ones = np.ones(triangles.size)
+    belongs = sp.csr_array((ones, (triangles.ravel(), element.ravel())), shape=(n, triangles.shape[1]))
+    return sp.csr_array(belongs @ belongs.T + sp.eye_array(n))
+
+
+def _beside(relocation: Relocation) -> sp.csr_array:
+    """(nodes, nodes) Which other nodes the gap of a node depends on."""
+    problem = relocation.problem
+    n = problem.mesh.p.shape[1]
+    found = sp.csr_array((n, n))
+    for part in problem.contact_sets:
+        if part.obstacle.gap == "edge":
+            one, two = edges_of(problem, part.obstacle)
+            pairs = np.append(one, two), np.append(two, one)
+            found = found + sp.csr_array((np.ones(pairs[0].size), pairs), shape=(n, n))
+    return found
+
+
+def _to_unknowns(index: Index, n: int) -> sp.csr_array:
+    """(nodes, n) Which unknowns a field has at each node; ``index`` is (components, nodes)."""
+    node = np.broadcast_to(np.arange(index.shape[1]), index.shape)
+    inside = index >= 0
+    return sp.csr_array(
+        (np.ones(int(inside.sum())), (node[inside], index[inside])), shape=(index.shape[1], n)
+    )
 
 
 def _keys(matrix: sp.csc_array) -> np.ndarray:

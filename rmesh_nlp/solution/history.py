@@ -153,6 +153,11 @@ class Recorder(Watch):
         residual = self.residual(x, self._lam_g) if known else NAN  # type: ignore[misc, arg-type]
         return self._note(iteration, x, f, t=math.inf, residual=residual)
 
+    def exact(self, iteration: int, q: Array, f: float, residual: float) -> bool:
+        """Note moves with their contact solution, whose objective and first-order residual are known."""
+        self._note(iteration, q, f / self._unit, t=0.0, residual=residual, violation=0.0)
+        return self.note(q, f)
+
     def iterate(self, one: Iterate) -> None:
         """Note an iterate of a homotopy."""
         self._note(

@@ -247,3 +247,29 @@ class TestOuterObjectives:
             record = solution.record()
             assert record["objective_value"] < record["objective_initial"]
         check_record(one)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "delta"),
+    [("6.1", 5, None), ("6.3", (6, 3), None), ("6.2", (6, 3), (1.0, 0.5))],
+    ids=["boxes", "friction", "areas"],
+)
+def test_joint_ends_at_a_stationary_point_also_where_ipopt_stops_early(name, size, delta) -> None:
+    problem = EXAMPLES[name](size) if delta is None else EXAMPLES[name](size, delta)
+    early = {"tol": 1e-4, "acceptable_tol": 1e-4, "tol_areas": 1e-6, "acceptable_tol_areas": 1e-6}
+    solution = joint.solve(problem, settings=early)
+    assert solution.status is Status.CONVERGED
+    last = [step for step in solution.history if step.t == 0.0]
+    assert last  # exact contact solutions after Ipopt's iterates
+    assert last[-1].dual_residual <= 1e-6 < solution.history[-len(last) - 1].dual_residual
+    assert solution.iterations == solution.history[-1].iteration
+    assert solution.contact_solves > 1
+    assert solution.energy <= solution.history[-len(last) - 1].energy + 1e-9 * abs(solution.energy)
+
+
+def test_a_limit_of_iterations_leaves_joint_with_a_valid_mesh() -> None:
+    problem = EXAMPLES["6.2"]((4, 2), (2.0, 1.0))
+    for limit in (1, 3, 6, 10):
+        solution = joint.solve(problem, max_iterations=limit)
+        assert solution.valid
+        assert solution.status in (Status.ITERATION_LIMIT, Status.CONVERGED)

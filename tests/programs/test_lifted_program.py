@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from formulations import nested
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.programs.curved_program import with_hessian
 from rmesh_nlp.programs.lifted_program import STIFF, lifted
 from rmesh_nlp.programs.reduced_program import ReducedProgram, reduced_nlp
@@ -17,7 +19,24 @@ PROBLEMS = {
     "6.1, areas": lambda: EXAMPLES["6.1"](3, 0.9),
     "6.2, gaps that move": lambda: EXAMPLES["6.2"]((6, 3), (1.0, 0.5)),
     "6.3, friction": lambda: EXAMPLES["6.3"]((6, 3), (1.0, 0.5)),
+    "gaps along edges": lambda: bumpy(0.0),
+    "gaps along edges, friction": lambda: bumpy(0.3),
 }
+
+
+def bumpy(friction: float) -> ContactProblem:
+    """A gap along edges depends on the positions of two neighbours, which are of no common element."""
+    foundation = Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.02 * ca.sin(2 * x) ** 2, friction, gap="edge")
+    law = PlaneStrain(50.0, 50.0, (1.0, -4.0))
+    return ContactProblem(rectangle(4, 3, x=(0, 2)), law, ("left",), foundation, Motion(None))
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_newton_converges_with_gaps_along_edges(friction: float) -> None:
+    """Without some entries of the matrix Ipopt's steps are not Newton's, and it meets its limit."""
+    solution = nested.solve(bumpy(friction), outer="newton")
+    assert solution.status.value == "converged"
+    assert solution.iterations <= 60
 
 
 def program_of(problem: ContactProblem, objective: str = "energy") -> ReducedProgram:

@@ -156,7 +156,7 @@ FAULTS = {
 }  # fmt: skip
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=250, deadline=None)
 @given(st.sampled_from(list(Status)), st.one_of(measurements, sound))
 def test_no_verdict_contradicts_itself(said: Status, measured: Measured) -> None:
     judged = verdict(said, measured)
