@@ -149,8 +149,12 @@ def solve(
     if found.status is Status.INTERRUPTED:
         return found
     if flips and (max_iterations is None or found.iterations < max_iterations):
-        found = with_edges_flipped(problem, found, chosen, tolerance, time_limit_s)
-    return found if found.status is Status.TIME_LIMIT else _with_worth(problem, found)
+        try:
+            found = with_edges_flipped(problem, found, chosen, tolerance, time_limit_s, on_step)
+        except KeyboardInterrupt:  # what was there before the flips is
+            return interrupted(found)
+    stopped = found.status in (Status.TIME_LIMIT, Status.INTERRUPTED)
+    return found if stopped else _with_worth(problem, found)
 
 
 def enough_for(moves: int) -> float:

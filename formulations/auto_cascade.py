@@ -23,7 +23,7 @@ from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import regularised
 from rmesh_nlp.programs.stationary import Finish, finished
 from rmesh_nlp.solution.referee import OnStep, Referee
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.solution import Solution, interrupted
 
 SOLVES_PER_ITERATION = 4 / 3
 """Contact solves of an iteration, steps that are refused included."""
@@ -91,7 +91,7 @@ def solve_by_cascade(
         seconds = time.process_time() - began
         more = referee.reduced.contact_solves - before
         solves += more
-        better = judged(referee, q, status)
+        better = watch.to_its_end(partial(judged, referee, q, status))
         if better.success and (agrees(better) or not agrees(solution)):
             solution = better
             if last is not None:
@@ -113,8 +113,9 @@ def solve_by_cascade(
     elif worse:
         solution = nested.solve(stated, max_iterations=1, tolerance=tolerance)
         solution = replace(solution, extra={**solution.extra, **_figures(result, rules, settings)})
-    seconds = watch.seconds
-    return replace(solution, solve_time_s=seconds)
+    if watch.stopped is Status.INTERRUPTED:  # perhaps after the verdict
+        solution = interrupted(solution)
+    return replace(solution, solve_time_s=watch.seconds)
 
 
 def is_small(problem: ContactProblem, settings: CascadeSettings) -> bool:

@@ -157,6 +157,7 @@ def flips_and_moves(
     given: ContactProblem,
     rounds: int = 8,
     least: float = 2e-3,
+    stop: Callable[[], bool] = lambda: False,
 ) -> tuple[ContactProblem, tuple[Round, ...]]:
     """Flip edges and relocate nodes in turn, until neither gains.
 
@@ -174,6 +175,8 @@ def flips_and_moves(
         At most.
     least : float
         Part of ``gain`` that a round must give for another one to follow.
+    stop : callable
+        Whether no other round may follow, for reasons of the caller.
     """
     done: list[Round] = []
     energy = ContactModel(problem).solve(problem.mesh.p).energy
@@ -189,7 +192,7 @@ def flips_and_moves(
         problem = replace(kept, reference=shapes)
         now = min(relocated, flipped_energy)
         done.append(Round(result.flips, result.changed, flipped_energy, now))
-        if energy - now < least * gain:
+        if energy - now < least * gain or stop():
             break
         energy = now
     return problem, tuple(done)

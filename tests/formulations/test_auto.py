@@ -1,6 +1,7 @@
 """What is chosen for a problem, the cascade behind it, and that the record says so."""
 
 import math
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -290,6 +291,55 @@ def test_ctrl_c_on_the_way_to_a_stationary_point_keeps_the_best_mesh() -> None:
     finest = [step for step in press.steps if step.q is not None]
     assert solution.energy <= finest[0].energy
     assert solution.record()["gain_audited"] > 0
+
+
+@pytest.mark.slow
+def test_ctrl_c_between_flips_keeps_the_flipped_mesh() -> None:
+    problem = no_boxes(EXAMPLES["6.1"](n=6))
+    rounds: list[Step] = []
+
+    def press(step: Step) -> None:
+        if math.isnan(step.energy_given):  # a step of the rounds of flips
+            rounds.append(step)
+            signal.raise_signal(signal.SIGINT)
+
+    solution = auto.solve(problem, flips=True, on_step=press)
+    assert len(rounds) == 1
+    assert solution.status is Status.INTERRUPTED
+    assert solution.valid
+    assert solution.record()["changed_triangles"] > 0
+    assert solution.energy <= rounds[0].energy + 1e-9 * abs(solution.energy)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.slow
+def test_a_second_ctrl_c_between_flips_keeps_the_mesh_before_them() -> None:
+    problem = no_boxes(EXAMPLES["6.1"](n=6))
+
+    def press(step: Step) -> None:
+        if math.isnan(step.energy_given):
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+
+    solution = auto.solve(problem, flips=True, on_step=press)
+    assert solution.status is Status.INTERRUPTED
+    assert solution.valid
+    assert "changed_triangles" not in solution.record()
+    assert solution.record()["gain_audited"] > 0
+
+
+def test_ctrl_c_while_the_end_is_judged_is_heeded(monkeypatch: pytest.MonkeyPatch) -> None:
+    def judge(*given, **options):
+        signal.raise_signal(signal.SIGINT)
+        return judged(*given, **options)
+
+    judged = auto_cascade.Referee.judge
+    monkeypatch.setattr(auto_cascade.Referee, "judge", judge)
+    solution = auto.solve(no_boxes(EXAMPLES["6.1"](n=4)), flips=True)
+    assert solution.status is Status.INTERRUPTED
+    assert solution.valid
+    assert solution.record()["gain_audited"] > 0
+    assert "changed_triangles" not in solution.record()
 
 
 @pytest.mark.slow
