@@ -33,8 +33,8 @@ def with_edges_flipped(
 ) -> Solution:
     """Flips and short descents in turn, from a solution; judged at the end only.
 
-    Ctrl-C ends them at the next iteration, as the time limit does, and the mesh so far is judged; a second one
-    ends them without a solution.
+    Ctrl-C ends them at the next iteration, as the time limit does, and the mesh so far is judged; a second
+    one ends them without a solution.
 
     Raises
     ------

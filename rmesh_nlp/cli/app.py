@@ -78,7 +78,10 @@ def run(arguments: list[str]) -> int:
     """Run the command line and return its exit code; what is wrong is said in one line on stderr."""
     command: Any = get_command(app)
     try:
-        return int(command.main(args=arguments, prog_name="rmesh", standalone_mode=False) or 0)
+        code = int(command.main(args=arguments, prog_name="rmesh", standalone_mode=False) or 0)
+        if code == INTERRUPTED:  # Ctrl-C, of which some versions of typer say nothing
+            raise KeyboardInterrupt
+        return code
     except ClickException as error:
         return _complain(" ".join(error.format_message().split()))
     except (BadInputError, OSError) as error:

@@ -17,6 +17,7 @@ import pytest
 from rmesh_nlp import __version__
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.cli import app as cli
+from rmesh_nlp.cli import work
 from rmesh_nlp.io.results import REQUIRED
 
 HEAVY = {"casadi", "matplotlib", "pandas", "skfem", "scipy", "meshio", "numpy"}
@@ -270,6 +271,17 @@ def test_help_loads_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_an_interruption_is_said_when_there_is_nothing_to_keep(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(work, "commands", interrupted)
+    assert run("table", "results") == 130
+    assert capsys.readouterr().err == "rmesh: interrupted\n"
 
 
 @pytest.mark.slow
