@@ -42,7 +42,7 @@ def test_a_case_is_solved_as_often_as_it_asks_for_and_resumed_if_it_was_less_oft
 
 @pytest.mark.parametrize("strategy", ["nested", "joint", "mpcc"])
 def test_a_traced_solve_has_the_referees_residual_in_its_history(strategy: str, tmp_path: Path) -> None:
-    (case,) = make_cases(["6.3"], [strategy], n=(6, 4), trace=True)
+    (case,) = make_cases(["6.3"], [strategy], n=(4, 2), trace=True)
     outcome = solve(case)
     assert outcome.solution is not None
     residuals = np.array([step.stationarity for step in outcome.solution.history])

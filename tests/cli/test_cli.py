@@ -80,7 +80,7 @@ def test_without_a_folder_the_solve_names_its_own() -> None:
 
 def test_options_reach_the_strategy() -> None:
     arguments = ("--objective", "error-l2", "--relaxation", "lin-fukushima", "--seed", "3")
-    run("solve", "6.1", "-f", "mpcc", "--n", "3", "--quadrature", "5", *arguments, "--out", "one")
+    run("solve", "6.1", "-f", "mpcc", "--n", "2", "--quadrature", "5", *arguments, "--out", "one")
     record = json.loads(Path("one/record.json").read_text())
     assert record["objective"] == "error-l2"
     assert record["relaxation"] == "lin-fukushima"

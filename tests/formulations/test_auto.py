@@ -77,7 +77,10 @@ def test_what_a_prolonged_map_is_worth_before_any_iteration() -> None:
 
 @pytest.mark.parametrize(
     ("motion", "chosen"),
-    [(Motion(0.02), "joint: nodes have boxes"), (Motion(None, min_angle=20.0), "joint, regularised")],
+    [
+        (Motion(0.02), "joint: nodes have boxes"),
+        pytest.param(Motion(None, min_angle=20.0), "joint, regularised", marks=pytest.mark.slow),
+    ],
 )
 def test_joint_is_chosen_where_constraints_must_hold(motion: Motion, chosen: str) -> None:
     solution = auto.solve(replace(EXAMPLES["6.1"](n=4), motion=motion))
@@ -94,6 +97,7 @@ def test_other_objectives_and_meshes_that_cannot_move() -> None:
     assert still.record()["chosen"] == "nested: no node can move"
 
 
+@pytest.mark.slow
 def test_a_seed_starts_elsewhere_without_a_cascade() -> None:
     row = auto.solve(no_boxes(EXAMPLES["6.1"](n=4)), seed=1).record()
     assert row["start"] == "random"
@@ -241,6 +245,7 @@ def test_a_map_is_halved_until_it_lowers_the_energy() -> None:
     assert without_penetration(energy, taken) < without_penetration(energy, zero)
 
 
+@pytest.mark.slow
 def test_a_time_limit_on_the_way_to_a_stationary_point_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def late(*given, **options):
         monkeypatch.setattr(Watch, "seconds", property(lambda _: 1e6))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.solved import example, solved
 
 from formulations import auto, fixed, joint, mpcc, nested
 from rmesh_nlp.campaign import strategies
@@ -21,13 +22,17 @@ from rmesh_nlp.solution.solution import Step
 
 STRATEGIES = [fixed, nested, joint, mpcc]
 COMMON = {"settings", "tolerance", "max_iterations", "time_limit_s", "start", "seed", "on_step", "objective"}
-SMALL = EXAMPLES["6.2"]((4, 2))
+SMALL = example("6.2", (4, 2))
 NO_BOXES = replace(SMALL, motion=replace(SMALL.motion, delta=None))
+
+
+def name_of(strategy: Any) -> str:
+    return strategy.__name__.removeprefix("formulations.")
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_the_same_keywords_and_one_clock(strategy: Any) -> None:
-    record = strategy.solve(SMALL).record()
+    record = solved(name_of(strategy), "6.2", (4, 2)).record()
     parts = [record[f"{name}_time_s"] for name in ("build", "solve", "audit")]
     assert min(parts) > 0
     assert record["wall_time_s"] == pytest.approx(sum(parts))
@@ -128,9 +133,9 @@ def test_an_interruption_keeps_the_best_valid_mesh(strategy: Any) -> None:
     assert len(seen) >= 3
 
 
-@pytest.mark.parametrize("strategy", [nested, joint])
+@pytest.mark.parametrize("strategy", [nested, pytest.param(joint, marks=pytest.mark.slow)])
 def test_starts_are_positions_names_and_solutions(strategy: Any) -> None:
-    end = strategy.solve(SMALL)
+    end = solved(name_of(strategy), "6.2", (4, 2))
     for start, name in (
         (np.asarray(end.mesh.p), "positions"),
         (end, f"solution of {end.formulation}"),

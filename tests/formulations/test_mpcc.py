@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.solved import example, solved
 
 from formulations import joint, mpcc, mpcc_start, nested
 from rmesh_nlp.discretisation import discretise
@@ -23,7 +24,7 @@ SMALL: dict[str, Any] = {"6.1": 4, "6.2": (6, 4), "6.3": (6, 4)}
 
 def coarse(name: str) -> ContactProblem:
     """An example on a coarse grid, with a rule that is not exploited there as the midpoint rule is on 6.1."""
-    return replace(EXAMPLES[name](SMALL[name]), quadrature=6)
+    return example(name, SMALL[name], 6)
 
 
 def path(solution: Solution) -> list[tuple[float, float]]:
@@ -35,8 +36,8 @@ def path(solution: Solution) -> list[tuple[float, float]]:
 @pytest.mark.parametrize("name", ["6.1", "6.3"])
 @pytest.mark.parametrize("relaxation", RELAXATIONS)
 def test_every_relaxation_ends_near_joint_from_the_given_mesh(name: str, relaxation: str) -> None:
-    problem = coarse(name)
-    reference, solution = joint.solve(problem), mpcc.solve(problem, relaxation=relaxation)
+    reference = solved("joint", name, SMALL[name], 6)
+    solution = mpcc.solve(coarse(name), relaxation=relaxation)
     record = solution.record()
     assert record["success"]
     assert record["start"] == "given"
@@ -50,7 +51,7 @@ def test_every_relaxation_ends_near_joint_from_the_given_mesh(name: str, relaxat
 
 @pytest.mark.parametrize("objective", ["energy", "error-l2"])
 def test_the_first_stage_begins_at_the_contact_solution_on_the_given_mesh(objective: str) -> None:
-    problem = coarse("6.1")
+    problem = example("6.1", 3, 6)
     seen: list[Any] = []
     solution = mpcc.solve(problem, objective=objective, on_step=seen.append)
     first, record = solution.history[0], solution.record()
@@ -78,7 +79,7 @@ def test_no_other_program_is_solved(objective: str, monkeypatch: pytest.MonkeyPa
         return call(self, *arguments, **keywords)
 
     monkeypatch.setattr(Solver, "__call__", counted)
-    problem = coarse("6.1")
+    problem = example("6.1", 3, 6)
     record = mpcc.solve(problem, objective=objective).record()
     stages = record["stages"]
     assert len(solved) == len(stages) == record["nlp_solves"]
@@ -97,7 +98,7 @@ def test_no_other_program_is_solved(objective: str, monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("change", [{"t0": 1.0}, {"factor": 1e-4}, {"warm_duals": False}])
 def test_the_options_of_the_homotopy_change_its_path(name: str, change: dict[str, Any]) -> None:
     problem = coarse(name)
-    usual, other = mpcc.solve(problem), mpcc.solve(problem, settings=change)
+    usual, other = solved("mpcc", name, SMALL[name], 6), mpcc.solve(problem, settings=change)
     assert path(usual) != path(other)
     assert path(other)[0][0] == change.get("t0", mpcc.OPTIONS["t0"])
     assert other.success
@@ -105,7 +106,7 @@ def test_the_options_of_the_homotopy_change_its_path(name: str, change: dict[str
 
 @pytest.mark.slow
 def test_early_stages_relax_a_true_error() -> None:
-    record = mpcc.solve(EXAMPLES["6.1"](), objective="error-l2").record()
+    record = solved("mpcc", "6.1", objective="error-l2").record()
     first, second = record["stages"][:2]
     for stage in (first, second):
         assert stage["phase"] == "relaxed"
@@ -117,7 +118,7 @@ def test_early_stages_relax_a_true_error() -> None:
 
 @pytest.mark.slow
 def test_t_goes_down_in_the_history_and_products_follow() -> None:
-    solution = mpcc.solve(EXAMPLES["6.1"](), objective="error-l2")
+    solution = solved("mpcc", "6.1", objective="error-l2")
     t = np.array([step.t for step in solution.history])
     assert t[0] == mpcc.OPTIONS["t0"]
     assert np.all(np.diff(t) <= 0)
@@ -134,8 +135,7 @@ def test_t_goes_down_in_the_history_and_products_follow() -> None:
 
 @pytest.mark.parametrize("start", ["joint", "nested", "without-complementarity"])
 def test_named_starts_are_solved_first_and_named(start: str) -> None:
-    problem = EXAMPLES["6.3"](SMALL["6.3"])
-    solution = mpcc.solve(problem, start=start)
+    solution = mpcc.solve(example("6.3", (4, 2)), start=start)
     record = solution.record()
     assert record["success"]
     assert record["start"] == start
@@ -149,7 +149,7 @@ def test_named_starts_are_solved_first_and_named(start: str) -> None:
 @pytest.mark.slow
 def test_a_solution_and_positions_are_starts() -> None:
     problem = coarse("6.1")
-    end = joint.solve(problem)
+    end = solved("joint", "6.1", 4, 6)
     again = mpcc.solve(problem, start=end)
     assert again.record()["start"] == "solution of joint"
     assert again.energy == pytest.approx(end.energy, rel=1e-6)
@@ -164,7 +164,7 @@ def test_a_solution_and_positions_are_starts() -> None:
 def test_a_minimum_of_another_strategy_is_certified_where_it_is(name: str) -> None:
     # from the given mesh mpcc ends in a lower minimum of 6.1: it must not leave nested's on the way there
     problem = EXAMPLES[name]()
-    end = nested.solve(problem)
+    end = solved("nested", name)
     certified = mpcc.solve(problem, start=end)
     np.testing.assert_allclose(certified.mesh.p, end.mesh.p, atol=1e-4)
     assert certified.energy == pytest.approx(end.energy, rel=1e-8)
@@ -196,9 +196,8 @@ def test_the_certificate_leaves_a_point_that_is_no_minimum() -> None:
 
 
 def test_ipopts_barrier_is_no_relaxation_parameter() -> None:
-    problem = coarse("6.1")
-    assert {step.t for step in joint.solve(problem).history} == {np.inf}
-    assert {step.t for step in nested.solve(problem, outer="newton").history} == {0.0}
+    assert {step.t for step in solved("joint", "6.1", 4, 6).history} == {np.inf}
+    assert {step.t for step in solved("nested", "6.1", 4, 6).history} == {0.0}
 
 
 @pytest.mark.parametrize(("name", "n"), [("6.1", 3), ("6.2", (4, 2))])

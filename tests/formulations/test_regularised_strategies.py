@@ -26,7 +26,9 @@ def check(solution) -> None:
     assert row["objective"].endswith("*shape-size")
 
 
-@pytest.mark.parametrize("solve", [joint.solve, mpcc.solve], ids=["joint", "mpcc"])
+@pytest.mark.parametrize(
+    "solve", [joint.solve, pytest.param(mpcc.solve, marks=pytest.mark.slow)], ids=["joint", "mpcc"]
+)
 def test_all_at_once(solve) -> None:
     solution = solve(problem(), regularisation=0.1)
     check(solution)

@@ -9,8 +9,10 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from support.solved import example, solved
 
 from formulations import fixed, joint, mpcc, nested
+from rmesh_nlp.campaign import strategies
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.optimize.solver import Solver
@@ -38,9 +40,11 @@ def check_record(solution: Solution) -> None:
     assert np.all(moved <= np.array(solution.problem.motion.delta)[:, None] * (1 + 1e-12))
 
 
-@pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
+@pytest.mark.parametrize(
+    "name", ["6.1", *(pytest.param(name, marks=pytest.mark.slow) for name in ("6.2", "6.3"))]
+)
 def test_joint_and_mpcc_reach_the_same_low_energy(name: str) -> None:
-    one, two = joint.solve(EXAMPLES[name]()), mpcc.solve(EXAMPLES[name]())
+    one, two = solved("joint", name), solved("mpcc", name)
     for solution in (one, two):
         check_record(solution)
         assert solution.energy <= ALL_AT_ONCE[name]
@@ -53,12 +57,10 @@ def test_joint_and_mpcc_reach_the_same_low_energy(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
-@pytest.mark.parametrize(
-    "strategy", [joint.solve, mpcc.solve, functools.partial(nested.solve, outer="newton")]
-)
+@pytest.mark.parametrize("strategy", ["joint", "mpcc", "nested"])
 @pytest.mark.parametrize("name", ["6.2", "6.3"])
-def test_the_unit_of_force_does_not_matter(name, strategy, factor) -> None:
-    problem = EXAMPLES[name]()
+def test_the_unit_of_force_does_not_matter(name: str, strategy: str, factor: float) -> None:
+    problem = example(name)
     law, (load,) = problem.law, problem.tractions
     scaled = replace(
         problem,
@@ -66,7 +68,7 @@ def test_the_unit_of_force_does_not_matter(name, strategy, factor) -> None:
         tractions=(replace(load, value=(factor * load.value[0], factor * load.value[1])),),
         obstacle=replace(problem.obstacle, friction=factor * problem.obstacle.friction),
     )
-    solution, usual = strategy(scaled), strategy(problem)
+    solution, usual = strategies.available()[strategy].load()(scaled), solved(strategy, name)
     check_record(solution)
     assert solution.stationarity == usual.stationarity
     # rounding differs, and with it which of several local minima newton finds
@@ -77,7 +79,7 @@ def test_the_unit_of_force_does_not_matter(name, strategy, factor) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
 def test_nested_reaches_its_bound(name: str) -> None:
-    solution = nested.solve(EXAMPLES[name]())
+    solution = solved("nested", name)
     check_record(solution)
     assert solution.energy <= NESTED[name]
     assert solution.contact_solves >= solution.iterations
@@ -94,10 +96,10 @@ def test_fixed_is_the_baseline(name: str) -> None:
 @pytest.mark.slow
 def test_the_reported_energy_and_the_audit_differ_by_quadrature_only() -> None:
     # on 6.2 there is no source, so the audit must repeat the energy; on 6.1 it must not
-    same = joint.solve(EXAMPLES["6.2"]())
+    same = solved("joint", "6.2")
     # the same energy by other sums: 1e-9 is far above their rounding, and far below any error of a rule
     assert same.audit.energy_audited == pytest.approx(same.energy, rel=1e-9)
-    other = joint.solve(EXAMPLES["6.1"]())
+    other = solved("joint", "6.1")
     assert abs(other.audit.energy_audited - other.energy) > 1e-4
 
 
@@ -149,7 +151,7 @@ def test_random_starts_are_repeatable_and_seeded() -> None:
 @pytest.mark.parametrize("outer", [name for name in nested.OUTER_SOLVERS if name != "ipopt"])
 def test_other_outer_solvers_come_close(outer: str) -> None:
     problem = EXAMPLES["6.1"](4)
-    reference = nested.solve(problem).record()["gain"]
+    reference = solved("nested", "6.1", 4).record()["gain"]
     solution = nested.solve(problem, outer=outer)
     # this coarse grid has several minima, which differ by less than a tenth of the gain
     assert solution.record()["gain"] >= 0.9 * reference
@@ -223,7 +225,7 @@ class TestOuterObjectives:
 
     @pytest.mark.slow
     def test_l2_error_by_mpcc(self) -> None:
-        solution = mpcc.solve(EXAMPLES["6.1"](), objective="error-l2")
+        solution = solved("mpcc", "6.1", objective="error-l2")
         record = solution.record()
         check_record(solution)
         assert record["objective_initial"] == pytest.approx(2.929e-3, rel=1e-3)

@@ -127,6 +127,7 @@ def test_square_and_overdetermined_systems(kind):
         assert result.x == pytest.approx([0.5, 0], abs=1e-8)
 
 
+@pytest.mark.slow
 def test_all_unknowns_fixed():
     x, y = symbols(ca.SX, "xy")
     v = ca.vertcat(x, y)

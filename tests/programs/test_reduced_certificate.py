@@ -27,7 +27,9 @@ def boxed(kind: str) -> ContactProblem:
 
 
 @pytest.mark.parametrize("kind", ["scalar", "membrane"])
-@pytest.mark.parametrize("objective", ["certificate", "2*certificate + 0.01*quality"])
+@pytest.mark.parametrize(
+    "objective", ["certificate", pytest.param("2*certificate + 0.01*quality", marks=pytest.mark.slow)]
+)
 def test_the_gradient_is_right(kind, objective):
     assert rm.verify_gradient(boxed(kind), objective, seed=1).order > 1.9
 
