@@ -52,7 +52,7 @@ def test_an_inverted_element_is_not_a_number_and_no_other_is(min_angle: float) -
     validity = discretise(stated).validity
     area0 = 0.125
     for height, inverted in ((0.5, False), (1e-6, False), (-1e-6, True), (-0.3, True)):
-        corners = np.array([[0.0, 0.5, 0.0], [0.0, height, 0.5]]).ravel(order="F")
+        corners = np.array([[0.0, 0.5, 0.0], [0.0, 0.0, height]]).ravel(order="F")
         given = np.asarray(validity.group.function(corners, area0)[1]).ravel()
         upright = np.asarray(validity.upright_group.function(corners, area0)[1]).ravel()
         assert not np.any(np.isnan(given))
