@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,21 @@ def cases() -> list[Case]:
     return make_cases(["6.2"], ["fixed"], n=(4, 2)) + make_cases(["6.2"], ["fixed"], n=(2, 2))
 
 
+@pytest.fixture(scope="module")
+def first_run(cases: list[Case], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which both are solved, to be copied."""
+    folder = tmp_path_factory.mktemp("first-run")
+    list(run(cases, Results(folder)))
+    return folder
+
+
+@pytest.fixture
+def ran(first_run: Path, tmp_path: Path) -> Path:
+    """A folder of the test's own in which both are solved."""
+    shutil.copytree(first_run, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
 def resumed(cases: Sequence[Case], folder: Path) -> list[str]:
     """Keys of those that are solved again."""
     keys: list[str] = []
@@ -40,23 +56,21 @@ def changed(folder: Path, key: str, **entries: Any) -> None:
     results.replace_all([{**row, **entries} if row["key"] == key else row for row in results.read()])
 
 
-def test_successes_are_not_solved_again_whatever_their_place(cases: list[Case], tmp_path: Path) -> None:
-    list(run(cases, Results(tmp_path)))
-    assert resumed(cases, tmp_path) == []
-    assert resumed(cases[::-1], tmp_path) == []
-    assert len(Results(tmp_path).read()) == 2
+def test_successes_are_not_solved_again_whatever_their_place(cases: list[Case], ran: Path) -> None:
+    assert resumed(cases, ran) == []
+    assert resumed(cases[::-1], ran) == []
+    assert len(Results(ran).read()) == 2
 
 
 @pytest.mark.parametrize(
     "entries", [{"success": False, "status": "stalled"}, {"status": "interrupted"}, {"success": False}]
 )
 def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(
-    cases: list[Case], tmp_path: Path, entries: dict[str, Any]
+    cases: list[Case], ran: Path, entries: dict[str, Any]
 ) -> None:
-    list(run(cases, Results(tmp_path)))
-    changed(tmp_path, cases[0].key, **entries)
-    assert resumed(cases, tmp_path) == [cases[0].key]
-    rows = Results(tmp_path).read()
+    changed(ran, cases[0].key, **entries)
+    assert resumed(cases, ran) == [cases[0].key]
+    rows = Results(ran).read()
     assert sorted(row["key"] for row in rows) == sorted(case.key for case in cases)
     assert all(row["success"] and row["status"] == "converged" for row in rows)
 
@@ -64,10 +78,9 @@ def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["vtu", "history", "nodes", "nan"])
 def test_a_row_whose_files_are_missing_or_of_another_mesh_is_solved_again(
-    cases: list[Case], tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+    cases: list[Case], ran: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    list(run(cases, Results(tmp_path)))
-    results = Results(tmp_path)
+    results = Results(ran)
     record = next(row for row in results.read() if row["key"] == cases[0].key)
     places = results.result(record)
     assert results.is_intact(record)
@@ -76,7 +89,7 @@ def test_a_row_whose_files_are_missing_or_of_another_mesh_is_solved_again(
     elif kind == "history":
         places.history.unlink()
     elif kind == "nodes":
-        changed(tmp_path, cases[0].key, nodes=7)
+        changed(ran, cases[0].key, nodes=7)
     else:
         text = places.vtu.read_text()
         assert text.count("displacement") == 1
@@ -86,15 +99,14 @@ def test_a_row_whose_files_are_missing_or_of_another_mesh_is_solved_again(
         u = outcome.solution.displacement.copy()
         u[0, 0] = np.nan
         fields(replace(outcome.solution, displacement=u), places.vtu, "vtu")
-    assert resumed(cases, tmp_path) == [cases[0].key]
-    assert resumed(cases, tmp_path) == []
+    assert resumed(cases, ran) == [cases[0].key]
+    assert resumed(cases, ran) == []
 
 
-def test_rows_of_versions_that_counted_no_nodes_are_reused(cases: list[Case], tmp_path: Path) -> None:
-    list(run(cases, Results(tmp_path)))
-    results = Results(tmp_path)
+def test_rows_of_versions_that_counted_no_nodes_are_reused(cases: list[Case], ran: Path) -> None:
+    results = Results(ran)
     results.replace_all([{k: v for k, v in row.items() if k != "nodes"} for row in results.read()])
-    assert resumed(cases, tmp_path) == []
+    assert resumed(cases, ran) == []
 
 
 @pytest.mark.slow
@@ -121,22 +133,19 @@ def test_rows_of_another_problem_under_the_same_key_are_refused(
     assert resumed(cases[:1], tmp_path) == [cases[0].key]
 
 
-def test_without_resume_the_earlier_run_stays_until_a_solve_has_ended(
-    cases: list[Case], tmp_path: Path
-) -> None:
-    list(run(cases, Results(tmp_path)))
-    rows = run(cases[:1], Results(tmp_path), on_start=lambda _: seen.append(len(read_results(tmp_path))))
+def test_without_resume_the_earlier_run_stays_until_a_solve_has_ended(cases: list[Case], ran: Path) -> None:
+    rows = run(cases[:1], Results(ran), on_start=lambda _: seen.append(len(read_results(ran))))
     seen: list[int] = []
     next(rows)
     assert seen == [2]
-    assert len(read_results(tmp_path)) == 1
-    assert len(read_results(tmp_path / "previous")) == 2
+    assert len(read_results(ran)) == 1
+    assert len(read_results(ran / "previous")) == 2
     assert list(rows) == []
-    assert not (tmp_path / "previous-2").exists()
-    list(run(cases, Results(tmp_path)))  # set aside once, not once for each case
-    assert len(read_results(tmp_path)) == 2
-    assert len(read_results(tmp_path / "previous-2")) == 1
-    assert not (tmp_path / "previous-3").exists()
+    assert not (ran / "previous-2").exists()
+    list(run(cases, Results(ran)))  # set aside once, not once for each case
+    assert len(read_results(ran)) == 2
+    assert len(read_results(ran / "previous-2")) == 1
+    assert not (ran / "previous-3").exists()
 
 
 def test_an_interrupted_solve_leaves_its_row_and_is_the_last(

@@ -43,7 +43,7 @@ def bracket_of(problem: ContactProblem) -> Bracket:
     return bracket(problem, problem.mesh.p, guess_on(problem))
 
 
-@pytest.mark.parametrize("n", [4, 8])
+@pytest.mark.parametrize("n", [4, pytest.param(8, marks=pytest.mark.slow)])
 def test_exact_energy_of_61_is_inside_before_and_after(n):
     problem = EXAMPLES["6.1"](n)
     for strategy in (formulations.fixed, formulations.joint):
@@ -55,7 +55,7 @@ def test_exact_energy_of_61_is_inside_before_and_after(n):
 
 
 @pytest.mark.parametrize("kind", ["scalar", "membrane", "elastic", "rough"])
-@pytest.mark.parametrize("seed", [0, 5, 9])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (5, 9))])
 def test_bounds_of_random_problems_hold_on_finer_meshes(kind, seed):
     """The lower bound of a coarse, distorted mesh lies below the energy of a fine one, and close to it."""
     frame = {"frame": TURNED} if kind in ("elastic", "rough") and seed else {}
@@ -261,7 +261,10 @@ def test_a_changed_domain_keeps_its_own_bounds():
     assert found.lower <= found.upper
 
 
-@pytest.mark.parametrize("kind", ["scalar", "membrane", "elastic", "rough"])
+@pytest.mark.parametrize(
+    "kind",
+    ["scalar", "elastic", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("membrane", "rough"))],
+)
 def test_a_finer_equilibration_bounds_the_same_displacement_more_closely(kind):
     problem = random_problem(4, kind=kind)
     nodes, guess = np.asarray(problem.mesh.p), guess_on(problem)

@@ -91,6 +91,7 @@ def test_nothing_passes_between_the_nodes_of_any_mesh(obstacle: Obstacle, seed: 
     assert energies[1] > energies[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("obstacle", [PARABOLA, DISC])
 def test_energies_fall_to_the_limit_from_above(obstacle: Obstacle) -> None:
     energies = {
