@@ -20,7 +20,8 @@ from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.solution.flipping import with_flips
 from rmesh_nlp.solution.interrupts import deferred
 from rmesh_nlp.solution.referee import OnStep, Referee
-from rmesh_nlp.solution.solution import Solution, Step, interrupted
+from rmesh_nlp.solution.solution import Solution, interrupted
+from rmesh_nlp.solution.step import Step
 
 
 def with_edges_flipped(

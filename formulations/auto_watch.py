@@ -24,7 +24,7 @@ from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.residual import OuterResidual
 from rmesh_nlp.solution.interrupts import deferred
 from rmesh_nlp.solution.referee import OnStep
-from rmesh_nlp.solution.solution import Step
+from rmesh_nlp.solution.step import Step
 
 T = TypeVar("T")
 

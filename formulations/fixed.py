@@ -17,7 +17,8 @@ from rmesh_nlp.solution.beginning import Start
 from rmesh_nlp.solution.history import TIME_LIMIT_S
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.registry import ignoring
-from rmesh_nlp.solution.solution import Solution, Step
+from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.step import Step
 
 
 @dataclass(frozen=True)

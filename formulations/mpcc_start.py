@@ -16,7 +16,7 @@ from rmesh_nlp.programs.reduced import ReducedPoint
 from rmesh_nlp.solution.beginning import Beginning, Start, beginning
 from rmesh_nlp.solution.history import Recorder
 from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.solution import Step
+from rmesh_nlp.solution.step import Step
 
 DROPPED = "without-complementarity"
 """A start of ``mpcc`` alone: its program with the products dropped."""

@@ -33,7 +33,8 @@ from rmesh_nlp.solution.flipping import solve_with_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Watch
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
-from rmesh_nlp.solution.solution import Solution, Step
+from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.step import Step
 from rmesh_nlp.solution.time_left import Falling
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from rmesh_nlp.solution.solution import Step
+from rmesh_nlp.solution.step import Step
 from rmesh_nlp.solution.time_left import Falling
 
 TOLERANCE = 1e-6

@@ -19,7 +19,8 @@ from rmesh_nlp.io.record_model import REQUIRED, Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, RECORDS, TABLES, Result, Results, write_history
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solution.certify import Certificate, certified
-from rmesh_nlp.solution.solution import Solution, Step, versions
+from rmesh_nlp.solution.solution import Solution, versions
+from rmesh_nlp.solution.step import Step
 from rmesh_nlp.solution.theorem41 import error_terms
 from rmesh_nlp.solution.worth import by_certificate
 

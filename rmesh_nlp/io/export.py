@@ -22,7 +22,8 @@ from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.solution.certify import Certificate
-from rmesh_nlp.solution.solution import Solution, Step
+from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.step import Step
 
 if TYPE_CHECKING:
     import pandas as pd

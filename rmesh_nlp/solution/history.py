@@ -17,7 +17,8 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.outer_function import Reduced
 from rmesh_nlp.programs.outer_solvers import StoppedError
 from rmesh_nlp.solution.referee import OnStep, Referee
-from rmesh_nlp.solution.solution import Solution, Step
+from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.step import Step
 
 NAN = float("nan")
 

@@ -11,12 +11,10 @@ import numpy as np
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration_work_of
-from rmesh_nlp.contact.setup_warnings import bought_gain, penetration_warnings, setup_warnings
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.validity import is_valid, least_area_ratio
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -28,12 +26,22 @@ from rmesh_nlp.programs.energy_program import Relocation, relocation
 from rmesh_nlp.programs.multipliers import multipliers
 from rmesh_nlp.programs.outer_function import Reduced, outer_function
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
 from rmesh_nlp.programs.residual import OuterResidual, size_of
-from rmesh_nlp.solution.audit import Audit, Auditor, equilibrium_residual, law_residual
+from rmesh_nlp.solution.audit import Auditor
 from rmesh_nlp.solution.clock import Clock, timed
+from rmesh_nlp.solution.findings import (
+    advice,
+    decrease_of,
+    first_fault,
+    nodal_stress,
+    residuals,
+    warnings_of,
+    without_solution,
+    zones,
+)
 from rmesh_nlp.solution.interrupts import deferred
-from rmesh_nlp.solution.solution import Solution, Step, interrupted
+from rmesh_nlp.solution.solution import Solution, interrupted
+from rmesh_nlp.solution.step import Step
 from rmesh_nlp.solution.verdict import Measured, verdict
 
 OnStep = Callable[[Step], None]
@@ -41,9 +49,6 @@ OnStep = Callable[[Step], None]
 
 ENERGY_AGREEMENT = 1e-6
 """Largest relative difference between a solver's energy and the exact contact solve."""
-
-DEGREES = (4, 6, 8, 10, 12, 16, 20)
-"""Degrees of quadrature that are recommended where the gain is one of the rule."""
 
 PROVED = ("S", "B")
 """Labels of an MPCC that prove first-order optimality where strict complementarity fails, and with it the
@@ -234,7 +239,7 @@ class Referee:
         )
         ratio = least_area_ratio(self.problem, nodes)
         if not ratio > 0:
-            return _without_solution(common, self.problem, ratio, status)
+            return without_solution(common, self.problem, ratio, status)
         cold, factorisations = self.reduced.cold_solves, self.reduced.factorisations
         exact = self.reduced(q)
         accurate = self._auditor.solve(nodes, exact.equilibrium.active)
@@ -244,7 +249,9 @@ class Referee:
         point = exact if isinstance(function, ReducedEnergy) else function.of(exact)
         residual = self.residual(function)(point)
         labelled = stationarity in PROVED and bool(np.any(point.weak))
-        decrease, size = self._decrease(function, objective, q, start, accurate)
+        decrease, size = decrease_of(
+            self.reduced, function, objective, self._auditor.accurate_problem, q, start, accurate
+        )
         if function is self.reduced and size_of(point) > 0:
             size = max(size, size_of(point))
         claimed, expected = claimed_energy, exact.value
@@ -256,7 +263,7 @@ class Referee:
         ]
         measured = Measured(
             audit=audit,
-            contact=_first_fault(self.initial, start, exact.equilibrium, accurate),
+            contact=first_fault(self.initial, start, exact.equilibrium, accurate),
             consistent=claimed is None
             or abs(claimed - expected) <= ENERGY_AGREEMENT * size_of(exact)
             or size_of(exact) == 0,
@@ -272,7 +279,7 @@ class Referee:
         judged = verdict(status, measured)
         detail = ""
         if judged.status is Status.QUADRATURE_EXPLOITED:
-            detail = self._advice(nodes, start.energy - accurate.energy)
+            detail = advice(self.model, nodes, start.energy - accurate.energy)
         if stationarity is None:
             stationarity = "KKT" if residual <= tolerance else ""
         weights = nodal_weights(self.problem, nodes)
@@ -281,9 +288,9 @@ class Referee:
             "tolerance": tolerance,
             "cold_contact_solves": min(cold, common["contact_solves"]) if relocates else 1,
             "contact_factorisations": factorisations if relocates else self.initial.iterations,
-            **self._residuals(nodes, own or found, exact.equilibrium),
-            **self._zones(exact.equilibrium),
-            "warnings": self._warnings(nodes, found, works),
+            **residuals(self.model.system(nodes), own or found, exact.equilibrium),
+            **zones(self.problem, exact.equilibrium),
+            "warnings": warnings_of(self.model, self._auditor.accurate, self.initial, nodes, found, works),
         }
         if self.problem.motion.curves:
             areas = (signed_areas(x, self.problem.triangles).sum() for x in (nodes, self.problem.mesh.p))
@@ -291,8 +298,8 @@ class Referee:
         return Solution(
             **common,
             displacement=self.model.displacement.values(found.u),
-            pressure=self._stress(found.normal_force, weights),
-            tangential_stress=self._stress(found.tangential_force, weights),
+            pressure=nodal_stress(self.model, found.normal_force, weights),
+            tangential_stress=nodal_stress(self.model, found.tangential_force, weights),
             energy=found.energy,
             audit=audit,
             status=judged.status,
@@ -307,103 +314,7 @@ class Referee:
             measured=measured,
         )
 
-    def _zones(self, state: Equilibrium) -> dict[str, int]:
-        """Record entries of a problem with friction: how many of its nodes stick, and how many slide."""
-        rows = self.problem.friction_rows
-        if not rows.size:
-            return {}
-        sliding = int(np.count_nonzero(state.active.sliding[rows]))
-        return {"sticking_nodes": int(rows.size) - sliding, "sliding_nodes": sliding}
-
-    def _residuals(self, nodes: Array, own: Equilibrium, exact: Equilibrium) -> dict[str, float]:
-        """Record entries: residuals of the strategy's own state, and of the referee's contact solve."""
-        system = self.model.system(nodes)
-        return {
-            f"{name}_{kind}_residual": measure(system, state.u, state.normal_force, state.tangential_force)
-            for name, state in (("own", own), ("referee", exact))
-            for kind, measure in (("equilibrium", equilibrium_residual), ("complementarity", law_residual))
-        }
-
-    def _warnings(self, nodes: Array, state: Equilibrium, works: list[float]) -> list[str]:
-        """Signs of a wrong set-up, and of foundations that pass into the relocated mesh."""
-        found = setup_warnings(self.problem, self.model, self.initial, self._auditor.accurate)
-        messages = [warning.message for warning in found if warning.kind != "penetration"]
-        u = self.model.displacement.values(state.u)
-        after = penetration_warnings(self.problem, nodes, u)
-        after += bought_gain(self.initial.energy - state.energy, *works)
-        return messages + [warning.message for warning in after]
-
     @cached_property
     def _accurate_start(self) -> Equilibrium:
         """The contact solution on the mesh as given by the rule of the audit."""
         return self._auditor.solve(np.asarray(self.problem.mesh.p), self.initial.active)
-
-    def _decrease(
-        self,
-        function: Reduced,
-        objective: str | Objective,
-        q: Array,
-        before: Equilibrium,
-        after: Equilibrium,
-    ) -> tuple[float, float]:
-        """Decrease of the minimised objective by the rule of the audit, and the objective's size."""
-        if function is self.reduced:
-            one = before.energy + self.reduced.of_positions(np.zeros(q.size))
-            two = after.energy + self.reduced.of_positions(q)
-            return one - two, max(abs(one), abs(two))
-        if isinstance(function, ReducedCertificate):  # by that rule already
-            one, two = function(np.zeros(q.size)).value, function(q).value
-            return one - two, max(abs(one), abs(two))
-        rel, accurate = self.relocation, self._auditor.accurate_problem
-        value = element_values(
-            parse_objective(objective).groups(accurate, rel.freedoms.positions, rel.displacement, rel.slip)
-        )
-        zero = np.zeros(q.size)
-        one, two = (
-            float(sum(np.sum(part) for part in value(self.reduced.point(moves, state))))
-            for moves, state in ((zero, before), (q, after))
-        )
-        return one - two, max(abs(one), abs(two))
-
-    def _advice(self, nodes: Array, gain: float) -> str:
-        """The least degree of quadrature that gives the gain of the audit on this mesh to one per cent."""
-        for degree in DEGREES:
-            model = self.model.with_rule(degree)
-            own = model.solve(np.asarray(self.problem.mesh.p)).energy - model.solve(nodes).energy
-            if abs(own - gain) <= 0.01 * max(abs(own), abs(gain)):
-                return f"Here degree {degree} suffices."
-        return f"Here not even degree {DEGREES[-1]} suffices."
-
-    def _stress(self, force: Array, weights: Array) -> Array:
-        stress = np.zeros(self.problem.mesh.p.shape[1])
-        if force.size:
-            np.add.at(stress, self.model.contact_nodes, force / weights)  # a node may meet two foundations
-        return stress
-
-
-def _first_fault(*states: Equilibrium) -> Status:
-    """CONVERGED, or the status of the first contact solve that did not."""
-    return next((s.status for s in states if s.status is not Status.CONVERGED), Status.CONVERGED)
-
-
-def _without_solution(
-    common: dict[str, Any], problem: ContactProblem, ratio: float, said: Status
-) -> Solution:
-    """A row for a mesh on which the contact problem cannot be solved."""
-    nan = float("nan")
-    n_nodes = problem.mesh.p.shape[1]
-    return Solution(
-        **common,
-        displacement=np.full((problem.components, n_nodes), nan),
-        pressure=np.full(n_nodes, nan),
-        tangential_stress=np.full(n_nodes, nan),
-        energy=nan,
-        audit=Audit(nan, nan, nan, ratio),
-        status=Status.INVALID_MESH,
-        valid=False,
-        improved=False,
-        success=False,
-        stationarity="",
-        stationarity_residual=nan,
-        solver_status=said,
-    )

@@ -35,7 +35,7 @@ from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.solution import referee as of_referee
-from rmesh_nlp.solution.solution import Step
+from rmesh_nlp.solution.step import Step
 
 
 def no_boxes(problem: ContactProblem) -> ContactProblem:

@@ -18,7 +18,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import Motion
 from rmesh_nlp.solution.clock import Clock
 from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.solution import Step
+from rmesh_nlp.solution.step import Step
 
 STRATEGIES = [fixed, nested, joint, mpcc]
 COMMON = {"settings", "tolerance", "max_iterations", "time_limit_s", "start", "seed", "on_step", "objective"}

@@ -11,7 +11,9 @@ import pytest
 
 from formulations import joint
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.solution.solution import Solution, Step, _gain, _plain, counted
+from rmesh_nlp.solution.solution import Solution, _gain, counted
+from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solution.step import plain as as_plain
 
 
 @pytest.fixture(scope="module")
@@ -75,5 +77,5 @@ class TestRecord:
         [(np.int64(3), 3), (np.bool_(True), True), (np.nan, None), (-np.inf, None), ("x", "x"), (0.5, 0.5)],
     )
     def test_values_become_plain(self, value: Any, plain: Any) -> None:
-        assert _plain(value) == plain
-        assert type(_plain(value)) is type(plain)
+        assert as_plain(value) == plain
+        assert type(as_plain(value)) is type(plain)

@@ -17,7 +17,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedPoint
-from rmesh_nlp.solution import referee as refereeing
+from rmesh_nlp.solution import findings
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.solution import Solution
 
@@ -136,18 +136,18 @@ def test_the_advised_degree_is_the_least_that_gives_the_gain(monkeypatch: pytest
     q = joint.solve(problem).mesh
     nodes = np.asarray(q.p)
     gains = {}
-    for degree in (*refereeing.DEGREES, 24):
+    for degree in (*findings.DEGREES, 24):
         model = ContactModel(discretise(replace(problem, quadrature=degree)))
         gains[degree] = model.solve(problem.mesh.p).energy - model.solve(nodes).energy
     near = [
         d
-        for d in refereeing.DEGREES
+        for d in findings.DEGREES
         if abs(gains[d] - gains[24]) <= 0.01 * max(map(abs, (gains[d], gains[24])))
     ]
-    assert referee._advice(nodes, gains[24]) == f"Here degree {near[0]} suffices."
-    assert referee._advice(nodes, 10 * gains[24]) == "Here not even degree 20 suffices."
-    assert refereeing.DEGREES[-1] == 20
-    assert list(refereeing.DEGREES) == sorted(refereeing.DEGREES)
+    assert findings.advice(referee.model, nodes, gains[24]) == f"Here degree {near[0]} suffices."
+    assert findings.advice(referee.model, nodes, 10 * gains[24]) == "Here not even degree 20 suffices."
+    assert findings.DEGREES[-1] == 20
+    assert list(findings.DEGREES) == sorted(findings.DEGREES)
 
 
 def test_a_point_where_an_element_is_too_small_is_not_valid() -> None:
@@ -185,7 +185,7 @@ def test_what_the_message_advises_is_for_the_gain_of_the_audit() -> None:
     problem = EXAMPLES["6.1"](2)
     solution = joint.solve(problem)
     assert solution.status is Status.QUADRATURE_EXPLOITED
-    advice = Referee(problem)._advice(np.asarray(solution.mesh.p), solution.gain_audited)
+    advice = findings.advice(Referee(problem).model, np.asarray(solution.mesh.p), solution.gain_audited)
     assert advice in solution.message
 
 

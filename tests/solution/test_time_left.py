@@ -6,7 +6,7 @@ import pytest
 
 from formulations import nested
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.solution.solution import Step
+from rmesh_nlp.solution.step import Step
 from rmesh_nlp.solution.time_left import Falling
 
 

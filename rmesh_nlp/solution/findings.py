@@ -1,0 +1,155 @@
+"""What the referee finds out about a mesh and its contact solution, beside the audit itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.setup_warnings import bought_gain, penetration_warnings, setup_warnings
+from rmesh_nlp.contact.system import ContactSystem, Equilibrium
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.assembly import element_values
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.outer_function import Reduced
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
+from rmesh_nlp.solution.audit import Audit, equilibrium_residual, law_residual
+from rmesh_nlp.solution.solution import Solution
+
+DEGREES = (4, 6, 8, 10, 12, 16, 20)
+"""Degrees of quadrature that are recommended where the gain is one of the rule."""
+
+
+def zones(problem: ContactProblem, state: Equilibrium) -> dict[str, int]:
+    """Record entries of a problem with friction: how many of its nodes stick, and how many slide."""
+    rows = problem.friction_rows
+    if not rows.size:
+        return {}
+    sliding = int(np.count_nonzero(state.active.sliding[rows]))
+    return {"sticking_nodes": int(rows.size) - sliding, "sliding_nodes": sliding}
+
+
+def residuals(system: ContactSystem, own: Equilibrium, exact: Equilibrium) -> dict[str, float]:
+    """Record entries: residuals of the strategy's own state, and of the referee's contact solve."""
+    return {
+        f"{name}_{kind}_residual": measure(system, state.u, state.normal_force, state.tangential_force)
+        for name, state in (("own", own), ("referee", exact))
+        for kind, measure in (("equilibrium", equilibrium_residual), ("complementarity", law_residual))
+    }
+
+
+def warnings_of(
+    model: ContactModel,
+    accurate: ContactModel,
+    initial: Equilibrium,
+    nodes: Array,
+    state: Equilibrium,
+    works: list[float],
+) -> list[str]:
+    """Signs of a wrong set-up, and of foundations that pass into the relocated mesh.
+
+    Parameters
+    ----------
+    model, accurate : ContactModel
+        By the rule of the problem and by that of the audit.
+    initial, state : Equilibrium
+        On the mesh as given and at the relocated ``nodes`` (2, nodes).
+    works : list of float
+        Work of penetration in these two.
+    """
+    found = setup_warnings(model.problem, model, initial, accurate)
+    messages = [warning.message for warning in found if warning.kind != "penetration"]
+    after = penetration_warnings(model.problem, nodes, model.displacement.values(state.u))
+    after += bought_gain(initial.energy - state.energy, *works)
+    return messages + [warning.message for warning in after]
+
+
+def decrease_of(
+    energy: ReducedEnergy,
+    function: Reduced,
+    objective: str | Objective,
+    accurate: ContactProblem,
+    q: Array,
+    before: Equilibrium,
+    after: Equilibrium,
+) -> tuple[float, float]:
+    """Decrease of the minimised objective by the rule of the audit, and the objective's size.
+
+    Parameters
+    ----------
+    energy : ReducedEnergy
+    function : Reduced
+        The objective as a function of the moves; the energy itself, or another one.
+    objective : str or Objective
+    accurate : ContactProblem
+        With the rule of the audit.
+    q : (n_q,) array
+        The moves.
+    before, after : Equilibrium
+        Contact solutions by that rule on the mesh as given and at the moves.
+    """
+    zero = np.zeros(q.size)
+    if function is energy:
+        one = before.energy + energy.of_positions(zero)
+        two = after.energy + energy.of_positions(q)
+    elif isinstance(function, ReducedCertificate):  # by that rule already
+        one, two = function(zero).value, function(q).value
+    else:
+        rel = energy.relocation
+        value = element_values(
+            parse_objective(objective).groups(accurate, rel.freedoms.positions, rel.displacement, rel.slip)
+        )
+        one, two = (
+            float(sum(np.sum(part) for part in value(energy.point(moves, state))))
+            for moves, state in ((zero, before), (q, after))
+        )
+    return one - two, max(abs(one), abs(two))
+
+
+def advice(model: ContactModel, nodes: Array, gain: float) -> str:
+    """The least degree of quadrature that gives the gain of the audit on this mesh to one per cent."""
+    for degree in DEGREES:
+        other = model.with_rule(degree)
+        own = other.solve(np.asarray(model.problem.mesh.p)).energy - other.solve(nodes).energy
+        if abs(own - gain) <= 0.01 * max(abs(own), abs(gain)):
+            return f"Here degree {degree} suffices."
+    return f"Here not even degree {DEGREES[-1]} suffices."
+
+
+def nodal_stress(model: ContactModel, force: Array, weights: Array) -> Array:
+    """(nodes,) contact forces over the weights omega_i of their nodes, in N/m^2; zero off the contact set."""
+    stress = np.zeros(model.problem.mesh.p.shape[1])
+    if force.size:
+        np.add.at(stress, model.contact_nodes, force / weights)  # a node may meet two foundations
+    return stress
+
+
+def first_fault(*states: Equilibrium) -> Status:
+    """CONVERGED, or the status of the first contact solve that did not."""
+    return next((s.status for s in states if s.status is not Status.CONVERGED), Status.CONVERGED)
+
+
+def without_solution(common: dict[str, Any], problem: ContactProblem, ratio: float, said: Status) -> Solution:
+    """A row for a mesh on which the contact problem cannot be solved."""
+    nan = float("nan")
+    n_nodes = problem.mesh.p.shape[1]
+    return Solution(
+        **common,
+        displacement=np.full((problem.components, n_nodes), nan),
+        pressure=np.full(n_nodes, nan),
+        tangential_stress=np.full(n_nodes, nan),
+        energy=nan,
+        audit=Audit(nan, nan, nan, ratio),
+        status=Status.INVALID_MESH,
+        valid=False,
+        improved=False,
+        success=False,
+        stationarity="",
+        stationarity_residual=nan,
+        solver_status=said,
+    )
