@@ -1,0 +1,162 @@
+"""The program of ``joint`` on Example 6.1, stated by us, by plain CasADi and by Pyomo."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from peer_solvers.case import Case, Finish
+
+from formulations import joint
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.fields import Field
+from rmesh_nlp.optimize.solver import IPOPT_OPTIONS, Solver
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.solution.referee import Referee
+
+SILENT = {"ipopt": {"print_level": 0, "sb": "yes"}, "print_time": False}
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Example 6.1 as numbers, to be stated in any modelling language.
+
+    Unknowns ``x = (q, u)``; ``positions`` and ``displacement`` say how nodal values follow from them.
+    """
+
+    positions: Field
+    displacement: Field
+    triangles: Array
+    contact: Array
+    bound: Array
+    start: Array
+    unit: float
+
+    def ipopt(self, limit: float) -> dict[str, Any]:
+        """What ``joint`` gives Ipopt, and so every peer that uses Ipopt on the same program."""
+        own = joint.JointSettings().options(areas=False, unit=self.unit)
+        return {**IPOPT_OPTIONS, **own, "max_wall_time": min(limit, 1e6)}
+
+    def nodes(self, x: Sequence[float]) -> Array:
+        """Node positions of unknowns cut to their boxes."""
+        values = np.array(x, dtype=float)
+        return self.positions.values(np.clip(values, -self.bound, self.bound))
+
+
+def program_of(problem: ContactProblem) -> Program:
+    """The program of Example 6.1 and the start of ``joint``."""
+    referee = Referee(problem)
+    rel = referee.relocation
+    if rel.n_valid or rel.n_s:
+        raise ValueError("only for boxes that exclude inverted elements, and without friction")
+    return Program(
+        positions=rel.freedoms.positions,
+        displacement=rel.displacement,
+        triangles=problem.triangles.T,
+        contact=problem.contact_nodes,
+        bound=rel.nlp.ubx,
+        start=referee.reduced.point(np.zeros(rel.n_q), referee.initial),
+        unit=joint.pull(referee.reduced(np.zeros(rel.n_q)).gradient),
+    )
+
+
+def entries(field: Field, component: int, x: Any) -> list[Any]:
+    """Nodal values as expressions of the unknowns ``x[i]``, plain numbers where they are fixed."""
+    index, scale, offset = (a[component].tolist() for a in (field.index, field.scale, field.offset))
+    return [
+        o if i < 0 else o + s * x[i] if o else s * x[i] for i, s, o in zip(index, scale, offset, strict=True)
+    ]
+
+
+def source_61(x: Any, y: Any, sin: Callable[[Any], Any], choose: Callable[[Any, Any, Any], Any]) -> Any:
+    """-Laplace of the exact solution (6.2), differentiated by hand."""
+    a, pi = 0.5 - y, np.pi
+    lower = 200 * sin(2 * pi * x) * (4 * pi**2 * y * a**4 + 8 * a**3 - 12 * y * a**2)
+    upper = 100 * sin(pi / 2 * x) * (pi**2 / 4 * (1 - y) * a**4 - 8 * a**3 - 12 * (1 - y) * a**2)
+    return choose(y <= 0.5, lower, upper)
+
+
+def energy_61(program: Program, x: Any, sin: Any, choose: Any) -> tuple[Any, list[Any]]:
+    """The energy of Example 6.1, element by element with the midpoint rule, and the nodal displacements."""
+    X, Y = (entries(program.positions, i, x) for i in (0, 1))
+    u = entries(program.displacement, 0, x)
+    terms = []
+    for a, b, c in program.triangles.tolist():
+        x1, x2, y1, y2 = X[b] - X[a], X[c] - X[a], Y[b] - Y[a], Y[c] - Y[a]
+        det, u1, u2 = x1 * y2 - x2 * y1, u[b] - u[a], u[c] - u[a]
+        strain = ((y2 * u1 - y1 * u2) ** 2 + (x1 * u2 - x2 * u1) ** 2) / (4 * det)
+        work = sum(
+            source_61((X[i] + X[j]) / 2, (Y[i] + Y[j]) / 2, sin, choose) * (u[i] + u[j]) / 2
+            for i, j in ((a, b), (b, c), (c, a))
+        )
+        terms.append(strain - det / 6 * work)
+    return sum(terms), u
+
+
+def ours_joint(case: Case) -> Finish:
+    """Our strategy ``joint``."""
+    solution = joint.solve(case.problem, time_limit_s=min(case.limit, 1e6))
+    return Finish(np.asarray(solution.mesh.p), solution.status.value, solution.wall_time_s)
+
+
+def nlpsol_mapped(case: Case) -> Finish:
+    """Our expressions, all derivatives left to ``nlpsol``."""
+    program = program_of(case.problem)
+    began = time.perf_counter()
+    rel = relocation(case.problem)
+    plain = replace(rel.nlp, derivatives=None)
+    result = Solver(plain, options=program.ipopt(case.limit))(program.start)
+    seconds = time.perf_counter() - began
+    return Finish(rel.nodes(rel.split(result.x)[0]), result.status.value, seconds)
+
+
+def nlpsol_written_out(case: Case) -> Finish:
+    """What one writes first in CasADi: a sum over the elements, handed to ``nlpsol``."""
+    program = program_of(case.problem)
+    began = time.perf_counter()
+    x = ca.SX.sym("x", program.start.size)
+    energy, u = energy_61(program, ca.vertsplit(x), ca.sin, ca.if_else)
+    gaps = ca.vertcat(*[u[i] for i in program.contact])
+    settings = {"ipopt": program.ipopt(case.limit), "print_time": False, "error_on_fail": False}
+    solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": energy, "g": gaps}, settings)
+    answer = solver(x0=program.start, lbx=-program.bound, ubx=program.bound, lbg=0, ubg=np.inf)
+    seconds = time.perf_counter() - began
+    status = "converged" if solver.stats()["success"] else solver.stats()["return_status"]
+    return Finish(program.nodes(answer["x"].full().ravel()), status, seconds)
+
+
+def pyomo_model(case: Case) -> Finish:
+    """The same sum over the elements in Pyomo, solved by an ``ipopt`` executable, or through cyipopt."""
+    import pyomo.environ as pyo
+
+    program = program_of(case.problem)
+    began = time.perf_counter()
+    model = pyo.ConcreteModel()
+    model.x = pyo.Var(
+        range(program.start.size),
+        initialize=lambda _, i: float(program.start[i]),
+        bounds=lambda _, i: (-program.bound[i], program.bound[i]) if np.isfinite(program.bound[i]) else None,
+    )
+    energy, u = energy_61(
+        program, model.x, pyo.sin, lambda test, yes, no: pyo.Expr_if(IF=test, THEN=yes, ELSE=no)
+    )
+    model.energy = pyo.Objective(expr=energy)
+    model.gap = pyo.Constraint(range(len(program.contact)), rule=lambda _, k: u[program.contact[k]] >= 0)
+    solver, options = pyo.SolverFactory("ipopt"), program.ipopt(case.limit)
+    if solver.available(exception_flag=False):
+        solver.options.update(options)
+    else:
+        solver = pyo.SolverFactory("cyipopt")
+        if not solver.available(exception_flag=False):
+            raise RuntimeError("no ipopt executable, and no cyipopt with PyNumero's library")
+        solver.config.options = options
+    result = solver.solve(model, load_solutions=True)
+    seconds = time.perf_counter() - began
+    condition = str(result.solver.termination_condition)
+    x = [pyo.value(model.x[i]) for i in range(program.start.size)]
+    return Finish(program.nodes(x), "converged" if condition == "optimal" else condition, seconds)
