@@ -14,6 +14,12 @@ SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 
 @pytest.fixture
+def comparisons(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    return importlib.import_module("certificate_comparisons")
+
+
+@pytest.fixture
 def benchmark(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(SCRIPTS))
     monkeypatch.setattr(sys, "argv", ["benchmark_certificate.py"])
@@ -27,7 +33,7 @@ def test_small_run_finds_no_violation(benchmark: ModuleType, capsys: pytest.Capt
     assert "violations: 0" in capsys.readouterr().out
 
 
-def test_a_violated_bound_is_counted(benchmark: ModuleType) -> None:
-    rough = benchmark.bracket_of(benchmark.problem_of(0, "scalar"))
-    assert not benchmark.compared(rough, rough).violated
-    assert benchmark.compared(replace(rough, lower=rough.upper + 1), rough).violated
+def test_a_violated_bound_is_counted(comparisons: ModuleType) -> None:
+    rough = comparisons.bracket_of(comparisons.problem_of(0, "scalar"))
+    assert not comparisons.compared(rough, rough).violated
+    assert comparisons.compared(replace(rough, lower=rough.upper + 1), rough).violated
