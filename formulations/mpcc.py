@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from formulations import joint
-from formulations.mpcc_options import BARRIER, OPTIONS, TIGHT_OTHERS, energy_options, ipopt_options
-from formulations.mpcc_start import Begin, begin, moves
+from formulations.mpcc_options import OPTIONS, energy_options, other_options
+from formulations.mpcc_start import Begin, begin, in_step, moves
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -121,6 +121,9 @@ def solve(
     check_limits(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     referee = Referee(problem)
     at = moves(start, seed, referee, outer, time_limit_s)
+    pull = joint.pull(referee.reduced(at.q).gradient)
+    if outer.is_energy:
+        at = in_step(at, referee, start)
     contact = referee.reduced(at.q)
     function = referee.function(objective)
     value = function(np.zeros(at.q.size)).value
@@ -134,9 +137,9 @@ def solve(
         )
     if outer.is_energy:
         boxed = bool(np.all(np.isfinite(referee.relocation.freedoms.bound)))
-        ipopt = energy_options(two_level.value / joint.pull(contact.gradient), boxed)
+        own: dict[str, Any] = energy_options(two_level.value / pull, boxed)
     else:
-        ipopt = ipopt_options(1.0, BARRIER, TIGHT_OTHERS)
+        own = other_options()
     recorder = Recorder(referee, on_step, time_limit_s, two_level.value, outer.is_energy)
     if outer.is_energy:
         recorder.state_residual = _residual(referee, two_level)
@@ -149,7 +152,7 @@ def solve(
         if recorder.stopped is not None:
             return None
         limits = {"time_limit_s": max(recorder.remaining, 1e-3), "max_iterations": max_iterations}
-        usual = {"relaxation": relaxation, **OPTIONS, **ipopt, **limits}
+        usual = {"relaxation": relaxation, **OPTIONS, **own, **limits}
         options = {**usual, **where.options, **(settings or {})}
         with referee.clock.during("build"):
             solver = MPCCSolver(two_level.mpcc, **options)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from formulations import joint
@@ -11,9 +11,10 @@ from formulations.mpcc_options import PUSHES
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.kkt_program import Bilevel
 from rmesh_nlp.programs.reduced import ReducedPoint
-from rmesh_nlp.solution.beginning import Beginning, Start, beginning
+from rmesh_nlp.solution.beginning import GIVEN, Beginning, Start, beginning
 from rmesh_nlp.solution.history import Recorder
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.step import Step
@@ -107,6 +108,23 @@ def moves(start: Start, seed: int | None, referee: Referee, outer: Objective, li
             raise ValueError("start = 'joint' needs the energy as objective: there alone the levels collapse")
         return beginning(referee, None, seed)
     return beginning(referee, start, seed, known=(DROPPED,), objective=outer, time_limit_s=limit)
+
+
+def in_step(
+    at: Beginning, referee: Referee, start: Start, usual: joint.JointSettings | None = None
+) -> Beginning:
+    """The moves to start from on a fine mesh in boxes: with small alternating moves added.
+
+    They are those of ``joint`` (:mod:`rmesh_nlp.programs.alternating`), from the same number of moves on,
+    so that both begin on the same mesh; the contact problem is solved there. Starts that were asked for
+    by name or by positions stay as they are.
+    """
+    relocation, usual = referee.relocation, usual or joint.JointSettings()
+    asked_for = start is not None and not (isinstance(start, str) and start == GIVEN)
+    if asked_for or relocation.n_valid > 0 or at.q.size < usual.fine:
+        return at
+    gradient = referee.reduced(at.q).gradient
+    return replace(at, q=alternated(relocation, at.q, gradient, usual.alternating, referee.is_valid))
 
 
 def _joint(

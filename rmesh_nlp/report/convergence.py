@@ -95,10 +95,10 @@ def convergence_figure(curves: Sequence[Curve], best: Record) -> Figure:
     left.set_yscale("log")
     least = f"{reference:.6g}".replace("-", "−")
     left.set_ylabel(f"|{symbol} − {symbol}*|{unit},  {symbol}* = {least}")
-    hollow = "" if all(one.feasible.all() for one in curves) else "; hollow: constraints not yet met"
-    left.set_xlabel(f"iteration\n(drawn down to {_power(FLOOR)} |{symbol}*|{hollow})")
+    hollow = "" if all(one.feasible.all() for one in curves) else "\nhollow: constraints not yet met"
+    left.set_xlabel(f"iteration\ndrawn down to {_power(FLOOR)} |{symbol}*|{hollow}")
     right.set_xscale("log")
-    right.set_xlabel("cost\n(time of build and solve over that of one contact solve)")
+    right.set_xlabel("cost: time of build and solve\nover that of one contact solve")
     for axis in (left, right):
         axis.grid(color="0.9", linewidth=0.5)
         axis.minorticks_off()

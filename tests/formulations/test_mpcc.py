@@ -13,10 +13,12 @@ from formulations import joint, mpcc, mpcc_start, nested
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.validity import least_area_ratio
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.solution import Solution
 
 SMALL: dict[str, Any] = {"6.1": 4, "6.2": (6, 4), "6.3": (6, 4)}
@@ -215,3 +217,16 @@ def test_without_boxes_no_iterate_inverts_an_element(name: str, n: Any) -> None:
 def area_at(problem: ContactProblem, q: np.ndarray) -> float:
     """The least element area at moves ``q``, over the initial one."""
     return least_area_ratio(problem, discretise(problem).freedoms.positions.values(q))
+
+
+def test_only_on_fine_meshes_the_start_is_given_alternating_moves() -> None:
+    referee = Referee(coarse("6.1"))
+    given = mpcc_start.moves(None, None, referee, parse_objective("energy"), 60.0)
+    fine = joint.JointSettings(fine=1, alternating=0.2)
+    assert mpcc_start.in_step(given, referee, None) is given
+    assert mpcc_start.in_step(given, referee, np.asarray(referee.problem.mesh.p), fine) is given
+    moved = mpcc_start.in_step(given, referee, None, fine)
+    bound = referee.relocation.freedoms.bound
+    assert set(np.round(np.abs(moved.q), 12)) <= {0.0, *np.round(0.2 * bound, 12)}
+    # in the one of both directions that goes downhill
+    assert referee.reduced(given.q).gradient @ (moved.q - given.q) < 0
