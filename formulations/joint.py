@@ -187,7 +187,7 @@ def solve(
         chosen = replace(chosen, max_iterations=max_iterations)
     referee = Referee(problem, outer)
     begin = beginning(referee, start, seed, time_limit_s=time_limit_s)
-    recorder = Recorder(referee, on_step, time_limit_s)
+    recorder = Recorder(referee, on_step, time_limit_s, is_energy=outer.is_energy)
     result = recorder.run(lambda: minimise(referee, begin.q, recorder, chosen))
     if result is None or recorder.stopped is not None:
         q, claimed = recorder.best(referee.reduced, begin.q), None
@@ -213,14 +213,22 @@ def solve(
         history=steps,
         iterations=begin.iterations + factorisations + finish.iterations,
         contact_solves=begin.contact_solves + 1 + finish.contact_solves,
-        objective=outer,
+        objective=objective,
         claimed_energy=claimed,
         own=own,
         start=begin.name,
         seed=seed,
         settings=chosen.changed(),
-        extra={"kkt_factorisations": factorisations},
+        extra={"kkt_factorisations": factorisations, **_outer_values(referee, finish.q)},
     )
+
+
+def _outer_values(referee: Referee, q: Array) -> dict[str, float]:
+    """Record entries of the outer objective before and after; of a mesh that is not valid none."""
+    if not referee.is_valid(q):
+        return {}
+    start, end = referee.reduced(np.zeros(q.size)), referee.reduced(q)
+    return {"objective_initial": start.value, "objective_value": end.value}
 
 
 def _own(referee: Referee, q: Array, result: NLPResult) -> Equilibrium:
