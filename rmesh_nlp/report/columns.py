@@ -209,7 +209,7 @@ OBJECTIVES = (
     Column("initial", "initial", _number("objective_initial", ".6e")),
     Column("final", "final", _number("objective_value", ".6e")),
     Column("biactive", "biactive", lambda record: _count(record.get("biactive_nodes"))),
-    Column("label", "label", _text("stationarity")),
+    Column("label", "label", lambda record: label_in_words(record)),
     Column("status", "status", _text("status")),
 )
 """Outer objectives other than the energy."""

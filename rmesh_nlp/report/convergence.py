@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.io.results import Record, Result
 from rmesh_nlp.problem.units import bracketed, units_of
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label
-from rmesh_nlp.report.style import TWO_COLUMNS, Look, look, new_figure
+from rmesh_nlp.report.style import TWO_COLUMNS, Look, legend_columns, look, new_figure
 
 FEASIBLE = 1e-6
 """Primal residual up to which an iterate counts as one whose energy means something."""
@@ -106,7 +106,7 @@ def convergence_figure(curves: Sequence[Curve], best: Record) -> Figure:
     right.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     right.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     handles, names = left.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 5))
+    figure.legend(handles, names, loc="outside upper center", ncols=legend_columns(names))
     return figure
 
 

@@ -88,7 +88,6 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
     fixed = [field for record, field in drawn if record["formulation"] == RELOCATING_NOTHING]
     given = {GIVEN: fixed[0]} if fixed else {}
     moved = [(record, field) for record, field in drawn if record["formulation"] != RELOCATING_NOTHING]
-    named = {label(record): field for record, field in moved}
     with rc_context(SETTINGS):
         for record, field in moved:
             panels = {**given, f"relocated by {label(record)}": field}
@@ -97,18 +96,30 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
                 yield f"{record.get('key', stem)}-error", error_figure(field, record)
         if given and not moved:
             yield f"{stem}-grid", grid_figure(given, units)
-        if drawn and drawn[0][1].contact.any():
-            yield f"{stem}-stress", stress_figure({**given, **named}, units)
+        for objective in _objectives(block):
+            named = {label(r): field for r, field in moved if r["objective"] == objective}
+            if drawn and drawn[0][1].contact.any() and (named or not moved):
+                yield f"{stem}{_suffix(objective)}-stress", stress_figure({**given, **named}, units)
         if drawn and drawn[0][1].displacement.shape[0] == 1:
             best = {f"relocated by {label(r)}": f for r, f in moved if r is block.best}
-            yield f"{stem}-surface", surface_figure({**given, **best} or named)
-        for objective in dict.fromkeys(record["objective"] for record in block.records):
+            every = {label(record): field for record, field in moved}
+            yield f"{stem}-surface", surface_figure({**given, **best} or every)
+        for objective in _objectives(block):
             same = [result for result in results if result.record["objective"] == objective]
             curves = [one for result in same if (one := curve(result, block.unit)) is not None]
             lowest = Block(tuple(result.record for result in same)).best
             if curves and lowest is not None:
-                suffix = "" if objective == "energy" else f"-{objective}"
-                yield f"{stem}{suffix}-convergence", convergence_figure(curves, lowest)
+                yield f"{stem}{_suffix(objective)}-convergence", convergence_figure(curves, lowest)
+
+
+def _objectives(block: Block) -> list[str]:
+    """What was minimised in a block, in the order of its rows."""
+    return list(dict.fromkeys(record["objective"] for record in block.records))
+
+
+def _suffix(objective: str) -> str:
+    """What tells figures of other objectives from those of the energy."""
+    return "" if objective == "energy" else f"-{objective}"
 
 
 def _unused(name: str, paths: Sequence[Path]) -> str:

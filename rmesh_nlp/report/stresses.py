@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from rmesh_nlp.io.vtu import Fields
 from rmesh_nlp.problem.units import NO_UNITS, Units, bracketed
-from rmesh_nlp.report.style import TWO_COLUMNS, look, new_figure
+from rmesh_nlp.report.style import TWO_COLUMNS, legend_columns, look, new_figure
 
 
 def stress_figure(curves: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure:
@@ -49,7 +49,7 @@ def stress_figure(curves: Mapping[str, Fields], units: Units = NO_UNITS) -> Figu
         _bounds(figure, fields[0], direction)
     axes[-1].set_xlabel(f"$x_{direction + 1}${bracketed(units.length)} on the contact boundary")
     handles, names = axes[-1].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 5))
+    figure.legend(handles, names, loc="outside upper center", ncols=legend_columns(names))
     return figure
 
 

@@ -17,6 +17,9 @@ from rmesh_nlp.io.files import write_whole
 TWO_COLUMNS = 7.0
 """Width of a printed page's text in inches."""
 
+LEGEND, KEY, COLUMNS = 92, 8, 5
+"""Letters that fit into a legend of that width, those that the line before a name takes, and most columns."""
+
 MAP = "viridis"
 GRID_LINE = "0.25"
 FOUNDATION = "0.45"
@@ -84,3 +87,9 @@ def save(
         for path, kind in zip(paths, formats, strict=True):
             write_whole(path, partial(figure.savefig, format=kind))
     return paths
+
+
+def legend_columns(names: Sequence[str]) -> int:
+    """Columns of a legend that is not wider than a figure of two columns of print."""
+    longest = max(map(len, names), default=1)
+    return max(1, min(len(names), COLUMNS, LEGEND // (longest + KEY)))

@@ -78,3 +78,21 @@ def test_other_objectives_are_refused() -> None:
         nested.solve(problem(), regularisation=0.01, objective="error-l2")
     with pytest.raises(ValueError, match="mpcc or nested"):
         joint.solve(problem(), objective="error-l2 + 0.1*quality")
+
+
+def test_strategies_say_an_objective_alike() -> None:
+    """Rows of one objective are compared with one another: its text and its values must be the same."""
+    given = replace(EXAMPLES["6.2"]((4, 2)), quadrature=4)
+    rows = [one.solve(given, objective="energy+0.1*quality").record() for one in (joint, nested, mpcc)]
+    assert {row["objective"] for row in rows} == {"energy+0.1*quality"}
+    start = rows[0]["objective_initial"]
+    for row in rows:
+        assert row["objective_initial"] == pytest.approx(start, rel=1e-12)
+        # the distortion is worth something on the relocated mesh, and nothing on the given one
+        assert row["objective_value"] - row["energy"] > row["objective_initial"] - row["energy_initial"]
+
+
+def test_the_history_of_joint_calls_only_an_energy_an_energy() -> None:
+    given = replace(EXAMPLES["6.2"]((4, 2)), quadrature=4)
+    steps = joint.solve(given, objective="energy+0.1*quality").history
+    assert all(np.isnan(step.energy) and np.isfinite(step.objective) for step in steps)

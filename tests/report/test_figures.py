@@ -18,7 +18,7 @@ from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.convergence import curve
 from rmesh_nlp.report.figures import block_figures, write_figures
-from rmesh_nlp.report.style import LOOKS, SETTINGS
+from rmesh_nlp.report.style import LOOKS, SETTINGS, TWO_COLUMNS, legend_columns, new_figure
 
 
 @pytest.fixture(scope="module")
@@ -170,3 +170,16 @@ def test_a_failed_solve_is_not_drawn(results: list[Result]) -> None:
     failed = Result({**results[0].record, "energy": None, "success": False}, Path("none"), Path("none"))
     (block,) = blocks([failed.record])
     assert dict(block_figures(block, [failed])) == {}
+
+
+@pytest.mark.parametrize(
+    "names", [["nested", "joint", "mpcc"], [f"nested, mean(load, -uy), seed {k}" for k in range(7)]]
+)
+def test_a_legend_is_not_wider_than_its_figure(names: list[str]) -> None:
+    figure = new_figure(TWO_COLUMNS, 3.0)
+    axis = figure.subplots()
+    for name in names:
+        axis.plot([0, 1], [0, 1], label=name)
+    legend = figure.legend(loc="outside upper center", ncols=legend_columns(names), fontsize=8)
+    figure.draw_without_rendering()
+    assert legend.get_window_extent().width <= figure.get_window_extent().width
