@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.problems import no_boxes
 
 from formulations import auto, nested
 from rmesh_nlp.contact.model import ContactModel
@@ -20,10 +21,6 @@ from rmesh_nlp.meshes.decimation import shape_quality
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
 from rmesh_nlp.programs.energy_flips import ElementEnergies, flip_edges, mean_around, shapes_as_given
 from rmesh_nlp.programs.regularisation import gain_estimate
-
-
-def no_boxes(problem: ContactProblem) -> ContactProblem:
-    return replace(problem, motion=replace(problem.motion, delta=None, min_area_fraction=0.01))
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4])

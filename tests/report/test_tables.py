@@ -6,10 +6,10 @@ import csv
 import io
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.reporting import fixed_61, joint_61
+from support.table_rows import ROWS, record
 
 from rmesh_nlp.io.results import REQUIRED
 from rmesh_nlp.report.blocks import Block, blocks, label
@@ -26,76 +26,6 @@ from rmesh_nlp.report.markup import (
 from rmesh_nlp.report.notes import notes
 from rmesh_nlp.report.refinement import TITLE, refinement_notes, refinement_rows
 from rmesh_nlp.report.tables import frame, latex, markdown, write_tables
-
-
-def record(**changes: Any) -> dict[str, Any]:
-    """A row of Example 6.2 by joint with the paper's settings."""
-    row = {
-        **dict.fromkeys(REQUIRED),
-        "key": "6.2-12x6-joint",
-        "example": "6.2",
-        "formulation": "joint",
-        "objective": "energy",
-        "n": "12x6",
-        "delta": [0.15667, 0.07333],
-        "quadrature": "midpoint",
-        "status": "converged",
-        "success": True,
-        "message": "Converged to the tolerance.",
-        "energy_initial": -4.854190196,
-        "energy": -4.910329789,
-        "energy_initial_audited": -4.854190196,
-        "energy_audited": -4.910329789,
-        "gain": 0.056139593,
-        "gain_audited": 0.056139593,
-        "start": "given",
-        "build_time_s": 0.02,
-        "solve_time_s": 0.06,
-        "audit_time_s": 0.003,
-        "own_equilibrium_residual": 3.1e-9,
-        "referee_equilibrium_residual": 4.7e-13,
-        "own_complementarity_residual": 2e-10,
-        "referee_complementarity_residual": 0.0,
-        "biactive_nodes": [],
-        "u_min": -0.053583,
-        "u_max": 0.0094881,
-        "min_area_ratio": 0.13213,
-        "iterations": 44,
-        "contact_solves": 3,
-        "cold_contact_solves": 1,
-        "contact_factorisations": 7,
-        "kkt_factorisations": 44,
-        "wall_time_s": 0.083,
-        "contact_time_s": 0.004,
-        "equilibrium_residual": 4.7e-13,
-        "complementarity_residual": 0.0,
-        "stationarity": "KKT",
-        "stationarity_residual": 2.94e-6,
-        "versions": {"python": "3.11"},
-    }
-    return row | changes
-
-
-UNKNOWN = (
-    "stationarity_residual",
-    "contact_time_s",
-    *("energy_initial_audited", "gain_audited", "start", "build_time_s", "solve_time_s", "audit_time_s"),
-    *("own_equilibrium_residual", "referee_equilibrium_residual", "biactive_nodes"),
-    *("own_complementarity_residual", "referee_complementarity_residual"),
-    *("cold_contact_solves", "contact_factorisations", "kkt_factorisations"),
-)
-MEASURED = [name for name in REQUIRED[REQUIRED.index("energy_initial") :] if name not in ("versions", "seed")]
-FAILED = dict.fromkeys((*MEASURED, *UNKNOWN)) | {"wall_time_s": 0.083}
-ROWS = [
-    record(),
-    record(
-        formulation="mpcc",
-        status="failed",
-        success=False,
-        message="RuntimeError: 100% & more_",
-        **FAILED,
-    ),
-]
 
 MARKDOWN = """\
 # Comparison of strategies
@@ -279,57 +209,6 @@ def test_csv_has_every_scalar_field_and_the_paper_s_values() -> None:
     assert float(first["time_contact_solves"]) == pytest.approx(20.0)
     assert (second["status"], second["energy"]) == ("failed", "")
     assert set(REQUIRED) - {"versions"} <= set(first)
-
-
-def test_the_note_says_what_is_not_reached_and_what_failed() -> None:
-    text = notes(ROWS)
-    assert "Example 6.2: printed initial energy -4.8541: met, here -4.854190." in text
-    (final,) = [note for note in text if "printed final energy" in note]
-    assert final.startswith(
-        "Example 6.2: printed final energy -4.9188 is NOT reached: the lowest here is -4.910330 (joint). "
-    )
-    assert "6.2, mpcc: failed: RuntimeError: 100% & more_" in text
-
-
-@pytest.mark.parametrize(
-    ("energy", "said"),
-    [
-        (-4.91879, "is NOT reached"),  # truncated, not rounded, it would be printed as -4.9187
-        (-4.91889, "is met"),
-        (-4.9189, "is passed"),
-    ],
-)
-def test_the_note_follows_the_records_and_truncates(energy: float, said: str) -> None:
-    (final,) = [note for note in notes([record(energy=energy)]) if "printed final energy" in note]
-    assert said in final
-
-
-def test_an_unmet_initial_energy_is_said() -> None:
-    text = notes([record(energy_initial=-4.85409)])
-    assert "Example 6.2: printed initial energy -4.8541: NOT met, here -4.854090." in text
-
-
-@pytest.mark.parametrize(
-    "changes", [{"n": "24x12"}, {"delta": [0.2, 0.07333]}, {"quadrature": 6}, {"example": "mine"}]
-)
-def test_other_settings_are_not_compared(changes: dict[str, Any]) -> None:
-    rows = [record(**changes)]
-    assert any("not the paper's settings" in note for note in notes(rows))
-    assert "paper, given grid" not in markdown(rows)
-
-
-def test_extremes_of_61_are_compared() -> None:
-    common = {"example": "6.1", "n": "8", "delta": [0.0275, 0.0275], "energy_initial": -1.124602}
-    rows = [
-        record(**common, formulation="fixed", energy=-1.124602, u_min=-0.454855, u_max=0.475281),
-        record(**common, energy=-1.475161, u_min=-0.5228, u_max=0.5266),
-    ]
-    text = "\n".join(notes(rows))
-    assert "extremes -0.4549, 0.4753 on the given grid: met, here -0.45486, 0.47528." in text
-    assert "final energy -1.4445 is passed: the lowest here is -1.475161 (joint)." in text
-    assert "here -0.5228, 0.5266 (joint)" in text
-    rows[0]["u_max"] = 0.4755
-    assert "on the given grid: NOT met" in "\n".join(notes(rows))
 
 
 def test_outer_objectives_have_a_table_of_their_own() -> None:

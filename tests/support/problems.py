@@ -32,3 +32,8 @@ def sloped_block(friction: float = 60.0) -> ContactProblem:
         tractions=(Traction("top", (-20.0, lambda x, y: -30 * x)),),
         name="sloped",
     )
+
+
+def no_boxes(problem: ContactProblem) -> ContactProblem:
+    """The same without boxes, elements kept by a small least area."""
+    return replace(problem, motion=replace(problem.motion, delta=None, min_area_fraction=0.01))

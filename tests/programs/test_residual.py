@@ -1,0 +1,66 @@
+"""The first-order residual of the outer problem, in histories and in records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from formulations import fixed, joint, mpcc, nested
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solution.referee import Referee
+
+
+@pytest.mark.slow
+def test_it_is_one_on_the_given_mesh_of_any_fineness() -> None:
+    for n in (3, 6, 12):
+        referee = Referee(EXAMPLES["6.1"](n))
+        point = referee.reduced(np.zeros(referee.relocation.n_q))
+        assert referee.residual(referee.reduced)(point) == pytest.approx(1.0)
+
+
+def test_history_and_record_agree_with_active_areas() -> None:
+    problem = EXAMPLES["6.2"]((4, 2), 0.6)
+    solution = nested.solve(problem, outer="newton", tolerance=1e-5)
+    assert solution.multipliers is not None
+    assert np.any(solution.multipliers.area > 0)
+    assert solution.history[-1].dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
+
+
+@pytest.mark.parametrize("strategy", [joint, mpcc])
+@pytest.mark.parametrize("name", ["6.1", "6.3"])
+def test_history_and_record_agree_where_no_contact_is_solved(strategy: Any, name: str) -> None:
+    """The contact forces are multipliers of one program and unknowns of the other."""
+    solution = strategy.solve(EXAMPLES[name](4) if name == "6.1" else EXAMPLES[name]((4, 3)))
+    first, last = solution.history[0], solution.history[-1]
+    assert first.dual_residual > 100 * last.dual_residual
+    # both are rounding of a minimiser, the contact forces of one an interior point's
+    assert abs(last.dual_residual - solution.stationarity_residual) <= 1e-8 + 0.01 * last.dual_residual
+
+
+def test_of_another_objective_the_end_of_mpcc_is_known() -> None:
+    solution = mpcc.solve(EXAMPLES["6.1"](3), objective="error-l2")
+    assert solution.history[-1].dual_residual == solution.stationarity_residual
+    assert all(np.isnan(step.dual_residual) for step in solution.history[:-1])
+
+
+@pytest.mark.slow
+def test_an_objective_of_errors_has_one() -> None:
+    solution = nested.solve(replace(EXAMPLES["6.1"](3), quadrature=8), objective="error-l2")
+    assert solution.stationarity_residual < 1e-2
+    given = fixed.solve(EXAMPLES["6.1"](3), objective="error-l2")
+    assert given.stationarity_residual == pytest.approx(1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "size"), [("6.1", 5), ("6.2", (6, 4))], ids=["boxes", "boxes and areas"])
+def test_a_larger_tolerance_is_met_earlier(name: str, size: int | tuple[int, int]) -> None:
+    problem = EXAMPLES[name](size)
+    loose = nested.solve(problem, outer="newton", tolerance=1e-2, settings={"tight": 1.0})
+    tight = nested.solve(problem, outer="newton", tolerance=1e-7)
+    assert loose.status is tight.status is Status.CONVERGED
+    assert loose.iterations < tight.iterations
+    assert tight.stationarity_residual <= 1e-7 < loose.stationarity_residual <= 1e-2
