@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
-from rmesh_nlp.programs.energy_program import Relocation
+from rmesh_nlp.programs.energy_program import Relocation, with_lower_rule
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,14 @@ class SecondDerivatives:
     Parameters
     ----------
     relocation : Relocation
+    rule : int, optional
+        Degree of the quadrature rule of the loads in the Hessian, if that of the problem is higher.
     """
 
-    def __init__(self, relocation: Relocation) -> None:
+    def __init__(self, relocation: Relocation, rule: int | None = None) -> None:
         self._relocation = rel = relocation
-        hessian, jacobian = rel.assembled.hess_lag, rel.assembled.jac_g
+        self._modelled = rel if rule is None else with_lower_rule(rel, rule)
+        hessian, jacobian = self._modelled.assembled.hess_lag, rel.assembled.jac_g
         self._hessian, self._jacobian = Evaluator(hessian), Evaluator(jacobian)
         q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
         upper = numbered(hessian.sparsity_out(0))

@@ -6,9 +6,12 @@ heavy to light weights, prolonged to the next finer mesh, and there only correct
 
 1. Meshes: each coarser one has about a quarter of the nodes (:func:`rmesh_nlp.programs.levels.coarsened`).
 2. The error of the energy is estimated on the coarsest mesh; on the others it falls like the number of nodes.
-3. Coarsest mesh: schedules of weights, each weight from where the last one ended; the best end counts.
+3. Coarsest mesh: schedules of weights, each weight from where the last one ended; the best end counts. More
+   than one where they are cheap beside the finest mesh.
 4. Each finer mesh: from the prolonged map, at the final weight. Meshes of few nodes are solved to the end,
-   large ones and the finest one by a few iterations only. A map that does not lower the energy there is
+   large ones and the finest one by a few iterations only, twice as many on each coarser one (F. A. Bornemann,
+   P. Deuflhard, The cascadic multigrid method for elliptic problems, Numer. Math. 75 (1996)).
+   A map that does not lower the energy there is
    damped, or not taken at all (:mod:`rmesh_nlp.programs.acceptance`).
 """
 
@@ -29,7 +32,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.acceptance import accepted, penetration_at
-from rmesh_nlp.programs.cascade_settings import CascadeSettings
+from rmesh_nlp.programs.cascade_settings import CascadeSettings, Schedules
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.levels import coarsened
@@ -184,18 +187,19 @@ def cascade(
         if number == 0:
             before = taken = float("nan")
             _check_time(is_late)
-            energy, q, status = run.searched(here, share)
+            finest = problem.mesh.p.shape[1]
+            energy, q, status = run.searched(here, share, chosen.starts(here.mesh.p.shape[1], finest))
         else:
             coarse = problems[number - 1]
             energy = run.energy(here, share, chosen.regularisation)
-            q = prolonged(coarse.mesh.p, coarse.triangles, move, energy.relocation)
-            before = energy(q).equilibrium.energy
-            q, taken = accepted(energy, q)
-            finest = number == len(problems) - 1
+            whole = prolonged(coarse.mesh.p, coarse.triangles, move, energy.relocation)
+            q, taken = accepted(energy, whole)
+            before = energy(whole).equilibrium.energy
+            above = len(problems) - 1 - number
             # what is not a correction of a map takes more than a few iterations
-            brief = (finest and taken == 1) or here.mesh.p.shape[1] > chosen.thorough
+            brief = (above == 0 and taken == 1) or here.mesh.p.shape[1] > chosen.thorough
             nested = here.mesh.t.shape[1] == 4 * coarse.mesh.t.shape[1]
-            q, status = run.followed(energy, q, share, brief, nested)
+            q, status = run.followed(energy, q, share, chosen.limit(brief, nested, above))
         move = energy.relocation.nodes(q) - here.mesh.p
         levels.append(
             Level(
@@ -252,13 +256,15 @@ class _Runner:
         self._iterations = self._products = 0
         return {**found, "contact_solves": solves}
 
-    def searched(self, problem: ContactProblem, gain: float) -> tuple[ReducedEnergy, Array, Status]:
+    def searched(
+        self, problem: ContactProblem, gain: float, schedules: Schedules
+    ) -> tuple[ReducedEnergy, Array, Status]:
         """The best end of all schedules on the coarsest mesh; the first map that there is once it is late."""
         chosen, model = self._settings, ContactModel(problem)
         best: tuple[float, ReducedEnergy, Array, Status] | None = None
         reached: tuple[ReducedEnergy, Array, Status] | None = None
         steps: dict[tuple[float, ...], Array] = {(): np.zeros(0)}
-        for schedule in chosen.schedules:
+        for schedule in schedules:
             # schedules may begin alike: what they share is solved once
             for number in range(len(schedule) + 1):
                 before = schedule[:number]
@@ -271,20 +277,20 @@ class _Runner:
                     return best[1:] if best is not None else reached
                 energy = self.energy(problem, gain, weight, model)
                 start = steps[before] if before else np.zeros(energy.relocation.n_q)
-                end = chosen.end if last else chosen.continued
+                # of several only the best one is worth following to the end
+                end = chosen.end if last and len(schedules) == 1 else chosen.continued
                 q, status = self._descend(energy, start, gain, end, chosen.iterations)
                 steps[path], reached = q, (energy, q, status)
                 if last and (best is None or energy(q).value < best[0]):
                     best = energy(q).value, energy, q, status
         assert best is not None
-        return best[1:]
+        _, energy, q, status = best
+        if len(schedules) > 1 and not self.late():
+            q, status = self._descend(energy, q, gain, chosen.end, chosen.iterations)
+        return energy, q, status
 
-    def followed(
-        self, energy: ReducedEnergy, q: Array, gain: float, brief: bool, nested: bool
-    ) -> tuple[Array, Status]:
+    def followed(self, energy: ReducedEnergy, q: Array, gain: float, limit: int) -> tuple[Array, Status]:
         """A descent from a prolonged map."""
-        chosen = self._settings
-        limit = (chosen.brief if nested else chosen.brief_unnested) if brief else chosen.iterations
         return self._descend(energy, q, gain, self._settings.end, limit)
 
     def _descend(

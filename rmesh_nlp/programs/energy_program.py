@@ -147,6 +147,14 @@ class Relocation:
         return self.freedoms.positions.values(q)
 
 
+def with_lower_rule(stated: Relocation, rule: int) -> Relocation:
+    """The same with loads by a rule of degree ``rule``; as it is if its own rule is no higher."""
+    own = stated.problem.rule
+    if not isinstance(own, int) or own <= rule:
+        return stated
+    return relocation(stated.discretisation.with_rule(rule), stated.objective)
+
+
 def relocation(problem: ContactProblem | Discretisation, objective: Objective = ENERGY) -> Relocation:
     """State the energy program of a problem, with assembled derivatives.
 

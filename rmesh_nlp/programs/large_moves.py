@@ -21,6 +21,12 @@ from rmesh_nlp.programs.curvature import Curvature, Hessian
 from rmesh_nlp.programs.energy_program import Relocation
 from rmesh_nlp.programs.reduced import ReducedEnergy
 
+MODEL_RULE = 3
+"""Degree of the quadrature rule of the loads in the second derivatives of the model.
+
+Values and gradients have the rule of the problem. With 4 points in place of 12 a model of Example 6.1 costs
+half, and descents go as far."""
+
 KEPT = 0.1
 """Part of its present area that a step leaves to every element."""
 
@@ -35,6 +41,8 @@ class LargeMoves:
     energy : ReducedEnergy
         Of a program whose objective has a distortion, which keeps the elements valid.
     settings : LocalNewtonSettings, optional
+    exact : bool
+        Whether the second derivatives are those of the problem's own rule, see ``MODEL_RULE``.
 
     Attributes
     ----------
@@ -42,11 +50,13 @@ class LargeMoves:
         So far, over all descents.
     """
 
-    def __init__(self, energy: ReducedEnergy, settings: LocalNewtonSettings | None = None) -> None:
+    def __init__(
+        self, energy: ReducedEnergy, settings: LocalNewtonSettings | None = None, exact: bool = False
+    ) -> None:
         if not energy.relocation.objective.has_barrier:
             raise ValueError("large moves need a distortion in the objective, or elements would be inverted")
         self.energy, self.relocation = energy, energy.relocation
-        self._curvature = Curvature(energy)
+        self._curvature = Curvature(energy, None if exact else MODEL_RULE)
         self._settings = settings
         self.iterations = self.products = 0
 

@@ -95,7 +95,7 @@ def finished(
         factorisations += 0 if found is None else found.factorisations
         return found
 
-    result = LargeMoves(energy)(
+    result = LargeMoves(energy, exact=True)(
         q,
         gain_tolerance=0.0,
         reference=reference,
