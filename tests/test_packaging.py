@@ -49,6 +49,7 @@ def test_imports_go_one_way(folder: str, forbidden: set[str]) -> None:
         assert not imported(path) & forbidden, path
 
 
+@pytest.mark.slow
 def test_the_library_loads_no_strategy() -> None:
     code = "import sys, rmesh_nlp.cli.commands; print('formulations' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

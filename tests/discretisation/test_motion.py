@@ -97,7 +97,7 @@ def test_inverted_elements_are_counted_by_their_signed_area() -> None:
     assert np.sum(signed_areas(nodes, triangles) < 0) == 1
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.02, 0.5))
 def test_elements_without_a_validity_row_never_fail(seed: int, fraction_of_h: float) -> None:
     # property: random meshes, random boxes, random corners of the boxes

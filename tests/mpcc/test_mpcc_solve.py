@@ -93,6 +93,7 @@ def test_infeasible_is_named():
     assert max(result.constraint_violation, result.complementarity) > 0.1
 
 
+@pytest.mark.slow
 def test_unbounded_is_named():
     x, y = symbols(ca.SX, "xy")
     result = solve(MPCC(ca.vertcat(x, y), -x - y, None, x, y), [1, 1])

@@ -31,7 +31,11 @@ def moved(problem: ContactProblem, solution: Solution, name: str) -> float:
     return float(np.max(np.abs(np.asarray(solution.mesh.p)[:, nodes] - problem.mesh.p[:, nodes])))
 
 
-@pytest.mark.parametrize("curve", [*CURVES.values(), spline_of_the_hole()], ids=lambda c: type(c).__name__)
+@pytest.mark.parametrize(
+    "curve",
+    [*CURVES.values(), pytest.param(spline_of_the_hole(), marks=pytest.mark.slow)],
+    ids=lambda c: type(c).__name__,
+)
 def test_the_gradient_has_rate_2_where_nodes_slide_along_a_curve(curve: Curve) -> None:
     load = (lambda x, y: x * y, lambda x, y: ca.sin(x))
     problem = plate({"hole": curve}, delta=0.4, load=load)
