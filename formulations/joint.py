@@ -24,12 +24,12 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.energy_program import Relocation, relocation
 from rmesh_nlp.programs.reduced import ReducedPoint
-from rmesh_nlp.settings import Count, Limit, Positive, Settings, check_limits
+from rmesh_nlp.settings import Count, Limit, Positive, Settings
 from rmesh_nlp.solution.beginning import Start, beginning
-from rmesh_nlp.solution.flipping import solve_with_flips
+from rmesh_nlp.solution.composed import composed
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
-from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
+from rmesh_nlp.solution.regularised import Regularisation
 from rmesh_nlp.solution.solution import Solution
 from rmesh_nlp.solution.verdict import LIMITS
 
@@ -110,6 +110,7 @@ def build(problem: ContactProblem) -> NLP:
     return relocation(problem).nlp
 
 
+@composed
 def solve(
     problem: ContactProblem,
     *,
@@ -159,29 +160,12 @@ def solve(
     ValueError
         If the levels do not collapse for the objective, or a setting or the start cannot be used.
     """
-    options: dict[str, Any] = {
-        "objective": objective,
-        "settings": settings,
-        "tolerance": tolerance,
-        "max_iterations": max_iterations,
-        "time_limit_s": time_limit_s,
-        "start": start,
-        "seed": seed,
-        "on_step": on_step,
-    }
-    if flips:
-        return solve_with_flips(
-            solve, problem, regularisation=regularisation, distortion=distortion, **options
-        )
-    if regularisation is not None:
-        return solve_regularised(solve, problem, regularisation, distortion, **options)
     outer = parse_objective(objective)
     if not outer.collapses:
         raise ValueError(
             f"joint minimises the energy only, or with terms in the positions, not {outer.text!r}: with "
             "another outer objective the inner problem must stay a constraint; use mpcc or nested"
         )
-    check_limits(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     chosen = JointSettings.of(settings)
     if max_iterations is not None:
         chosen = replace(chosen, max_iterations=max_iterations)

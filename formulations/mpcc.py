@@ -25,12 +25,11 @@ from rmesh_nlp.mpcc import MPCC, MPCCResult, MPCCSolver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.kkt_program import Bilevel, bilevel
-from rmesh_nlp.settings import check_limits
 from rmesh_nlp.solution.beginning import Start
-from rmesh_nlp.solution.flipping import solve_with_flips
+from rmesh_nlp.solution.composed import composed
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder, ending_with_residual
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
-from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
+from rmesh_nlp.solution.regularised import Regularisation
 from rmesh_nlp.solution.solution import Solution
 
 LIMITS = (Status.TIME_LIMIT, Status.ITERATION_LIMIT)
@@ -42,6 +41,7 @@ def build(problem: ContactProblem, objective: str | Objective = "energy") -> MPC
     return bilevel(problem, parse_objective(objective)).mpcc
 
 
+@composed
 def solve(
     problem: ContactProblem,
     *,
@@ -100,25 +100,7 @@ def solve(
     ValueError
         If the objective, the relaxation or the start is unknown or does not fit.
     """
-    options: dict[str, Any] = {
-        "objective": objective,
-        "relaxation": relaxation,
-        "settings": settings,
-        "tolerance": tolerance,
-        "max_iterations": max_iterations,
-        "time_limit_s": time_limit_s,
-        "start": start,
-        "seed": seed,
-        "on_step": on_step,
-    }
-    if flips:
-        return solve_with_flips(
-            solve, problem, regularisation=regularisation, distortion=distortion, **options
-        )
-    if regularisation is not None:
-        return solve_regularised(solve, problem, regularisation, distortion, **options)
     outer = parse_objective(objective)
-    check_limits(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     referee = Referee(problem)
     at = moves(start, seed, referee, outer, time_limit_s)
     pull = joint.pull(referee.reduced(at.q).gradient)

@@ -27,17 +27,17 @@ from rmesh_nlp.programs.outer_solvers import (
     reduced_nlp,
 )
 from rmesh_nlp.programs.residual import OuterResidual
-from rmesh_nlp.settings import check_limits
 from rmesh_nlp.solution.beginning import Start, beginning
-from rmesh_nlp.solution.flipping import solve_with_flips
+from rmesh_nlp.solution.composed import composed
 from rmesh_nlp.solution.history import TIME_LIMIT_S, Watch
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
-from rmesh_nlp.solution.regularised import Regularisation, solve_regularised
+from rmesh_nlp.solution.regularised import Regularisation
 from rmesh_nlp.solution.solution import Solution
 from rmesh_nlp.solution.step import Step
 from rmesh_nlp.solution.time_left import Falling
 
 
+@composed
 def solve(
     problem: ContactProblem,
     *,
@@ -103,24 +103,6 @@ def solve(
     """
     if outer not in OUTER_SOLVERS:
         raise unknown("outer solver", outer, OUTER_SOLVERS)
-    options: dict[str, Any] = {
-        "objective": objective,
-        "outer": outer,
-        "settings": settings,
-        "tolerance": tolerance,
-        "max_iterations": max_iterations,
-        "time_limit_s": time_limit_s,
-        "start": start,
-        "seed": seed,
-        "on_step": on_step,
-    }
-    if flips:
-        return solve_with_flips(
-            solve, problem, regularisation=regularisation, distortion=distortion, **options
-        )
-    if regularisation is not None:
-        return solve_regularised(solve, problem, regularisation, distortion, **options)
-    check_limits(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     chosen = NestedSettings.of(settings)
     if max_iterations is not None:
         chosen = replace(chosen, max_iterations=max_iterations)

@@ -156,7 +156,9 @@ def check_positive(**values: float | None) -> None:
             Number().check(name, value)
 
 
-def check_limits(*, tolerance: float, max_iterations: int | None, time_limit_s: float) -> None:
+def check_limits(
+    *, tolerance: float | None = None, max_iterations: int | None = None, time_limit_s: float | None = None
+) -> None:
     """Raise a BadInputError for what no strategy takes as the tolerance or a limit of its solve."""
     check_positive(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
     if max_iterations is not None and max_iterations != int(max_iterations):
