@@ -242,3 +242,22 @@ def test_the_pressure_of_two_materials_on_a_curved_foundation_is_that_of_the_sol
     )
     with pytest.raises(ValueError, match="'top' is not a contact boundary: choose from bottom"):
         value(problem, "peak-pressure(top, 2, 4)")
+
+
+def test_the_pressure_on_a_disc_is_along_its_normal_at_each_node() -> None:
+    """The multipliers of the contact solve are the reference: they know nothing of the elements' pull."""
+    disc = Obstacle.circle("bottom", (0.8, -1.0), 1.0)
+    top = (rm.Dirichlet("top", (0.02, -0.2)),)
+    problem = ContactProblem(
+        rm.shapes.rectangle(6, 2, x=(0, 2)), PlaneStrain(30.0, 40.0), top, disc, Motion(0.01)
+    )
+    solution = rm.solve(problem, "fixed")
+    pressed_at = np.flatnonzero(solution.pressure)
+    tilt = np.abs(problem.mesh.p[0, pressed_at] - 0.8)
+    assert pressed_at.size >= 2
+    assert np.max(tilt) > 0.1  # normals that differ
+    weights, contact = nodal_weights(problem, problem.mesh.p), problem.contact_nodes
+    expected = float(weights @ (solution.pressure[contact] / 5) ** 4) / 2
+    assert value(problem, "peak-pressure(bottom, 5, 4)", solution.displacement) == pytest.approx(
+        expected, rel=1e-7
+    )

@@ -79,3 +79,15 @@ class TestRecord:
     def test_values_become_plain(self, value: Any, plain: Any) -> None:
         assert as_plain(value) == plain
         assert type(as_plain(value)) is type(plain)
+
+
+def test_steps_are_equal_if_their_histories_are() -> None:
+    """What it carries for progress alone, moves and guesses, is not printed and makes no other step."""
+    step = Step(3, -1.0, 0.0, 0.0, 1e-3, 4, 0.5, objective=-1.0, product=0.0, biactive=0.0, stationarity=1e-3)
+    progress = {"q": np.arange(3.0), "energy_given": -0.5, "seconds_left": 12.5}
+    for name, value in progress.items():
+        other = replace(step, **{name: value})
+        assert other == step
+        assert name not in repr(other)
+    assert replace(step, energy=-2.0) != step
+    assert replace(step, stationarity=2e-3) != step
