@@ -261,3 +261,20 @@ def test_the_pressure_on_a_disc_is_along_its_normal_at_each_node() -> None:
     assert value(problem, "peak-pressure(bottom, 5, 4)", solution.displacement) == pytest.approx(
         expected, rel=1e-7
     )
+
+
+def test_an_interface_is_no_boundary_whichever_triangle_it_is_beside() -> None:
+    """Also beside the triangle number 0, wherever scikit-fem writes that."""
+    mesh = rm.shapes.rectangle(3, 2)
+    rng = np.random.default_rng(0)
+    places = set()
+    for _ in range(20):
+        shuffled = type(mesh)(mesh.p, mesh.t[:, rng.permutation(mesh.t.shape[1])])
+        inside = np.flatnonzero(np.all(shuffled.f2t >= 0, axis=0) & np.any(shuffled.f2t == 0, axis=0))
+        for facet in inside:
+            places.add(int(np.flatnonzero(shuffled.f2t[:, facet] == 0)[0]))
+            named = shuffled.with_boundaries({"left": lambda x: x[0] == 0, "cut": np.array([facet])})
+            problem = ContactProblem(named, rm.Laplace(1.0), ("left",))
+            with pytest.raises(ValueError, match="'cut' is an interface inside the body"):
+                value(problem, "mean(cut, u)")
+    assert places == {0, 1}

@@ -17,6 +17,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     ContactProblem,
     Dirichlet,
+    Laplace,
     Motion,
     Obstacle,
     PlaneStrain,
@@ -124,6 +125,33 @@ def test_a_series_plays_the_iterates(problem: ContactProblem, tmp_path: Path, mo
     np.testing.assert_allclose(first.points[:, :2].T, problem.mesh.p, atol=0.02)
     np.testing.assert_allclose(last.points[:, :2].T, final.mesh.p, atol=1e-6)
     np.testing.assert_allclose(last.point_data["displacement"][:, :2].T, final.displacement, atol=1e-6)
+
+
+@pytest.mark.parametrize("components", [1, 2])
+def test_frames_of_a_series_have_the_displacement_of_their_mesh(tmp_path: Path, components: int) -> None:
+    """One value per node for a scalar problem, three for an elastic one, which is what viewers warp by."""
+    if components == 1:
+        made = ContactProblem(
+            rectangle(3, 3), Laplace(-2.0), ("left",), Obstacle("right", (1.0,), 0.01), Motion(0.05)
+        )
+    else:
+        made = ContactProblem(
+            rectangle(3, 2), PlaneStrain(9.0, 8.0, (0.0, -1.0)), ("left",),
+            Obstacle("bottom", (0.0, 1.0), 0.01), Motion(0.05),
+        )  # fmt: skip
+    series = Series(made)
+    nested.solve(made, max_iterations=2, on_step=series)
+    root = ET.parse(series.write(tmp_path)).getroot()
+    frames = [meshio.read(tmp_path / element.attrib["file"]) for element in root.iter("DataSet")]
+    assert len(frames) >= 2
+    for frame in frames:
+        moved = replace(made, mesh=replace(made.mesh, doflocs=frame.points[:, :2].T))
+        expected = fixed.solve(moved).displacement
+        found = frame.point_data["displacement"]
+        assert found.shape == ((expected.shape[1],) if components == 1 else (expected.shape[1], 3))
+        np.testing.assert_allclose(
+            found.reshape(expected.shape[1], -1)[:, :components].T, expected, atol=1e-9
+        )
 
 
 def test_tables_of_pandas(solution: Solution) -> None:

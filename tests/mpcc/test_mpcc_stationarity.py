@@ -23,6 +23,8 @@ x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")
         (-1, -1, "C", False),
         (1, -1, "W", False),
         (-2, 3, "W", False),
+        (-1000, 2e-6, "M", False),  # zero is relative to the largest slope
+        (-1000, 2e-2, "W", False),
     ],
 )
 def test_each_label_at_a_corner_with_unique_multipliers(c, d, label, b_stationary):

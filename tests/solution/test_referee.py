@@ -129,7 +129,6 @@ def test_pressures_carry_the_weight_of_the_block() -> None:
     assert not np.any(solution.tangential_stress)
 
 
-@pytest.mark.slow
 def test_the_advised_degree_is_the_least_that_gives_the_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = EXAMPLES["6.1"](3)
     referee = Referee(problem)
