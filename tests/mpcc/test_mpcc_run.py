@@ -51,6 +51,17 @@ def test_biactive_pairs_are_counted_in_relaxed_steps():
     assert result.label == "S (1 biactive pair, B-stationary)"
 
 
+def test_only_the_rows_of_a_relaxation_have_a_multiplier() -> None:
+    """Near (0, 2) the row ``x y <= t`` holds x back against the pull 2 of ``(x - 1)^2``: 2 = mu y."""
+    v = ca.SX.sym("v", 2)
+    result = solve(MPCC(v, (v[0] - 1) ** 2 + (v[1] - 2) ** 2, None, v[0], v[1]), 0.5)
+    relaxed = [step for step in result.history if step.phase == "relaxed"]
+    others = [step for step in result.history if step.phase not in ("relaxed", "second")]
+    assert others
+    assert all(step.multiplier == 0 for step in others)
+    assert relaxed[-1].multiplier == pytest.approx(1.0, rel=1e-2)
+
+
 def test_s_without_a_biactive_pair_says_that_it_is_a_kkt_point():
     v = ca.SX.sym("v", 2)
     result = solve(MPCC(v, ca.sumsqr(v - 1), None, v[0], v[1]), [1, 0.5])

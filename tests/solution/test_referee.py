@@ -129,6 +129,20 @@ def test_pressures_carry_the_weight_of_the_block() -> None:
     assert not np.any(solution.tangential_stress)
 
 
+def test_rounding_is_relative_to_parts_of_the_energy_that_cancel() -> None:
+    """Weight and lift: the strain energy is larger than their sum."""
+    sides = (rm.Dirichlet("top", (0.0, 0.1)), rm.Dirichlet("bottom", (0.0, 0.0)))
+    lifted = ContactProblem(rectangle(3, 2), PlaneStrain(0.3, 0.4, (0.0, -2.0)), sides, motion=Motion(0.05))
+    referee = Referee(lifted)
+    system, state = referee.model.system(lifted.mesh.p), referee.initial
+    strain = 0.5 * float(state.u @ (system.stiffness @ state.u))
+    found = judged(referee, np.zeros(referee.relocation.n_q))
+    assert 0 < strain < 1
+    assert abs(state.energy) < 0.2 * strain
+    assert found.measured is not None
+    assert found.measured.size == pytest.approx(strain, rel=1e-9)
+
+
 def test_the_advised_degree_is_the_least_that_gives_the_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = EXAMPLES["6.1"](3)
     referee = Referee(problem)
