@@ -9,13 +9,35 @@ from rmesh_nlp.optimize.activity import ROW_OF_A_STEP
 from rmesh_nlp.settings import Count, Factor, Part, Positive, Settings
 
 
-def _check_trust(settings: NewtonSettings | LocalNewtonSettings) -> None:
-    if not (settings.sufficient <= settings.poor < settings.good < 1 and settings.shrink < 1 < settings.grow):
-        raise BadInputError(
-            "a trust region needs sufficient <= poor < good < 1 and shrink < 1 < grow, got "
-            f"{settings.sufficient!r}, {settings.poor!r}, {settings.good!r}, {settings.shrink!r} and "
-            f"{settings.grow!r}"
-        )
+@dataclass(frozen=True)
+class TrustRegionSettings(Settings):
+    """How a trust region follows its model.
+
+    See A. R. Conn, N. I. M. Gould, Ph. L. Toint, Trust-region methods, SIAM 2000, section 6.1.
+
+    Attributes
+    ----------
+    sufficient : float
+        Least ratio of actual to predicted decrease of an accepted step.
+    poor, good : float
+        Ratios below and above which the trust region shrinks and grows.
+    shrink, grow : float
+        Its factors then.
+    """
+
+    sufficient: Positive = 1e-4
+    poor: Positive = 0.25
+    good: Part = 0.75
+    shrink: Part = 0.25
+    grow: Factor = 4.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.sufficient <= self.poor < self.good:
+            raise BadInputError(
+                "a trust region needs sufficient <= poor < good, got "
+                f"{self.sufficient!r}, {self.poor!r} and {self.good!r}"
+            )
 
 
 @dataclass(frozen=True)
@@ -89,8 +111,8 @@ class ProjectionSettings(Settings):
 
 
 @dataclass(frozen=True)
-class NewtonSettings(Settings):
-    """Projected Newton-CG in a box (:mod:`rmesh_nlp.optimize.newton`).
+class NewtonSettings(TrustRegionSettings):
+    """Projected Newton-CG in a box (:mod:`rmesh_nlp.optimize.newton`), in a trust region.
 
     docs/notes/speed.md has the benchmarks on the paper's examples that chose the method.
 
@@ -109,13 +131,6 @@ class NewtonSettings(Settings):
     negligible, creeping : float
         Where area constraints have been met it gives up too if the model predicts less than the first part of
         the decrease so far, and the last step has left more than the second part of the residual.
-    sufficient : float
-        Least ratio of actual to predicted decrease of an accepted step.
-    poor, good : float
-        Ratios below and above which the trust region shrinks and grows (A. R. Conn, N. I. M. Gould,
-        Ph. L. Toint, Trust-region methods, SIAM 2000, section 6.1).
-    shrink, grow : float
-        Its factors then.
     step : StepSettings
     projection : ProjectionSettings
     """
@@ -126,27 +141,20 @@ class NewtonSettings(Settings):
     crowded: Count = 20
     negligible: Part = 1e-10
     creeping: Part = 0.8
-    sufficient: Positive = 1e-4
-    poor: Positive = 0.25
-    good: Positive = 0.75
-    shrink: Positive = 0.25
-    grow: Positive = 4.0
     step: StepSettings = field(default_factory=StepSettings)
     projection: ProjectionSettings = field(default_factory=ProjectionSettings)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_trust(self)
-
 
 @dataclass(frozen=True)
-class LocalNewtonSettings(Settings):
+class LocalNewtonSettings(TrustRegionSettings):
     """Newton-CG with a trust region for each variable (:mod:`rmesh_nlp.optimize.local_newton`).
 
     docs/notes/large_moves.md has the benchmarks that chose the method.
 
     Attributes
     ----------
+    grow : float
+        See :class:`TrustRegionSettings`.
     forcing : float
         Conjugate gradients stop at this part of the residual they began with.
     first : float
@@ -160,28 +168,14 @@ class LocalNewtonSettings(Settings):
         methods, SIAM 2000, section 17.4.2).
     nothing : float
         Predicted decrease, relative to the value, below which a point is stationary.
-    sufficient : float
-        Least ratio of actual to predicted decrease of an accepted step.
-    poor, good : float
-        Ratios below and above which the trust region shrinks and grows.
-    shrink, grow : float
-        Its factors then.
     step : StepSettings
     """
 
+    grow: Factor = 2.0
     forcing: Part = 0.1
     first: Positive = 1.0
     least: Part = 1e-6
     hidden: Part = 0.05
     rounding: Part = 1e-14
     nothing: Part = 1e-20
-    sufficient: Positive = 1e-4
-    poor: Positive = 0.25
-    good: Positive = 0.75
-    shrink: Positive = 0.25
-    grow: Positive = 2.0
     step: StepSettings = field(default_factory=StepSettings)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_trust(self)
