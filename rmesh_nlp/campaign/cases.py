@@ -111,7 +111,13 @@ def make_cases(
         for name in examples
         if not name.endswith(SUFFIX)
     ]
-    if any(parse_objective(text).needs_exact for text in as_list(options.get("objective", "energy"))):
+    objectives = as_list(options.get("objective", "energy"))
+    errors = [text for text in objectives if parse_objective(text).needs_exact]
+    if errors and own:
+        raise BadInputError(
+            f"--objective {errors[0]}: needs an exact or reference solution, and {own[0].name!r} has none"
+        )
+    if errors:
         problems = [with_reference(problem) for problem in problems]
     chosen = [strategy_options(text) for text in formulations]
     for _, own_options in chosen:

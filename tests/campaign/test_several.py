@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from support.problem_files import VALID
 
 from rmesh_nlp.campaign.cases import make_cases, strategy_options
 from rmesh_nlp.cli.app import run
@@ -25,6 +26,16 @@ def test_objectives_and_seeds_are_multiplied() -> None:
     ]  # fmt: skip
     # fixed takes no seed: once for each objective
     assert len([case for case in cases if case.formulation == "fixed"]) == 2
+
+
+def test_errors_of_a_problem_of_ones_own_need_a_solution_that_is_known(tmp_path: Path) -> None:
+    path = tmp_path / "own.toml"
+    # the name of an example does not lend it the reference solution of that example
+    path.write_text('name = "6.2"\n' + VALID.replace('name = "block"\n', ""))
+    with pytest.raises(
+        BadInputError, match=r"error-l2: needs an exact or reference solution, and '6\.2' has none"
+    ):
+        make_cases([str(path)], ["nested"], options={"objective": ["energy", "error-l2"]})
 
 
 def test_a_strategy_may_have_options_of_its_own() -> None:
