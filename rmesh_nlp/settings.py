@@ -126,6 +126,9 @@ def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else value
 
 
+WORDS: Mapping[Any, str] = {bool: "true or false", str: "a name"}
+
+
 @cache
 def _kinds(settings: type[Any]) -> dict[str, Any]:
     hints = get_type_hints(settings, include_extras=True)
@@ -145,6 +148,10 @@ def _check(name: str, value: Any, kind: Any) -> None:
             raise BadInputError(f"{name} must be one or more numbers, got {value!r}")
         for one in value:
             _check(name, one, get_args(kind)[0])
+    elif get_origin(kind) is Mapping and not isinstance(value, Mapping):
+        raise BadInputError(f"{name} must be a mapping from names to values, got {value!r}")
+    elif kind in WORDS and not isinstance(value, kind):
+        raise BadInputError(f"{name} must be {WORDS[kind]}, got {value!r}")
     elif isinstance(kind, type) and issubclass(kind, Settings) and not isinstance(value, kind):
         raise BadInputError(f"{name} must be settings of the method, or a mapping, got {value!r}")
 

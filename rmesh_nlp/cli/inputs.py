@@ -60,16 +60,25 @@ def parse_seed(text: str) -> int:
 
 
 def parse_settings(given: list[str]) -> dict[str, Any]:
-    """Settings of a strategy from texts ``name=value``; a value is JSON, or else a text."""
+    """Settings of a strategy from texts ``name=value``; a value is JSON, or else a text.
+
+    A setting of settings has the names of both: ``newton.forcing=0.2``.
+    """
     found: dict[str, Any] = {}
     for text in given:
-        name, equals, value = text.partition("=")
-        if not (equals and name.strip()):
+        names, equals, value = text.partition("=")
+        *outer, name = (part.strip() for part in names.split("."))
+        if not (equals and name and all(outer)):
             raise BadInputError(f"--set must be NAME=VALUE, got {text!r}")
+        table = found
+        for part in outer:
+            table = table.setdefault(part, {})
+            if not isinstance(table, dict):
+                raise BadInputError(f"--set {text}: {part} has a value already, {table!r}")
         try:
-            found[name.strip()] = json.loads(value)
+            table[name] = json.loads(value)
         except ValueError:
-            found[name.strip()] = value
+            table[name] = value.strip()
     return found
 
 

@@ -133,7 +133,11 @@ Begin = Annotated[
 ]
 Set = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="A setting of the strategy, such as tol=1e-8; repeat."),
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="A setting of the strategy, such as tol=1e-8 or newton.forcing=0.2; repeat.",
+    ),
 ]
 Jobs = Annotated[
     int, typer.Option("--jobs", min=1, metavar="N", help="Processes that solve; more than 1 needs dask.")

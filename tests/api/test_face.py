@@ -17,6 +17,7 @@ def test_every_public_name_is_there() -> None:
     for name in rm.__all__:
         assert getattr(rm, name) is not None
         assert name in dir(rm)
+    assert {"importlib", "Any"}.isdisjoint(dir(rm))
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

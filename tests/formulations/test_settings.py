@@ -57,6 +57,15 @@ def test_numbers_of_a_tuple_are_checked_one_by_one(blocks: Any) -> None:
         NestedSettings(blocks=blocks)
 
 
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [(JointSettings, {"ipopt": 3}), (Options, {"warm_duals": "yes"}), (CascadeSettings, {"distortion": 1})],
+)
+def test_what_is_no_number_is_checked_too(kind: type[Settings], given: dict[str, Any]) -> None:
+    with pytest.raises(BadInputError, match=next(iter(given))):
+        kind.of(given)
+
+
 def test_a_change_keeps_what_was_chosen_before() -> None:
     first = NestedSettings.of({"tol": 1e-5, "newton": {"close": 0.5}})
     both = first.having({"newton": {"step": {"searches": 5}}})
