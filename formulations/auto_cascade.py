@@ -132,7 +132,7 @@ def _corrected(
     energy: ReducedEnergy, q: Array, result: CascadeResult, settings: CascadeSettings, watch: Watch
 ) -> tuple[Array, Status, int]:
     """A few iterations with another rule, from where the last one led."""
-    found = LargeMoves(energy)(
+    found = LargeMoves(energy, approximate=True)(
         q,
         gain_tolerance=settings.end,
         reference=energy(q).value + result.gain_estimate,

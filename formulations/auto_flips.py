@@ -73,7 +73,7 @@ def _with_edges_flipped(
             return flipped
         energy = ReducedEnergy(relocation(flipped, weighted_objective(gain, settings)))
         q = np.zeros(energy.relocation.n_q)
-        moves = LargeMoves(energy)
+        moves = LargeMoves(energy, approximate=True)
         result = moves(
             q,
             gain_tolerance=settings.end,

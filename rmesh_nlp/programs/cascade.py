@@ -296,7 +296,7 @@ class _Runner:
     def _descend(
         self, energy: ReducedEnergy, q: Array, gain: float, end: float, limit: int
     ) -> tuple[Array, Status]:
-        moves, before = LargeMoves(energy), self._total
+        moves, before = LargeMoves(energy, approximate=True), self._total
 
         def report(iteration: int, x: Array, value: float) -> bool:
             if self._on_move is not None and self._on_move(before + iteration, energy, x, value):

@@ -96,7 +96,7 @@ def _relocated(problem: ContactProblem, gain: float, settings: CascadeSettings) 
     objective = regularised(gain, settings.regularisation, settings.distortion)
     energy = ReducedEnergy(relocation(problem, objective))
     q = np.zeros(energy.relocation.n_q)
-    result = LargeMoves(energy)(
+    result = LargeMoves(energy, approximate=True)(
         q,
         gain_tolerance=settings.end,
         reference=energy(q).value + gain,

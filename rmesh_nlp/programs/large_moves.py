@@ -41,8 +41,9 @@ class LargeMoves:
     energy : ReducedEnergy
         Of a program whose objective has a distortion, which keeps the elements valid.
     settings : LocalNewtonSettings, optional
-    exact : bool
-        Whether the second derivatives are those of the problem's own rule, see ``MODEL_RULE``.
+    approximate : bool
+        Second derivatives with loads by a lower rule, see ``MODEL_RULE``: for descents that are not followed
+        to a stationary point.
 
     Attributes
     ----------
@@ -51,12 +52,12 @@ class LargeMoves:
     """
 
     def __init__(
-        self, energy: ReducedEnergy, settings: LocalNewtonSettings | None = None, exact: bool = False
+        self, energy: ReducedEnergy, settings: LocalNewtonSettings | None = None, approximate: bool = False
     ) -> None:
         if not energy.relocation.objective.has_barrier:
             raise ValueError("large moves need a distortion in the objective, or elements would be inverted")
         self.energy, self.relocation = energy, energy.relocation
-        self._curvature = Curvature(energy, None if exact else MODEL_RULE)
+        self._curvature = Curvature(energy, MODEL_RULE if approximate else None)
         self._settings = settings
         self.iterations = self.products = 0
 

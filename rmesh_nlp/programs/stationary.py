@@ -95,7 +95,7 @@ def finished(
         factorisations += 0 if found is None else found.factorisations
         return found
 
-    result = LargeMoves(energy, exact=True)(
+    result = LargeMoves(energy)(
         q,
         gain_tolerance=0.0,
         reference=reference,

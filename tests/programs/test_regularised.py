@@ -155,6 +155,20 @@ def test_steps_are_cut_where_an_element_would_lose_most_of_its_area() -> None:
         assert part == 1.0 or least == pytest.approx(KEPT, rel=1e-6)
 
 
+def test_models_are_exact_unless_they_are_asked_to_take_loads_by_a_lower_rule() -> None:
+    problem = replace(PROBLEMS["6.1"](), quadrature=6)
+    energy = ReducedEnergy(relocation(problem, regularised(gain_estimate(problem).value, 0.01)))
+    end = {}
+    for approximate in (False, True):
+        moves = LargeMoves(energy, approximate=approximate)
+        end[approximate] = moves(np.zeros(energy.relocation.n_q), gain_tolerance=1e-12, max_iterations=40)
+    # Newton's method converges quadratically, with another model linearly
+    assert end[False].status.value == "converged"
+    assert end[False].iterations < end[True].iterations
+    given = energy(np.zeros(energy.relocation.n_q)).value
+    assert given - end[True].value == pytest.approx(given - end[False].value, rel=0.05)
+
+
 def test_large_moves_need_a_barrier() -> None:
     with pytest.raises(ValueError, match="distortion"):
         LargeMoves(ReducedEnergy(relocation(PROBLEMS["6.1"]())))
