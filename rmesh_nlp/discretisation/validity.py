@@ -134,6 +134,11 @@ def least_area_ratio(problem: ContactProblem, nodes: Array) -> float:
     return float(np.min(area_ratios(problem, nodes)))
 
 
+def is_upright(problem: ContactProblem, nodes: Array) -> bool:
+    """Whether no element is inverted or flat at ``nodes`` (2, nodes); else energies there mean nothing."""
+    return bool(np.min(signed_areas(nodes, problem.triangles)) > 0)
+
+
 def is_valid(problem: ContactProblem, nodes: Array, *, by_barrier: bool = False) -> bool:
     """Whether all elements keep the least area and angle that the motion asks for, up to ``ROUNDING``.
 

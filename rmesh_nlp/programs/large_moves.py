@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from rmesh_nlp.discretisation.validity import is_upright
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.optimize.local_newton import descend
@@ -94,7 +95,7 @@ class LargeMoves:
         return result
 
     def _evaluate(self, q: Array) -> Evaluation | None:
-        if not np.min(signed_areas(self.relocation.nodes(q), self.relocation.problem.triangles)) > 0:
+        if not is_upright(self.relocation.problem, self.relocation.nodes(q)):
             return None
         point = self.energy(q)
         if not np.isfinite(point.value):

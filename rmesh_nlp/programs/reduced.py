@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from rmesh_nlp.contact.model import ContactModel, solve
 from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.discretisation.validity import is_upright
 from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.programs.blocks import SecondDerivatives
 from rmesh_nlp.programs.energy_program import Relocation
 from rmesh_nlp.programs.validity import Validity
@@ -189,7 +189,7 @@ class ReducedObjective:
     def is_defined(self, q: Array) -> bool:
         """Whether a distortion in the objective is defined: no element is inverted."""
         rel = self.energy.relocation
-        return not self._has_barrier or bool(np.min(signed_areas(rel.nodes(q), rel.problem.triangles)) > 0)
+        return not self._has_barrier or is_upright(rel.problem, rel.nodes(q))
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at moves ``q``."""

@@ -9,9 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.discretisation.validity import is_upright
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
-from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.programs.energy_program import Relocation
 from rmesh_nlp.programs.outer_function import Reduced
 from rmesh_nlp.programs.residual import OuterResidual
@@ -106,7 +106,7 @@ class _Oracle(ca.Callback):
     def _is_defined(self, q: Array) -> bool:
         """Whether the objective is: the contact problem of a mesh with inverted elements has no meaning."""
         rel = self._relocation
-        if rel.n_valid and not np.min(signed_areas(rel.nodes(q), rel.problem.triangles)) > 0:
+        if rel.n_valid and not is_upright(rel.problem, rel.nodes(q)):
             return False
         return self._function.is_defined(q)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.discretisation.validity import is_valid
+from rmesh_nlp.discretisation.validity import is_upright, is_valid
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 
@@ -59,3 +59,8 @@ def test_an_inverted_element_is_not_a_number_and_no_other_is(min_angle: float) -
         assert np.any(np.isnan(upright)) == inverted
         if not inverted:
             assert np.array_equal(upright, given)
+
+
+@pytest.mark.parametrize(("height", "upright"), [(0.5, True), (1e-9, True), (0.0, False), (-1e-9, False)])
+def test_one_flat_element_is_enough(height: float, upright: bool) -> None:
+    assert is_upright(problem(Motion(delta=None, min_area_fraction=0.1)), squeezed(height)) is upright
