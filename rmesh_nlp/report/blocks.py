@@ -35,13 +35,18 @@ class Block:
         return str(self.records[0]["example"])
 
     @property
+    def name(self) -> str:
+        """An example of the paper, or a problem of one's own."""
+        return f"{'Example' if self.example in PAPER else 'Problem'} {self.example}"
+
+    @property
     def title(self) -> str:
         """The settings in words."""
         record = self.records[0]
-        parts = [f"n = {record['n']}", f"delta = {delta_text(record['delta'])}"]
+        size = f"n = {record['n']}" if self.example in PAPER else str(record["n"])
         rule = record.get("quadrature", "midpoint")
-        parts.append("midpoint rule" if rule == "midpoint" else f"rule of degree {rule}")
-        return f"Example {self.example}: " + ", ".join(parts)
+        words = "midpoint rule" if rule == "midpoint" else f"rule of degree {rule}"
+        return f"{self.name}: {size}, delta = {delta_text(record['delta'])}, {words}"
 
     @property
     def succeeded(self) -> tuple[Record, ...]:

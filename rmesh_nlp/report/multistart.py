@@ -45,8 +45,8 @@ def _of_one_solve(name: str, group: Sequence[Record]) -> list[str] | None:
     """A record whose solve had starts of its own, ``--starts``."""
     if len(group) != 1 or not group[0].get("start_energies"):
         return None
-    energies = group[0]["start_energies"]
-    return _cells(name, len(energies), [end for end in energies if end is not None], None)
+    ends = group[0].get("start_values") or group[0]["start_energies"]
+    return _cells(name, len(ends), [end for end in ends if end is not None], None)
 
 
 def _cells(name: str, starts: int, ends: Sequence[float], cost: float | None) -> list[str]:

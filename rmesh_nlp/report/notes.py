@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rmesh_nlp.examples import PaperValues
+from rmesh_nlp.examples import PAPER, PaperValues
 from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
 from rmesh_nlp.io.results import Record
 from rmesh_nlp.problem.units import units_of
@@ -57,10 +57,7 @@ def units_note(block: Block) -> list[str]:
     units = units_of(block.records[0].get("units"))
     if not (units.length and units.force):
         return []
-    return [
-        f"Example {block.example}: u in {units.length}, J in {units.force}, "
-        f"the energy per {units.length} of depth."
-    ]
+    return [f"{block.name}: u in {units.length}, J in {units.force}, the energy per {units.length} of depth."]
 
 
 def stick_zone(block: Block) -> list[str]:
@@ -69,7 +66,7 @@ def stick_zone(block: Block) -> list[str]:
     if not known or any(record["sticking_nodes"] for record in known):
         return []
     return [
-        f"Example {block.example}: no node sticks in any row, so there is no stick zone. Where all slide one "
+        f"{block.name}: no node sticks in any row, so there is no stick zone. Where all slide one "
         "way, friction acts like a load of size g: no change between stick and slip is met."
     ]
 
@@ -85,7 +82,7 @@ def ranking(block: Block) -> list[str]:
             places.append((audited(record), []))
         places[-1][1].append(label(record))
     order = "; ".join(f"{' = '.join(names)} {energy:.6f}" for energy, names in places)
-    return [f"Example {block.example}: by audited energy {order}."]
+    return [f"{block.name}: by audited energy {order}."]
 
 
 def _tied(energy: float, lower: float) -> bool:
@@ -107,7 +104,7 @@ def below_infimum(block: Block) -> list[str]:
             value = record.get(name)
             if value is not None and value < lower - ROUNDING * abs(lower):
                 found.append(
-                    f"Example {block.example}, {label(record)}: the {words} {value:.6f} lies BELOW the "
+                    f"{block.name}, {label(record)}: the {words} {value:.6f} lies BELOW the "
                     f"infimum {lower:.6f}: its quadrature was exploited."
                 )
     return found
@@ -116,12 +113,14 @@ def below_infimum(block: Block) -> list[str]:
 def paper_notes(block: Block) -> list[str]:
     """What of the paper's printed values these records meet."""
     paper = block.paper
+    if block.example not in PAPER:
+        return []
     if paper is None:
         return [f"{block.title}: not the paper's settings, so not compared with its values."]
     notes = [*_initial(block, paper), *_final(block, paper)]
     if paper.misprint:
         notes.insert(0, paper.misprint)
-    return [f"Example {block.example}: {note}" for note in notes]
+    return [f"{block.name}: {note}" for note in notes]
 
 
 def _initial(block: Block, paper: PaperValues) -> list[str]:

@@ -61,10 +61,11 @@ def refinement_notes(records: Sequence[Record]) -> list[str]:
 
 
 def _several_meshes(records: Sequence[Record]) -> dict[str, list[Record]]:
-    """Successful records by example, for those with more than one mesh; coarser meshes first."""
+    """Successful records of the energy by problem, of those with several meshes; coarser meshes first."""
     found: dict[str, list[Record]] = {}
     for record in records:
-        if record["success"] and record.get("nodes") and record.get("energy_initial_audited") is not None:
+        known = record.get("nodes") and record.get("energy_initial_audited") is not None
+        if record["success"] and known and str(record["objective"]).startswith("energy"):
             found.setdefault(str(record["example"]), []).append(record)
     several = {}
     for name, own in found.items():

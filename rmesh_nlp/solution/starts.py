@@ -38,9 +38,14 @@ class MultiStart:
 
     @property
     def best(self) -> Solution:
-        """The successful solution of least audited energy; the first one if none succeeded."""
+        """The successful solution that ends lowest; the first one if none succeeded."""
         good = [s for s in self.solutions if s.success]
-        return min(good, key=lambda s: s.audit.energy_audited) if good else self.solutions[0]
+        return min(good, key=_end) if good else self.solutions[0]
+
+    @property
+    def ends(self) -> Array:
+        """(solutions,) audited energies, or values of another objective that was minimised; NaN of a failure."""
+        return np.array([_end(s) if s.success else np.nan for s in self.solutions])
 
     @property
     def energies(self) -> Array:
@@ -60,9 +65,16 @@ class MultiStart:
             "start_energies": [None if np.isnan(e) else float(e) for e in self.energies],
             "start_spread": self.spread,
         }
+        if self.solutions[0].objective != "energy":
+            figures["start_values"] = [None if np.isnan(end) else float(end) for end in self.ends]
         stopped = self.solutions[-1].status is Status.INTERRUPTED
         best = interrupted(self.best) if stopped else self.best
         return replace(best, extra={**best.extra, **figures})
+
+
+def _end(solution: Solution) -> float:
+    value = None if solution.objective == "energy" else solution.extra.get("objective_value")
+    return float(solution.audit.energy_audited if value is None else value)
 
 
 def multistart(

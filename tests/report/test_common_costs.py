@@ -96,5 +96,8 @@ def test_several_starts_are_joined() -> None:
 
 def test_the_starts_of_one_solve_are_joined_as_well() -> None:
     record = joint_61(start_energies=[-1.4, None, -1.5])
+    other = joint_61(start_energies=[-1.4, -1.5], start_values=[0.25, 0.5], objective="error-l2")
+    ((_, ((*_, least, middle, largest, _, _),)),) = multistart_rows([other])
+    assert (least, middle, largest) == ("0.25", "0.375", "0.5")
     ((_, ((_, starts, best, _, worst, failures, cost),)),) = multistart_rows([record])
     assert (starts, best, worst, failures, cost) == ("3", "-1.5", "-1.4", "1", "-")

@@ -39,9 +39,15 @@ def test_an_unmet_initial_energy_is_said() -> None:
     assert "Example 6.2: printed initial energy -4.8541: NOT met, here -4.854090." in text
 
 
-@pytest.mark.parametrize(
-    "changes", [{"n": "24x12"}, {"delta": [0.2, 0.07333]}, {"quadrature": 6}, {"example": "mine"}]
-)
+def test_a_problem_of_ones_own_has_nothing_to_do_with_the_paper() -> None:
+    rows = [record(example="mine", n="144 triangles")]
+    text = markdown(rows)
+    assert "## Problem mine: 144 triangles, delta = " in text
+    assert "Example" not in text
+    assert "paper" not in text
+
+
+@pytest.mark.parametrize("changes", [{"n": "24x12"}, {"delta": [0.2, 0.07333]}, {"quadrature": 6}])
 def test_other_settings_are_not_compared(changes: dict[str, Any]) -> None:
     rows = [record(**changes)]
     assert any("not the paper's settings" in note for note in notes(rows))

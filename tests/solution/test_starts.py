@@ -53,6 +53,15 @@ class TestMultiStart:
         np.testing.assert_array_equal(several.energies, [-1, np.nan, -3, -2])
         assert several.spread == 2.0
 
+    def test_of_another_objective_the_best_has_its_least_value(self, ended: Make) -> None:
+        low = ended(-1.0, objective="error-l2", extra={"objective_value": 0.1})
+        high = ended(-3.0, objective="error-l2", extra={"objective_value": 0.2})
+        several = MultiStart((high, low))
+        assert several.best is low
+        np.testing.assert_array_equal(several.ends, [0.2, 0.1])
+        assert several.reported().extra["start_values"] == [0.2, 0.1]
+        assert several.reported().extra["start_energies"] == [-3.0, -1.0]
+
     def test_without_a_success_it_is_the_first(self, ended: Make) -> None:
         first, other = ended(-1.0, success=False), ended(-3.0, success=False)
         several = MultiStart((first, other))
