@@ -44,7 +44,7 @@ class MultiStart:
 
     @property
     def ends(self) -> Array:
-        """(solutions,) audited energies, or values of another objective that was minimised; NaN of a failure."""
+        """(solutions,) audited energies, or values of another minimised objective; NaN of a failure."""
         return np.array([_end(s) if s.success else np.nan for s in self.solutions])
 
     @property
