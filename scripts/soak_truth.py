@@ -62,6 +62,8 @@ AGREEMENT, ROUNDING, LONGEST = 0.1, 1e-8, 60.0
 BETWEEN = 0.5  # penetration that gaps along edges may leave, as a part of what gaps at nodes would
 SUCCEED, CONVERGE = 0.95, 0.9  # least shares of what is stated soundly
 POINTS, WEIGHTS = get_quadrature_tri(19)
+HARD = ("crash", "slow", "refused", "contradiction")
+USABLE = ("converged", "not_stationary", "iteration_limit", "time_limit", "interrupted", "stalled")
 BARYCENTRIC = np.vstack([1 - POINTS.sum(axis=0), POINTS])
 
 
@@ -305,6 +307,15 @@ def faults(problem: ContactProblem, source: Source, solution: Any, seconds: floa
     return {"gain_here": gain, "gain_said": said, "faults": [name for name, bad in wrong.items() if bad]}
 
 
+def contradicts(record: dict[str, Any]) -> bool:
+    """Whether status, success and their reasons disagree (docs/verdict.md)."""
+    status, success, valid, improved = (record[name] for name in ("status", "success", "valid", "improved"))
+    near = (record["stationarity_residual"] or 0.0) <= record.get("tolerance", 1e-6)
+    if success:
+        return not (valid and improved and status in USABLE and (near or status != "converged"))
+    return status == "converged" or (status == "worse") != (valid and not improved)
+
+
 def judged(seed: int) -> dict[str, Any]:
     """One solve, its record in short and what is wrong with it."""
     one = draw(seed)
@@ -319,6 +330,8 @@ def judged(seed: int) -> dict[str, Any]:
         row.update(status=solution.status.value, success=solution.success)
         row.update(residual=solution.stationarity_residual)
         row.update(faults(problem, one.source, solution, row["seconds"]) if one.feasible else {"faults": []})
+        if contradicts(solution.record()):
+            row["faults"] = [*row["faults"], "contradiction"]
     except ProblemError as error:
         row.update(status="refused", message=str(error), success=False)
         row.update(faults=["refused"] if one.feasible else [])
@@ -345,8 +358,7 @@ def run(count: int, first: int, out: Path | None, longest: float) -> int:
             break
         row = judged(seed)
         rows.append(row)
-        hard = {"crash", "slow", "refused"}
-        if (row["feasible"] and (not row["success"] or row["faults"])) or hard & set(row["faults"]):
+        if (row["feasible"] and (not row["success"] or row["faults"])) or set(HARD) & set(row["faults"]):
             print(json.dumps(row), flush=True)
         if out is not None:
             with (out / "soak.jsonl").open("a", encoding="utf-8") as file:
@@ -365,7 +377,7 @@ def summary(rows: list[dict[str, Any]]) -> int:
     feasible = [row for row in rows if row["feasible"]]
     impossible = [row for row in rows if not row["feasible"]]
     wrong = Counter(fault for row in rows if row["success"] for fault in row["faults"])
-    hard = Counter(f for row in rows for f in row["faults"] if f in ("crash", "slow", "refused"))
+    hard = Counter(fault for row in rows for fault in row["faults"] if fault in HARD)
     slowest = max(rows, key=lambda row: row["seconds"])
     print(f"{len(rows)} solves, {len(feasible)} of feasible problems, {len(impossible)} of infeasible ones")
     print(f"slowest {slowest['seconds']:.1f} s (seed {slowest['seed']})")
@@ -398,7 +410,7 @@ def summary(rows: list[dict[str, Any]]) -> int:
     print(f"false successes: {sum(bool(row['faults']) for row in rows if row['success'])}")
     for fault in ("negative gain", "gain off", "infeasible", "penetration", "inverted", "slow"):
         print(f"  {fault}: {wrong[fault]}")
-    print(f"crashes, refused problems, slow solves: {dict(hard) or 'none'}")
+    print(f"crashes, refused problems, slow solves, contradictions: {dict(hard) or 'none'}")
     return 1 if wrong or hard or short else 0
 
 
