@@ -310,7 +310,8 @@ def faults(problem: ContactProblem, source: Source, solution: Any, seconds: floa
 def contradicts(record: dict[str, Any]) -> bool:
     """Whether status, success and their reasons disagree (docs/verdict.md)."""
     status, success, valid, improved = (record[name] for name in ("status", "success", "valid", "improved"))
-    near = (record["stationarity_residual"] or 0.0) <= record.get("tolerance", 1e-6)
+    near = record["stationarity_residual"] is not None and record["stationarity_residual"] <= 1e-6
+    near = near or record["stationarity"] in ("S", "B")  # proved where the gradient is not defined
     if success:
         return not (valid and improved and status in USABLE and (near or status != "converged"))
     return status == "converged" or (status == "worse") != (valid and not improved)
