@@ -39,7 +39,8 @@ class Reach:
     def tests(self, mutant: Mutant, budget: float) -> list[str]:
         """Those that reach the mutant's line, else its file: the shortest of them.
 
-        First come those of files that import the module, then those of its own wing.
+        First come those of the file named after the module, then those of files that import it, then those of
+        its own wing.
 
         They run in the order in which they were collected: some share files that the ones before made.
         """
@@ -49,14 +50,16 @@ class Reach:
         total = 0.0
         chosen: list[str] = []
         wing = f"tests/{Path(mutant.path).parts[1]}/"
-        module = mutant.path.removesuffix(".py").replace("/", ".")
+        module, name = mutant.path.removesuffix(".py").replace("/", "."), Path(mutant.path).stem
         imports = {
-            file: (self.root / file).exists() and module in (self.root / file).read_text()
+            file: (self.root / file).exists() and f"from {module} import" in (self.root / file).read_text()
             for file in {test.partition("::")[0] for test in own or of_the_file}
         }
 
-        def order(test: str) -> tuple[bool, bool, float]:
-            return not imports[test.partition("::")[0]], not test.startswith(wing), self.seconds[test]
+        def order(test: str) -> tuple[bool, bool, bool, float]:
+            file = test.partition("::")[0]
+            named = Path(file).name == f"test_{name}.py"
+            return not named, not imports[file], not test.startswith(wing), self.seconds[test]
 
         for test in sorted(own or of_the_file, key=order):
             total += self.seconds[test]

@@ -16,7 +16,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
-from rmesh_nlp.programs.reduced import ReducedEnergy, ReducedPoint
+from rmesh_nlp.programs.reduced import ReducedPoint
 from rmesh_nlp.solution import findings
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.solution import Solution
@@ -214,54 +214,6 @@ def test_a_label_proves_stationarity_where_some_node_is_weak(
     proved = label in ("S", "B") and any(weak)
     assert found.status is (Status.CONVERGED if proved else Status.NOT_STATIONARY)
     assert found.stationarity == (label or "")
-
-
-class TestReduced:
-    def test_the_solution_on_the_given_mesh_is_counted_when_it_is_first_asked_for(
-        self, problem: ContactProblem
-    ) -> None:
-        referee = Referee(problem)
-        reduced, q = referee.reduced, np.zeros(referee.relocation.n_q)
-        assert (reduced.contact_solves, reduced.cold_solves, reduced.factorisations) == (0, 0, 0)
-        for _ in range(2):
-            assert reduced(q).equilibrium.energy == referee.initial.energy
-            assert (reduced.contact_solves, reduced.cold_solves) == (1, 1)
-            assert reduced.factorisations == referee.initial.iterations
-            reduced._last = None
-        reduced(q + 0.1)
-        assert (reduced.contact_solves, reduced.cold_solves) == (2, 1)
-
-    def test_solves_are_counted_and_the_last_point_is_remembered(self, problem: ContactProblem) -> None:
-        referee = Referee(problem)
-        reduced = ReducedEnergy(referee.relocation)
-        q = np.random.default_rng(0).uniform(-0.3, 0.3, referee.relocation.n_q)
-        counts = lambda: (reduced.contact_solves, reduced.cold_solves)  # noqa: E731
-        first = reduced(q)
-        assert counts() == (1, 1)
-        assert reduced.factorisations == first.equilibrium.iterations
-        assert reduced(q.copy()) is first
-        assert counts() == (1, 1)
-        second = reduced(0.5 * q)
-        assert counts() == (2, 1)
-        assert reduced.factorisations == first.equilibrium.iterations + second.equilibrium.iterations
-        cold = ContactModel(discretise(problem)).solve(referee.relocation.nodes(0.5 * q))
-        assert second.value == pytest.approx(cold.energy, rel=1e-10)
-        np.testing.assert_array_equal(second.weak, np.zeros(problem.contact_nodes.size, dtype=bool))
-
-    def test_terms_in_the_positions_are_added_and_undefined_where_an_element_is_inverted(self) -> None:
-        plain, mixed = (Referee(EXAMPLES["6.1"](3), text) for text in ("energy", "energy + 0.5*quality"))
-        q = np.random.default_rng(0).uniform(-0.5, 0.5, plain.relocation.n_q)
-        quality = Referee(EXAMPLES["6.1"](3), "energy + 1*quality")
-        weight = mixed.reduced.of_positions(q)
-        assert weight == pytest.approx(0.5 * quality.reduced.of_positions(q))
-        assert mixed.reduced(q).value == pytest.approx(plain.reduced(q).value + weight)
-        assert plain.reduced.of_positions(q) == 0
-        far = np.full(q.size, 50.0)
-        assert mixed.reduced.is_defined(q)
-        assert not mixed.reduced.is_defined(far) or mixed.reduced.of_positions(far) > 1e3
-        function = plain.function("quality")
-        assert function.is_defined(q)
-        assert not function.is_defined(20 * (-1.0) ** np.arange(q.size))
 
 
 @pytest.mark.parametrize(("weight", "improved"), [(1e-9, True), (1e6, False)])

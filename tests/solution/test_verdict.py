@@ -63,6 +63,16 @@ def test_a_gain_may_be_penetration_to_half() -> None:
 def test_differences_of_rounding_are_none() -> None:
     tiny = replace(GOOD, gain=1e-10, gain_audited=-1e-10, decrease=-1e-10)
     assert verdict(Status.CONVERGED, tiny).success
+    # relative to the objective's size, whatever its unit
+    for unit in (1e-6, 1e6):
+        figures = {"gain": 5e-10 * unit, "gain_audited": -5e-10 * unit, "decrease": -5e-10 * unit}
+        assert verdict(Status.CONVERGED, replace(GOOD, size=unit, **figures)).success
+        larger = {name: 10 * figure for name, figure in figures.items()}
+        assert not verdict(Status.CONVERGED, replace(GOOD, size=unit, **larger)).success
+        work = {"gain": 0.0, "gain_audited": 0.0, "decrease": 0.0}
+        assert verdict(Status.CONVERGED, replace(GOOD, size=unit, penetrated=5e-10 * unit, **work)).success
+        deeper = replace(GOOD, size=unit, penetrated=5e-9 * unit, **work)
+        assert verdict(Status.CONVERGED, deeper).status is Status.PENETRATION_EXPLOITED
 
 
 @pytest.mark.parametrize("said", list(Status))
