@@ -67,6 +67,11 @@ class JointSettings(Settings):
         The same where element areas are constraints, in units of `half_energy`: in those of `pull` the
         rounding of the forces can be above every tolerance, and Ipopt's restoration then leaves the
         minimiser and ends as infeasible (6.2 on 36 x 18 squares).
+    first_barrier : float
+        Ipopt's first barrier where a distortion keeps the elements valid, in units of `half_energy`. With its
+        own one, 0.1, the first steps leave the start, which with a schedule of weights is the minimiser for
+        the last weight. Of 0.1, 1e-2, 1e-3, 1e-4 and 1e-6 it was chosen on problems of
+        ``scripts/soak_moves.py`` (seeds 0, 2, 4, 5, 7).
     fine : int
         Number of moves from which on the start is given alternating moves
         (:mod:`rmesh_nlp.programs.alternating`): the end is then lower by 0.1 to 0.7 % of the gain (6.1 with
@@ -82,12 +87,16 @@ class JointSettings(Settings):
     acceptable_tol: Positive = 1e-7
     tol_areas: Positive = 1e-12
     acceptable_tol_areas: Positive = 1e-9
+    first_barrier: Positive = 1e-3
     fine: Count = 3000
     alternating: Positive = 0.3
     ipopt: Mapping[str, Any] = field(default_factory=dict)
 
-    def options(self, areas: bool, unit: float) -> dict[str, Any]:
-        """Ipopt's options, the objective in units of ``unit``, ``areas`` as constraints or without."""
+    def options(self, areas: bool, unit: float, distorted: bool = False) -> dict[str, Any]:
+        """Ipopt's options, the objective in units of ``unit``, ``areas`` as constraints or without.
+
+        ``distorted`` says that the objective has a distortion, which stands in the place of areas.
+        """
         common = {"max_iter": self.max_iterations, "obj_scaling_factor": 1 / unit}
         if areas:
             own = {
@@ -96,6 +105,8 @@ class JointSettings(Settings):
                 "compl_inf_tol": self.tol_areas,
                 "acceptable_tol": self.acceptable_tol_areas,
             }
+            if distorted:
+                own["mu_init"] = self.first_barrier
         else:
             own = {**_BARRIER, "tol": self.tol, "acceptable_tol": self.acceptable_tol}
         return {**common, **own, **self.ipopt}
@@ -233,7 +244,8 @@ def minimise(
 ) -> NLPResult:
     """Solve the energy program from moves ``q`` and the contact solution there."""
     contact, relocation, settings = referee.reduced(q), referee.relocation, settings or JointSettings()
-    areas = relocation.n_valid > 0 or relocation.objective.has_barrier
+    distorted = relocation.objective.has_barrier
+    areas = relocation.n_valid > 0 or distorted
     if not areas and relocation.n_q >= settings.fine:
         q = alternated(relocation, q, contact.gradient, settings.alternating, referee.is_valid)
         unit = pull(contact.gradient)
@@ -244,7 +256,7 @@ def minimise(
     with referee.clock.during("build"):
         nlp = relocation.nlp if units is None else units.program(relocation.nlp)
         monitor = recorder if units is None else Seen(units, recorder, recorder.see_multipliers)
-        solver = Solver(nlp, options=settings.options(areas, unit), monitor=monitor)
+        solver = Solver(nlp, options=settings.options(areas, unit, distorted), monitor=monitor)
     recorder.residual = referee.residual(referee.reduced).of_program
     begin = referee.reduced.point(q, contact.equilibrium)
     try:

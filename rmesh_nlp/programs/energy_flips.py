@@ -125,10 +125,14 @@ def shapes_as_given(given: ContactProblem, triangles: NDArray) -> Array:
     new = np.array([tuple(t) not in known for t in np.sort(triangles, axis=0).T.tolist()])
     poor = (shape_quality(p, triangles) < POOR) | (signed_areas(p, triangles) < POOR * around)
     flat = new & poor
-    side = np.sqrt(4 / np.sqrt(3) * around[flat])
-    corner = np.array([[0.0, 1.0, 0.5], [0.0, 0.0, np.sqrt(3) / 2]])
-    shapes[:, :, flat] = corner[:, :, None] * side
+    shapes[:, :, flat] = equilateral(around[flat])
     return shapes
+
+
+def equilateral(areas: Array) -> Array:
+    """(2, 3, n) equilateral triangles of some areas (n,)."""
+    corner = np.array([[0.0, 1.0, 0.5], [0.0, 0.0, np.sqrt(3) / 2]])
+    return np.asarray(corner[:, :, None] * np.sqrt(4 / np.sqrt(3) * areas))
 
 
 def with_triangles(problem: ContactProblem, triangles: NDArray) -> ContactProblem:

@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.cascade_settings import CascadeSettings
-from rmesh_nlp.programs.energy_flips import flip_edges
+from rmesh_nlp.programs.energy_flips import POOR, equilateral, flip_edges, mean_around
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
@@ -73,6 +76,7 @@ def hr(
     chosen = settings or CascadeSettings()
     problem = with_edge_gaps(problem)
     first = cascade(problem, chosen)
+    given = np.asarray(problem.mesh.p)
     here = _at(problem, first.energy.relocation.nodes(first.q))
     stages = [_stage(here, sum(level.iterations for level in first.levels), 0)]
     while len(stages) < max_stages:
@@ -81,18 +85,45 @@ def hr(
         if enough or (error is not None and last.error_estimate <= error):
             break
         here = locally_refined(last.problem, marked(edge_gains(last.problem)))
+        given = _with_new_nodes(given, last.problem, here)
         gain, count = float(edge_gains(here).sum()) / EFFECTIVITY, 0
-        here, iterations = _relocated(here, gain, chosen)
+        here, iterations = _relocated(here, given, gain, chosen)
         if flips:
             result = flip_edges(here, gain)
             here, count = result.problem, result.flips
-            here, more = _relocated(here, gain, chosen)
+            here, more = _relocated(here, given, gain, chosen)
             iterations += more
         stages.append(_stage(here, iterations, count))
     return tuple(stages)
 
 
-def _relocated(problem: ContactProblem, gain: float, settings: CascadeSettings) -> tuple[ContactProblem, int]:
+def _with_new_nodes(given: Array, coarse: ContactProblem, fine: ContactProblem) -> Array:
+    """Where the nodes of a locally refined mesh would be on the mesh as given: new ones amid their edges."""
+    mesh, n = coarse.mesh, given.shape[1]
+    tree = cKDTree(mesh.p[:, mesh.facets].mean(axis=1).T)
+    _, edge = tree.query(np.asarray(fine.mesh.p)[:, n:].T)
+    return np.hstack([given, given[:, mesh.facets[:, edge]].mean(axis=1)])
+
+
+def reference_as_given(given: Array, triangles: NDArray) -> Array:
+    """(2, 3, elements) what elements are compared with: their nodes where they were on the mesh as given.
+
+    If every stage were measured against the one before, elements would degenerate from stage to stage.
+    A triangle that flips have made and that is flat or inverted there is compared with an equilateral one of
+    the mean area around.
+    """
+    areas = signed_areas(given, triangles)
+    around = mean_around(triangles, np.maximum(areas, 0.0), given.shape[1])[triangles].mean(axis=0)
+    shapes = np.array(given[:, triangles])
+    flat = areas < POOR * around
+    shapes[:, :, flat] = equilateral(around[flat])
+    return shapes
+
+
+def _relocated(
+    problem: ContactProblem, given: Array, gain: float, settings: CascadeSettings
+) -> tuple[ContactProblem, int]:
+    problem = replace(problem, reference=reference_as_given(given, problem.triangles))
     objective = regularised(gain, settings.regularisation, settings.distortion)
     energy = ReducedEnergy(relocation(problem, objective))
     q = np.zeros(energy.relocation.n_q)
@@ -111,4 +142,5 @@ def _at(problem: ContactProblem, positions: np.ndarray) -> ContactProblem:
 
 def _stage(problem: ContactProblem, iterations: int, flips: int) -> Stage:
     energy = ContactModel(problem).solve(problem.mesh.p).energy
-    return Stage(problem, energy, float(edge_gains(problem).sum()) / EFFECTIVITY, iterations, flips)
+    error = float(edge_gains(problem).sum()) / EFFECTIVITY
+    return Stage(replace(problem, reference=None), energy, error, iterations, flips)

@@ -22,7 +22,7 @@ from rmesh_nlp.problem import (
     Traction,
     signed_areas,
 )
-from rmesh_nlp.programs.hr import EFFECTIVITY, hr
+from rmesh_nlp.programs.hr import EFFECTIVITY, hr, reference_as_given
 from rmesh_nlp.programs.levels import refined
 from rmesh_nlp.programs.refinement import edge_gains, locally_refined, marked, residual_indicators
 from rmesh_nlp.solution.worth import advise, recommended
@@ -98,6 +98,18 @@ def test_hr_needs_fewer_nodes_than_refinement() -> None:
     assert np.all(np.diff(energies) < 0)
     assert error(stages[-1].problem) < 0.3 * error(example(16))
     assert stages[-1].error_estimate < stages[0].error_estimate
+
+
+def test_hr_compares_elements_with_the_mesh_as_given_and_none_with_a_flat_one() -> None:
+    p = np.array([[0.0, 1.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 1.0, 0.0]])
+    # node 4 is amid the lower side: the first triangle is flat where its nodes were
+    shapes = reference_as_given(p, np.array([[0, 4, 1], [4, 2, 3]]).T)
+    flat, good = shapes[:, :, 0], shapes[:, :, 1]
+    np.testing.assert_array_equal(good, p[:, [4, 2, 3]])
+    a, b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    assert a[0] * b[1] - a[1] * b[0] > 0
+    assert np.linalg.norm(a) == pytest.approx(np.linalg.norm(b))
+    assert a @ b == pytest.approx(a @ a / 2)
 
 
 def test_hr_refuses_what_it_cannot_do() -> None:
