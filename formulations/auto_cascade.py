@@ -22,6 +22,7 @@ from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import regularised
 from rmesh_nlp.programs.stationary import Finish, finished
+from rmesh_nlp.solution.clock import solving
 from rmesh_nlp.solution.referee import OnStep, Referee
 from rmesh_nlp.solution.solution import Solution, interrupted
 
@@ -115,7 +116,8 @@ def solve_by_cascade(
         solution = replace(solution, extra={**solution.extra, **_figures(result, rules, settings)})
     if watch.stopped is Status.INTERRUPTED:  # perhaps after the verdict
         solution = interrupted(solution)
-    return replace(solution, solve_time_s=watch.seconds)
+    seconds = solving(watch.seconds, solution.build_time_s, solution.audit_time_s)
+    return replace(solution, solve_time_s=seconds)
 
 
 def is_small(problem: ContactProblem, settings: CascadeSettings) -> bool:

@@ -17,6 +17,7 @@ from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.stationary import finished
+from rmesh_nlp.solution.clock import solving
 from rmesh_nlp.solution.flipping import with_flips
 from rmesh_nlp.solution.interrupts import deferred
 from rmesh_nlp.solution.referee import OnStep, Referee
@@ -146,5 +147,8 @@ def _with_edges_flipped(
         found,
         iterations=final.iterations,
         contact_solves=final.contact_solves,
-        solve_time_s=first.solve_time_s + time.perf_counter() - began,
+        build_time_s=first.build_time_s + final.build_time_s,
+        solve_time_s=first.solve_time_s
+        + solving(time.perf_counter() - began, final.build_time_s, final.audit_time_s),
+        audit_time_s=first.audit_time_s + final.audit_time_s,
     )

@@ -26,6 +26,11 @@ def timed(solve: Callable[[], T]) -> tuple[T, float]:
     return result, statistics.median(seconds)
 
 
+def solving(elapsed: float, build: float, audit: float) -> float:
+    """Seconds of the ``elapsed`` ones that went neither into statements of programs nor into audits."""
+    return max(elapsed - build - audit, 0.0)
+
+
 class Clock:
     """Wall time since it was made, split into phases; at any moment exactly one of them runs.
 

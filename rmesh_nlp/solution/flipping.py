@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
@@ -12,6 +13,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.energy_flips import Round, flips_and_moves, mean_around
 from rmesh_nlp.programs.regularisation import gain_estimate
+from rmesh_nlp.solution.clock import solving
 from rmesh_nlp.solution.solution import Given, Solution, counted
 from rmesh_nlp.solution.verdict import verdict
 
@@ -41,6 +43,7 @@ def solve_with_flips(solve: Callable[..., Solution], problem: ContactProblem, **
         Keywords of the strategy, for each solve.
     """
     check_flips(problem)
+    began = time.perf_counter()
     solutions = [solve(problem, **options)]
     again = {**options, "start": None, "seed": None}
     if options.get("regularisation") is not None:  # its final weight is relative to the mesh as given
@@ -55,7 +58,10 @@ def solve_with_flips(solve: Callable[..., Solution], problem: ContactProblem, **
     final = solutions[-1]
     if not (rounds and _same(final, last)):
         final = solve(last, **{**again, "max_iterations": 1})
-    return with_flips(problem, solutions[0], final, rounds, solutions)
+        solutions.append(final)
+    found = with_flips(problem, solutions[0], final, rounds, solutions)
+    seconds = solving(time.perf_counter() - began, found.build_time_s, found.audit_time_s)
+    return replace(found, solve_time_s=seconds)
 
 
 def _same(solution: Solution, problem: ContactProblem) -> bool:

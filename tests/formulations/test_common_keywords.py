@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from support.problems import no_boxes
 from support.solved import example, solved
 
 from formulations import auto, fixed, joint, mpcc, nested
@@ -87,6 +89,32 @@ def test_phases_add_up_to_what_has_passed(monkeypatch: pytest.MonkeyPatch) -> No
     now[0] = 15.0
     assert [clock.seconds(phase) for phase in ("build", "solve", "audit")] == [1.0, 10.0, 4.0]
     assert clock.elapsed == 11.0
+
+
+@pytest.mark.parametrize(
+    ("strategy", "options"),
+    [
+        (joint, {}),
+        (nested, {"regularisation": (0.1, 0.01)}),
+        pytest.param(nested, {"regularisation": 0.01, "flips": True}, marks=pytest.mark.slow),
+        (auto, {}),
+        pytest.param(auto, {"flips": True}, marks=pytest.mark.slow),
+    ],
+    ids=["joint", "weights", "weights and flips", "cascade", "cascade and flips"],
+)
+def test_no_time_is_counted_twice_or_forgotten(
+    strategy: Any, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock that only looks move on, each by the same."""
+    looks = itertools.count()
+    monkeypatch.setattr("time.perf_counter", lambda: 1e-3 * next(looks))
+    problem = example("6.1", 3, 6)
+    problem = problem if strategy is joint else no_boxes(problem)
+    began = next(looks)
+    record = strategy.solve(problem, **options).record()
+    passed = 1e-3 * (next(looks) - began)
+    assert record["wall_time_s"] <= passed
+    assert record["wall_time_s"] >= passed - 0.02  # a few looks before the first and after the last clock
 
 
 def test_the_unit_of_cost_is_one_cold_contact_solve(monkeypatch: pytest.MonkeyPatch) -> None:
