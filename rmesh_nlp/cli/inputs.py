@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from typing import Any
+from typing import Any, Literal
 
 from rmesh_nlp.errors import BadInputError
 
@@ -27,15 +27,18 @@ def parse_size(text: str) -> int | tuple[int, int]:
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
 
 
-def parse_delta(text: str) -> float | tuple[float, float]:
-    """``0.0275`` or ``0.15667,0.07333``, half-widths along x and y."""
+def parse_delta(text: str) -> float | tuple[float, float] | Literal["none"]:
+    """``0.0275`` or ``0.15667,0.07333``, half-widths along x and y, or ``none``."""
+    if text.strip() == "none":
+        return "none"
     parts = text.split(",")
     if len(parts) > 2:
         raise BadInputError(f"--delta takes one number or two, got {len(parts)}: {text!r}")
     try:
         numbers = [float(part) for part in parts]
     except ValueError:
-        raise BadInputError(f"--delta must be a number or two like 0.15667,0.07333, got {text!r}") from None
+        said = "--delta must be a number, two like 0.15667,0.07333, or none"
+        raise BadInputError(f"{said}, got {text!r}") from None
     if not all(math.isfinite(number) and number > 0 for number in numbers):
         raise BadInputError(f"--delta must be positive and finite, got {text!r}")
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])

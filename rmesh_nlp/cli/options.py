@@ -31,7 +31,7 @@ Delta = Annotated[
     typer.Option(
         "--delta",
         metavar="D[,D]",
-        help="Half-width of the boxes in which nodes move, or two, along x and y. "
+        help="Half-width of the boxes in which nodes move, or two, along x and y; none for no boxes. "
         "Default: the paper's, scaled with the mesh width.",
     ),
 ]

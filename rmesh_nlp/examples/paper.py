@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -31,7 +31,7 @@ from rmesh_nlp.problem import (
 )
 
 Size = int | tuple[int, int]
-Delta = float | tuple[float, float]
+Delta = float | tuple[float, float] | Literal["none"]
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def example_61(n: Size = 8, delta: Delta | None = None) -> ContactProblem:
     ----------
     n : int or (int, int)
         Squares per side, each cut from lower left to upper right.
-    delta : float or (float, float), optional
+    delta : float, (float, float) or "none", optional
         Half-width of the boxes; by default the paper's, scaled with the mesh width.
 
     Notes
@@ -221,7 +221,9 @@ def _size(n: Size) -> tuple[int, int]:
     return int(pair[0]), int(pair[1])
 
 
-def _delta(delta: Delta | None, name: str, size: tuple[int, int]) -> tuple[float, float]:
+def _delta(delta: Delta | None, name: str, size: tuple[int, int]) -> tuple[float, float] | None:
+    if delta == "none":
+        return None
     paper = PAPER[name]
     if delta is None:
         return (paper.delta[0] * paper.size[0] / size[0], paper.delta[1] * paper.size[1] / size[1])

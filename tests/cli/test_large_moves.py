@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -34,9 +35,9 @@ def square(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def solved(arguments: list[str]) -> dict[str, object]:
+def solved(arguments: list[str]) -> dict[str, Any]:
     assert cli.run([*arguments, "--out", "one", "--no-figures", "-q"]) == 0
-    record: dict[str, object] = json.loads(Path("one/record.json").read_text())
+    record: dict[str, Any] = json.loads(Path("one/record.json").read_text())
     return record
 
 
@@ -69,3 +70,11 @@ def test_bad_weights_are_refused(square: Path, text: str, capsys: pytest.Capture
     square.write_text(f"{SQUARE}\n[solve]\nregularisation = [1, 0, 0.1]\n")
     assert cli.run(["solve", str(square)]) == 2
     assert "solve.regularisation = [1, 0, 0.1]: expected" in capsys.readouterr().err
+
+
+def test_an_example_without_boxes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = ["solve", "6.1", "--n", "3", "--delta", "none", "--quadrature", "8", "-f", "joint"]
+    record = solved([*arguments, "--regularisation", "0.1"])
+    assert record["delta"] is None
+    assert record["gain_audited"] > 0
