@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.problem_files import VALID
 
 from rmesh_nlp.campaign import run as campaign
 from rmesh_nlp.campaign import strategies
-from rmesh_nlp.campaign.cases import Case, build_problem, make_cases
+from rmesh_nlp.campaign.cases import Case, make_cases
 from rmesh_nlp.campaign.run import Ended, Outcome, run, solve
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import RECORDS, Results, read_results
@@ -279,70 +278,6 @@ def test_theorem_41_is_not_asked_of_a_broken_mesh(cases: list[Case], monkeypatch
     monkeypatch.setattr(strategies, "load", lambda name: lambda problem: broken)
     monkeypatch.setattr(campaign, "error_terms", lambda _: pytest.fail("it was asked"))
     assert solve(cases[0]).record["status"] == "invalid_mesh"
-
-
-class TestCases:
-    """Settings that do not suit a problem are refused before anything is solved."""
-
-    @pytest.fixture
-    def file(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-        monkeypatch.chdir(tmp_path)
-        Path("own.toml").write_text(VALID)
-        return "own.toml"
-
-    @pytest.mark.parametrize("setting", [{"n": 4}, {"delta": 0.01}, {"quadrature": 4}])
-    def test_sizes_are_for_the_examples(self, file: str, setting: dict[str, Any]) -> None:
-        with pytest.raises(BadInputError, match="for the examples"):
-            make_cases([file], ["fixed"], **setting)
-        make_cases(["6.1"], ["fixed"], **{"n": 4, **setting})
-
-    def test_of_a_file_uniform_refinements_without_motion_are_cases_too(self, file: str) -> None:
-        (given,) = make_cases([file], ["nested"], certify=True, refined=0)
-        own, finer = make_cases([file], ["nested"], certify=True, refined=1)
-        assert [given.formulation, own.formulation, finer.formulation] == ["nested", "nested", "fixed"]
-        assert finer.problem.mesh.t.shape[1] == 4 * own.problem.mesh.t.shape[1]
-        assert given.certify
-        assert finer.certify
-
-    def test_keys_are_file_names(self) -> None:
-        (case,) = make_cases(["6.1"], ["nested"], n=4, options={"seed": 3, "objective": "energy"})
-        assert case.key == "6.1-4-nested-energy-seed3"
-        assert replace(case, options={}).key == "6.1-4-nested"
-        assert case.identity["key"] == case.key
-
-    def test_size_and_delta_reach_the_example(self) -> None:
-        problem = build_problem("6.1", n=5, delta=0.02, quadrature=6)
-        assert (problem.size, problem.rule) == ("5", 6)
-        assert problem.motion.delta_record() == [0.02, 0.02]
-        assert build_problem("6.1").size == "8"
-        with pytest.raises(BadInputError, match=r"6\.9"):
-            build_problem("6.9")
-        with pytest.raises(BadInputError):
-            build_problem("6.1", n=-1)
-
-    @pytest.mark.parametrize(
-        ("options", "said"),
-        [
-            ({"objective": "nonsense"}, "nonsense"),
-            ({"objective": ["energy", "nonsense"]}, "nonsense"),
-            ({"relaxation": "nonsense"}, "nonsense"),
-            ({"outer": "nonsense"}, "nonsense"),
-            ({"relaxation": "scholtes"}, "not an option of fixed"),
-        ],
-    )
-    def test_options_are_checked(self, options: dict[str, Any], said: str) -> None:
-        with pytest.raises(BadInputError, match=said):
-            make_cases(["6.1"], ["fixed"], n=4, options=options)
-
-    def test_limits_go_to_those_that_heed_them_and_are_no_error_for_others(self) -> None:
-        (case,) = make_cases(["6.1"], ["fixed"], n=4, options={"time_limit_s": 5.0})
-        assert case.options == {}
-        nested, fixed = make_cases(["6.1"], ["nested", "fixed"], n=4, options={"time_limit_s": 5.0})
-        assert (nested.options, fixed.options) == ({"time_limit_s": 5.0}, {})
-
-    def test_an_objective_of_errors_gives_every_problem_a_reference(self) -> None:
-        (case,) = make_cases(["6.2"], ["fixed"], n=(4, 2), options={"objective": ["energy"]})
-        assert case.problem.exact is None
 
 
 def test_records_are_claimed_before_they_are_written(cases: list[Case], tmp_path: Path) -> None:
