@@ -6,9 +6,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, StrMethodFormatter
 
 from rmesh_nlp.report.study_summary import Chart
 from rmesh_nlp.report.style import TWO_COLUMNS, look, new_figure
+
+FEW = 100
+"""Axes that span a smaller factor are labelled with numbers in place of powers."""
 
 
 def profile_figures(charts: Sequence[Chart]) -> Iterator[tuple[str, Figure]]:
@@ -39,6 +43,10 @@ def profile_figure(chart: Chart) -> Figure:
     axis.set(ylim=(-0.02, 1.02), xlabel=chart.axis, ylabel="share of problems", title=chart.title)
     if chart.logarithmic:
         axis.set_xscale("log")
+        if high < FEW * low:  # less than two powers of ten would be labelled
+            axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axis.minorticks_off()
     axis.grid(color="0.9", linewidth=0.5)
     axis.legend(loc="lower right")
     return figure
