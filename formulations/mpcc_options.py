@@ -31,8 +31,8 @@ BARRIER_ENERGY, BARRIER = 2.0, 0.1
 others."""
 
 BARRIER_WITHOUT_BOXES = 0.03
-"""That for the energy where moves have no boxes: there is no middle of them to begin in. Of 21 random
-problems without boxes 1 met a limit of iterations or time with it and 6 with the other."""
+"""That for the energy where moves have no boxes: there is no middle of them to begin in. Over 56 random
+problems without boxes it takes 4,162 iterations, the other one 4,709."""
 
 SLOWLY: Mapping[str, Any] = {"mu_linear_decrease_factor": 0.5, "mu_superlinear_decrease_power": 1.2}
 """How Ipopt's barrier falls in the first relaxation of the energy; 0.2 and 1.5 are Ipopt's own.
