@@ -189,7 +189,7 @@ def relocation(problem: ContactProblem | Discretisation, objective: Objective = 
     validity = parts.validity
     if objective.has_barrier and parts.problem.motion.min_angle == 0:
         validity = validity.without_rows()
-    groups.append(replace(validity.group, rows=validity.group.rows + n_rows))
+    groups.append(replace(validity.upright_group, rows=validity.group.rows + n_rows))
     x = ca.MX.sym("x", free.n + n_u + n_s)
     assembled = parts.assemble(groups, x, ca.MX(0, 1), n_rows + validity.size)
     return Relocation(parts, x, assembled, displacement, slip, validity, objective)

@@ -202,12 +202,15 @@ def test_ipopts_barrier_is_no_relaxation_parameter() -> None:
     assert {step.t for step in solved("nested", "6.1", 4, 6).history} == {0.0}
 
 
-@pytest.mark.parametrize(("name", "n"), [("6.1", 3), ("6.2", (4, 2))])
-def test_without_boxes_no_iterate_inverts_an_element(name: str, n: Any) -> None:
+@pytest.mark.parametrize(
+    ("strategy", "name", "n"),
+    [(mpcc, "6.1", 3), (mpcc, "6.2", (4, 2)), (joint, "6.1", 5), (joint, "6.2", (6, 3))],
+)
+def test_without_boxes_no_iterate_inverts_an_element(strategy: Any, name: str, n: Any) -> None:
     given = EXAMPLES[name](n)
     problem = replace(given, motion=replace(given.motion, delta=None), quadrature=6)
     least: list[float] = []
-    solution = mpcc.solve(
+    solution = strategy.solve(
         problem, max_iterations=250, on_step=lambda step: least.append(area_at(problem, step.q))
     )
     assert solution.record()["status"] == "converged"
