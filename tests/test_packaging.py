@@ -10,7 +10,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import grimp
+import numpy as np
 import pytest
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 import rmesh_nlp
 from rmesh_nlp.campaign import strategies
@@ -47,6 +51,20 @@ def test_imports_go_one_way(folder: str, forbidden: set[str]) -> None:
     assert paths
     for path in paths:
         assert not imported(path) & forbidden, path
+
+
+@pytest.mark.slow
+def test_no_imports_go_in_a_circle() -> None:
+    """Nor those for types alone; import-linter's layers hold it between sub-packages, not within one."""
+    graph = grimp.build_graph("rmesh_nlp", "formulations", cache_dir=None)
+    modules = sorted(graph.modules)
+    number = {name: i for i, name in enumerate(modules)}
+    found = [(number[a], number[b]) for a in modules for b in graph.find_modules_directly_imported_by(a)]
+    assert len(found) > len(modules)
+    matrix = sp.coo_array((np.ones(len(found)), np.array(found).T), shape=(len(modules),) * 2)
+    _, circle = connected_components(matrix, directed=True, connection="strong")
+    together = [name for name, one in zip(modules, circle, strict=True) if np.sum(circle == one) > 1]
+    assert together == []
 
 
 @pytest.mark.slow

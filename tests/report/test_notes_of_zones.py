@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from support.sliding import sliding_block
+
 from formulations import fixed
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.report.tables import markdown
-from tests.support.sliding import sliding_block
 
 
 def test_example_63_has_no_stick_zone_and_the_notes_say_so() -> None:
