@@ -108,6 +108,17 @@ def test_rows_of_versions_that_counted_no_nodes_are_reused(cases: list[Case], ra
     assert resumed(cases, ran) == []
 
 
+def test_a_certificate_is_kept_and_one_that_lacks_is_a_reason_to_solve_again(
+    cases: list[Case], ran: Path
+) -> None:
+    certified = [replace(cases[0], certify=True)]
+    results = Results(ran)
+    assert campaign._finished(certified, results.read(), results) == {}
+    changed(ran, cases[0].key, certificate_remark="")
+    assert resumed(certified, ran) == []
+    assert resumed(cases[:1], ran) == []
+
+
 @pytest.mark.slow
 def test_more_repeats_or_a_certificate_are_a_reason_to_solve_again(cases: list[Case], tmp_path: Path) -> None:
     list(run(cases[:1], Results(tmp_path)))
