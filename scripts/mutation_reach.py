@@ -79,6 +79,7 @@ class _Recorder:
         self.collected: set[str] = set()
         self._began = 0.0
 
+    @pytest.hookimpl(trylast=True)  # without those that their marks deselect
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         self.collected = {item.nodeid for item in items}
         items[:] = [item for item in items if item.nodeid not in self.known]

@@ -25,7 +25,7 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.solution import Solution, Step
 from rmesh_nlp.solution.starts import multilevel, multistart, prolong, refine
 
 
@@ -152,6 +152,29 @@ def test_frames_of_a_series_have_the_displacement_of_their_mesh(tmp_path: Path, 
         np.testing.assert_allclose(
             found.reshape(expected.shape[1], -1)[:, :components].T, expected, atol=1e-9
         )
+
+
+@pytest.mark.parametrize(
+    ("every", "most", "kept"),
+    [
+        (1, None, list(range(12))),
+        (5, None, [0, 5, 10, 11]),
+        (1, 12, list(range(12))),
+        (1, 5, [0, 3, 6, 9, 11]),
+        (4, 12, [0, 4, 8, 11]),
+        (1, 2, [0, 11]),
+        (1, 1, [0, 11]),
+    ],
+)
+def test_a_series_keeps_frames_evenly_and_both_ends(
+    problem: ContactProblem, every: int, most: int | None, kept: list[int]
+) -> None:
+    series = Series(problem, every, most)
+    for number in range(12):
+        series(Step(number, -1.0, 0.0, 0.0, 0.0, 0, 0.0, q=np.zeros(3)))
+        series(Step(number, -1.0, 0.0, 0.0, 0.0, 0, 0.0))  # without moves it is no frame
+    assert series.frames == 12
+    assert series.names("s") == ["s.pvd", *(f"s-{number:05d}.vtu" for number in kept)]
 
 
 def test_tables_of_pandas(solution: Solution) -> None:
