@@ -1,12 +1,16 @@
 """Random problems without boxes, solved by ``auto``: all must be successes, none with a higher energy.
 
     python scripts/soak_moves.py --seeds 0:20 --out moves
+    python scripts/soak_moves.py --seeds 13:30 --agree
 
 Bodies are rectangles, L-shapes, wedges, plates with a hole, discs and random polygons, with 40 to 300 nodes;
 all but the rectangles are meshed by gmsh. Laws, loads (smooth and steep), supports, foundations (flat,
 inclined, curved, discs, in the interior) and friction are drawn too. ``records.jsonl`` has a line for each
 seed; one that is there already is not solved again. The exit code is 1 if a solve is no success, ends
 with a higher audited energy, or takes more than 200 contact solves.
+
+``--agree`` solves them by ``joint`` and by ``nested``, each from the mesh as given and with the same weights
+of the distortion, and prints by how much of the gain their audited energies differ.
 """
 
 from __future__ import annotations
@@ -23,8 +27,9 @@ import casadi as ca
 import numpy as np
 from skfem import MeshTri
 
-from formulations import auto
+from formulations import auto, joint, nested
 from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import half_disc, l_shape, plate_with_hole, polygon, rectangle, wedge_block
 from rmesh_nlp.problem import (
@@ -42,6 +47,12 @@ MOST = 200
 """Contact solves that one problem may take."""
 
 ROUNDING = 1e-10
+
+WEIGHTS = (1.0, 0.3, 0.1, 0.03, 0.01)
+"""Of the distortion, where ``joint`` and ``nested`` are compared."""
+
+ALIKE = 0.005
+"""Difference of two energies, in parts of the gain, up to which they count as alike."""
 
 
 def scalar_problem(rng: np.random.Generator) -> ContactProblem:
@@ -189,14 +200,49 @@ def solved(seed: int, options: dict[str, Any]) -> dict[str, Any]:
     return {**row, "seconds": round(time.process_time() - began, 2), "faults": faults}
 
 
+def agreement(seed: int) -> dict[str, Any]:
+    """How far ``joint`` and ``nested`` end from each other; positive where ``nested`` is lower."""
+    try:
+        problem = with_edge_gaps(drawn(seed))
+    except ProblemError as error:
+        return {"seed": seed, "refused": str(error)}
+    one, two = (
+        strategy.solve(problem, regularisation=WEIGHTS, time_limit_s=120.0) for strategy in (joint, nested)
+    )
+    energies = [solution.audit.energy_audited for solution in (one, two)]
+    gain = one.energy_initial_audited - min(energies)
+    return {
+        "seed": seed,
+        "name": problem.name,
+        "nodes": int(problem.mesh.p.shape[1]),
+        "iterations": [one.iterations, two.iterations],
+        "status": [one.status.value, two.status.value],
+        "difference": (energies[0] - energies[1]) / gain if gain > 0 else 0.0,
+    }
+
+
+def agree(seeds: range) -> int:
+    """Print the differences; the exit code is 1 if more than one in ten is large."""
+    rows = []
+    for row in map(agreement, seeds):
+        print(json.dumps(row), flush=True)
+        rows += [row] if "name" in row else []
+    close = sum(abs(row["difference"]) <= ALIKE for row in rows)
+    print(f"{close} of {len(rows)} within {ALIKE:.1%} of the gain")
+    return int(close < 0.9 * len(rows))
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Solve the seeds; print counts."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", default="0:20", help="first:last, the last one not included")
     parser.add_argument("--out", type=Path, default=Path("moves"))
     parser.add_argument("--seconds", type=float, default=float("inf"), help="no new problem after so long")
+    parser.add_argument("--agree", action="store_true", help="compare joint with nested instead")
     given = parser.parse_args(arguments)
     first, last = (int(part) for part in given.seeds.split(":"))
+    if given.agree:
+        return agree(range(first, last))
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / "records.jsonl"
     lines = path.read_text().splitlines() if path.exists() else []
