@@ -57,7 +57,7 @@ class CascadeSettings(Settings):
     regularisation: Positive = 0.003
     distortion: str = "shape-size"
     schedules: Schedules = ((1.0, 0.1), (1.0, 0.1, 0.01), (0.1,), (0.1, 0.01))
-    cheap: Positive = 100.0
+    cheap: Positive = 40.0
     coarsest: Count = 60
     thorough: Count = 1200
     end: Positive = 3e-4
