@@ -103,7 +103,8 @@ def solve(
     outer = parse_objective(objective)
     referee = Referee(problem)
     at = moves(start, seed, referee, outer, time_limit_s)
-    pull = joint.pull(referee.reduced(at.q).gradient)
+    begun = at.q
+    pull = joint.pull(referee.reduced(begun).gradient)
     if outer.is_energy:
         at = in_step(at, referee, start)
     contact = referee.reduced(at.q)
@@ -151,7 +152,7 @@ def solve(
         "settings": {**(settings or {}), **({"max_iterations": max_iterations} if max_iterations else {})},
     }
     if result is None or result.status in LIMITS:
-        q = recorder.best(function, at.q)
+        q = recorder.best(function, begun)
         return referee.judge(
             "mpcc",
             q,

@@ -202,7 +202,7 @@ class Referee:
                 settings=dict(settings or {}),
                 extra=extra or {},
             )
-        if stopped():
+        if stopped() or status is Status.INTERRUPTED:  # what comes next must not begin, whatever the verdict
             draft = interrupted(draft)
         return replace(
             draft,

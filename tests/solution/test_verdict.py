@@ -226,6 +226,15 @@ def test_ctrl_c_after_a_solve_does_not_hide_a_fault() -> None:
     assert "no success, worse" in bad.message
 
 
+def test_a_worse_mesh_does_not_hide_ctrl_c() -> None:
+    referee = Referee(EXAMPLES["6.2"]((4, 2)))
+    uphill = np.sign(referee.reduced(np.zeros(referee.relocation.n_q)).gradient)
+    q = 0.5 * uphill * referee.relocation.freedoms.bound
+    found = referee.judge("x", q, status=Status.INTERRUPTED, history=[], iterations=0, contact_solves=0)
+    assert (found.status, found.success, found.improved) == (Status.INTERRUPTED, False, False)
+    assert "no success, worse" in found.message
+
+
 @pytest.mark.slow
 def test_a_worse_mesh_is_no_success_and_the_degree_to_take_is_named() -> None:
     # issue: energy far below by the midpoint rule, above its initial value by an accurate one
