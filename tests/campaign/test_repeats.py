@@ -40,7 +40,9 @@ def test_a_case_is_solved_as_often_as_it_asks_for_and_resumed_if_it_was_less_oft
     assert oftener["repeats"] == 4
 
 
-@pytest.mark.parametrize("strategy", ["nested", "joint", "mpcc"])
+@pytest.mark.parametrize(
+    "strategy", ["nested", *(pytest.param(name, marks=pytest.mark.slow) for name in ("joint", "mpcc"))]
+)
 def test_a_traced_solve_has_the_referees_residual_in_its_history(strategy: str, tmp_path: Path) -> None:
     (case,) = make_cases(["6.3"], [strategy], n=(4, 2), trace=True)
     outcome = solve(case)

@@ -137,7 +137,7 @@ def test_random_dense_problems_agree_with_ipopt() -> None:
     import scipy.sparse as sp
 
     rng = np.random.default_rng(3)
-    for _ in range(20):
+    for _ in range(10):
         m, n = 24, 10
         A = rng.standard_normal((m, m))
         dofs = rng.permutation(m)[: 2 * n]

@@ -181,6 +181,7 @@ def test_over_a_curved_foundation_gaps_hold_along_edges_and_gains_are_true() -> 
     assert row["energy_audited"] < row["energy_initial_audited"]
 
 
+@pytest.mark.slow
 def test_a_map_is_halved_until_it_lowers_the_energy() -> None:
     problem = replace(no_boxes(EXAMPLES["6.1"](n=4)), quadrature=6)
     energy = cascade(problem).energy
@@ -236,6 +237,7 @@ def test_a_second_ctrl_c_between_flips_keeps_the_mesh_before_them() -> None:
     assert solution.record()["gain_audited"] > 0
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_the_end_is_judged_is_heeded(monkeypatch: pytest.MonkeyPatch) -> None:
     def judge(*given, **options):
         signal.raise_signal(signal.SIGINT)

@@ -97,7 +97,7 @@ def test_phases_add_up_to_what_has_passed(monkeypatch: pytest.MonkeyPatch) -> No
         (joint, {}),
         (nested, {"regularisation": (0.1, 0.01)}),
         pytest.param(nested, {"regularisation": 0.01, "flips": True}, marks=pytest.mark.slow),
-        (auto, {}),
+        pytest.param(auto, {}, marks=pytest.mark.slow),
         pytest.param(auto, {"flips": True}, marks=pytest.mark.slow),
     ],
     ids=["joint", "weights", "weights and flips", "cascade", "cascade and flips"],
@@ -161,7 +161,7 @@ def test_an_interruption_keeps_the_best_valid_mesh(strategy: Any) -> None:
     assert len(seen) >= 3
 
 
-@pytest.mark.parametrize("strategy", [nested, pytest.param(joint, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("strategy", [nested, joint])
 def test_starts_are_positions_names_and_solutions(strategy: Any) -> None:
     end = solved(name_of(strategy), "6.2", (4, 2))
     for start, name in (

@@ -80,6 +80,7 @@ def test_other_objectives_are_refused() -> None:
         joint.solve(problem(), objective="error-l2 + 0.1*quality")
 
 
+@pytest.mark.slow
 def test_strategies_say_an_objective_alike() -> None:
     """Rows of one objective are compared with one another: its text and its values must be the same."""
     given = replace(EXAMPLES["6.2"]((4, 2)), quadrature=4)

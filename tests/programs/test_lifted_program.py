@@ -31,6 +31,7 @@ def bumpy(friction: float) -> ContactProblem:
     return ContactProblem(rectangle(4, 3, x=(0, 2)), law, ("left",), foundation, Motion(None))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_newton_converges_with_gaps_along_edges(friction: float) -> None:
     """Without some entries of the matrix Ipopt's steps are not Newton's, and it meets its limit."""

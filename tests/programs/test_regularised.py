@@ -155,6 +155,7 @@ def test_steps_are_cut_where_an_element_would_lose_most_of_its_area() -> None:
         assert part == 1.0 or least == pytest.approx(KEPT, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_models_are_exact_unless_they_are_asked_to_take_loads_by_a_lower_rule() -> None:
     problem = replace(PROBLEMS["6.1"](), quadrature=6)
     energy = ReducedEnergy(relocation(problem, regularised(gain_estimate(problem).value, 0.01)))

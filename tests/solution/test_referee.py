@@ -143,6 +143,7 @@ def test_rounding_is_relative_to_parts_of_the_energy_that_cancel() -> None:
     assert found.measured.size == pytest.approx(strain, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_advised_degree_is_the_least_that_gives_the_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = EXAMPLES["6.1"](3)
     referee = Referee(problem)
