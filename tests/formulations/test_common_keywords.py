@@ -161,6 +161,7 @@ def test_an_interruption_keeps_the_best_valid_mesh(strategy: Any) -> None:
     assert len(seen) >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", [nested, joint])
 def test_starts_are_positions_names_and_solutions(strategy: Any) -> None:
     end = solved(name_of(strategy), "6.2", (4, 2))
