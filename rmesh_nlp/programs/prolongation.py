@@ -18,7 +18,8 @@ OUTSIDE = -1e-9
 """Barycentric coordinate below which a point is outside an element."""
 
 SMALL = 0.02
-"""Area, in parts of the initial one, below which an interpolated element is mended."""
+"""Area, in parts of the initial one, below which an interpolated element is mended, unless elements of the
+coarse mesh are as small."""
 
 MENDINGS = 40
 """Rounds of mending."""
@@ -74,19 +75,22 @@ def prolonged(
     not help, made smaller as a whole.
     """
     X0, triangles = fine.problem.mesh.p, fine.problem.triangles
+    before, after = (signed_areas(x, coarse_triangles) for x in (coarse_nodes, coarse_nodes + move))
+    # slivers that the coarse map makes on purpose are kept, and are no reason to make all moves smaller
+    least = max(0.5 * float(np.min(after / before)), 1e-9)
     shift = interpolated(coarse_nodes, coarse_triangles, move, X0)
     initial = signed_areas(X0, triangles)
     q = fine.freedoms.q_of(X0 + shift)
     for _ in range(MENDINGS):
         now = fine.freedoms.positions.values(q)
-        small = signed_areas(now, triangles) < SMALL * initial
+        small = signed_areas(now, triangles) < min(SMALL, least) * initial
         if not np.any(small):
             break
         shift = _smoothed(now - X0, triangles, np.unique(triangles[:, small]))
         q = fine.freedoms.q_of(X0 + shift)
     bound = fine.freedoms.bound
     q = np.clip(q, -bound, bound)
-    while not np.all(signed_areas(fine.freedoms.positions.values(q), triangles) > 1e-3 * initial):
+    while not np.all(signed_areas(fine.freedoms.positions.values(q), triangles) > min(1e-3, least) * initial):
         q = 0.9 * q
         if np.max(np.abs(q), initial=0.0) < 1e-6:
             return np.zeros_like(q)

@@ -143,6 +143,15 @@ def test_interpolation_is_exact_for_linear_fields_also_just_outside() -> None:
     np.testing.assert_allclose(mesh.p[:, vertices[:, 0]] @ weights[:, 0], [1.0, 0.5], atol=2e-3)
 
 
+def test_slivers_of_a_coarse_map_are_prolonged_as_they_are() -> None:
+    coarse = replace(EXAMPLES["6.1"](n=4), motion=Motion(None))
+    flat = coarse.mesh.p.copy()
+    flat[0] = np.where(flat[0] == 0.25, 1e-4, flat[0])  # the first column has 4e-4 of its width
+    fine = relocation(refined(coarse))
+    found = fine.nodes(prolonged(coarse.mesh.p, coarse.triangles, flat - coarse.mesh.p, fine))
+    np.testing.assert_allclose(found[:, : flat.shape[1]], flat, atol=1e-12)
+
+
 def test_a_map_is_prolonged_exactly_on_a_uniform_refinement_and_validly_on_any_mesh() -> None:
     rng = np.random.default_rng(4)
     coarse = replace(EXAMPLES["6.1"](n=4), motion=Motion(None))
