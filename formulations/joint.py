@@ -139,6 +139,9 @@ def solve(
 ) -> Solution:
     """Minimise the energy over node positions and displacement together, by Ipopt.
 
+    Where Ipopt stops close to a stationary point but not at one, a few Newton steps of the reduced energy follow;
+    the record then has their number as ``newton_steps``.
+
     Parameters
     ----------
     problem : ContactProblem
@@ -214,7 +217,11 @@ def solve(
         start=begin.name,
         seed=seed,
         settings=chosen.changed(),
-        extra={"kkt_factorisations": factorisations, **_outer_values(referee, finish.q)},
+        extra={
+            "kkt_factorisations": factorisations,
+            **({"newton_steps": finish.iterations} if finish.iterations else {}),
+            **_outer_values(referee, finish.q),
+        },
     )
 
 
