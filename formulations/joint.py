@@ -139,7 +139,7 @@ def solve(
 ) -> Solution:
     """Minimise the energy over node positions and displacement together, by Ipopt.
 
-    Where Ipopt stops close to a stationary point but not at one, a few Newton steps of the reduced energy follow;
+    Where Ipopt stops close to a stationary point but not at one, Newton steps on the reduced energy follow;
     the record then has their number as ``newton_steps``.
 
     Parameters
