@@ -188,7 +188,7 @@ def _large(rows: list[Row]) -> Iterator[Goal]:
         spent, factor = r.figures["processor_seconds"] / 60, r.figures["factor"]
         # on one core; wall time on a machine that others use says nothing
         text = (
-            f"{spent:.1f} minutes of processor time ({minutes:.1f} by the clock, cores busy), {peak:.1f} GB"
+            f"{spent:.1f} minutes of processor time ({minutes:.1f} by the clock), {peak:.1f} GB"
         )
         text += f"; {factor:.1f} times less error"
         what = f"6.1, {r.figures['triangles']} triangles, without boxes: time, memory"
