@@ -187,9 +187,7 @@ def _large(rows: list[Row]) -> Iterator[Goal]:
         minutes, peak = r.seconds / 60, r.figures["peak_gb"]
         spent, factor = r.figures["processor_seconds"] / 60, r.figures["factor"]
         # on one core; wall time on a machine that others use says nothing
-        text = (
-            f"{spent:.1f} minutes of processor time ({minutes:.1f} by the clock), {peak:.1f} GB"
-        )
+        text = f"{spent:.1f} minutes of processor time ({minutes:.1f} by the clock), {peak:.1f} GB"
         text += f"; {factor:.1f} times less error"
         what = f"6.1, {r.figures['triangles']} triangles, without boxes: time, memory"
         yield what, "3 minutes, 4 GB", text, spent <= 3 and peak <= 4
