@@ -26,8 +26,8 @@ from rmesh_nlp.solution.clock import solving
 from rmesh_nlp.solution.referee import OnStep, Referee
 from rmesh_nlp.solution.solution import Solution, interrupted
 
-SOLVES_PER_ITERATION = 4 / 3
-"""Contact solves of an iteration, steps that are refused included."""
+SPARE = 6
+"""Contact solves that one more iteration may take, steps that are refused included."""
 
 CORRECTIONS = 10
 """Iterations of the descent that follows a change of the rule."""
@@ -155,16 +155,23 @@ def _finished(
 ) -> Finish:
     """The way to a stationary point from the end of the cascade, after ``spent`` contact solves."""
     energy = referee.reduced
-    left = int((settings.most - spent) / SOLVES_PER_ITERATION)
-    return finished(
+    last = energy.contact_solves + max(settings.most - spent - SPARE, 1)
+
+    def is_over(iteration: int, x: Array, value: float) -> bool:
+        return watch(iteration, energy, x, value, ends=False) or energy.contact_solves >= last
+
+    found = finished(
         energy,
         q,
         referee.residual(energy),
         tolerance=tolerance,
         reference=energy(q).value + result.gain_estimate,
-        max_iterations=max(1, min(settings.finish, left)),
-        on_step=lambda iteration, x, value: watch(iteration, energy, x, value, ends=False),
+        max_iterations=settings.finish,
+        on_step=is_over,
     )
+    if found.result.status is Status.INTERRUPTED and watch.stopped is None:
+        return replace(found, result=replace(found.result, status=Status.ITERATION_LIMIT))
+    return found
 
 
 def _figures(

@@ -110,3 +110,14 @@ def test_ctrl_c_on_the_way_to_a_stationary_point_keeps_the_best_mesh() -> None:
     finest = [step for step in press.steps if step.q is not None]
     assert solution.energy <= finest[0].energy
     assert solution.record()["gain_audited"] > 0
+
+
+@pytest.mark.slow
+def test_the_way_to_a_stationary_point_keeps_to_its_contact_solves() -> None:
+    problem = replace(no_boxes(EXAMPLES["6.1"](n=5)), quadrature=8)
+    free = auto.solve(problem, tolerance=1e-15)  # a tolerance that is not met
+    most = free.contact_solves - 1
+    held = auto.solve(problem, tolerance=1e-15, settings={"most": most})
+    assert held.contact_solves <= most
+    assert held.status is Status.ITERATION_LIMIT
+    assert held.success
