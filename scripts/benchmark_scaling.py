@@ -238,14 +238,8 @@ def figure(rows: Sequence[Row], path: Path) -> None:
     best = best_energies(rows)
     fig, (left, right) = plt.subplots(1, 2, figsize=(8, 3.4), layout="constrained")
     for strategy, colour, marker in zip(STRATEGIES, colours, markers, strict=True):
-        own = sorted(
-            (
-                r
-                for r in rows
-                if (r.case.strategy, r.case.example, r.status) == (strategy, "6.1", "converged")
-            ),
-            key=lambda r: r.case.n,
-        )
+        here = [r for r in rows if (r.case.strategy, r.case.example) == (strategy, "6.1")]
+        own = sorted((r for r in here if r.unit and "no success" not in r.status), key=lambda r: r.case.n)
         to_99 = [(r.case.n, r.units_to(0.99, best["6.1", r.case.n])) for r in own]
         reached = [(n, cost) for n, cost in to_99 if cost is not None]
         style = {"marker": marker, "color": colour, "label": strategy, "markersize": 5}
