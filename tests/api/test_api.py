@@ -41,6 +41,7 @@ def test_a_comparison_holds_solutions_records_and_tables(comparison: rm.Comparis
     assert "| joint" in comparison.markdown()
 
 
+@pytest.mark.slow
 def test_options_go_to_those_that_take_them() -> None:
     problem = rm.EXAMPLES["6.1"](n=3)
     found = rm.compare(problem, ["fixed", "joint"], seed=4)

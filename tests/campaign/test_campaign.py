@@ -51,6 +51,7 @@ def test_a_solve_that_raises_is_a_row_and_the_next_one_runs(
     assert [result.record for result in read_results(tmp_path)] == [bad, json.loads(to_json(good))]
 
 
+@pytest.mark.slow
 def test_records_are_on_the_disk_when_they_are_yielded(tmp_path: Path) -> None:
     rows = run(make_cases(["6.1"], ["fixed", "joint"], n=3), Results(tmp_path))
     for count, _ in enumerate(rows, 1):

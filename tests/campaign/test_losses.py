@@ -96,6 +96,7 @@ def test_two_runs_beside_files_of_the_user_s(
     assert Path("records.jsonl").read_text() == "my own records"
 
 
+@pytest.mark.slow
 def test_a_run_of_a_version_without_a_list_is_known_by_its_records(cases: list[Case], tmp_path: Path) -> None:
     list(run(cases, Results(tmp_path)))
     (tmp_path / ".rmesh-files").unlink()
@@ -171,6 +172,7 @@ def test_an_interrupted_solve_of_a_file_leaves_no_empty_folder(
     assert not Path("out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "content"),
     [("a.ply", "ply\nformat ascii 1.0\nelement vertex 3\n"), ("a.off", "OFF\n"), ("a.msh", "garbage")],
@@ -184,6 +186,7 @@ def test_a_reader_that_never_ends_is_stopped(
         read_file(tmp_path / name)
 
 
+@pytest.mark.slow
 def test_a_reader_that_waits_for_the_processor_is_not_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

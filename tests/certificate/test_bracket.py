@@ -245,6 +245,7 @@ def test_korn_constant_is_that_of_the_literature_and_not_too_small():
         assert np.all(norms[0] <= korn(skeleton) ** 2 * norms[1])
 
 
+@pytest.mark.slow
 def test_lower_bound_of_a_relocated_mesh_serves_the_given_one():
     problem = EXAMPLES["6.3"]((6, 4), (0.1, 0.05))
     before, after = (certify(s.solve(problem)) for s in (formulations.fixed, formulations.joint))

@@ -78,6 +78,7 @@ def test_without_a_folder_the_solve_names_its_own() -> None:
     assert Path("results/6.1-3-fixed/record.json").exists()
 
 
+@pytest.mark.slow
 def test_options_reach_the_strategy() -> None:
     arguments = ("--objective", "error-l2", "--relaxation", "lin-fukushima", "--seed", "3")
     run("solve", "6.1", "-f", "mpcc", "--n", "2", "--quadrature", "5", *arguments, "--out", "one")

@@ -72,6 +72,7 @@ def test_bad_weights_are_refused(square: Path, text: str, capsys: pytest.Capture
     assert "solve.regularisation = [1, 0, 0.1]: expected" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_example_without_boxes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     arguments = ["solve", "6.1", "--n", "3", "--delta", "none", "--quadrature", "8", "-f", "joint"]

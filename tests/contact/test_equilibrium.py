@@ -164,6 +164,7 @@ def test_the_iteration_limit_is_reported() -> None:
     assert equilibrium.solve(system, far_off, max_iterations=2).status is Status.ITERATION_LIMIT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "size"), [("6.1", 32), ("6.2", (64, 18)), ("6.3", (48, 24))])
 def test_the_dual_problem_leaves_at_most_eight_changes_of_the_active_set(name, size) -> None:
     problem = EXAMPLES[name](size)

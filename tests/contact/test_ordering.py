@@ -38,6 +38,7 @@ def test_given_and_tied_unknowns_are_left_out() -> None:
     assert np.array_equal(np.sort(order), [0, 1, 2])
 
 
+@pytest.mark.slow
 def test_the_fill_is_about_that_of_minimum_degree() -> None:
     mesh = rectangle(60, 60)
     model = ContactModel(replace(blocks()[2], mesh=mesh))

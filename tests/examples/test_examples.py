@@ -55,6 +55,7 @@ def test_refined_initial_energies(n: int, energy: float) -> None:
     assert ContactModel(problem).solve(problem.mesh.p).energy == pytest.approx(energy, abs=2e-6)
 
 
+@pytest.mark.slow
 def test_energy_error_of_fixed_meshes_is_of_second_order() -> None:
     # accurate quadrature, so that J_h - J is the discretisation error alone (Theorem 4.1)
     errors = []

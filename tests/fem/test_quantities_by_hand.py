@@ -205,6 +205,7 @@ def pressed(n: tuple[int, int], laws: Any, subdomains: dict[str, Any] | None = N
     return ContactProblem(mesh, laws, sides, Obstacle("bottom", (0.0, 1.0), 0.0, **obstacle), Motion(0.01))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [3, 8])
 def test_the_pressure_under_a_heavy_block_is_its_weight_per_length(exponent: int) -> None:
     """The pressures of the nodes carry the weight of the block, and their power mean is the objective."""

@@ -78,6 +78,7 @@ def test_joint_is_chosen_where_constraints_must_hold(motion: Motion, chosen: str
     assert solution.record()["chosen"].startswith(chosen)
 
 
+@pytest.mark.slow
 def test_other_objectives_and_meshes_that_cannot_move() -> None:
     problem = EXAMPLES["6.1"](n=3)
     assert auto.solve(problem, objective="error-l2").record()["chosen"].startswith("nested")

@@ -44,6 +44,7 @@ def test_nothing_more_is_stated_once_the_time_is_up(monkeypatch: pytest.MonkeyPa
     assert len(stated) == 1  # that of the audit
 
 
+@pytest.mark.slow
 def test_a_cascade_that_is_late_prolongs_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
     stated = []
     monkeypatch.setattr(of_cascade, "relocation", lambda *a: stated.append(a) or relocation(*a))

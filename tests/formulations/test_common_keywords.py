@@ -211,6 +211,7 @@ def test_nothing_to_move_is_no_crash(outer: str) -> None:
     assert solution.energy == solution.energy_initial
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_one_contact_node_and_no_load_are_solved(strategy: Any) -> None:
     assert np.isfinite(strategy.solve(EXAMPLES["6.1"](2)).energy)

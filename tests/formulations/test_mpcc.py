@@ -202,6 +202,7 @@ def test_ipopts_barrier_is_no_relaxation_parameter() -> None:
     assert {step.t for step in solved("nested", "6.1", 4, 6).history} == {0.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("strategy", "name", "n"),
     [(mpcc, "6.1", 3), (mpcc, "6.2", (4, 2)), (joint, "6.1", 5), (joint, "6.2", (6, 3))],

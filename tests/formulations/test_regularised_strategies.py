@@ -60,6 +60,7 @@ def test_the_last_weight_may_be_zero_and_areas_are_then_constraints() -> None:
     assert solution.energy <= joint.solve(problem(), regularisation=0.1).energy
 
 
+@pytest.mark.slow
 def test_a_least_angle_holds_as_a_constraint() -> None:
     solution = joint.solve(problem(min_angle=15.0), regularisation=0.01)
     assert np.min(least_angles(solution.mesh.p, solution.problem.triangles)) >= 15 - 1e-6

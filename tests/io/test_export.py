@@ -127,6 +127,7 @@ def test_a_series_plays_the_iterates(problem: ContactProblem, tmp_path: Path, mo
     np.testing.assert_allclose(last.point_data["displacement"][:, :2].T, final.displacement, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("components", [1, 2])
 def test_frames_of_a_series_have_the_displacement_of_their_mesh(tmp_path: Path, components: int) -> None:
     """One value per node for a scalar problem, three for an elastic one, which is what viewers warp by."""

@@ -209,6 +209,7 @@ def test_starts_and_levels_of_a_file(tmp_path: Path, plan: str, key: str) -> Non
     assert record["triangles"] == (48 if "starts" in plan else 4 * 48)
 
 
+@pytest.mark.slow
 def test_random_edits_never_end_in_a_traceback() -> None:
     path = Path(__file__).parents[2] / "scripts" / "fuzz_problem_files.py"
     spec = importlib.util.spec_from_file_location("fuzz_problem_files", path)

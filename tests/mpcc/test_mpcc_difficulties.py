@@ -235,6 +235,7 @@ def test_constant_pairs_and_no_unknowns_are_problems_like_others():
     assert solve(MPCC(x, (x - 1) ** 2, x, None, None, ubg=0.5), 0.0).x == pytest.approx([0.5])
 
 
+@pytest.mark.slow
 def test_without_a_label_nothing_is_called_a_success(monkeypatch):
     """The multiplier programs fail numerically: the point may be right, but it is not shown to be."""
     module = sys.modules["rmesh_nlp.mpcc.classify"]

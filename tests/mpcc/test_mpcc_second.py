@@ -92,6 +92,7 @@ def test_an_infeasible_problem_is_given_up_after_few_programs():
     assert result.counts["rescues"] > 0  # another relaxation was asked all the same
 
 
+@pytest.mark.slow
 def test_a_penalty_that_ends_at_a_violation_is_not_followed_to_the_end():
     run = Run(Programs(contradiction(), Options()), np.zeros(0))
     path = Path()

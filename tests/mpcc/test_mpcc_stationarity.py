@@ -60,6 +60,7 @@ def scheel_like(n=1):
     return MPCC(ca.vertcat(X, Y, Z), f, ca.vertcat(Z - 3 * X, Z - 3 * Y), X, Y, ubg=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 6])
 def test_b_without_s_needs_the_exact_finish(n):
     """Here the relaxed solutions are off by sqrt(t): x = y = sqrt(t), z = 3 sqrt(t), f = -sqrt(t)."""

@@ -62,6 +62,7 @@ def test_points_where_the_function_is_not_defined_are_not_taken() -> None:
     assert 0.9 < result.x[0] <= 1
 
 
+@pytest.mark.slow
 def test_newton_needs_few_contact_solves() -> None:
     # prototypes took 13 for 99 % of the gain; the path depends on rounding, the order of magnitude does not
     problem = EXAMPLES["6.1"](16)

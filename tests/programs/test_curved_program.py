@@ -86,6 +86,7 @@ def test_a_limited_memory_descent_is_finished_by_newton() -> None:
     assert solution.iterations == numbers[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outer", ["newton", "ipopt"])
 def test_a_start_at_a_minimiser_ends_there_and_never_higher(outer: str) -> None:
     problem = EXAMPLES["6.2"]((6, 3), (1.0, 0.5))

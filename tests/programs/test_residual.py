@@ -41,6 +41,7 @@ def test_history_and_record_agree_where_no_contact_is_solved(strategy: Any, name
     assert abs(last.dual_residual - solution.stationarity_residual) <= 1e-8 + 0.01 * last.dual_residual
 
 
+@pytest.mark.slow
 def test_of_another_objective_the_end_of_mpcc_is_known() -> None:
     solution = mpcc.solve(EXAMPLES["6.1"](3), objective="error-l2")
     assert solution.history[-1].dual_residual == solution.stationarity_residual

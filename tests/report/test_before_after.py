@@ -70,6 +70,7 @@ def test_nothing_that_is_zero_is_drawn() -> None:
     assert [name for name, _ in pictures(fixed.solve(membrane()), Page())] == ["mesh", "displacement", "flux"]
 
 
+@pytest.mark.slow
 def test_the_foundation_is_one_curve_before_and_after() -> None:
     problem = block_between_two_foundations()
     solution = joint.solve(problem)

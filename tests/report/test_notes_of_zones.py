@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from support.sliding import sliding_block
 
 from formulations import fixed
@@ -16,6 +17,7 @@ def test_example_63_has_no_stick_zone_and_the_notes_say_so() -> None:
     assert "there is no stick zone" in markdown([record])
 
 
+@pytest.mark.slow
 def test_where_nodes_stick_nothing_is_said() -> None:
     record = fixed.solve(sliding_block(4)).record()
     assert record["sticking_nodes"] > 0

@@ -21,6 +21,7 @@ def test_the_figures_are_drawn(tmp_path: Path) -> None:
     assert 0.4 < high < 0.6
 
 
+@pytest.mark.slow
 def test_the_lower_energy_of_a_grid_and_box_is_kept(tmp_path: Path) -> None:
     file = tmp_path / "known.json"
     best_known.main(["6.3:6", "--starts", "1", "--file", str(file)])

@@ -43,6 +43,7 @@ def test_without_peers_ours_has_its_rows(
     assert [row[2] for row in rows if row[0] == "rmesh_nlp.mpcc"] == ["1 of 2"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "status"),
     [
@@ -61,6 +62,7 @@ def test_a_peer_that_dies_is_a_row(
     assert f"| problem | peer | {status} | - | - | - | - | - |" in benchmark.markdown([row])
 
 
+@pytest.mark.slow
 def test_a_crash_costs_one_problem_of_a_collection(benchmark: ModuleType, tmp_path: Path) -> None:
     peer = tmp_path / "peer.py"
     peer.write_text(
