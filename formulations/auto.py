@@ -9,7 +9,6 @@ the audit confirms the gain. Where boxes, a least angle or another objective are
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -29,10 +28,10 @@ from rmesh_nlp.settings import check_limits
 from rmesh_nlp.solution.beginning import Start
 from rmesh_nlp.solution.flipping import check_flips
 from rmesh_nlp.solution.history import TIME_LIMIT_S
+from rmesh_nlp.solution.reducing import with_error_reduction
 from rmesh_nlp.solution.referee import STATIONARY, OnStep
 from rmesh_nlp.solution.regularised import Regularisation
 from rmesh_nlp.solution.solution import Solution, interrupted
-from rmesh_nlp.solution.worth import worth
 
 MANY = 2000
 """Moves above which boxed problems are solved by Newton-CG: the time of ``joint`` grows like the square of
@@ -84,7 +83,7 @@ def solve(
         Of what runs; of a cascade over all its meshes together, after which it ends as by the time limit.
     time_limit_s : float
         After it, as after Ctrl-C, the best mesh so far is the solution: coarsening and the statement of
-        programs count, nothing more is stated than what the audit needs, and ``worth`` is not worked out.
+        programs count. Only the final assessment runs; the error reduction is not estimated.
     start, seed : optional
         With one of them the problem is solved from there, without a cascade: by Newton-CG with the same
         distortion where there are no boxes.
@@ -154,7 +153,7 @@ def solve(
         except KeyboardInterrupt:  # what was there before the flips is
             return interrupted(found)
     stopped = found.status in (Status.TIME_LIMIT, Status.INTERRUPTED)
-    return found if stopped else _with_worth(problem, found)
+    return found if stopped else with_error_reduction(found)
 
 
 def enough_for(moves: int) -> float:
@@ -186,21 +185,3 @@ def _confirmed(problem: ContactProblem, options: dict[str, Any]) -> Solution:
 
 def _chosen(solution: Solution, why: str) -> Solution:
     return replace(solution, extra={**solution.extra, "chosen_by": "auto", "chosen": why})
-
-
-def _with_worth(problem: ContactProblem, solution: Solution) -> Solution:
-    """The solution with what it is worth in its record; the time for that counts as audit."""
-    began = time.perf_counter()
-    stated = replace(problem, quadrature=solution.problem.quadrature)
-    energies = solution.energy_initial_audited, solution.audit.energy_audited
-    try:
-        found = worth(stated, solution.mesh, *energies, solution.contact_solves)
-    except KeyboardInterrupt:  # the solution is there
-        return interrupted(solution)
-    if found is None:
-        return solution
-    return replace(
-        solution,
-        extra={**solution.extra, "worth": found.record()},
-        audit_time_s=solution.audit_time_s + time.perf_counter() - began,
-    )

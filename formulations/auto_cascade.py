@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from formulations import nested
 from formulations.auto_rules import agrees, first_rule, next_rule
 from formulations.auto_watch import Watch
 from rmesh_nlp.evaluation import Array
@@ -107,13 +106,8 @@ def solve_by_cascade(
     if watch.is_late() and solution.status not in (Status.CONVERGED, watch.stopped) and solution.valid:
         # the time was up on the way to a point that was not taken
         solution = replace(solution, status=watch.stopped or solution.status)
-    # never a mesh that is worse than the one given
-    worse = not solution.energy_initial_audited >= solution.audit.energy_audited
-    if worse and watch.stopped:
+    if not solution.success and watch.stopped:
         solution = judged(referee, np.zeros(q.size), watch.stopped)
-    elif worse:
-        solution = nested.solve(stated, max_iterations=1, tolerance=tolerance)
-        solution = replace(solution, extra={**solution.extra, **_figures(result, rules, settings)})
     if watch.stopped is Status.INTERRUPTED:  # perhaps after the verdict
         solution = interrupted(solution)
     seconds = solving(watch.seconds, solution.build_time_s, solution.audit_time_s)

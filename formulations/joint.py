@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from formulations.joint_finish import Finish, finished
+from rmesh_nlp.assessment.verdict import LIMITS
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -31,7 +32,6 @@ from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
 from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
 from rmesh_nlp.solution.regularised import Regularisation
 from rmesh_nlp.solution.solution import Solution
-from rmesh_nlp.solution.verdict import LIMITS
 
 ORDINARY = (1e-4, 1e4)
 """Sizes of displacements that Ipopt is given as they are; others are measured in the largest of them."""

@@ -22,7 +22,6 @@ from rmesh_nlp.solution.certify import Certificate, certified
 from rmesh_nlp.solution.solution import Solution, versions
 from rmesh_nlp.solution.step import Step
 from rmesh_nlp.solution.theorem41 import error_terms
-from rmesh_nlp.solution.worth import by_certificate
 
 OnStep = Callable[[Step], None]
 
@@ -91,10 +90,13 @@ def _solve(case: Case, on_step: OnStep | None) -> Outcome:
     if not case.certify:
         return Outcome(record, solution)
     bounds, certificate = certified(solution)
-    if certificate is not None and "worth" in solution.extra:
-        found = by_certificate(solution.extra["worth"], certificate)
-        solution = replace(solution, extra={**solution.extra, "worth": found})
-        bounds = {**bounds, "worth": found}
+    if certificate is not None and certificate.is_disproved:
+        solution = replace(solution, status=Status.INACCURATE, valid=False, success=False)
+        bounds |= {"status": solution.status.value, "valid": False, "success": False}
+    elif certificate is not None and "error_reduction" in solution.extra:
+        found = certificate.of_reduction(solution.extra["error_reduction"])
+        solution = replace(solution, extra={**solution.extra, "error_reduction": found})
+        bounds |= {"error_reduction": found}
     return Outcome({**record, **bounds}, solution, certificate)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rmesh_nlp.solution.registry import GROUP, Solve, accepted, available, find
+from rmesh_nlp.solution.safely import safely
 from rmesh_nlp.solution.starts import with_starts
 
 __all__ = ["GROUP", "Solve", "accepted", "available", "load"]
@@ -16,4 +17,4 @@ def load(name: str) -> Solve:
     BadInputError
         If no strategy has this name, or it cannot be imported.
     """
-    return with_starts(find(name))
+    return with_starts(safely(find(name)))

@@ -11,6 +11,9 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.coefficients import Coefficient
 
+GIVEN = "the given displacement is not linear on every edge"
+"""Of a fault that no stand-off removes."""
+
 LATTICE = 4
 """Parts of an edge of the lattice in a triangle on which an obstacle in the interior is looked at."""
 
@@ -21,7 +24,7 @@ def displacement_faults(
     """Reasons why the displacement is not known to be admissible; none if it is."""
     faults = []
     if conditions.given_error > ROUNDING:
-        faults.append("upper: the given displacement is not linear on every edge, and held at nodes only")
+        faults.append(f"upper: {GIVEN}, and held at nodes only")
     depth = penetration(problem, skeleton, conditions, displacement)
     if depth > 0:
         faults.append(

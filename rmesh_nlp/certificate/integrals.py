@@ -15,8 +15,8 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import triangle_rule
-from rmesh_nlp.fem.vectorised import columnwise
 from rmesh_nlp.problem.coefficients import Coefficient
+from rmesh_nlp.vectorised import columnwise
 
 TRIANGLE_DEGREES = (5, 8, 13, 20)
 """Degrees of the rules, tried in this order."""

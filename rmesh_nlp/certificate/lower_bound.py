@@ -30,10 +30,10 @@ from rmesh_nlp.certificate.traces import TraceSpace
 from rmesh_nlp.contact.model import solve
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.vectorised import Columns, columnwise
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.laws import Laplace
 from rmesh_nlp.problem.rigid import rigid_motions
+from rmesh_nlp.vectorised import Columns, columnwise
 
 Index = NDArray[np.int64]
 

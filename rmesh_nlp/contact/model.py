@@ -24,9 +24,9 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from rmesh_nlp.contact.directions import Directions
 from rmesh_nlp.contact.first_guess import first_set
 from rmesh_nlp.contact.floating import check_load, check_unique, holding
 from rmesh_nlp.contact.ordering import LARGE, elimination_order
@@ -37,7 +37,6 @@ from rmesh_nlp.fem.fields import unknown_field
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.rigid import rigid_motions
-from rmesh_nlp.problem.statement import NO_NORMAL
 
 MAX_ITERATIONS = 100
 """Factorisations that one contact solve may take."""
@@ -75,10 +74,11 @@ class ContactModel:
         self.discretisation = parts = discretise(problem)
         self.problem = problem = parts.problem
         self.displacement, self.n_u = parts.displacement, parts.n_u
-        self._sets, self.contact_nodes = problem.contact_sets, parts.contact_nodes
+        self.contact_nodes = parts.contact_nodes
         n_nodes = problem.mesh.p.shape[1]
-        positions = unknown_field((2, n_nodes), parameter=True)
-        u, X = ca.MX.sym("u", self.n_u), ca.MX.sym("X", 2 * n_nodes)
+        self._given = given = _Given(problem)
+        positions, X = given.positions, given.symbol
+        u = ca.MX.sym("u", self.n_u)
         terms = (*parts.strain, *parts.gaps)
         inner = parts.assemble(
             [term.on(positions, self.displacement) for term in terms], u, X, self.contact_nodes.size
@@ -95,8 +95,8 @@ class ContactModel:
         self._loads = _Loads(parts)
         self._stiffness = Symmetric(numbered(hessian.sparsity()))
         self._curved = any(part.level is not None for part in problem.obstacles)
-        normals = self._directions(problem.mesh.p)
-        self.normals, self.tangents = self._unit_rows(normals), self._tangents(normals)
+        self._directions = Directions(problem, self.displacement, self.n_u)
+        self.normals, self.tangents = self._directions.rows(problem.mesh.p)
         self.frictional = np.zeros(self.contact_nodes.size, dtype=bool)
         self.frictional[parts.friction_rows] = True
         self._friction = problem.frictional
@@ -131,14 +131,13 @@ class ContactModel:
 
     def system(self, nodes: Array) -> ContactSystem:
         """The quadratic program at node positions (2, nodes)."""
-        hessian, held, constant, offset = self._evaluate(nodes)
+        hessian, held, constant, offset = self._evaluate(self._given(nodes))
         work, load = self._loads(nodes)
         stiffness = self._stiffness(hessian)
-        bound = self._weights(nodes)[0][self._weight_of] if self._friction else np.zeros(0)
+        bound = self._weights(self._given(nodes))[0][self._weight_of] if self._friction else np.zeros(0)
         normals, tangents = self.normals, self.tangents
         if self._curved:
-            directions = self._directions(nodes)
-            normals, tangents = self._unit_rows(directions), self._tangents(directions)
+            normals, tangents = self._directions.rows(nodes)
         return ContactSystem(
             stiffness,
             held + load,
@@ -152,6 +151,17 @@ class ContactModel:
             self._order,
         )
 
+    def strain_and_friction(self, nodes: Array, u: Array) -> tuple[float, float]:
+        """Strain energy and friction energy of a displacement at node positions."""
+        given = self._given(nodes)
+        hessian, pull, constant, _ = self._evaluate(given)
+        strain = 0.5 * float(u @ (self._stiffness(hessian) @ u)) - float(pull @ u) + float(constant[0])
+        friction = 0.0
+        if self._friction:
+            bound = self._weights(given)[0][self._weight_of]
+            friction = float(bound @ np.abs(self.slips(nodes, u)))
+        return strain, friction
+
     @cached_property
     def _order(self) -> NDArray[np.int64] | None:
         """The order of elimination on a large mesh."""
@@ -163,7 +173,7 @@ class ContactModel:
     def slips(self, nodes: Array, u: Array) -> Array:
         """Displacements (gaps,) along the tangents at node positions (2, nodes)."""
         straight = not (self._curved and self._friction)
-        tangents = self.tangents if straight else self._tangents(self._directions(nodes))
+        tangents = self.tangents if straight else self._directions.rows(nodes)[1]
         return np.asarray(tangents @ u)
 
     def solve(self, nodes: Array, start: ActiveSet | None = None) -> Equilibrium:
@@ -180,40 +190,42 @@ class ContactModel:
             result = np.hstack([result, column])
         return result
 
-    def _directions(self, nodes: Array) -> Array:
-        """Unit normals (components, gaps) at node positions (2, nodes)."""
-        parts = [part.obstacle.normals(nodes[:, part.nodes]) for part in self._sets]
-        return np.hstack([np.zeros((self.problem.components, 0)), *parts])
 
-    def _tangents(self, normals: Array) -> sp.csr_array:
-        if self.problem.components == 1:
-            return sp.csr_array((0, self.n_u))
-        return self._unit_rows(np.stack([normals[1], -normals[0]]))
+class _Given:
+    """Node positions as parameters of a function, and the parameters of nodes on curves that go with them."""
 
-    def _unit_rows(self, vectors: Array) -> sp.csr_array:
-        """Rows that take the component of the displacement along ``vectors`` (components, gaps)."""
-        if self.contact_nodes.size == 0:
-            return sp.csr_array((0, self.n_u))
-        index = self.displacement.index[:, self.contact_nodes]
-        row = np.broadcast_to(np.arange(index.shape[1]), index.shape)
-        used = (np.abs(vectors) > NO_NORMAL) & (index >= 0)
-        return sp.csr_array((vectors[used], (row[used], index[used])), shape=(index.shape[1], self.n_u))
+    def __init__(self, problem: ContactProblem) -> None:
+        n, self._problem = problem.mesh.p.shape[1], problem
+        self._curves = [
+            (curve, problem.boundary_nodes((name,))) for name, curve in problem.motion.curves.items()
+        ]
+        positions = unknown_field((2, n), parameter=True)
+        along = unknown_field((len(self._curves), n), 2 * n, parameter=True) if self._curves else None
+        self.positions = replace(positions, along=along)
+        self.symbol = ca.MX.sym("X", (2 + len(self._curves)) * n)
+
+    def __call__(self, nodes: Array) -> Array:
+        """The values of ``symbol`` at node positions (2, nodes)."""
+        along = np.zeros((len(self._curves), nodes.shape[1]))
+        for row, (curve, here) in zip(along, self._curves, strict=True):
+            row[here] = curve.nearest(nodes[:, here])
+        return np.concatenate([nodes.ravel(order="F"), along.ravel(order="F")])
 
 
 class _Loads:
     """The loads of a discretisation at node positions, by its quadrature rule."""
 
     def __init__(self, parts: Discretisation) -> None:
-        n_nodes = parts.problem.mesh.p.shape[1]
-        positions = unknown_field((2, n_nodes), parameter=True)
-        u, X = ca.MX.sym("u", parts.n_u), ca.MX.sym("X", 2 * n_nodes)
+        self._given = given = _Given(parts.problem)
+        positions, X = given.positions, given.symbol
+        u = ca.MX.sym("u", parts.n_u)
         self._kept = parts.assemble([term.on(positions, parts.displacement) for term in parts.loads], u, X, 0)
         value, gradient = self._kept.grad_f(ca.MX.zeros(parts.n_u), X)
         self._evaluate = Evaluator(ca.Function("loads", [X], [ca.densify(value), -ca.densify(gradient)]))
 
     def __call__(self, nodes: Array) -> tuple[float, Array]:
         """Minus the work of the loads on the given displacements, and the nodal forces (n_u,)."""
-        value, force = self._evaluate(nodes)
+        value, force = self._evaluate(self._given(nodes))
         return float(value[0]), force
 
 

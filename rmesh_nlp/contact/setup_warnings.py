@@ -6,7 +6,7 @@ What is looked at costs one contact solve on the given mesh, and one assembly of
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,9 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.edge_gaps import holds_along_edges
 from rmesh_nlp.problem import ContactProblem, Place
+from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.laws import Laplace, PlaneStrain
 from rmesh_nlp.problem.statement import ContactSet
 from rmesh_nlp.problem.units import after
@@ -37,11 +39,6 @@ FAR = 1e-3
 
 LOAD_ERROR = 0.1
 """Relative difference of nodal loads by the problem's rule and by one of high degree."""
-
-ACCURATE_DEGREE = 12
-
-BOUGHT = 0.1
-"""Part of a gain that penetration may be worth."""
 
 FEW = 3
 """Touching nodes below which a contact is not resolved."""
@@ -68,15 +65,16 @@ def setup_warnings(
     problem: ContactProblem,
     model: ContactModel | None = None,
     state: Equilibrium | None = None,
-    accurate: ContactModel | None = None,
+    accurate: Array | None = None,
 ) -> tuple[SetupWarning, ...]:
     """All signs of a wrong set-up, from the contact solution on the given mesh.
 
     Parameters
     ----------
-    model, state, accurate : optional
-        The contact model, the solution, and the model with an accurate rule for the load, where they are
-        at hand.
+    model, state : optional
+        The contact model and the solution, where they are at hand.
+    accurate : (n_u,) array, optional
+        Nodal loads by an accurate rule; without them the rule is not looked at.
     """
     model = model or ContactModel(problem)
     system = model.system(problem.mesh.p)
@@ -96,7 +94,7 @@ def penetration_warnings(problem: ContactProblem, nodes: Array, displacement: Ar
     for part in problem.contact_sets:
         if problem.components == 1 or part.obstacle.boundary is Place.INTERIOR:
             continue  # a displacement of its own unit: there is no edge to compare with
-        depth, length = penetrations(problem, part.obstacle, nodes, displacement)
+        depth, length = penetrations(Body(problem, nodes), part.obstacle, displacement)
         ratio = depth / length
         if ratio.size and np.max(ratio) > PENETRATION:
             found.append(
@@ -109,33 +107,11 @@ def penetration_warnings(problem: ContactProblem, nodes: Array, displacement: Ar
     return found
 
 
-def bought_gain(gain: float, work_before: float, work_after: float) -> list[SetupWarning]:
-    """A warning if much of a gain is penetration between contact nodes rather than accuracy.
-
-    Parameters
-    ----------
-    gain : float
-        Fall of the energy by relocation.
-    work_before, work_after : float
-        See :func:`rmesh_nlp.contact.penetration.penetration_work`.
-    """
-    part = (work_after - work_before) / gain if gain > 0 else 0.0
-    if part <= BOUGHT:
-        return []
-    return [
-        SetupWarning(
-            "bought",
-            f"about {part:.0%} of the gain is penetration between contact nodes, not accuracy: let gaps "
-            "hold along edges (gap = 'edge'), refine the contact boundary, or pin its nodes",
-        )
-    ]
-
-
 def _contact(
     problem: ContactProblem, part: ContactSet, system: ContactSystem, state: Equilibrium, u: Array
 ) -> Iterator[SetupWarning]:
     offset, touching = system.offset[part.rows], state.active.touching[part.rows]
-    if part.obstacle.gap == "edge":  # nodes keep off the foundation, which is no overlap
+    if holds_along_edges(problem, part.obstacle):  # nodes keep off the foundation, which is no overlap
         offset = part.obstacle.distances(problem.mesh.p[:, part.nodes])
     unit, extent = after(problem.units.length), _extent(problem)
     scale = extent if problem.components == 2 else max(float(np.max(np.abs(u))), 1e-300)
@@ -219,18 +195,14 @@ def _materials(problem: ContactProblem) -> Iterator[SetupWarning]:
             )
 
 
-def _loads(
-    problem: ContactProblem, system: ContactSystem, accurate: ContactModel | None
-) -> Iterator[SetupWarning]:
+def _loads(problem: ContactProblem, system: ContactSystem, accurate: Array | None) -> Iterator[SetupWarning]:
     given = bool(problem.tractions) or any(callable(c) or c != 0 for law in problem.laws for c in law.load)
     held, value = problem.held()
     if given and not np.any(value[held]) and not np.any(system.load):
         yield SetupWarning("load", "the loads vanish on this mesh: do they use the same lengths as the mesh?")
         return
-    if any(callable(c) for law in problem.laws for c in law.load):
-        accurate = accurate or ContactModel(replace(problem, quadrature=ACCURATE_DEGREE))
-        load = accurate.system(problem.mesh.p).load
-        wrong = float(np.sum(np.abs(system.load - load)) / max(np.sum(np.abs(load)), 1e-300))
+    if accurate is not None and any(callable(c) for law in problem.laws for c in law.load):
+        wrong = float(np.sum(np.abs(system.load - accurate)) / max(np.sum(np.abs(accurate)), 1e-300))
         if wrong > LOAD_ERROR:
             yield SetupWarning(
                 "load",

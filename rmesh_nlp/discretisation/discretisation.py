@@ -22,8 +22,8 @@ from rmesh_nlp.fem.contact_terms import friction_terms, gap_field, gap_terms, sl
 from rmesh_nlp.fem.energy import displacement_field, load_terms, strain_terms
 from rmesh_nlp.fem.fields import ElementGroup, ElementTerm, Field
 from rmesh_nlp.fem.objective import Objective, scaled_group
-from rmesh_nlp.fem.vectorised import USUAL, AssemblySettings
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.vectorised import USUAL, AssemblySettings
 
 
 @dataclass(frozen=True)

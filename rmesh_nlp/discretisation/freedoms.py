@@ -106,8 +106,23 @@ def freedoms(problem: ContactProblem) -> Freedoms:
         index[:, node], scale[:, node] = index[:, leader], scale[:, leader]
     bound = np.full(int(first[-1]), np.inf if problem.motion.delta is None else 1.0)
     bends = Bends(which, tuple(f for curve in curves for f in curve.functions)) if curves else None
-    positions = Field(index, scale, offset, bends=bends)
+    positions = Field(index, scale, offset, bends=bends, along=_along(problem, along, index, scale))
     return Freedoms(mobility, positions, int(first[-1]), bound, curves)
+
+
+def _along(problem: ContactProblem, slides: NDArray, index: NDArray, scale: Array) -> Field | None:
+    """Parameters (curves, nodes) of the nodes on each curve, also of its ends, which do not slide."""
+    curves = problem.motion.curves
+    if not curves:
+        return None
+    shape = (len(curves), index.shape[1])
+    found = Field(np.full(shape, CONSTANT), np.ones(shape), np.zeros(shape))
+    for number, (name, curve) in enumerate(curves.items()):
+        nodes = problem.boundary_nodes((name,))
+        found.offset[number, nodes] = curve.nearest(problem.mesh.p[:, nodes])
+        here = nodes[slides[nodes] == number]
+        found.index[number, here], found.scale[number, here] = index[0, here], scale[0, here]
+    return found
 
 
 def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:

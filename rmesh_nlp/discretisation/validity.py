@@ -21,8 +21,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import Assembled, assemble
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_field, without_elements
-from rmesh_nlp.fem.vectorised import USUAL, AssemblySettings
 from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.vectorised import USUAL, AssemblySettings
 
 ROUNDING = 1e-9
 """Slack of a validity row that counts as none, in parts of the initial area or in radians. An element whose

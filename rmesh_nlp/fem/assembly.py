@@ -20,8 +20,8 @@ from rmesh_nlp.fem.element import plain
 from rmesh_nlp.fem.fields import ElementGroup
 from rmesh_nlp.fem.kernels import Kernel, LocalKernels
 from rmesh_nlp.fem.sums import InCasadi, in_numpy
-from rmesh_nlp.fem.vectorised import USUAL, AssemblySettings, columnwise
 from rmesh_nlp.optimize.nlp import Derivatives
+from rmesh_nlp.vectorised import USUAL, AssemblySettings, columnwise
 
 
 class Assembled:

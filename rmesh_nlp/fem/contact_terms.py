@@ -7,24 +7,44 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from skfem.quadrature import get_quadrature_line
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.edge_gaps import edge_gap_function, edges_of
+from rmesh_nlp.fem import arcs
+from rmesh_nlp.fem.edge_gaps import edge_gap_terms, holds_along_edges
+from rmesh_nlp.fem.element import PointValues
 from rmesh_nlp.fem.fields import ElementTerm, Field, Index, constant_field
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, at, signed_areas
-from rmesh_nlp.problem.statement import ContactSet
+
+FRICTION_DEGREE = 31
+"""Degree of the rule for the integral of the friction bound: exact to 1e-6 for four waves within an edge."""
 
 
-def friction_energy(obstacle: Obstacle) -> ca.Function:
-    """``(X_e, s_e) -> (energy, empty)`` on one contact edge.
+def friction_energy(obstacle: Obstacle) -> tuple[ca.Function, PointValues | None]:
+    """``(X_e, s_e[, g at the points]) -> (energy, empty)`` on one contact edge.
 
-    |e| / 2 (g_1 s_1 + g_2 s_2), where s_i stands for |u_t,i|: the trapezoidal rule of (5.9),
-    whose weights omega_i move with the nodes.
+    The integral of g times the interpolant of the slip magnitudes s_i, which stand for |u_t,i|: by convexity
+    it is at least the integral of g |u_t|. With a constant bound it is |e| g (s_1 + s_2) / 2, the
+    trapezoidal rule of (5.9). The bound of slip at a node is so the integral of g times its hat function, and
+    moves with the nodes.
     """
     X, s = ca.SX.sym("X", 2, 2), ca.SX.sym("s", 2)
-    length = ca.norm_2(X[:, 1] - X[:, 0])
-    slip = sum(at(obstacle.friction, X[0, i], X[1, i]) * s[i] for i in range(2))
-    return ca.Function("friction_energy", [ca.vec(X), s], [length * slip / 2, ca.SX(0, 1)])
+    columns, length = [ca.vec(X), s], ca.norm_2(X[:, 1] - X[:, 0])
+    if not callable(obstacle.friction):
+        energy = length * obstacle.friction * (s[0] + s[1]) / 2
+        return ca.Function("friction_energy", columns, [energy, ca.SX(0, 1)]), None
+    points, weights = get_quadrature_line(FRICTION_DEGREE)
+    shares = np.vstack([1 - points.ravel(), points.ravel()])
+    bound = ca.SX.sym("g", weights.size)
+    energy = length * ca.dot(bound, ca.vec(s.T @ ca.DM(shares * weights)))
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    value = ca.densify(ca.SX(at(obstacle.friction, x, y)))
+    return (
+        ca.Function("friction_energy", [*columns, bound], [energy, ca.SX(0, 1)]),
+        PointValues(
+            ca.Function("points", columns, [X @ ca.DM(shares)]), ca.Function("bound", [x, y], [value])
+        ),
+    )
 
 
 def gap_function(obstacle: Obstacle, components: int) -> ca.Function:
@@ -69,42 +89,35 @@ def slip_function(obstacle: Obstacle) -> ca.Function:
 
 def gap_terms(problem: ContactProblem) -> list[ElementTerm]:
     """One constraint row per contact node and obstacle: its gap, of positions and displacement."""
-    terms = []
+    terms: list[ElementTerm] = []
     for part in problem.contact_sets:
-        beside = _neighbours(problem, part) if part.obstacle.gap == "edge" else [()] * part.nodes.size
-        for sides in sorted({len(nodes) for nodes in beside}):
-            chosen = np.array([i for i, nodes in enumerate(beside) if len(nodes) == sides])
-            function = gap_function(part.obstacle, problem.components)
-            at = part.nodes[None, chosen]
-            patch = at
-            if sides:
-                function = edge_gap_function(part.obstacle, problem.components, sides)
-                patch = np.vstack([at, np.array([beside[i] for i in chosen]).T])
-            terms.append(ElementTerm(function, (patch, at), part.rows[None, chosen]))
+        if holds_along_edges(problem, part.obstacle):
+            terms += edge_gap_terms(problem, part)
+        else:
+            at = part.nodes[None]
+            terms.append(
+                ElementTerm(gap_function(part.obstacle, problem.components), (at, at), part.rows[None])
+            )
     return terms
-
-
-def _neighbours(problem: ContactProblem, part: ContactSet) -> list[tuple[int, ...]]:
-    """For each node of a contact set its neighbours along the contact boundary, or in the interior all."""
-    beside: dict[int, list[int]] = {int(node): [] for node in part.nodes}
-    for a, b in edges_of(problem, part.obstacle).T.tolist():
-        for one, other in ((a, b), (b, a)):
-            if one in beside:
-                beside[one].append(other)
-    return [tuple(beside[int(node)]) for node in part.nodes]
 
 
 def friction_terms(problem: ContactProblem) -> list[ElementTerm]:
     """Friction energy of positions and slip magnitudes (obstacles, nodes)."""
-    return [
-        ElementTerm(
-            friction_energy(part.obstacle),
-            (contact_edges(problem, part.obstacle),) * 2,
-            component=part.number,
-        )
-        for part in problem.contact_sets
-        if part.obstacle.frictional
-    ]
+    terms = []
+    for part in problem.contact_sets:
+        if not part.obstacle.frictional:
+            continue
+        nodes: tuple[Index | None, ...]
+        for number, edges in problem.edges_by_curve(str(part.obstacle.boundary)):
+            if number < 0:
+                function, at_points = friction_energy(part.obstacle)
+                nodes, arc = (edges, edges), None
+            else:
+                bound = part.obstacle.friction
+                function = arcs.friction_energy(bound, problem.curves[number], FRICTION_DEGREE)
+                nodes, arc, at_points = (None, edges), (number, edges), None
+            terms.append(ElementTerm(function, nodes, component=part.number, at_points=at_points, arc=arc))
+    return terms
 
 
 def slip_terms(problem: ContactProblem) -> list[ElementTerm]:

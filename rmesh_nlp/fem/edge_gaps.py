@@ -1,129 +1,175 @@
 """Gaps that hold along contact edges, and not at their nodes only.
 
 A displacement that is linear on the edges keeps a convex foundation out of the body at the nodes, and lets it
-pass in between: by ``k h^2 / 8`` on an edge of length h at a curvature k. To first order the energy is too
-low by ``k p h^3 / 12`` at a pressure p, and relocation can gain by making edges longer. Here every node keeps
-off by as much as its edges need; then the admissible displacements of the mesh are admissible for the
-continuous problem, and an energy below the exact one is impossible on the same domain.
+pass in between: by ``k h^2 / 8`` on an edge of length h at a curvature k of the foundation and of the body
+together. Relocation could gain by making edges longer. Here every node keeps off by as much as its edges
+need; then the admissible displacements of the mesh are admissible for the continuous problem.
 
-The arc of a foundation above its chord on the edge e is ``a = max(I d - d, 0)``, d its distance and I d the
-interpolant at the ends. At the node i it asks for twice ``sum_e int_e phi_i a / sum_e int_e phi_i``, with
-phi_i the hat function. For a parabola and edges of lengths h and l that is ``k (h^2 - h l + l^2) / 6``, at
-least ``k max(h, l)^2 / 8``: enough for both edges, smooth in the positions, and of second order. Where the
-foundation is concave gaps at nodes suffice already, and nothing is added.
+On an edge the foundation rises above the interpolant of its distances at the nodes by
+``a = I d - d``, on the true curve of the body where it has one. A node keeps off by
+
+    r = ( sum_k max(a_k, 0)^p )^(1/p)
+
+over sample points on the edges beside it: at least the largest of these heights, and smooth in
+the positions. For a parabola it is 1.12 times the height, with an edge like it on the other side 1.19 times.
+Beside a node that is held with a gap G the height that counts is ``(a - (1 - s) G) / s``, s the share of the
+free node.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-from skfem.quadrature import get_quadrature_line
 
-from rmesh_nlp.fem.fields import Index
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.arcs import Arc, kind_of
+from rmesh_nlp.fem.element import PointValues
+from rmesh_nlp.fem.fields import ElementTerm, Index
+from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
+from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.statement import ContactSet
 
-DEGREE = 7
-"""Degree of the Gauss rule along an edge."""
+SAMPLES = 16
+"""Parts of an edge; heights are taken between them."""
 
-ENOUGH = 2.0
-"""How many times the mean height of the arcs a node keeps off: the least that is enough for any two edges."""
+INTERIOR_SAMPLES, INSIDE = 6, 4 / 3
+"""Parts of an edge of an interior contact set, and the factor of its heights: inside a triangle a paraboloid
+rises above its interpolant by ``k h^2 / 6``, on an edge by ``k h^2 / 8``. What is narrower is left to the
+assessment."""
 
+POWER = 12
+"""The p of the norm."""
 
-POWER = 4
-"""In the interior a node keeps off by the norm with this power of the mean heights on its edges: at least
-their largest. Inside a triangle a paraboloid rises above its interpolant by ``k h^2 / 6``, on an edge by
-``k h^2 / 8``; twice the mean height is ``k h^2 / 6``."""
-
-TINY = 1e-200
-"""Added below the root, which has no derivative at zero."""
-
-SMALL = 0.35
-"""Height of an arc, relative to the root mean square along its edge, below which it counts less; the least of
-a parabola is 0.396 of that."""
-
-ROUNDING = 1e-14
-"""Height over the length of an edge that is rounding."""
+TINY = 1e-13
+"""A height, in units of the largest distance on the given mesh, that is none: below it the norm is smooth."""
 
 STRAIGHT = 1e-9
-"""Height of an arc over the largest distance of its foundation up to which it is rounding."""
+"""Height of a foundation over its largest distance up to which it is rounding."""
 
 
 def with_edge_gaps(problem: ContactProblem) -> ContactProblem:
-    """The problem with gaps that hold along edges wherever a foundation rises above a chord of its edges.
+    """The problem with gaps that hold along edges wherever a foundation rises between nodes.
 
     It is returned as it is if none does.
     """
+    body = Body(problem, problem.mesh.p)
     chosen = tuple(
-        replace(obstacle, gap="edge") if _rises(problem, obstacle) else obstacle
+        replace(obstacle, gap="edge") if obstacle.gap != "edge" and _rises(body, obstacle) else obstacle
         for obstacle in problem.obstacles
     )
     return problem if chosen == problem.obstacles else replace(problem, obstacle=chosen)
 
 
-def _rises(problem: ContactProblem, obstacle: Obstacle) -> bool:
-    if obstacle.gap == "edge":
-        return False
-    ends = problem.mesh.p[:, edges_of(problem, obstacle)]
-    at_ends = [obstacle.distances(ends[:, i]) for i in range(2)]
-    size = max(float(np.max(np.abs(distance), initial=0.0)) for distance in at_ends)
-    for t in (0.25, 0.5, 0.75):
-        chord = (1 - t) * at_ends[0] + t * at_ends[1]
-        arc = chord - obstacle.distances((1 - t) * ends[:, 0] + t * ends[:, 1])
-        if np.max(arc, initial=0.0) > STRAIGHT * size:
-            return True
-    return False
+def _rises(body: Body, obstacle: Obstacle) -> bool:
+    edges = body.edges_of(obstacle)
+    rows = np.arange(edges.size)
+    s = np.broadcast_to(np.arange(SAMPLES + 1) / SAMPLES, (rows.size, SAMPLES + 1))
+    distance = obstacle.distances(edges.at(rows, s)[0].reshape(2, -1)).reshape(s.shape)
+    height = distance[:, :1] * (1 - s) + distance[:, -1:] * s - distance
+    size = float(np.max(np.abs(distance), initial=0.0))
+    return bool(np.max(height, initial=0.0) > STRAIGHT * size)
+
+
+def holds_along_edges(problem: ContactProblem, obstacle: Obstacle) -> bool:
+    """Whether gaps of an obstacle hold along edges: where that is asked for, and where the body is curved."""
+    if obstacle.gap == "edge" or not problem.motion.curves or isinstance(obstacle.boundary, Place):
+        return obstacle.gap == "edge"
+    return any(number >= 0 for number, _ in problem.edges_by_curve(obstacle.boundary))
+
+
+def edge_gap_terms(problem: ContactProblem, part: ContactSet) -> Iterator[ElementTerm]:
+    """Rows of the gaps of a contact set that hold along edges, of positions and displacement."""
+    unit = float(np.max(np.abs(part.obstacle.distances(problem.mesh.p[:, part.nodes])), initial=0.0)) or 1.0
+    free = np.zeros(problem.mesh.p.shape[1])
+    free[part.nodes] = 1.0
+    given = _given_along(problem, part.obstacle)
+    for sides, rows, patch in _patches(problem, part):
+        number = max(sides)
+        curve = problem.curves[number] if number >= 0 else None
+        on_curve = tuple(curve is not None and side == number for side in sides)
+        function, at_points = _gap_function(part.obstacle, problem.components, on_curve, curve, unit)
+        yield ElementTerm(
+            function,
+            (patch, patch[:1]),
+            part.rows[rows][None],
+            at_points=at_points,
+            arc=None if curve is None else (number, patch),
+            constants=np.vstack([free[patch[1:]], given[patch[1:]]]),
+        )
+
+
+def _patches(problem: ContactProblem, part: ContactSet) -> Iterator[tuple[tuple[int, ...], Index, Index]]:
+    """Contact nodes with edges alike: the curve of each edge, rows of the nodes, nodes (1 + neighbours, n).
+
+    A node between two curves counts one edge as an arc, the other as a chord.
+    """
+    body = Body(problem, problem.mesh.p)
+    edges = body.edges_of(part.obstacle)
+    around: dict[int, list[tuple[int, int]]] = {int(node): [] for node in part.nodes}
+    for a, b, curve in np.vstack([edges.ends, problem.curve_of_facet[edges.facets]]).T.tolist():
+        for node, other in ((a, b), (b, a)):
+            if node in around:
+                around[node].append((curve, other))
+    groups: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for row, node in enumerate(part.nodes):
+        groups[tuple(curve for curve, _ in around[int(node)])].append(row)
+    for sides, rows in groups.items():
+        patch = [[int(part.nodes[r]), *(other for _, other in around[int(part.nodes[r])])] for r in rows]
+        yield sides, np.array(rows), np.array(patch, dtype=np.int64).T
+
+
+def _given_along(problem: ContactProblem, obstacle: Obstacle) -> Array:
+    """(nodes,) the displacement along the normal that is given; zero where none is."""
+    held, value = problem.held()
+    return np.asarray(np.sum(obstacle.normals(problem.mesh.p) * np.where(held, value, 0.0), axis=0))
+
+
+def _gap_function(
+    obstacle: Obstacle, components: int, on_curve: tuple[bool, ...], curve: Curve | None, unit: float
+) -> tuple[ca.Function, PointValues]:
+    """``([parameters,] patch, u_i, (free, given), distances) -> (0, gap)`` of a node; where distances are.
+
+    The patch is the node and its neighbours. ``free`` is 1 for a neighbour that keeps off as well, and 0 for
+    one that is held, whose displacement is ``given``.
+    """
+    kind, beside = ca.SX if curve is None else kind_of(curve), len(on_curve)
+    X, t = kind.sym("X", 2, 1 + beside), kind.sym("t", 1 + beside)
+    u, constants = kind.sym("u", components), kind.sym("constants", 2 * beside)
+    free, given = constants[:beside], constants[beside:]
+    points = ca.horzsplit(X)
+    recipes = []  # of each height: the neighbour, its share, and the number of the point
+    interior = obstacle.boundary is Place.INTERIOR
+    samples = INTERIOR_SAMPLES if interior else SAMPLES
+    for i in range(1, 1 + beside):
+        arc = Arc(curve, ca.vertcat(t[0], t[i]), kind) if curve is not None and on_curve[i - 1] else None
+        for s in np.arange(1, samples) / samples:
+            recipes.append((i, s, len(points)))
+            points.append((1 - s) * X[:, 0] + s * X[:, i] if arc is None else arc.point(s))
+    distance = kind.sym("distance", len(points))
+    power = kind(TINY**POWER)
+    for i, s, number in recipes:
+        height = (1 - s) * distance[0] - distance[number]
+        height += s * (free[i - 1] * distance[i] - (1 - free[i - 1]) * given[i - 1])
+        reach = 1 - s + s * free[i - 1]
+        power += ca.fmax(height / (unit * reach), 0) ** POWER
+    off = unit * power ** (1 / POWER) * (INSIDE if interior else 1.0)
+    gap = ca.dot(obstacle.direction(X[0, 0], X[1, 0]), u) + distance[0] - off
+    columns = [*([] if curve is None else [t]), ca.vec(X), u, constants]
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    return (
+        ca.Function("edge_gap", [*columns, distance], [0, gap]),
+        PointValues(
+            ca.Function("points", columns, [ca.horzcat(*points)]),
+            ca.Function("distance", [x, y], [ca.densify(obstacle.distance(x, y))]),
+        ),
+    )
 
 
 def edges_of(problem: ContactProblem, obstacle: Obstacle) -> Index:
     """(2, edges) node numbers of the edges of a contact boundary, or of all edges for the interior."""
-    facets = np.asarray(problem.mesh.facets, dtype=np.int64)
-    if isinstance(obstacle.boundary, Place):
-        return facets
-    return facets[:, np.asarray(problem.mesh.boundaries[obstacle.boundary])]
-
-
-def edge_gap_function(obstacle: Obstacle, components: int, sides: int) -> ca.Function:
-    """``(X_e, u_i) -> (0, gap)`` of one contact node and its neighbours on ``sides`` contact edges.
-
-    Parameters
-    ----------
-    obstacle : Obstacle
-    components : int
-        Of the displacement u_i of the node.
-    sides : int
-        The columns of X_e (2, 1 + sides) are the node and its neighbours.
-    """
-    X, u = ca.SX.sym("X", 2, 1 + sides), ca.SX.sym("u", components)
-    here = obstacle.distance(X[0, 0], X[1, 0])
-    points, weights = get_quadrature_line(DEGREE)
-    interior = isinstance(obstacle.boundary, Place)
-    height = weight = largest = 0
-    for side in range(1, 1 + sides):
-        step = X[:, side] - X[:, 0]
-        length, there = ca.norm_2(step), obstacle.distance(X[0, side], X[1, side])
-        above = [
-            (1 - t) * here + t * there - obstacle.distance(X[0, 0] + t * step[0], X[1, 0] + t * step[1])
-            for t in points.ravel()
-        ]
-        arcs = ca.dot(weights * (1 - points.ravel()), _positive_parts(ca.vertcat(*above), length))
-        height, weight = height + length * arcs, weight + length / 2
-        largest += (2 * arcs) ** POWER
-    off = ENOUGH * ((largest + TINY) ** (1 / POWER) if interior else height / weight)
-    gap = ca.dot(obstacle.direction(X[0, 0], X[1, 0]), u) + here - off
-    return ca.Function("edge_gap", [ca.vec(X), u], [0, gap])
-
-
-def _positive_parts(heights: ca.SX, length: ca.SX) -> ca.SX:
-    """``max(a, 0)`` of the heights a of one edge, rounded off where a is small beside the others.
-
-    Where an edge spans an inflection some heights change sign, and a kink there would stop Newton's method
-    and interior points. A height below ``SMALL`` times the root mean square of all is taken less, by a smooth
-    step with two continuous derivatives; those of a parabola are all larger. So on an edge within which the
-    foundation turns some penetration is left: half of the arc in one of 466 random problems
-    (``scripts/soak_truth.py``, seed 13092).
-    """
-    small = SMALL**2 * ca.sumsqr(heights) / heights.numel() + (ROUNDING * length) ** 2
-    r = ca.fmin(heights**2 / small, 1)
-    return ca.if_else(heights > 0, heights * r**3 * (10 - 15 * r + 6 * r**2), 0)
+    return Body(problem, problem.mesh.p).edges_of(obstacle).ends

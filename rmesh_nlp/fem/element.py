@@ -194,7 +194,7 @@ class _Chain:
             total = total + move.T @ here @ move
             if bend.nnz():  # a point that does not move affinely: a node of the element is on a curve
                 slope = self._at(self._slope, point)
-                total = total + ca.substitute(bend, self._pull, slope.T @ weight)
+                total = total + ca.substitute(bend, self._pull, ca.densify(slope.T @ weight))
         return total
 
     def _at(self, expression: Any, point: Any) -> Any:

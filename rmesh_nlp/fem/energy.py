@@ -14,9 +14,12 @@ from scipy.special import roots_jacobi
 from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem import arcs
 from rmesh_nlp.fem.element import PointValues
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, ElementTerm, Field, Index, constant_field
+from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, PointLoad, Traction
+from rmesh_nlp.problem.body import sides_on
 from rmesh_nlp.problem.coefficients import Coefficient, at, is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
 
@@ -150,27 +153,67 @@ def _work(load: tuple[Coefficient, ...], X: ca.SX, u: ca.SX, barycentric: Array,
 
 
 def strain_terms(problem: ContactProblem) -> list[ElementTerm]:
-    """Strain energy of positions and displacement, a term per region."""
-    return [
-        ElementTerm(strain_energy(law), (problem.triangles[:, elements],) * 2)
-        for law, elements in problem.regions
-    ]
+    """Strain energy of positions and displacement, a term per region; more for triangles beside a curve."""
+    terms = []
+    for law, straight, beside in _elements(problem):
+        terms.append(ElementTerm(strain_energy(law), (problem.triangles[:, straight],) * 2))
+        terms += [_beside(arcs.strain_energy(law, curve), *place) for curve, place in beside]
+    return terms
 
 
 def load_terms(problem: ContactProblem, rule: str | int) -> list[ElementTerm]:
     """Minus the work of source or body force, tractions and point loads, of positions and displacement."""
-    terms = [
-        _load_term(law, rule, problem.triangles[:, elements])
-        for law, elements in problem.regions
-        if any(is_nonzero(component) for component in law.load)
-    ]
-    degree = TRACTION_DEGREE if isinstance(rule, str) else max(rule, TRACTION_DEGREE)
+    terms, degree = [], TRACTION_DEGREE if isinstance(rule, str) else max(rule, TRACTION_DEGREE)
+    for law, straight, beside in _elements(problem):
+        if any(is_nonzero(component) for component in law.load):
+            terms.append(_load_term(law, rule, problem.triangles[:, straight]))
+            terms += [_beside(arcs.load_energy(law, curve, degree), *place) for curve, place in beside]
     for traction in problem.tractions:
-        edges = np.asarray(problem.mesh.facets[:, problem.mesh.boundaries[traction.boundary]], dtype=np.int64)
-        terms.append(ElementTerm(traction_energy(traction, degree), (edges, edges)))
+        for number, edges in problem.edges_by_curve(traction.boundary):
+            if number < 0:
+                terms.append(ElementTerm(traction_energy(traction, degree), (edges, edges)))
+            else:
+                function = arcs.traction_energy(traction.value, problem.curves[number], degree)
+                terms.append(ElementTerm(function, (None, edges), arc=(number, edges)))
     for load in problem.point_loads:
         terms.append(ElementTerm(point_energy(load), (None, np.array([[load.node]]))))
     return terms
+
+
+Place = tuple[int, Index]
+"""The number of a curve, and the nodes a, b, c (3, elements) of triangles with an arc ab on it."""
+
+
+def _elements(problem: ContactProblem) -> list[tuple[Law, Index, list[tuple[Curve, Place]]]]:
+    """For each region its law, its triangles away from curves, and those beside each curve.
+
+    A triangle with two arcs counts as one beside the first of them: its other side is a chord.
+    """
+    nodes_of: dict[int, Index] = {}
+    owner = np.full(problem.triangles.shape[1], CONSTANT)
+    for number, name in enumerate(problem.motion.curves):
+        sides = sides_on(problem, np.asarray(problem.mesh.boundaries[name], dtype=np.int64))
+        elements, first = np.unique(sides.element, return_index=True)
+        first = first[owner[elements] == CONSTANT]
+        elements, ends = sides.element[first], sides.ends[:, first]
+        owner[elements] = number
+        apex = 3 - ends.sum(axis=0)
+        local = np.stack([(apex + 1) % 3, (apex + 2) % 3, apex])  # counter-clockwise
+        nodes_of[number] = np.zeros((3, owner.size), np.int64)
+        nodes_of[number][:, elements] = np.take_along_axis(problem.triangles[:, elements], local, axis=0)
+    found = []
+    for law, elements in problem.regions:
+        beside = [
+            (problem.curves[number], (number, nodes[:, elements[owner[elements] == number]]))
+            for number, nodes in nodes_of.items()
+        ]
+        present = [(curve, place) for curve, place in beside if place[1].size]
+        found.append((law, elements[owner[elements] == CONSTANT], present))
+    return found
+
+
+def _beside(function: ca.Function, number: int, nodes: Index) -> ElementTerm:
+    return ElementTerm(function, (nodes[2:], nodes), arc=(number, nodes[:2]))
 
 
 def _load_term(law: Law, rule: str | int, triangles: Index) -> ElementTerm:

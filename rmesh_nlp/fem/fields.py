@@ -77,6 +77,8 @@ class Field:
     parameter : bool
     bends : Bends, optional
         Where the value is not this affine function but a function of it.
+    along : Field, optional
+        Of positions: (curves, nodes), the parameters of the nodes that are on a curve of the motion.
     """
 
     index: Index
@@ -84,6 +86,7 @@ class Field:
     offset: Array
     parameter: bool = False
     bends: Bends | None = None
+    along: Field | None = None
 
     def at(self, nodes: Index) -> Field:
         """Local values on elements.
@@ -204,6 +207,10 @@ class ElementTerm:
     component : int, optional
         The last field has one component per obstacle: take this one.
     at_points : PointValues, optional
+    arc : (int, (nodes per element, elements) int array), optional
+        The first argument of the function is the parameters of these nodes on this curve of the motion.
+    constants : (length, elements) array, optional
+        The last argument.
     """
 
     function: ca.Function
@@ -211,6 +218,8 @@ class ElementTerm:
     rows: Index | None = None
     component: int | None = None
     at_points: PointValues | None = None
+    arc: tuple[int, Index] | None = None
+    constants: Array | None = None
 
     def on(self, *fields: Field, first_row: int = 0) -> ElementGroup:
         """The element group on these fields, its rows numbered from ``first_row``."""
@@ -218,6 +227,11 @@ class ElementTerm:
             fields = (*fields[:-1], fields[-1].component(self.component))
         chosen = zip(fields, self.nodes, strict=True)
         local = tuple(field.at(nodes) for field, nodes in chosen if nodes is not None)
+        if self.arc is not None and fields[0].along is not None:
+            curve, nodes = self.arc
+            local = (fields[0].along.component(curve).at(nodes), *local)
+        if self.constants is not None:
+            local = (*local, constant_field(self.constants))
         none = np.zeros((0, local[0].index.shape[1]), dtype=np.int64)
         rows = none if self.rows is None else first_row + self.rows
         return ElementGroup(self.function, local, rows, self.at_points)

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT, Field, Index
 from rmesh_nlp.fem.kernels import Entries, Kernel
-from rmesh_nlp.fem.vectorised import AssemblySettings, Columns, columnwise
+from rmesh_nlp.vectorised import AssemblySettings, Columns, columnwise
 
 
 class _Sums:

@@ -20,9 +20,7 @@ class Status(str, Enum):
     INACCURATE = "inaccurate"
     NOT_STATIONARY = "not_stationary"
     WORSE = "worse"
-    QUADRATURE_EXPLOITED = "quadrature-exploited"
-    PENETRATION = "penetration"
-    PENETRATION_EXPLOITED = "penetration-exploited"
+    EXPLOITED = "exploited"
     INVALID_MESH = "invalid_mesh"
     TOO_FEW_FREEDOMS = "too_few_freedoms"
     EVALUATION_ERROR = "evaluation_error"
@@ -47,9 +45,7 @@ _MESSAGES = {
     Status.INACCURATE: "A residual of the problem is above its tolerance, or the solver's energy is wrong.",
     Status.NOT_STATIONARY: "The solver met its own test, but not the tolerance of the first-order residual.",
     Status.WORSE: "The minimised objective, measured accurately, is above its value on the given mesh.",
-    Status.QUADRATURE_EXPLOITED: "The gain is one of the quadrature rule: take a rule of higher degree.",
-    Status.PENETRATION: "Between its nodes the contact boundary penetrates the foundation too far.",
-    Status.PENETRATION_EXPLOITED: "Most of the gain is penetration between contact nodes: take gap = 'edge'.",
+    Status.EXPLOITED: "Only an error of the discretisation lowered the energy: the continuous one rose.",
     Status.INVALID_MESH: "An element is inverted or smaller than allowed.",
     Status.TOO_FEW_FREEDOMS: "There are more equations than free unknowns.",
     Status.EVALUATION_ERROR: "A function returned NaN or infinity.",

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.vectorised import columnwise
 
 PositionFunction = Callable[[Any, Any], Any]
 Coefficient = float | PositionFunction
@@ -76,8 +77,8 @@ def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficien
         return np.zeros(0)
     else:
         x, y = ca.SX.sym("x"), ca.SX.sym("y")
-        function = ca.Function("coefficient", [x, y], [at(coefficient, x, y)])
-        values = function(ca.DM(points[0]).T, ca.DM(points[1]).T).full().ravel()
+        function = ca.Function("coefficient", [x, y], [ca.densify(at(coefficient, x, y))])
+        values = columnwise(function, points.shape[1])([points[:1], points[1:]])[0].ravel()
     if not np.all(np.isfinite(values)):
         bad = int(np.flatnonzero(~np.isfinite(values))[0])
         raise ValueError(f"{what} is {values[bad]} at ({points[0, bad]:.6g}, {points[1, bad]:.6g})")

@@ -14,6 +14,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import counter_clockwise
 from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction, on_points
 from rmesh_nlp.problem.laws import Law
@@ -149,7 +150,8 @@ class Statement:
         """Each law with the numbers of its elements."""
         if not isinstance(self.law, Mapping):
             return ((self.law, np.arange(self.mesh.t.shape[1])),)
-        return tuple((law, np.asarray(self.mesh.subdomains[name])) for name, law in self.law.items())
+        every = np.arange(self.mesh.t.shape[1])
+        return tuple((law, every[np.asarray(self.mesh.subdomains[name])]) for name, law in self.law.items())
 
     @cached_property
     def rule(self) -> str | int:
@@ -185,6 +187,26 @@ class Statement:
     def triangles(self) -> NDArray[np.int64]:
         """(3, elements) vertex numbers, each triangle counter-clockwise."""
         return counter_clockwise(self.mesh.p, self.mesh.t)
+
+    @cached_property
+    def curve_of_facet(self) -> NDArray[np.int64]:
+        """(facets,) number of the curve of the motion that each facet is on; -1 for straight ones."""
+        found = np.full(self.mesh.facets.shape[1], -1)
+        for number, name in enumerate(self.motion.curves):
+            found[np.asarray(self.mesh.boundaries[name])] = number
+        return found
+
+    @property
+    def curves(self) -> tuple[Curve, ...]:
+        """The curves of the motion by their numbers."""
+        return tuple(self.motion.curves.values())
+
+    def edges_by_curve(self, boundary: str) -> list[tuple[int, NDArray[np.int64]]]:
+        """Edges (2, n) of a boundary, for each curve with its number; straight ones with -1."""
+        facets = np.unique(np.asarray(self.mesh.boundaries[boundary]))
+        curve = self.curve_of_facet[facets]
+        numbers = np.unique(curve).tolist()
+        return [(k, self.mesh.facets[:, facets[curve == k]].astype(np.int64)) for k in numbers]
 
     def boundary_nodes(self, names: tuple[str, ...]) -> NDArray[np.int64]:
         """Sorted numbers of the nodes on the named boundaries."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rmesh_nlp.contact.penetration import penetration_work_of
+from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.programs.reduced import ReducedEnergy
 
@@ -15,9 +15,9 @@ HALVINGS = 4
 def accepted(energy: ReducedEnergy, q: Array) -> tuple[Array, float]:
     """The moves that are taken, and the part of ``q`` that they are; 0 for the mesh as given.
 
-    The largest part counts whose energy is below that of the mesh as given. Gaps hold at nodes only, so the
-    energies are compared with what penetration between nodes is worth added to both: over a curved
-    foundation a coarse map gains by pulling nodes apart, and such a gain does not last on a finer mesh.
+    The largest part counts whose energy is below that of the mesh as given: the continuous energy
+    (:mod:`rmesh_nlp.assessment.admissible`), since what a coarse map gains by errors of the discretisation
+    does not last on a finer mesh.
 
     Parameters
     ----------
@@ -25,21 +25,15 @@ def accepted(energy: ReducedEnergy, q: Array) -> tuple[Array, float]:
         Of the mesh that the map was prolonged to.
     q : (n,) array
     """
-    given = without_penetration(energy, np.zeros_like(q))
+    given = _continuous(energy, np.zeros_like(q))
     part = 1.0
     for _ in range(HALVINGS):
-        if energy.is_defined(part * q) and without_penetration(energy, part * q) < given:
+        if energy.is_defined(part * q) and _continuous(energy, part * q) < given:
             return part * q, part
         part /= 2
     return np.zeros_like(q), 0.0
 
 
-def penetration_at(energy: ReducedEnergy, q: Array) -> float:
-    """What penetration between contact nodes is worth at moves ``q``, in units of energy."""
-    nodes = np.asarray(energy.relocation.nodes(q))
-    return penetration_work_of(energy.model, nodes, energy(q).equilibrium)
-
-
-def without_penetration(energy: ReducedEnergy, q: Array) -> float:
-    """The energy if the gap held between the nodes as well, to first order."""
-    return energy(q).equilibrium.energy + penetration_at(energy, q)
+def _continuous(energy: ReducedEnergy, q: Array) -> float:
+    nodes = energy.relocation.nodes(q)
+    return admissible(energy.relocation.problem, nodes, energy(q).equilibrium.active).energy

@@ -27,11 +27,13 @@ import numpy as np
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.acceptance import accepted, penetration_at
+from rmesh_nlp.problem.rigid import rigid_motions
+from rmesh_nlp.programs.acceptance import accepted
 from rmesh_nlp.programs.cascade_settings import CascadeSettings, Schedules
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
@@ -62,8 +64,6 @@ class Level:
     taken : float
         Part of the prolonged map that was taken, see :func:`rmesh_nlp.programs.acceptance.accepted`; NaN on
         the coarsest mesh.
-    penetration : float
-        Energy that penetration between contact nodes is worth at the end.
     iterations, products, contact_solves : int
     seconds, build_seconds : float
         Processor time of the descents, and of stating the programs and making the map.
@@ -75,7 +75,6 @@ class Level:
     prolonged: float
     taken: float
     energy: float
-    penetration: float
     iterations: int
     products: int
     contact_solves: int
@@ -136,10 +135,21 @@ def hierarchy(
     while True:
         _check_time(is_late)
         coarser = coarsened(levels[-1], coarsest)
-        if coarser is None:
+        if coarser is None or not _is_held(coarser):
             break
         levels.append(coarser)
     return levels[::-1]
+
+
+def _is_held(problem: ContactProblem) -> bool:
+    """Whether a body that contact alone holds is held on this mesh: a coarse one may touch at one node."""
+    if rigid_motions(problem).size == 0:
+        return True
+    try:
+        ContactModel(problem)
+    except ProblemError:
+        return False
+    return True
 
 
 def _check_time(is_late: IsLate) -> None:
@@ -209,7 +219,6 @@ def cascade(
                 prolonged=before,
                 taken=taken,
                 energy=energy(q).equilibrium.energy,
-                penetration=penetration_at(energy, q),
                 build_seconds=time.process_time() - began - run.seconds,
                 seconds=run.seconds,
                 **run.counts(),

@@ -24,13 +24,13 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.distortion import reference_shapes
 from rmesh_nlp.fem.element import plain
 from rmesh_nlp.fem.energy import load_energy, strain_energy
-from rmesh_nlp.fem.vectorised import columnwise
 from rmesh_nlp.meshes.decimation import shape_quality
 from rmesh_nlp.meshes.flips import flipped
 from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.coefficients import is_nonzero
 from rmesh_nlp.problem.lines import line_facets
+from rmesh_nlp.vectorised import columnwise
 
 POOR = 0.2
 """Shape (1 if equilateral), and area over the mean around, below which a triangle of the mesh as given is no

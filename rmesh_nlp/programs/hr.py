@@ -13,13 +13,14 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem.refining import locally_refined
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.energy_flips import POOR, equilateral, flip_edges, mean_around
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.programs.refinement import edge_gains, locally_refined, marked
+from rmesh_nlp.programs.refinement import edge_gains, marked
 from rmesh_nlp.programs.regularisation import regularised
 from rmesh_nlp.settings import check_positive
 

@@ -12,29 +12,12 @@ from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.meshes.unrefinement import Coarse, unrefined
 from rmesh_nlp.problem import ContactProblem, Relative
 from rmesh_nlp.problem.lines import line_facets, on_curve, sliding_directions
-from rmesh_nlp.problem.on_curves import onto_curves
 
 COARSER = 4
 """How many times fewer nodes the next coarser mesh has."""
 
 WORTHWHILE = 2.0
 """Least factor by which a coarser mesh must be coarser."""
-
-
-def refined(problem: ContactProblem, *, polygon: bool = False) -> ContactProblem:
-    """The same problem with every triangle cut into four, names kept; boxes keep their widths.
-
-    New nodes of a boundary with a curve are on the curve. With ``polygon`` they stay on the edges that
-    they cut, and the motion has no curves: the domain is then that of the given mesh.
-    """
-    motion = problem.motion
-    if isinstance(motion.delta, Relative):
-        motion = replace(motion, delta=Relative(2 * motion.delta.fraction))
-    mesh = problem.mesh.refined(1)
-    if polygon:
-        motion = replace(motion, curves={})
-    mesh = onto_curves(mesh, motion.curves, anywhere=True)
-    return replace(problem, mesh=mesh, motion=motion, size=f"{mesh.t.shape[1]} triangles", reference=None)
 
 
 def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None:

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.edge_gaps import edges_of
+from rmesh_nlp.fem.edge_gaps import edges_of, holds_along_edges
 from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.programs.curvature import Curvature
@@ -174,7 +174,7 @@ def _beside(relocation: Relocation) -> sp.csr_array:
     n = problem.mesh.p.shape[1]
     found = sp.csr_array((n, n))
     for part in problem.contact_sets:
-        if part.obstacle.gap == "edge":
+        if holds_along_edges(problem, part.obstacle):
             one, two = edges_of(problem, part.obstacle)
             pairs = np.append(one, two), np.append(two, one)
             found = found + sp.csr_array((np.ones(pairs[0].size), pairs), shape=(n, n))

@@ -9,21 +9,15 @@ cut by longest edges (red, green and blue), names are kept.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.fem.stress import stresses
-from rmesh_nlp.meshes.geometry import counter_clockwise
-from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.coefficients import on_points
-from rmesh_nlp.problem.on_curves import onto_curves
 from rmesh_nlp.programs.energy_flips import ElementEnergies
 
 SHARE = 0.5
@@ -35,28 +29,6 @@ def marked(indicators: Array, share: float = SHARE) -> NDArray[np.int64]:
     order = np.argsort(-indicators, kind="stable")
     total = np.cumsum(indicators[order])
     return order[: 1 + int(np.searchsorted(total, share * total[-1]))] if total[-1] > 0 else order[:0]
-
-
-def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProblem:
-    """The problem with some triangles refined, and what neighbours need; old nodes keep their numbers."""
-    old = problem.mesh
-    new = replace(old, _boundaries=None).refined(np.asarray(elements))
-    keys = {tuple(edge) for edge in np.sort(new.facets, axis=0).T.tolist()}
-    tree = cKDTree(new.p.T)
-    boundaries = {}
-    for name, facets in (old.boundaries or {}).items():
-        edges = []
-        for a, b in old.facets[:, np.asarray(facets)].T.tolist():
-            if (min(a, b), max(a, b)) in keys:
-                edges.append((a, b))
-                continue
-            middle = int(tree.query((old.p[:, a] + old.p[:, b]) / 2)[1])
-            edges += [(a, middle), (middle, b)]
-        boundaries[name] = np.array(edges)
-    subdomains = {name: np.asarray(e) for name, e in (new.subdomains or {}).items()}
-    mesh = from_arrays(new.p.T, counter_clockwise(new.p, new.t).T, boundaries, subdomains)
-    mesh = onto_curves(mesh, problem.motion.curves, anywhere=True)
-    return replace(problem, mesh=mesh, size=f"{mesh.t.shape[1]} triangles", reference=None)
 
 
 def edge_gains(problem: ContactProblem) -> Array:

@@ -8,27 +8,23 @@ part of that error, which also makes one number suit every load and unit.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.contact.penetration import penetration_work_of
+from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.levels import refined
+from rmesh_nlp.problem.refining import refined
 
 EXTRAPOLATION = 4 / 3
 """Error of the energy over its decrease by one uniform refinement, if the error falls by four."""
 
 LEAST_GAIN = 1e-9
 """Least error of the energy, in parts of the energy, that a weight is made of."""
-
-LEAST_DEGREE = 6
-"""Least degree of the rule with which the error is estimated."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +34,7 @@ class GainEstimate:
     Attributes
     ----------
     energy, energy_refined : float
-        On the mesh, and on its uniform refinement, each with what penetration between contact nodes is worth.
+        Of the continuous problem on the mesh, and on its uniform refinement.
     value : float
         Estimated error of the energy of the mesh, positive.
     """
@@ -49,23 +45,11 @@ class GainEstimate:
 
 
 def gain_estimate(problem: ContactProblem) -> GainEstimate:
-    """Estimate the error of the energy of the mesh as given, with an accurate rule, by two contact solves.
-
-    Over a curved foundation gaps hold at nodes only, and on a coarse mesh the energy can be far too low: it
-    may even rise by refinement. So what penetration is worth to first order is added to both energies.
-    """
-    rule = problem.rule
-    accurate = replace(problem, quadrature=max(rule, LEAST_DEGREE) if isinstance(rule, int) else LEAST_DEGREE)
-    fine = refined(accurate, polygon=True)
-    here, there = _without_penetration(accurate), _without_penetration(fine)
+    """Estimate the error of the continuous energy of the mesh as given, by two contact solves."""
+    here = admissible(problem).energy
+    there = admissible(refined(problem)).energy
     floor = LEAST_GAIN * max(abs(here), abs(there), 1e-300)
     return GainEstimate(here, there, max(EXTRAPOLATION * (here - there), floor))
-
-
-def _without_penetration(problem: ContactProblem) -> float:
-    model = ContactModel(problem)
-    state = model.solve(problem.mesh.p)
-    return state.energy + penetration_work_of(model, np.asarray(problem.mesh.p), state)
 
 
 def weights(regularisation: float | str | Sequence[float], name: str = "regularisation") -> tuple[float, ...]:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.assessment.admissible import Admissible
+from rmesh_nlp.assessment.error_reduction import by_certificate
+from rmesh_nlp.certificate.admissibility import GIVEN
 from rmesh_nlp.certificate.bracket import Bracket
 from rmesh_nlp.certificate.domain import same_domain
 from rmesh_nlp.certificate.field import Guess
 from rmesh_nlp.certificate.refined import refined_bracket
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.display import figure
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solution.solution import Solution
 
 
@@ -24,8 +30,9 @@ class Certificate:
     Attributes
     ----------
     lower, upper : float
-        ``lower <= min J <= upper``, J the energy without any discretisation; ``upper`` is the
-        energy of the solution.
+        ``lower <= min J <= upper``, J the energy without any discretisation; ``upper`` is that of an
+        admissible displacement on the mesh of the solution, with the doubt of its quadrature, whose error is
+        bounded. On curved bodies both are of the polygon, and ``upper`` is the energy of the solution.
     error_bound_initial, error_bound : float
         Bounds of the error in the energy norm (twice the strain energy, its root) on the given
         mesh and on the relocated one.
@@ -76,8 +83,24 @@ class Certificate:
         }
 
     @property
+    def is_disproved(self) -> bool:
+        """Whether the energy lies below a proven bound: then the displacement is not admissible."""
+        return self.guaranteed_lower and self.upper < self.lower
+
+    def of_reduction(self, found: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The record of an error reduction with these bounds, where they are guaranteed."""
+        proved = self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
+        before, after = (bound**2 / 2 for bound in (self.error_bound_initial, self.error_bound))
+        return by_certificate(found, before, after, proved)
+
+    @property
     def sentence(self) -> str:
         """The result in words."""
+        if self.is_disproved:
+            return (
+                f"no error bound: the energy {figure(self.upper)} lies below the proven bound "
+                f"{figure(self.lower)}, so the displacement is not admissible"
+            )
         guaranteed = self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
         word = "at most" if guaranteed else "estimated at"
         before, after = _percent(self.relative_initial), _percent(self.relative)
@@ -112,9 +135,15 @@ def certify(solution: Solution, *, refinements: int | None = None) -> Certificat
     after = refined_bracket(problem, nodes, guess, refinements)
     before = after
     moved = bool(np.any(nodes != problem.mesh.p))
+    if solution.assessed is not None and not problem.motion.curves:
+        after = _with_upper(after, solution.assessed[1])
+        if not moved:
+            before = after
     if moved:
         given = np.asarray(problem.mesh.p)
         before = refined_bracket(problem, given, contact_solution(ContactModel(problem), given), refinements)
+        if solution.assessed is not None and not problem.motion.curves and solution.given is None:
+            before = _with_upper(before, solution.assessed[0])
     if not moved:
         return _certificate(after, after, after.why)
     if same_domain(problem, nodes):
@@ -133,6 +162,15 @@ def contact_solution(model: ContactModel, nodes: Array) -> Guess:
     if found.tangential_force.size:
         friction[model.contact_nodes] = found.tangential_force / weights
     return Guess(model.displacement.values(found.u), pressure, friction)
+
+
+def _with_upper(one: Bracket, found: Admissible) -> Bracket:
+    """The bracket with the energy of an admissible displacement as its upper bound."""
+    if found.status is not Status.CONVERGED:
+        return one
+    kept = tuple(reason for reason in one.why if not reason.startswith("upper") or GIVEN in reason)
+    known = not any(reason.startswith("upper") for reason in kept)
+    return replace(one, upper=found.energy + found.doubt, guaranteed_upper=known, why=kept)
 
 
 def _with_lower(one: Bracket, best: Bracket) -> Bracket:

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.assessment.assessor import Audit, equilibrium_residual, law_residual
 from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.contact.setup_warnings import bought_gain, penetration_warnings, setup_warnings
+from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
@@ -18,11 +19,10 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.outer_function import Reduced
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
-from rmesh_nlp.solution.audit import Audit, equilibrium_residual, law_residual
 from rmesh_nlp.solution.solution import Solution
 
-DEGREES = (4, 6, 8, 10, 12, 16, 20)
-"""Degrees of quadrature that are recommended where the gain is one of the rule."""
+ACCURATE = 20
+"""Degree of the rule by which other objectives than the energy are assessed."""
 
 
 def zones(problem: ContactProblem, state: Equilibrium) -> dict[str, int]:
@@ -44,28 +44,21 @@ def residuals(system: ContactSystem, own: Equilibrium, exact: Equilibrium) -> di
 
 
 def warnings_of(
-    model: ContactModel,
-    accurate: ContactModel,
-    initial: Equilibrium,
-    nodes: Array,
-    state: Equilibrium,
-    works: list[float],
+    model: ContactModel, initial: Equilibrium, load: Array | None, nodes: Array, state: Equilibrium
 ) -> list[str]:
     """Signs of a wrong set-up, and of foundations that pass into the relocated mesh.
 
     Parameters
     ----------
-    model, accurate : ContactModel
-        By the rule of the problem and by that of the audit.
+    model : ContactModel
     initial, state : Equilibrium
         On the mesh as given and at the relocated ``nodes`` (2, nodes).
-    works : list of float
-        Work of penetration in these two.
+    load : (n_u,) array, optional
+        Nodal loads on the mesh as given by an accurate rule.
     """
-    found = setup_warnings(model.problem, model, initial, accurate)
+    found = setup_warnings(model.problem, model, initial, load)
     messages = [warning.message for warning in found if warning.kind != "penetration"]
     after = penetration_warnings(model.problem, nodes, model.displacement.values(state.u))
-    after += bought_gain(initial.energy - state.energy, *works)
     return messages + [warning.message for warning in after]
 
 
@@ -73,12 +66,11 @@ def decrease_of(
     energy: ReducedEnergy,
     function: Reduced,
     objective: str | Objective,
-    accurate: ContactProblem,
     q: Array,
-    before: Equilibrium,
-    after: Equilibrium,
+    before: tuple[float, Equilibrium],
+    after: tuple[float, Equilibrium],
 ) -> tuple[float, float]:
-    """Decrease of the minimised objective by the rule of the audit, and the objective's size.
+    """Decrease of the minimised objective, measured by the assessment, and the objective's size.
 
     Parameters
     ----------
@@ -86,39 +78,29 @@ def decrease_of(
     function : Reduced
         The objective as a function of the moves; the energy itself, or another one.
     objective : str or Objective
-    accurate : ContactProblem
-        With the rule of the audit.
     q : (n_q,) array
         The moves.
-    before, after : Equilibrium
-        Contact solutions by that rule on the mesh as given and at the moves.
+    before, after : (float, Equilibrium)
+        The continuous energy on the mesh as given and at the moves, and the displacement.
     """
     zero = np.zeros(q.size)
     if function is energy:
-        one = before.energy + energy.of_positions(zero)
-        two = after.energy + energy.of_positions(q)
+        one = before[0] + energy.of_positions(zero)
+        two = after[0] + energy.of_positions(q)
     elif isinstance(function, ReducedCertificate):  # by that rule already
         one, two = function(zero).value, function(q).value
     else:
         rel = energy.relocation
         value = element_values(
-            parse_objective(objective).groups(accurate, rel.freedoms.positions, rel.displacement, rel.slip)
+            parse_objective(objective).groups(
+                rel.problem.with_rule(ACCURATE), rel.freedoms.positions, rel.displacement, rel.slip
+            )
         )
         one, two = (
             float(sum(np.sum(part) for part in value(energy.point(moves, state))))
-            for moves, state in ((zero, before), (q, after))
+            for moves, state in ((zero, before[1]), (q, after[1]))
         )
     return one - two, max(abs(one), abs(two))
-
-
-def advice(model: ContactModel, nodes: Array, gain: float) -> str:
-    """The least degree of quadrature that gives the gain of the audit on this mesh to one per cent."""
-    for degree in DEGREES:
-        other = model.with_rule(degree)
-        own = other.solve(np.asarray(model.problem.mesh.p)).energy - other.solve(nodes).energy
-        if abs(own - gain) <= 0.01 * max(abs(own), abs(gain)):
-            return f"Here degree {degree} suffices."
-    return f"Here not even degree {DEGREES[-1]} suffices."
 
 
 def nodal_stress(model: ContactModel, force: Array, weights: Array) -> Array:
@@ -129,9 +111,9 @@ def nodal_stress(model: ContactModel, force: Array, weights: Array) -> Array:
     return stress
 
 
-def first_fault(*states: Equilibrium) -> Status:
-    """CONVERGED, or the status of the first contact solve that did not."""
-    return next((s.status for s in states if s.status is not Status.CONVERGED), Status.CONVERGED)
+def first_fault(*ends: Status) -> Status:
+    """CONVERGED, or the first status of a contact solve that is another."""
+    return next((status for status in ends if status is not Status.CONVERGED), Status.CONVERGED)
 
 
 def without_solution(common: dict[str, Any], problem: ContactProblem, ratio: float, said: Status) -> Solution:

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.assessment.verdict import verdict
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.energy_flips import Round, flips_and_moves, mean_around
 from rmesh_nlp.programs.regularisation import gain_estimate
 from rmesh_nlp.solution.clock import solving
 from rmesh_nlp.solution.solution import Given, Solution, counted
-from rmesh_nlp.solution.verdict import verdict
 
 
 def check_flips(problem: ContactProblem) -> None:
@@ -101,6 +101,9 @@ def with_flips(
     return replace(
         _judged_as_a_whole(first, final),
         given=Given(np.array(given.p), areas),
+        assessed=None
+        if first.assessed is None or final.assessed is None
+        else (first.assessed[0], final.assessed[1]),
         energy_initial=first.energy_initial,
         energy_initial_audited=first.energy_initial_audited,
         audit=replace(final.audit, min_area_ratio=ratio),
@@ -128,8 +131,9 @@ def _judged_as_a_whole(first: Solution, final: Solution) -> Solution:
         gain_audited=audited,
         decrease=audited,
         size=max(one.size, last.size),
-        penetrated=last.penetrated_given + last.penetrated - one.penetrated_given,
-        penetrated_given=one.penetrated_given,
+        corrections={
+            name: last.corrections.get(name, 0.0) + value for name, value in one.corrections.items()
+        },
     )
     judged = verdict(final.solver_status or final.status, whole)
     return replace(

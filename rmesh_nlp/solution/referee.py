@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.assessment.assessor import Assessor
+from rmesh_nlp.assessment.quantities import quantities
+from rmesh_nlp.assessment.verdict import Measured, verdict
 from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.contact.penetration import penetration_work_of
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.validity import is_valid, least_area_ratio
@@ -27,10 +29,8 @@ from rmesh_nlp.programs.multipliers import multipliers
 from rmesh_nlp.programs.outer_function import Reduced, outer_function
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.residual import OuterResidual, size_of
-from rmesh_nlp.solution.audit import Auditor
 from rmesh_nlp.solution.clock import Clock, timed
 from rmesh_nlp.solution.findings import (
-    advice,
     decrease_of,
     first_fault,
     nodal_stress,
@@ -42,7 +42,6 @@ from rmesh_nlp.solution.findings import (
 from rmesh_nlp.solution.interrupts import deferred
 from rmesh_nlp.solution.solution import Solution, interrupted
 from rmesh_nlp.solution.step import Step
-from rmesh_nlp.solution.verdict import Measured, verdict
 
 OnStep = Callable[[Step], None]
 """Called after each iteration of a strategy, for progress."""
@@ -88,8 +87,8 @@ class Referee:
         self.relocation: Relocation = relocation(self.discretisation, outer if outer.collapses else ENERGY)
         self.reduced = ReducedEnergy(self.relocation, self.model)
         with self.clock.during("audit"):
-            self._auditor = Auditor(problem, self.model)
             self.initial, self._contact_time = timed(lambda: self.model.solve(np.asarray(problem.mesh.p)))
+            self.assessor = Assessor(self.model, self.initial)
             self.reduced.knows(self.initial)
         self.clock.enter("solve")
 
@@ -227,7 +226,7 @@ class Referee:
         **common: Any,
     ) -> Solution:
         nodes = self.relocation.nodes(q)
-        start = self._accurate_start
+        start = self.assessor.initial
         common.update(
             problem=self.problem,
             formulation=formulation,
@@ -242,44 +241,42 @@ class Referee:
             return without_solution(common, self.problem, ratio, status)
         cold, factorisations = self.reduced.cold_solves, self.reduced.factorisations
         exact = self.reduced(q)
-        accurate = self._auditor.solve(nodes, exact.equilibrium.active)
+        after = self.assessor.solve(nodes, exact.equilibrium.active)
         found = equilibrium or exact.equilibrium
-        audit = self._auditor(nodes, found, accurate)
+        audit = self.assessor.audit(nodes, found, after)
+        corrections = self.assessor.corrections(nodes, found, after)
         function = self.function(objective)
         point = exact if isinstance(function, ReducedEnergy) else function.of(exact)
         residual = self.residual(function)(point)
         labelled = stationarity in PROVED and bool(np.any(point.weak))
-        decrease, size = decrease_of(
-            self.reduced, function, objective, self._auditor.accurate_problem, q, start, accurate
+        ends = (
+            (one.energy, one.state if one.problem is self.problem else own_state)
+            for one, own_state in ((start, self.initial), (after, exact.equilibrium))
         )
+        decrease, size = decrease_of(self.reduced, function, objective, q, *ends)
         if function is self.reduced and size_of(point) > 0:
             size = max(size, size_of(point))
         claimed, expected = claimed_energy, exact.value
         if equilibrium is not None:
             claimed, expected = found.energy, exact.equilibrium.energy
-        works = [
-            penetration_work_of(self.model, where, at)
-            for where, at in ((np.asarray(self.problem.mesh.p), self.initial), (nodes, found))
-        ]
         measured = Measured(
             audit=audit,
-            contact=first_fault(self.initial, start, exact.equilibrium, accurate),
+            contact=first_fault(self.initial.status, start.status, exact.equilibrium.status, after.status),
             consistent=claimed is None
             or abs(claimed - expected) <= ENERGY_AGREEMENT * size_of(exact)
             or size_of(exact) == 0,
             gain=self.initial.energy - found.energy,
-            gain_audited=start.energy - accurate.energy,
+            gain_audited=start.energy - after.energy,
             decrease=decrease,
             size=size,
             is_energy=function is self.reduced,
             stationary=residual <= tolerance or labelled or not relocates,
-            penetrated=works[1] - works[0],
-            penetrated_given=works[0],
+            corrections={
+                name: value - self.assessor.initial_corrections[name] for name, value in corrections.items()
+            },
         )
         judged = verdict(status, measured)
-        detail = ""
-        if judged.status is Status.QUADRATURE_EXPLOITED:
-            detail = advice(self.model, nodes, start.energy - accurate.energy)
+        detail = _EXPLOITED[measured.exploits] if judged.status is Status.EXPLOITED else ""
         if stationarity is None:
             stationarity = "KKT" if residual <= tolerance else ""
         weights = nodal_weights(self.problem, nodes)
@@ -290,7 +287,9 @@ class Referee:
             "contact_factorisations": factorisations if relocates else self.initial.iterations,
             **residuals(self.model.system(nodes), own or found, exact.equilibrium),
             **zones(self.problem, exact.equilibrium),
-            "warnings": warnings_of(self.model, self._auditor.accurate, self.initial, nodes, found, works),
+            "exploits": measured.exploits or None,
+            **self._quantities(nodes, found),
+            "warnings": warnings_of(self.model, self.initial, self._accurate_load, nodes, found),
         }
         if self.problem.motion.curves:
             areas = (signed_areas(x, self.problem.triangles).sum() for x in (nodes, self.problem.mesh.p))
@@ -312,9 +311,30 @@ class Referee:
             detail=detail,
             solver_status=status,
             measured=measured,
+            assessed=(start, after),
         )
 
+    def _quantities(self, nodes: Array, found: Equilibrium) -> dict[str, float]:
+        """Record entries: pressure, resultant and contact before and after."""
+        given, entries = np.asarray(self.problem.mesh.p), {}
+        for suffix, where, state in (("_initial", given, self.initial), ("", nodes, found)):
+            here = quantities(self.problem, where, self.model.system(where), state)
+            if here is not None:
+                entries.update(here.entries(suffix))
+        return entries
+
     @cached_property
-    def _accurate_start(self) -> Equilibrium:
-        """The contact solution on the mesh as given by the rule of the audit."""
-        return self._auditor.solve(np.asarray(self.problem.mesh.p), self.initial.active)
+    def _accurate_load(self) -> Array | None:
+        """Nodal loads on the mesh as given, by an accurate rule; None if it had to be refined."""
+        start = self.assessor.initial
+        return start.system.load if start.problem is self.problem else None
+
+
+_EXPLOITED = {
+    "quadrature": "The rule for the loads is too coarse: take a higher degree.",
+    "penetration": "Between its nodes the contact boundary passes into the foundation: take gap = 'edge'.",
+    "friction": "The friction bound varies within edges.",
+    "geometry": "The edges along a curve have grown.",
+    "": "",
+}
+"""What the message of an exploited solution adds."""

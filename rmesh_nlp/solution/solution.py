@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from skfem import MeshTri
 
+from rmesh_nlp.assessment.admissible import Admissible
+from rmesh_nlp.assessment.assessor import Audit
+from rmesh_nlp.assessment.verdict import Measured
 from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.multipliers import Multipliers
 from rmesh_nlp.solution import plotting
-from rmesh_nlp.solution.audit import Audit
 from rmesh_nlp.solution.step import Step, plain
-from rmesh_nlp.solution.verdict import Measured
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +67,7 @@ class Solution:
     audit : Audit
     status : Status
     valid, improved, success : bool
-        See :mod:`rmesh_nlp.solution.verdict`; a success is valid and improved.
+        See :mod:`rmesh_nlp.assessment.verdict`; a success is valid and improved.
     stationarity : str
         "KKT" or an MPCC label (W, C, M, S, B) where it was computed, else "".
     stationarity_residual : float
@@ -95,6 +96,8 @@ class Solution:
         How the solver says that it ended; ``status`` is the verdict on what it ended with.
     measured : Measured or None
         What the verdict rests on; None where the contact problem could not be solved.
+    assessed : tuple of Admissible, optional
+        The admissible displacements on the given and on the last mesh.
     """
 
     problem: ContactProblem
@@ -130,6 +133,7 @@ class Solution:
     given: Given | None = None
     solver_status: Status | None = None
     measured: Measured | None = field(default=None, repr=False)
+    assessed: tuple[Admissible, Admissible] | None = field(default=None, repr=False)
 
     @property
     def message(self) -> str:
@@ -196,7 +200,6 @@ class Solution:
             "equilibrium_residual": self.audit.equilibrium_residual,
             "complementarity_residual": self.audit.complementarity_residual,
             "penetration": self.audit.penetration,
-            "penetration_excess": self.audit.penetration_excess,
             "stationarity": self.stationarity,
             "stationarity_residual": self.stationarity_residual,
             "nodes": int(self.mesh.p.shape[1]),
@@ -247,8 +250,8 @@ class Solution:
             ("iterations, contact solves", f"{self.iterations}, {self.contact_solves}"),
             ("seconds", f"{self.wall_time_s:.3g}"),
         ]
-        if "worth" in self.extra:
-            rows.append(("worth it?", self.extra["worth"]["text"]))
+        if self.extra.get("error_reduction"):
+            rows.append(("error reduction", self.extra["error_reduction"]["text"]))
         if self.multipliers is not None:
             box, area = self.multipliers.box, self.multipliers.area
             rows.append(("limited by boxes", f"{np.sum(box > 0)} nodes, largest {figure(box.max())}"))

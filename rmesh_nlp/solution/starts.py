@@ -17,7 +17,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.levels import refined
+from rmesh_nlp.problem.refining import refined
 from rmesh_nlp.solution.registry import accepted
 from rmesh_nlp.solution.solution import Solution, interrupted
 

@@ -2,7 +2,7 @@
 
 I1 is the energy-norm error, ``1/2 a(u_h - u, u_h - u)``, I2 the work of the exact contact stress on the
 discrete gap, I3 the difference of the friction terms. All are non-negative, so lowering the energy lowers
-their sum. They are integrated by the rule of the audit, on the contact solution by that rule.
+their sum. They are integrated by an accurate rule, on the contact solution by that rule.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import Field, constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.audit import AUDIT_DEGREE
+from rmesh_nlp.solution.findings import ACCURATE
 from rmesh_nlp.solution.solution import Solution
 
 
@@ -59,7 +59,7 @@ def error_terms_on(problem: ContactProblem, nodes: Array) -> ErrorTerms | None:
     exact = problem.exact
     if exact is None or not np.isfinite(exact.energy):
         return None
-    accurate = replace(problem, quadrature=AUDIT_DEGREE)
+    accurate = replace(problem, quadrature=ACCURATE)
     model = ContactModel(accurate)
     state = model.solve(nodes)
     fields = (

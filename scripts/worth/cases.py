@@ -22,7 +22,7 @@ from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objectives import error_energy
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
-from rmesh_nlp.programs.levels import refined
+from rmesh_nlp.problem.refining import refined
 
 RULE, JUDGE = 6, 10
 REFERENCE_NODES = 12_000

@@ -17,8 +17,9 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.refining import locally_refined
 from rmesh_nlp.programs.hr import hr
-from rmesh_nlp.programs.refinement import locally_refined, marked
+from rmesh_nlp.programs.refinement import marked
 from rmesh_nlp.solution.solution import Solution
 
 

@@ -10,7 +10,8 @@ from matplotlib.tri import Triangulation
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.fem.stress import gradients
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
-from rmesh_nlp.programs.refinement import edge_gains, locally_refined, marked
+from rmesh_nlp.problem.refining import locally_refined
+from rmesh_nlp.programs.refinement import edge_gains, marked
 
 
 @dataclass(frozen=True)

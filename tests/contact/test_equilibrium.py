@@ -8,6 +8,7 @@ from skfem.helpers import dot, grad
 from skfem.models.elasticity import linear_elasticity
 from support.problems import sloped_block
 
+from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
 from rmesh_nlp.contact import model as equilibrium
 from rmesh_nlp.contact.first_guess import predicted_set
 from rmesh_nlp.contact.model import ContactModel
@@ -17,7 +18,6 @@ from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, PlaneStrain
-from rmesh_nlp.solution.audit import equilibrium_residual, law_residual
 
 
 def test_scalar_system_is_that_of_scikit_fem() -> None:

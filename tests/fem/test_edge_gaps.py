@@ -9,8 +9,9 @@ import pytest
 from support.contact_geometry import LAW, block_between_two_foundations
 
 from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.contact.penetration import penetration, penetration_work_of
-from rmesh_nlp.fem.edge_gaps import edge_gap_function, with_edge_gaps
+from rmesh_nlp.contact.penetration import penetration
+from rmesh_nlp.fem.edge_gaps import POWER, SAMPLES, with_edge_gaps
+from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, Traction
 
@@ -40,19 +41,24 @@ def shaken(problem: ContactProblem, seed: int) -> ContactProblem:
     return replace(problem, mesh=replace(problem.mesh, doflocs=nodes))
 
 
-@pytest.mark.parametrize("lengths", [(0.3, 0.3), (0.3, 0.1), (0.05, 0.4)])
-def test_a_node_keeps_off_a_parabola_by_the_closed_form(lengths: tuple[float, float]) -> None:
+@pytest.mark.parametrize("lengths", [(0.25, 0.25), (0.4, 0.1)])
+def test_a_node_keeps_off_a_parabola_by_the_norm_of_its_heights(lengths: tuple[float, float]) -> None:
     h, k = lengths
-    x = np.array([0.7, 0.7 - h, 0.7 + k])
-    patch = np.vstack([x, np.zeros(3)]).ravel(order="F")
-    gap = float(edge_gap_function(PARABOLA, 2, 2)(patch, [0.2, 0.1])[1])
-    at_node = CURVATURE / 2 * 0.3**2 + 0.1
-    assert at_node - gap == pytest.approx(CURVATURE / 6 * (h**2 - h * k + k**2), rel=1e-12)
-    # enough for both edges: the arc of the longer one is no higher
-    assert at_node - gap >= CURVATURE / 8 * max(h, k) ** 2
-    # an end of the contact boundary has one edge
-    alone = float(edge_gap_function(PARABOLA, 2, 1)(patch[:4], [0.2, 0.1])[1])
-    assert at_node - alone == pytest.approx(CURVATURE / 6 * h**2, rel=1e-12)
+    x = np.array([0.0, 0.7 - h, 0.7, 0.7 + k, 2.0])
+    mesh = from_arrays(
+        np.vstack([np.append(x, x), np.repeat([0.0, 1.0], 5)]).T,
+        np.vstack([[(i, i + 1, i + 6), (i, i + 6, i + 5)] for i in range(4)]).reshape(-1, 3),
+        {"bottom": [(i, i + 1) for i in range(4)], "top": [(i + 5, i + 6) for i in range(4)]},
+    )
+    problem = ContactProblem(mesh, LAW, ("top",), replace(PARABOLA, gap="edge"), Motion(None))
+    system = ContactModel(problem).system(mesh.p)
+    node = int(np.argmin(np.abs(mesh.p[0, problem.contact_nodes] - 0.7)))
+    off = CURVATURE / 2 * 0.3**2 - system.offset[node]
+    s = np.arange(1, SAMPLES) / SAMPLES
+    heights = np.concatenate([CURVATURE / 2 * s * (1 - s) * length**2 for length in (h, k)])
+    assert off == pytest.approx(np.sum(heights**POWER) ** (1 / POWER), rel=1e-9)
+    # enough for both edges, and not by much
+    assert 1 < off / (CURVATURE / 8 * max(h, k) ** 2) < 1.2
 
 
 @pytest.mark.parametrize(
@@ -87,7 +93,6 @@ def test_nothing_passes_between_the_nodes_of_any_mesh(obstacle: Obstacle, seed: 
     assert np.sum(state.active.touching) >= 2
     assert depths[0] > 1e-4
     assert depths[1] < 1e-12
-    assert penetration_work_of(model, nodes, state) < 1e-12
     assert energies[1] > energies[0]
 
 

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from formulations import joint, nested
+from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.examples.random_problems import Frame, random_problem
@@ -22,7 +23,6 @@ from rmesh_nlp.problem import (
     NO_CONTACT,
     signed_areas,
 )
-from rmesh_nlp.solution.audit import equilibrium_residual, law_residual
 from rmesh_nlp.solution.referee import Referee
 
 SEEDS = st.integers(0, 10**6)

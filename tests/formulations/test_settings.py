@@ -10,7 +10,6 @@ import pytest
 from formulations.fixed import FixedSettings
 from formulations.joint import JointSettings
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.fem.vectorised import AssemblySettings
 from rmesh_nlp.mpcc import MPCC, Options, solve
 from rmesh_nlp.optimize.newton_settings import (
     LocalNewtonSettings,
@@ -22,6 +21,7 @@ from rmesh_nlp.optimize.newton_settings import (
 from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.nested_settings import NestedSettings
 from rmesh_nlp.settings import Settings
+from rmesh_nlp.vectorised import AssemblySettings
 
 NEWTON = (TrustRegionSettings, NewtonSettings, LocalNewtonSettings, StepSettings, ProjectionSettings)
 KINDS = (*NEWTON, NestedSettings, JointSettings, FixedSettings, CascadeSettings, AssemblySettings, Options)

@@ -17,8 +17,9 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion
 from rmesh_nlp.problem.lines import sliding_directions
+from rmesh_nlp.problem.refining import refined
 from rmesh_nlp.programs.energy_program import relocation
-from rmesh_nlp.programs.levels import coarsened, refined
+from rmesh_nlp.programs.levels import coarsened
 from rmesh_nlp.programs.prolongation import interpolated, located, prolonged
 
 

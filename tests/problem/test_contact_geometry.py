@@ -19,6 +19,7 @@ from support.contact_geometry import (
 
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
@@ -38,7 +39,6 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.reduced import ReducedObjective
-from rmesh_nlp.solution.audit import penetration
 from rmesh_nlp.solution.referee import Referee
 
 Make = Callable[[], ContactProblem]
@@ -112,8 +112,7 @@ def test_strategies_agree(make: Make) -> None:
 def test_a_gain_that_is_penetration_is_no_success() -> None:
     at_nodes = joint.solve(block_on_a_circle())
     assert at_nodes.energy < at_nodes.energy_initial
-    assert at_nodes.status is Status.PENETRATION_EXPLOITED
-    assert not at_nodes.success
+    assert at_nodes.gain_audited < 0.5 * at_nodes.gain
     along = joint.solve(block_along_a_circle())
     assert along.success
     assert along.audit.penetration < 1e-12

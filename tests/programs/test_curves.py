@@ -8,14 +8,13 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.meshes.curves import Circle, Curve
 from rmesh_nlp.problem import ContactProblem, Motion, ProblemError, signed_areas
+from rmesh_nlp.problem.refining import locally_refined, refined
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.energy_program import relocation
-from rmesh_nlp.programs.levels import coarsened, refined
+from rmesh_nlp.programs.levels import coarsened
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.programs.refinement import locally_refined
 from rmesh_nlp.solution.solution import Solution
 from rmesh_nlp.solution.verification import verify_gradient
-from rmesh_nlp.solution.worth import gain_of_polygon
 
 ARC = Circle((0.0, 1.0), 1.0)
 
@@ -86,40 +85,13 @@ def test_strategies_agree_on_the_circle_and_gain_more_than_with_the_hole_held() 
 
 
 @pytest.mark.slow
-def test_auto_slides_along_the_arc_of_a_disc_and_says_what_the_polygon_gave() -> None:
+def test_auto_slides_along_the_arc_of_a_disc() -> None:
     problem = disc({"arc": ARC})
     solution = auto.solve(problem)
     assert solution.success
     assert off(problem, solution.mesh, "arc", ARC) < 1e-12
     assert moved(problem, solution, "arc") > 1e-3
-    record = solution.record()
-    areas = [signed_areas(m.p, problem.triangles).sum() for m in (solution.mesh, problem.mesh)]
-    assert record["domain_area_change"] == pytest.approx(areas[0] / areas[1] - 1)
-    worth = record["worth"]
-    parts = worth["error_initial"] - worth["error"] + worth["gain_geometry"]
-    assert parts == pytest.approx(solution.gain_audited, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_the_gain_of_a_polygon_is_none_where_only_inner_nodes_move() -> None:
-    problem = plate({"hole": HOLE}, h=1.6)
-    inner = joint.solve(plate(h=1.6), regularisation=0.1)
-    slid = freedoms(problem)
-    turned = np.array(problem.mesh.p)
-    hole = problem.boundary_nodes(("hole",))
-    q = slid.q_of(turned)
-    q[slid.positions.index[0, hole]] += 0.4 * np.random.default_rng(0).uniform(-1, 1, hole.size)
-    gains = [
-        gain_of_polygon(problem, mesh)
-        for mesh in (
-            inner.mesh,
-            problem.mesh.__class__(
-                slid.positions.values(q), problem.mesh.t, _boundaries=problem.mesh.boundaries
-            ),
-        )
-    ]
-    assert abs(gains[0]) < 0.05 * abs(inner.gain_audited)
-    assert abs(gains[1]) > 2 * abs(gains[0])
+    assert solution.record()["error_reduction"]["factor"] > 1.35
 
 
 def test_refined_and_coarsened_meshes_have_their_nodes_on_the_curve() -> None:

@@ -16,7 +16,7 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain, Traction
-from rmesh_nlp.programs.levels import refined
+from rmesh_nlp.problem.refining import refined
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 

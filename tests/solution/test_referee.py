@@ -195,14 +195,6 @@ def rm_area(problem: ContactProblem, nodes: np.ndarray) -> float:
     return float(np.min(areas(nodes) / areas(problem.mesh.p)))
 
 
-def test_what_the_message_advises_is_for_the_gain_of_the_audit() -> None:
-    problem = EXAMPLES["6.1"](2)
-    solution = joint.solve(problem)
-    assert solution.status is Status.QUADRATURE_EXPLOITED
-    advice = findings.advice(Referee(problem).model, np.asarray(solution.mesh.p), solution.gain_audited)
-    assert advice in solution.message
-
-
 @pytest.mark.parametrize("label", ["S", "B", "M", None])
 @pytest.mark.parametrize("weak", [(True, False), (False, True), (False, False)])
 def test_a_label_proves_stationarity_where_some_node_is_weak(

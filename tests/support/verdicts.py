@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from rmesh_nlp.assessment.assessor import Audit
+from rmesh_nlp.assessment.verdict import Measured
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solution.audit import Audit
-from rmesh_nlp.solution.verdict import Measured
 
 GOOD = Measured(
-    audit=Audit(-1.1, 1e-9, 1e-9, 0.5, 0.0, 0.0),
+    audit=Audit(-1.1, 1e-9, 1e-9, 0.5, 0.0),
     contact=Status.CONVERGED,
     consistent=True,
     gain=0.1,

@@ -12,7 +12,8 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.sums import Summed
-from rmesh_nlp.fem.vectorised import (
+from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.vectorised import (
     USUAL,
     AssemblySettings,
     Mapped,
@@ -20,7 +21,6 @@ from rmesh_nlp.fem.vectorised import (
     columnwise,
     is_vectorisable,
 )
-from rmesh_nlp.programs.energy_program import relocation
 
 
 def every_operation() -> ca.Function:

@@ -1,11 +1,11 @@
-"""What a solution is worth: valid, improved, stationary, and the status that says it in one word.
+"""What was measured of a solution, and the status that says it in one word.
 
 Valid
     The contact problem is solved on the final mesh: equilibrium and complementarity hold to ``TOLERANCE``,
-    no element is inverted, the penetration between contact nodes is bounded, and for the energy the
-    gain is confirmed by the audit and is not penetration for the larger part.
+    no element is inverted, and every figure is a number.
 Improved
-    The minimised objective, by the rule of the audit, is not above its value on the mesh as given.
+    The minimised objective, measured by the assessment, is not above its value on the mesh as given. The
+    energy is the continuous one of an admissible displacement (:mod:`rmesh_nlp.assessment.admissible`).
 Stationary
     The first-order residual of the outer problem (:mod:`rmesh_nlp.programs.residual`) is at most the
     tolerance of the solve.
@@ -13,24 +13,21 @@ Stationary
 A success is valid and improved, also if a limit stopped the solve. Converged is a success that is
 stationary, whatever the solver said. A status never contradicts that: where a solver failed after it had
 found a better mesh, the mesh is a success, its status is STALLED, and the solver's own word is kept beside.
+A valid solution whose own energy fell while the continuous one rose is EXPLOITED: the optimiser has found an
+error of the discretisation.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
+from rmesh_nlp.assessment.assessor import TOLERANCE, Audit
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solution.audit import TOLERANCE, Audit
-
-GAIN_AGREEMENT = 0.1
-"""Largest difference of the gains by the problem's own rule and the audit's, relative to the larger."""
 
 ROUNDING = 1e-9
 """Part of the objective's size below which differences of it are rounding."""
-
-MOST = 0.5
-"""Part of a gain from which on it is not a gain if penetration between contact nodes is worth that much."""
 
 FAILURES = (
     Status.INFEASIBLE,
@@ -50,30 +47,28 @@ LIMITS = (Status.ITERATION_LIMIT, Status.TIME_LIMIT, Status.INTERRUPTED, Status.
 
 @dataclass(frozen=True)
 class Measured:
-    """What the referee has measured.
+    """What the assessment has measured.
 
     Attributes
     ----------
     audit : Audit
     contact : Status
-        Of the contact solves on the given and the final mesh, by the rules of the problem and of the
-        audit: CONVERGED if all of them have.
+        Of the contact solves on the given and the final mesh, the formulation's own and those for admissible
+        displacements: CONVERGED if all of them have.
     consistent : bool
-        Whether the strategy's own energy is that of the contact solve.
+        Whether the formulation's own energy is that of the contact solve.
     gain, gain_audited : float
-        Decrease of the energy by the problem's own rule and by that of the audit.
+        Decrease of the energy by the formulation's own measure and of the continuous one.
     decrease : float
-        Decrease of the minimised objective by the rule of the audit.
+        Decrease of the minimised objective, measured by the assessment.
     size : float
         Size of the minimised objective, in units of which ``ROUNDING`` is.
     is_energy : bool
-        Whether the energy is minimised.
+        Whether the energy is minimised, perhaps with terms in the positions.
     stationary : bool
-    penetrated : float
-        Increase of the energy that penetration between contact nodes is worth,
-        :func:`rmesh_nlp.contact.penetration.penetration_work`, from the given mesh to the final one.
-    penetrated_given : float
-        The same on the given mesh.
+    corrections : mapping of str to float
+        What the continuous energy rose by from the given to the final mesh beyond the formulation's own,
+        by :data:`rmesh_nlp.assessment.assessor.EXPLOITS`.
     """
 
     audit: Audit
@@ -85,26 +80,13 @@ class Measured:
     size: float
     is_energy: bool
     stationary: bool
-    penetrated: float = 0.0
-    penetrated_given: float = 0.0
+    corrections: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_known(self) -> bool:
-        """Whether every figure that the verdict compares is a number."""
-        figures = (self.gain, self.gain_audited, self.decrease, self.size, self.penetrated)
+        """Whether every figure that is compared is a number."""
+        figures = (self.gain, self.gain_audited, self.decrease, self.size)
         return all(math.isfinite(figure) for figure in figures)
-
-    @property
-    def is_penetration(self) -> bool:
-        """Whether most of the gain is penetration between contact nodes, not accuracy."""
-        return self.is_energy and self.penetrated > max(MOST * self.gain, ROUNDING * self.size)
-
-    @property
-    def exploited(self) -> bool:
-        """Whether the gain is one of the quadrature rule to more than a tenth."""
-        larger = max(abs(self.gain), abs(self.gain_audited))
-        wrong = not abs(self.gain - self.gain_audited) <= GAIN_AGREEMENT * larger
-        return self.is_energy and wrong and larger > ROUNDING * self.size
 
     @property
     def fault(self) -> Status | None:
@@ -116,18 +98,28 @@ class Measured:
             return self.contact
         if not max(audit.equilibrium_residual, audit.complementarity_residual) <= TOLERANCE:
             return Status.INACCURATE
-        if not self.is_known:
-            return Status.EVALUATION_ERROR
-        if not audit.penetration_excess <= 1:
-            return Status.PENETRATION
-        if self.exploited:
-            return Status.QUADRATURE_EXPLOITED
-        return Status.PENETRATION_EXPLOITED if self.is_penetration else None
+        return None if self.is_known else Status.EVALUATION_ERROR
 
     @property
     def improved(self) -> bool:
         """Whether the minimised objective is not above its value on the given mesh, up to rounding."""
-        return self.decrease >= -ROUNDING * self.size
+        return self.decrease >= -ROUNDING * self.size and not self.is_exploited
+
+    @property
+    def is_exploited(self) -> bool:
+        """Whether the energy fell by the formulation's own measure only."""
+        rounding = ROUNDING * self.size
+        return self.is_energy and self.gain_audited < -rounding and self.gain >= -rounding
+
+    @property
+    def costliest(self) -> str:
+        """The correction that costs most; empty where none is known."""
+        return max(self.corrections, key=lambda name: self.corrections[name], default="")
+
+    @property
+    def exploits(self) -> str:
+        """The correction that costs most where the energy was exploited; empty elsewhere."""
+        return self.costliest if self.is_exploited else ""
 
 
 @dataclass(frozen=True)
@@ -140,7 +132,8 @@ class Verdict:
     - the status is CONVERGED if and only if the solution is a success and stationary;
     - what is valid and improved is a success, unless the solver failed and nothing was gained: then the
       status is one of ``FAILURES``;
-    - what is valid but not improved is WORSE, and the status of what is not valid names the fault.
+    - what is valid but not improved is EXPLOITED or WORSE, and the status of what is not valid names the
+      fault.
     """
 
     valid: bool
@@ -155,8 +148,11 @@ def verdict(said: Status, measured: Measured) -> Verdict:
     fault, improved, stationary = measured.fault, measured.improved, measured.stationary
     if fault is None and said in MET and not measured.consistent:
         fault = Status.INACCURATE
-    if fault is not None or not improved:
-        return Verdict(fault is None, improved, stationary, False, fault or Status.WORSE)
+    if fault is not None:
+        return Verdict(False, improved, stationary, False, fault)
+    if not improved:
+        rose = Status.EXPLOITED if measured.is_exploited else Status.WORSE
+        return Verdict(True, False, stationary, False, rose)
     if stationary:
         return Verdict(True, True, True, True, Status.CONVERGED)
     if said in MET:

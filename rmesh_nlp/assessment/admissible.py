@@ -1,0 +1,270 @@
+"""The energy of the continuous problem on a mesh: that of a displacement which is admissible everywhere.
+
+Among the displacements that are linear on the triangles of a mesh and keep off the foundations by as much as
+gaps along whole edges (in whole triangles) need, the one of least energy is found by one contact solve. Its
+energy, with loads and friction integrated until two rules agree and on the domain of the true curves, is
+never below the least energy of the continuous problem. By Theorem 4.1 it falls if and only if the error does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from rmesh_nlp.assessment.energy import hat_integrals, load_vector, stiffness
+from rmesh_nlp.assessment.friction import friction_energy
+from rmesh_nlp.assessment.standoff import Cells, cells_of
+from rmesh_nlp.contact.directions import Directions
+from rmesh_nlp.contact.model import solve
+from rmesh_nlp.contact.ordering import LARGE, elimination_order
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.energy import displacement_field
+from rmesh_nlp.fem.fields import Field
+from rmesh_nlp.meshes.geometry import relocated_mesh
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.body import Body, Index
+from rmesh_nlp.problem.refining import locally_refined
+from rmesh_nlp.problem.rigid import rigid_motions
+
+REPEATS = 12
+"""Contact solves with larger stand-offs, where normals vary along an edge."""
+
+SLACK = 1e-9
+"""Penetration, in parts of the largest gap or displacement, that is rounding."""
+
+REFINEMENTS = 4
+"""Times that triangles all of whose nodes are held are cut, where the foundation rises through them."""
+
+
+@dataclass(frozen=True)
+class Admissible:
+    """A displacement that is admissible for the continuous problem, and its energy.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+        On the mesh of the displacement: locally refined where given displacements left no room.
+    body : Body
+    system : ContactSystem
+        With the stand-offs, and friction bounded from above.
+    state : Equilibrium
+    displacement : (components, nodes) array
+    standoff : (gaps,) array
+        How far contact nodes keep off, in units of the gap.
+    energy : float
+        J of the continuous problem.
+    strain, work, friction : float
+        Its parts: ``energy = strain - work + friction``.
+    doubt : float
+        What quadrature may have changed in it.
+    penetration : float
+        What is left of penetration; positive only if the repeats did not suffice.
+    """
+
+    problem: ContactProblem
+    body: Body
+    system: ContactSystem
+    state: Equilibrium
+    displacement: Array
+    standoff: Array
+    energy: float
+    strain: float
+    work: float
+    friction: float
+    doubt: float
+    penetration: float
+
+    @property
+    def status(self) -> Status:
+        """CONVERGED if it is admissible and in equilibrium."""
+        if self.state.status is not Status.CONVERGED:
+            return self.state.status
+        return Status.INACCURATE if self.penetration > 0 else Status.CONVERGED
+
+
+class Continuous:
+    """The continuous problem, restricted to displacements that are linear on the triangles of one mesh.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    nodes : (2, nodes) array, optional
+        Positions of the nodes; those of the mesh by default.
+    """
+
+    def __init__(self, problem: ContactProblem, nodes: Array | None = None) -> None:
+        here = problem.mesh.p if nodes is None else nodes
+        self.problem = problem
+        self.body = Body(problem, here)
+        self.field, self.n_u = displacement_field(problem)
+        self.stiffness = stiffness(self.body)
+        self.load, self._load_doubt = load_vector(self.body)
+        self.directions = Directions(problem, self.field, self.n_u)
+        self.cells = [cell for part in problem.contact_sets for cell in cells_of(self.body, part)]
+
+    def system(self, standoff: Array) -> ContactSystem:
+        """The quadratic program with gaps shortened by a stand-off (gaps,)."""
+        free, given = _free(self.field), self._given()
+        pull = self.stiffness @ given
+        nodes, sets = self.body.nodes, self.problem.contact_sets
+        normals, tangents = self.directions.rows(nodes)
+        gaps = [part.obstacle.distances(nodes[:, part.nodes]) for part in sets]
+        along = self._along(given)
+        offset = np.concatenate(
+            [np.zeros(0), *(gap + along[p.rows] for gap, p in zip(gaps, sets, strict=True))]
+        )
+        frictional = np.zeros(offset.size, dtype=bool)
+        frictional[self.problem.friction_rows] = True
+        rigid = rigid_motions(self.problem, nodes)
+        order = None
+        if nodes.shape[1] > LARGE:
+            order = elimination_order(nodes, np.asarray(self.problem.mesh.facets), self.field.index)
+        return ContactSystem(
+            stiffness=sp.csc_array(self.stiffness[free][:, free]),
+            load=(self.load - pull)[free],
+            constant=float(0.5 * given @ pull - self.load @ given),
+            normals=normals,
+            tangents=tangents,
+            offset=offset - standoff,
+            slip_bound=self._bounds(),
+            frictional=frictional,
+            rigid=rigid.transpose(2, 1, 0).reshape(-1, rigid.shape[0])[free] if rigid.size else None,
+            order=order,
+        )
+
+    def solve(self, start: ActiveSet | None = None) -> Admissible:
+        """The admissible displacement of least energy, friction bounded from above."""
+        standoff = self._first_standoff()
+        system = self.system(standoff)
+        state = _solved(system, start)
+        left = 0.0
+        for _ in range(REPEATS):
+            more = self._missing(state)
+            left = float(np.max(more, initial=0.0))
+            size = np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=0.0)
+            if left <= SLACK * size:
+                left = 0.0
+                break
+            standoff = standoff + 1.1 * more
+            system = replace(system, offset=system.offset - 1.1 * more)
+            state = _solved(system, state.active)
+        return self._with_energy(system, state, standoff, left)
+
+    def _with_energy(
+        self, system: ContactSystem, state: Equilibrium, standoff: Array, left: float
+    ) -> Admissible:
+        displacement = self.field.values(state.u)
+        u = displacement.T.ravel()
+        strain, work = 0.5 * float(u @ (self.stiffness @ u)), float(self.load @ u)
+        frictions = [
+            friction_energy(self.body, part, displacement)
+            for part in self.problem.contact_sets
+            if part.obstacle.frictional
+        ]
+        friction = sum(value for value, _ in frictions)
+        doubt = float(self._load_doubt @ np.abs(u)) + sum(wrong for _, wrong in frictions)
+        energy = strain - work + friction
+        return Admissible(
+            self.problem,
+            self.body,
+            system,
+            state,
+            displacement,
+            standoff,
+            energy,
+            strain,
+            work,
+            friction,
+            doubt,
+            left,
+        )
+
+    def _given(self) -> Array:
+        return self.field.values(np.zeros(self.n_u)).T.ravel()
+
+    def _along(self, given: Array) -> Array:
+        """(gaps,) displacement along the normal that is given at contact nodes."""
+        u = given.reshape(-1, self.problem.components).T
+        normals = self.directions.normals(self.body.nodes)
+        return np.asarray(np.sum(normals * u[:, self.problem.contact_nodes], axis=0))
+
+    def _bounds(self) -> Array:
+        """(gaps,) integrals of the friction bound times the hat functions; empty without friction."""
+        if not self.problem.frictional:
+            return np.zeros(0)
+        bounds = []
+        for part in self.problem.contact_sets:
+            here = np.zeros(self.body.nodes.shape[1])
+            if part.obstacle.frictional:
+                edges = self.body.edges(str(part.obstacle.boundary))
+                np.add.at(here, edges.ends, hat_integrals(edges.at, edges.size, part.obstacle.friction)[0])
+            bounds.append(here[part.nodes])
+        return np.concatenate(bounds)
+
+    def _first_standoff(self) -> Array:
+        given = self._given().reshape(-1, self.problem.components).T
+        standoff = np.zeros(self.problem.contact_nodes.size)
+        for cells in self.cells:
+            normals = cells.contact.obstacle.normals(self.body.nodes)
+            off = cells.off(np.sum(normals * given, axis=0))
+            size = float(np.max(np.abs(cells.distance), initial=0.0))
+            _raise(standoff, cells, np.where(off > SLACK * 1e-3 * size, off, 0.0))
+        return standoff
+
+    def _missing(self, state: Equilibrium) -> Array:
+        displacement = self.field.values(state.u)
+        more = np.zeros(self.problem.contact_nodes.size)
+        for cells in self.cells:
+            _raise(more, cells, cells.missing(displacement))
+        return more
+
+
+def admissible(
+    problem: ContactProblem, nodes: Array | None = None, start: ActiveSet | None = None
+) -> Admissible:
+    """The energy of the continuous problem on a mesh, by an admissible displacement.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    nodes : (2, nodes) array, optional
+        Positions of the nodes; those of the mesh by default.
+    start : ActiveSet, optional
+        Contact to begin with.
+    """
+    for _ in range(REFINEMENTS):
+        here = Continuous(problem, nodes)
+        given = here._given().reshape(-1, problem.components).T
+        cut = [np.zeros(0, dtype=np.int64)]
+        for cells in here.cells:
+            if cells.nodes.shape[0] == 3:
+                normals = cells.contact.obstacle.normals(here.body.nodes)
+                bad = cells.unreachable(np.sum(normals * given, axis=0))
+                cut.append(cells.number[bad])
+        elements = np.concatenate(cut)
+        if elements.size == 0:
+            break
+        moved = problem if nodes is None else replace(problem, mesh=relocated_mesh(problem.mesh, nodes))
+        problem, nodes, start = locally_refined(moved, elements), None, None
+    return here.solve(start)
+
+
+def _raise(standoff: Array, cells: Cells, off: Array) -> None:
+    """Raise the stand-offs of the free nodes of each cell to ``off`` (m,)."""
+    for rows in cells.rows:
+        free = rows >= 0
+        np.maximum.at(standoff, rows[free], off[free])
+
+
+def _free(field: Field) -> Index:
+    return np.flatnonzero(field.index.T.ravel() >= 0)
+
+
+def _solved(system: ContactSystem, start: ActiveSet | None) -> Equilibrium:
+    """From a set that touched on this mesh or on a similar one; from a guess if that fails."""
+    found = solve(system, start)
+    return found if found.status is Status.CONVERGED or start is None else solve(system)

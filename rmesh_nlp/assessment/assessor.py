@@ -1,0 +1,136 @@
+"""Measures a mesh and a displacement against the continuous problem; no number comes from an optimiser."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rmesh_nlp.assessment.admissible import Admissible, admissible
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.penetration import penetration
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.discretisation.validity import least_area_ratio
+from rmesh_nlp.evaluation import Array
+
+TOLERANCE = 1e-6
+"""Largest scaled residual of a solution that may be called a success."""
+
+EXPLOITS = ("quadrature", "penetration", "friction", "geometry")
+"""Errors of a discretisation that an optimiser may live on."""
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Measured properties of a solution.
+
+    Attributes
+    ----------
+    energy_audited : float
+        Energy of the continuous problem on the mesh, see :mod:`rmesh_nlp.assessment.admissible`.
+    equilibrium_residual : float
+        Largest out-of-balance nodal force, relative to the largest applied one.
+    complementarity_residual : float
+        Largest natural residual of contact and friction laws, see :func:`law_residual`.
+    min_area_ratio : float
+        Least signed element area over its initial one; not positive if inverted.
+    penetration : float
+        Deepest penetration of the formulation's own displacement between contact nodes, in units of length.
+    """
+
+    energy_audited: float
+    equilibrium_residual: float
+    complementarity_residual: float
+    min_area_ratio: float
+    penetration: float = float("nan")
+
+
+class Assessor:
+    """Assesses meshes of one problem.
+
+    Parameters
+    ----------
+    model : ContactModel
+        That of the formulations, whose solutions are assessed.
+    given : Equilibrium
+        Its solution on the mesh as given.
+    """
+
+    def __init__(self, model: ContactModel, given: Equilibrium) -> None:
+        self.problem, self.model, self._given = model.problem, model, given
+
+    @cached_property
+    def initial(self) -> Admissible:
+        """The admissible displacement on the mesh as given."""
+        return admissible(self.problem, start=self._given.active)
+
+    @cached_property
+    def initial_corrections(self) -> Mapping[str, float]:
+        """See :meth:`corrections`, on the mesh as given."""
+        return self.corrections(np.asarray(self.problem.mesh.p), self._given, self.initial)
+
+    def solve(self, nodes: Array, start: ActiveSet) -> Admissible:
+        """The admissible displacement at node positions (2, nodes)."""
+        if np.array_equal(nodes, self.problem.mesh.p):
+            return self.initial
+        return admissible(self.problem, nodes, start)
+
+    def audit(self, nodes: Array, found: Equilibrium, exact: Admissible) -> Audit:
+        """Residuals of a solution on a mesh; ``exact`` is that of :meth:`solve`."""
+        system = self.model.system(nodes)
+        state = found.u, found.normal_force, found.tangential_force
+        return Audit(
+            energy_audited=exact.energy,
+            equilibrium_residual=equilibrium_residual(system, *state),
+            complementarity_residual=law_residual(system, *state),
+            min_area_ratio=least_area_ratio(self.problem, nodes),
+            penetration=penetration(self.problem, nodes, self.model.displacement.values(found.u)),
+        )
+
+    def corrections(self, nodes: Array, found: Equilibrium, exact: Admissible) -> dict[str, float]:
+        """What the continuous energy differs by from a formulation's own, by what it is due to.
+
+        Penetration between nodes: the work of the contact forces along the additional stand-offs. Friction
+        lumped at nodes and the shape of the body: the differences of these energies at the admissible
+        displacement. Quadrature of the loads: what is left. On a mesh that had to be refined all of it counts
+        as penetration.
+        """
+        own = dict.fromkeys(EXPLOITS, 0.0)
+        if exact.problem is not self.problem:
+            return {**own, "penetration": exact.energy - found.energy}
+        strain, friction = self.model.strain_and_friction(nodes, exact.state.u)
+        force = (found.normal_force + exact.state.normal_force) / 2
+        others = {
+            "penetration": float(force @ (self.model.system(nodes).offset - exact.system.offset)),
+            "friction": exact.friction - friction,
+            "geometry": exact.strain - strain,
+        }
+        return {"quadrature": exact.energy - found.energy - sum(others.values()), **others}
+
+
+def equilibrium_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:
+    """``max |K u - F - N^T lambda - T^T tau|`` over the largest applied nodal force."""
+    residual = system.stiffness @ u - system.load - system.normals.T @ normal
+    if system.slip_bound.size:
+        residual = residual - system.tangents.T @ tangential
+    return float(np.max(np.abs(residual)) / system.force_scale)
+
+
+def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:
+    """Violation of the contact and friction laws (3.10) at the nodes, dimensionless.
+
+    ``max |min(gap / U, lambda / F)|`` and ``max |tau + proj(slip F / U - tau)| / F``, the
+    projection on [-b, b]; U the largest displacement and F the largest applied nodal force.
+    Both vanish exactly where the laws hold, and count penetration and tension as well.
+    """
+    length = max(float(np.max(np.abs(u), initial=0.0)), 1e-300)
+    force = system.force_scale
+    gap = system.normals @ u + system.offset
+    worst = float(np.max(np.abs(np.minimum(gap / length, normal / force)), initial=0.0))
+    if system.slip_bound.size:
+        slip = (system.tangents @ u) * force / length
+        friction = tangential + np.clip(slip - tangential, -system.slip_bound, system.slip_bound)
+        worst = max(worst, float(np.max(np.abs(friction), initial=0.0)) / force)
+    return worst

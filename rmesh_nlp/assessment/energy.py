@@ -1,0 +1,136 @@
+"""The quadratic energy of a displacement that is linear on the (blended) triangles of a body.
+
+Numbering: component i of node k is entry ``components * k + i`` of a nodal vector.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from rmesh_nlp.assessment.integrals import EdgePoints, over_edges, over_triangles
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem.body import Body, Index, gradients
+from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points
+from rmesh_nlp.problem.laws import Laplace, Law
+from rmesh_nlp.problem.quadrature import polynomial_degree
+
+STIFFNESS_POINTS = 6
+"""Gauss points per direction of a blended triangle."""
+
+
+def stiffness(body: Body) -> sp.csc_array:
+    """The matrix K of ``1/2 u K u``, the strain energy."""
+    problem = body.problem
+    n = problem.components * body.nodes.shape[1]
+    rows, columns, values = [], [], []
+    for law, region in problem.regions:
+        for elements, curved in (
+            (region[~body.is_curved[region]], False),
+            (region[body.is_curved[region]], True),
+        ):
+            if elements.size == 0:
+                continue
+            local = (
+                _curved_stiffness(body, law, elements) if curved else _straight_stiffness(body, law, elements)
+            )
+            dofs = _dofs(problem.components, body.triangles[:, elements])
+            rows.append(np.repeat(dofs, dofs.shape[0], axis=0).ravel())
+            columns.append(np.tile(dofs, (dofs.shape[0], 1)).ravel())
+            values.append(local.reshape(-1, elements.size).ravel())
+    matrix = sp.coo_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
+    )
+    return sp.csc_array(matrix)
+
+
+def _dofs(components: int, triangles: Index) -> Index:
+    """(components * 3, elements) entries of each triangle, node by node."""
+    return (components * triangles[:, None] + np.arange(components)[None, :, None]).reshape(
+        -1, triangles.shape[1]
+    )
+
+
+def _straight_stiffness(body: Body, law: Law, elements: Index) -> Array:
+    barycentric = np.full((3, elements.size, 1), 1 / 3)
+    gradient, det = gradients(body.at(elements, barycentric)[1])
+    return _weighted(law, gradient, det / 2)
+
+
+def _curved_stiffness(body: Body, law: Law, elements: Index) -> Array:
+    parts = []
+
+    def collect(_: Index, barycentric: Array, __: Array) -> Array:
+        gradient, _det = gradients(body.at(elements, barycentric)[1])
+        parts.append(_density(law, gradient))
+        shape = parts[-1].shape
+        return parts[-1].reshape(-1, *shape[-2:])
+
+    found, _ = over_triangles(body, elements, collect, STIFFNESS_POINTS)
+    size = 3 * law.components
+    return found.reshape(size, size, elements.size)
+
+
+def _density(law: Law, gradient: Array) -> Array:
+    """Integrand (3 components, 3 components, m, k) of the stiffness for gradients (3, 2, m, k)."""
+    inner = np.einsum("aimk,bimk->abmk", gradient, gradient)
+    if isinstance(law, Laplace):
+        return law.conductivity * inner
+    lam, mu = law.in_plane_lambda, law.lame_mu
+    full = lam * np.einsum("aimk,bjmk->aibjmk", gradient, gradient)
+    full += mu * np.einsum("ajmk,bimk->aibjmk", gradient, gradient)
+    for i in range(2):
+        full[:, i, :, i] += mu * inner
+    return full.reshape(6, 6, *gradient.shape[2:])
+
+
+def _weighted(law: Law, gradient: Array, weight: Array) -> Array:
+    return np.asarray((_density(law, gradient) * weight).sum(axis=-1))
+
+
+def load_vector(body: Body) -> tuple[Array, Array]:
+    """F of the work ``F u`` of all loads: sources or body forces, tractions, point loads; and its doubt."""
+    problem = body.problem
+    load, doubt = np.zeros((2, body.nodes.shape[1], problem.components))
+    for law, elements in problem.regions:
+        for i, coefficient in enumerate(law.load):
+            if is_nonzero(coefficient) and elements.size:
+                for target, shares in zip(
+                    (load, doubt), _body_load(body, coefficient, elements), strict=True
+                ):
+                    np.add.at(target[:, i], body.triangles[:, elements], shares)
+    for traction in problem.tractions:
+        edges = body.edges(traction.boundary)
+        for i, coefficient in enumerate(traction.value):
+            if is_nonzero(coefficient):
+                found = hat_integrals(edges.at, edges.size, coefficient)
+                for target, shares in zip((load, doubt), found, strict=True):
+                    np.add.at(target[:, i], edges.ends, shares)
+    for point in problem.point_loads:
+        load[point.node] += point.force
+    return load.ravel(), doubt.ravel()
+
+
+def _body_load(body: Body, coefficient: Coefficient, elements: Index) -> tuple[Array, Array]:
+    degree = polynomial_degree(coefficient)
+    straight = not np.any(body.is_curved[elements])
+    points = None if degree is None or not straight else degree // 2 + 2
+
+    def integrand(_: Index, barycentric: Array, where: Array) -> Array:
+        return barycentric * _values(coefficient, where)
+
+    return over_triangles(body, elements, integrand, points)
+
+
+def hat_integrals(at: EdgePoints, size: int, coefficient: Coefficient) -> tuple[Array, Array]:
+    """Integrals (2, edges) of a coefficient times ``1 - s`` and ``s`` along edges, and their doubts."""
+
+    def integrand(_: Index, s: Array, where: Array) -> Array:
+        return np.stack([1 - s, s]) * _values(coefficient, where)
+
+    return over_edges(at, size, integrand)
+
+
+def _values(coefficient: Coefficient, where: Array) -> Array:
+    """Values (m, k) at points (2, m, k)."""
+    return on_points(coefficient, where.reshape(2, -1), "a load").reshape(where.shape[1:])

@@ -1,0 +1,164 @@
+"""How far contact nodes must keep off a foundation so that the gap holds everywhere between them.
+
+Along an edge, or in a triangle, the gap is ``sum_i N_i G_i - a`` for gaps G_i at its nodes, N_i linear,
+where ``a = sum_i N_i d(X_i) - d`` is the height of the foundation above the interpolant of the gap d at zero
+displacement. So it holds if the nodes that are free keep off by ``max (a - sum_held N_j G_j) / sum_free
+N_i``. That is exact where the normal is the same everywhere; where it varies, what is left is added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem import Place
+from rmesh_nlp.problem.body import Body, Edges, Index
+from rmesh_nlp.problem.statement import ContactSet
+
+SAMPLES = 128
+"""Parts of an edge between whose ends the foundation is looked at."""
+
+LATTICE = 12
+"""The same along the sides of a triangle."""
+
+BETWEEN = 0.25
+"""Of the largest second difference of neighbouring samples, what the height may exceed them by in between: an
+eighth where the foundation is smooth, a quarter at a kink."""
+
+NO_SHARE = 1e-9
+"""A node with less than this share of a point does not reach it."""
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Contact edges, or the triangles of an interior contact set, and the points at which gaps are looked at.
+
+    Attributes
+    ----------
+    contact : ContactSet
+    number : (m,) int array
+        Of the edge among those of the boundary, or of the triangle.
+    nodes : (v, m) int array
+        Ends of edges, or vertices of triangles.
+    rows : (v, m) int array
+        Row of the gap of each node; -1 where its displacement is given.
+    shares : (v, k) array
+        N_i at the points.
+    points : (2, m, k) array
+    distance : (m, k) array
+        Gaps without displacement.
+    reserve : (m,) array
+        What the gap may fall below its samples by.
+    """
+
+    contact: ContactSet
+    number: Index
+    nodes: Index
+    rows: Index
+    shares: Array
+    points: Array
+    distance: Array
+    reserve: Array
+
+    def off(self, given: Array) -> Array:
+        """(m,) how far the free nodes of each cell must keep off; -infinity where none is free.
+
+        Parameters
+        ----------
+        given : (nodes,) array
+            Displacement along the normal where it is given.
+        """
+        height = self.shares.T @ self._at_nodes() - self.distance.T + self.reserve
+        return self._needed(height, np.where(self.rows < 0, self._at_nodes() + given[self.nodes], 0.0))
+
+    def unreachable(self, given: Array) -> Index:
+        """Cells all of whose nodes are held, through which the foundation rises."""
+        held = np.flatnonzero(np.all(self.rows < 0, axis=0))
+        if held.size == 0:
+            return held
+        gap = self.shares.T @ given[self.nodes[:, held]] + self.distance[held].T
+        size = 1e-9 * (np.max(np.abs(self.distance)) + np.max(np.abs(given), initial=0.0))
+        return held[np.min(gap, axis=0) < -size]
+
+    def missing(self, displacement: Array) -> Array:
+        """(m,) by how much the free nodes of each cell must keep off more than they do; not negative.
+
+        Parameters
+        ----------
+        displacement : (components, nodes) array
+        """
+        u = np.einsum("cvm,vk->cmk", displacement[:, self.nodes], self.shares)
+        normals = self.contact.obstacle.normals(self.points.reshape(2, -1)).reshape(u.shape[0], *u.shape[1:])
+        gap = np.sum(normals * u, axis=0) + self.distance
+        lack = self._needed(self.reserve - gap.T, np.zeros(self.rows.shape))
+        return np.maximum(np.where(np.isfinite(lack), lack, 0.0), 0.0)
+
+    def _at_nodes(self) -> Array:
+        """(v, m) gaps without displacement at the nodes."""
+        where = self._corners
+        return self.contact.obstacle.distances(where.reshape(2, -1)).reshape(where.shape[1:])
+
+    @property
+    def _corners(self) -> Array:
+        corner = [int(np.argmax(share)) for share in self.shares]
+        return self.points[:, :, corner].transpose(0, 2, 1)
+
+    def _needed(self, height: Array, held: Array) -> Array:
+        """Largest ratio of what is missing (k, m), less what held nodes give, to the share of free ones."""
+        free = self.rows >= 0
+        share = self.shares.T @ free
+        short = height - self.shares.T @ held
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(share > NO_SHARE, short / share, -np.inf)
+        return np.asarray(np.max(ratio, axis=0, initial=-np.inf))
+
+
+def cells_of(body: Body, contact: ContactSet) -> Iterator[Cells]:
+    """The cells of a contact set, in parts of moderate size."""
+    row = np.full(body.nodes.shape[1], -1)
+    row[contact.nodes] = contact.rows
+    if contact.obstacle.boundary is Place.INTERIOR:
+        edges, nodes, shares, bends = None, body.triangles, _LATTICE_POINTS, _LATTICE_BENDS
+    else:
+        edges = body.edges(str(contact.obstacle.boundary))
+        nodes, shares, bends = edges.ends, np.stack([1 - _ALONG, _ALONG]), _EDGE_BENDS
+    step = max(1, 400_000 // shares.shape[1])
+    for first in range(0, nodes.shape[1], step):
+        part = np.arange(first, min(first + step, nodes.shape[1]))
+        some = nodes[:, part]
+        points = _points(body, edges, part, shares)
+        distance = contact.obstacle.distances(points.reshape(2, -1)).reshape(points.shape[1:])
+        bend = distance[:, bends[0]] - 2 * distance[:, bends[1]] + distance[:, bends[2]]
+        reserve = BETWEEN * np.max(np.abs(bend), axis=1)
+        yield Cells(contact, part, some, row[some], shares, points, distance, reserve)
+
+
+def _points(body: Body, edges: Edges | None, part: Index, shares: Array) -> Array:
+    if edges is None:
+        return body.points(part, np.broadcast_to(shares[:, None], (3, part.size, shares.shape[1])))[0]
+    return edges.at(part, np.broadcast_to(shares[1], (part.size, shares.shape[1])))[0]
+
+
+_ALONG = np.arange(SAMPLES + 1) / SAMPLES
+_EDGE_BENDS = np.arange(SAMPLES - 1) + np.array([[0], [1], [2]])
+
+
+def _lattice() -> tuple[Array, Index]:
+    """Barycentric points (3, k) of a triangle, and triples of neighbours in a row, in three directions."""
+    n = LATTICE
+    places = [(i, j) for i in range(n + 1) for j in range(n + 1 - i)]
+    number = {place: k for k, place in enumerate(places)}
+    triples = [
+        (number[i - di, j - dj], number[i, j], number[i + di, j + dj])
+        for i, j in places
+        for di, dj in ((1, 0), (0, 1), (1, -1))
+        if (i - di, j - dj) in number and (i + di, j + dj) in number
+    ]
+    points = np.array([[n - i - j, i, j] for i, j in places]).T / n
+    return points, np.array(triples).T
+
+
+_LATTICE_POINTS, _LATTICE_BENDS = _lattice()

@@ -1,0 +1,129 @@
+"""Elements and contact edges beside a curve, whose edge is an arc and not its chord.
+
+Nodes slide along a curve, and the polygon through them loses area, and contact with a foundation, as edges
+grow: an optimiser would find that. So a triangle with an arc between its nodes a and b, apex c, is blended
+(:mod:`rmesh_nlp.problem.body`): with r from 0 at the apex to 1 at the arc, and s from a to b,
+
+    x(r, s) = c + r (arc(s) - c),     u(r, s) = u_c + r ((1 - s) u_a + s u_b - u_c).
+
+The gradient of u does not depend on r: it solves ``grad u (arc(s) - c) = u_ab(s) - u_c`` and
+``grad u arc'(s) = u_b - u_a``. Functions here take the parameters ``t_a, t_b`` of the curve first.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from skfem.quadrature import get_quadrature_line
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.curves import Curve
+from rmesh_nlp.problem.coefficients import Coefficient, at
+from rmesh_nlp.problem.laws import Law, energy_density
+
+DEGREE = 7
+"""Degree of the Gauss rules along an arc and across the triangle; that of a load may ask for more."""
+
+
+class Arc:
+    """Symbols of an arc: the parameters ``t`` of its ends, and its points.
+
+    Attributes
+    ----------
+    kind : type
+        Of CasADi's symbols: SX, or MX where the curve is a spline.
+    t : (2,) symbol
+    """
+
+    def __init__(self, curve: Curve, t: Any = None, kind: Any = None) -> None:
+        self._curve = curve
+        self.kind = kind or kind_of(curve)
+        self.t = self.kind.sym("t", 2) if t is None else t
+        self._way = self.t[1] - self.t[0]
+        if curve.closed:  # the short way round
+            period = curve.interval[1] - curve.interval[0]
+            self._way -= period * ca.floor(self._way / period + 0.5)
+
+    def point(self, s: Any) -> Any:
+        """A point (2,) of the arc at ``s`` from 0 to 1."""
+        return ca.vertcat(*[function(self.t[0] + s * self._way) for function in self._curve.functions])
+
+    def velocity(self, s: float) -> Any:
+        """Its derivative (2,) by ``s``."""
+        along = self.kind.sym("s")
+        slope = ca.jacobian(self.point(along), along)
+        return ca.substitute([slope], [along], [self.kind(s)])[0]
+
+    def length_per_s(self, s: float) -> Any:
+        """Length of the arc per unit of ``s``."""
+        return ca.norm_2(self.velocity(s))
+
+
+def kind_of(curve: Curve) -> Any:
+    """Kind of CasADi's symbols that the functions of a curve take."""
+    return ca.SX if all(function.is_a("SXFunction") for function in curve.functions) else ca.MX
+
+
+def strain_energy(law: Law, curve: Curve) -> ca.Function:
+    """``((t_a, t_b), X_c, (u_a, u_b, u_c)) -> (energy, empty)`` of a blended triangle."""
+    arc = Arc(curve)
+    X, u = arc.kind.sym("X", 2), arc.kind.sym("u", law.components, 3)
+    energy = arc.kind(0)
+    for s, weight in zip(*_line(DEGREE), strict=True):
+        way, velocity = arc.point(s) - X, arc.velocity(s)
+        det = way[0] * velocity[1] - way[1] * velocity[0]
+        rise = ca.horzcat((1 - s) * u[:, 0] + s * u[:, 1] - u[:, 2], u[:, 1] - u[:, 0])
+        scaled = rise @ ca.vertcat(
+            ca.horzcat(velocity[1], -velocity[0]), ca.horzcat(-way[1], way[0])
+        )  # det * grad u
+        energy += weight * energy_density(law, scaled) / (2 * det)
+    return ca.Function("arc_strain_energy", [arc.t, X, ca.vec(u)], [energy, arc.kind(0, 1)])
+
+
+def load_energy(law: Law, curve: Curve, degree: int) -> ca.Function:
+    """``((t_a, t_b), X_c, (u_a, u_b, u_c)) -> (-integral of load . u, empty)`` of a blended triangle."""
+    arc = Arc(curve)
+    X, u = arc.kind.sym("X", 2), arc.kind.sym("u", law.components, 3)
+    work = arc.kind(0)
+    for s, weight_s in zip(*_line(max(degree, DEGREE)), strict=True):
+        way, velocity = arc.point(s) - X, arc.velocity(s)
+        det = way[0] * velocity[1] - way[1] * velocity[0]
+        for r, weight_r in zip(*_line(max(degree, DEGREE)), strict=True):
+            value = u[:, 2] + r * ((1 - s) * u[:, 0] + s * u[:, 1] - u[:, 2])
+            load = _vector(law.load, X + r * way)
+            work += weight_s * weight_r * r * det * ca.dot(load, value)
+    return ca.Function("arc_load_energy", [arc.t, X, ca.vec(u)], [-work, arc.kind(0, 1)])
+
+
+def traction_energy(value: tuple[Coefficient, ...], curve: Curve, degree: int) -> ca.Function:
+    """``((t_a, t_b), (u_a, u_b)) -> (-integral of traction . u, empty)`` along an arc."""
+    arc = Arc(curve)
+    u = arc.kind.sym("u", len(value), 2)
+    work = arc.kind(0)
+    for s, weight in zip(*_line(max(degree, DEGREE)), strict=True):
+        here = (1 - s) * u[:, 0] + s * u[:, 1]
+        work += weight * arc.length_per_s(s) * ca.dot(_vector(value, arc.point(s)), here)
+    return ca.Function("arc_traction_energy", [arc.t, ca.vec(u)], [-work, arc.kind(0, 1)])
+
+
+def friction_energy(bound: Coefficient, curve: Curve, degree: int) -> ca.Function:
+    """``((t_a, t_b), (s_a, s_b)) -> (integral of g times the interpolated slip magnitudes, empty)``."""
+    arc = Arc(curve)
+    slip = arc.kind.sym("slip", 2)
+    energy = arc.kind(0)
+    for s, weight in zip(*_line(degree), strict=True):
+        x, y = ca.vertsplit(arc.point(s))
+        energy += weight * arc.length_per_s(s) * at(bound, x, y) * ((1 - s) * slip[0] + s * slip[1])
+    return ca.Function("arc_friction_energy", [arc.t, slip], [energy, arc.kind(0, 1)])
+
+
+def _vector(components: tuple[Coefficient, ...], point: Any) -> Any:
+    x, y = ca.vertsplit(point)
+    return ca.vertcat(*[at(component, x, y) for component in components])
+
+
+def _line(degree: int) -> tuple[Array, Array]:
+    points, weights = get_quadrature_line(degree)
+    return np.ravel(points), np.ravel(weights)

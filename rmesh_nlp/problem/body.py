@@ -1,0 +1,230 @@
+"""The body that a mesh stands for: triangles, those beside a curve blended to it, and its boundary edges.
+
+Let ``X_i`` be the vertices of a triangle, ``lambda_i`` its barycentric coordinates and ``d(s)`` the way from
+the chord of an edge ab to its arc, ``s`` running from 0 at a to 1 at b. The blended triangle is the image of
+
+    x(lambda) = sum_i lambda_i X_i + (lambda_a + lambda_b) d(lambda_b / (lambda_a + lambda_b))
+
+(W. J. Gordon, C. A. Hall, Transfinite element methods, Numer. Math. 21 (1973) 109-129). A displacement that
+is linear in ``lambda`` is then continuous, and linear in ``s`` along the arc: on the true domain it is as
+admissible as on the polygon.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.curves import Curve
+from rmesh_nlp.problem.obstacle import Obstacle, Place
+from rmesh_nlp.problem.statement import Statement
+
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Arcs:
+    """Edges of a mesh that stand for arcs of one curve.
+
+    Attributes
+    ----------
+    curve : Curve
+    facets : (n,) int array
+    t : (2, n) array
+        Parameters of the ends of each facet, in the order of ``mesh.facets``, without a jump of a whole turn.
+    """
+
+    curve: Curve
+    facets: Index
+    t: Array
+
+    def at(self, rows: Index, s: Array) -> tuple[Array, Array]:
+        """Points and derivatives by s, (2, m, k) each, of arcs ``rows`` (m,) at ``s`` (m, k)."""
+        t0, t1 = self.t[:, rows, None]
+        t = (t0 + s * (t1 - t0)).ravel()
+        shape = (2, *s.shape)
+        return self.curve.at(t).reshape(shape), self.curve.velocity(t).reshape(shape) * (t1 - t0)
+
+
+def arcs_of(problem: Statement, nodes: Array) -> tuple[Arcs, ...]:
+    """The arcs behind the edges on curves, at node positions (2, nodes)."""
+    found = []
+    for name, curve in problem.motion.curves.items():
+        facets = np.asarray(problem.mesh.boundaries[name], dtype=np.int64)
+        a, b = problem.mesh.facets[:, facets]
+        start = curve.nearest(nodes[:, a])
+        found.append(Arcs(curve, facets, np.stack([start, curve.near(nodes[:, b], start)])))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Sides of triangles on one curve.
+
+    Attributes
+    ----------
+    element : (n,) int array
+    ends : (2, n) int array
+        Local numbers (0 to 2) of the ends of each side, in the order of ``mesh.facets``.
+    facet : (n,) int array
+        Number among the facets of the curve.
+    """
+
+    element: Index
+    ends: Index
+    facet: Index
+
+
+class Body:
+    """The domain of a problem by its mesh with nodes at given positions.
+
+    Attributes
+    ----------
+    nodes : (2, nodes) array
+    triangles : (3, elements) int array
+    arcs : tuple of Arcs
+    is_curved : (elements,) bool array
+        Whether an edge of the triangle is an arc.
+    """
+
+    def __init__(self, problem: Statement, nodes: Array) -> None:
+        self.problem, self.nodes = problem, np.asarray(nodes, dtype=float)
+        self.triangles = problem.triangles
+        self.arcs = arcs_of(problem, self.nodes)
+        self._sides = [sides_on(problem, arcs.facets) for arcs in self.arcs]
+        self.is_curved = np.zeros(self.triangles.shape[1], dtype=bool)
+        for sides in self._sides:
+            self.is_curved[sides.element] = True
+
+    def at(self, elements: Index, barycentric: Array) -> tuple[Array, Array]:
+        """Points (2, m, k) and the derivatives by barycentric coordinates (2, 3, m, k).
+
+        Parameters
+        ----------
+        elements : (m,) int array
+        barycentric : (3, m, k) array
+        """
+        corners = self.nodes[:, self.triangles[:, elements]]
+        x = np.einsum("dvm,vmk->dmk", corners, barycentric)
+        slopes = np.broadcast_to(corners[..., None], (*corners.shape, barycentric.shape[2])).copy()
+        for arcs, sides in zip(self.arcs, self._sides, strict=True):
+            of, side = _matches(sides.element, elements)
+            if of.size == 0:
+                continue
+            a, b = sides.ends[:, side]
+            one, two = barycentric[a, of], barycentric[b, of]
+            total = one + two
+            s = np.divide(two, total, out=np.full_like(two, 0.5), where=total > 0)
+            arc, velocity = arcs.at(sides.facet[side], s)
+            X_a, X_b = corners[:, a, of, None], corners[:, b, of, None]
+            off = arc - (1 - s) * X_a - s * X_b
+            turn = velocity - (X_b - X_a)
+            for i in range(2):  # an element may have two sides on one curve
+                np.add.at(x[i], of, (total * off)[i])
+                np.add.at(slopes[i], (a, of), (off - s * turn)[i])
+                np.add.at(slopes[i], (b, of), (off + (1 - s) * turn)[i])
+        return x, slopes
+
+    def points(self, elements: Index, barycentric: Array) -> tuple[Array, Array]:
+        """Points (2, m, k) and the determinants of the map from the reference triangle, (m, k) or (m, 1)."""
+        if np.any(self.is_curved[elements]):
+            x, slopes = self.at(elements, barycentric)
+            return x, determinants(slopes)
+        a, b, c = self.nodes[:, self.triangles[:, elements]].transpose(1, 0, 2)[..., None]
+        det = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        return a * barycentric[0] + b * barycentric[1] + c * barycentric[2], det
+
+    def edges(self, name: str) -> Edges:
+        """The edges of a named boundary."""
+        return Edges(self, np.asarray(self.problem.mesh.boundaries[name], dtype=np.int64))
+
+    def edges_of(self, obstacle: Obstacle) -> Edges:
+        """The edges of a contact boundary; all edges for an interior contact set."""
+        if isinstance(obstacle.boundary, Place):
+            return Edges(self, np.arange(self.problem.mesh.facets.shape[1]))
+        return self.edges(obstacle.boundary)
+
+    @cached_property
+    def apex(self) -> Index:
+        """(elements,) the vertex opposite to the arc of a blended triangle; 0 elsewhere.
+
+        Seen from there such a triangle is smooth: ``s`` is the angle, and the rest is linear.
+        """
+        apex = np.zeros(self.triangles.shape[1], dtype=np.int64)
+        for sides in self._sides:
+            apex[sides.element] = 3 - sides.ends.sum(axis=0)
+        return apex
+
+
+def determinants(slopes: Array) -> Array:
+    """Twice the area per unit of the reference triangle (m, k), from the slopes of :meth:`Body.at`."""
+    one, two = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
+    return np.asarray(one[0] * two[1] - one[1] * two[0])
+
+
+def gradients(slopes: Array) -> tuple[Array, Array]:
+    """Gradients (3, 2, m, k) of the barycentric coordinates, and the determinants (m, k)."""
+    one, two = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
+    det = determinants(slopes)
+    second = np.stack([two[1], -two[0]]) / det
+    third = np.stack([-one[1], one[0]]) / det
+    return np.stack([-second - third, second, third]), det
+
+
+class Edges:
+    """Edges of a body, straight ones and arcs, each run through by ``s`` from 0 to 1.
+
+    Attributes
+    ----------
+    ends : (2, n) int array
+        Node numbers.
+    """
+
+    def __init__(self, body: Body, facets: Index) -> None:
+        self.body, self.facets = body, facets
+        self.ends = np.asarray(body.problem.mesh.facets[:, facets], dtype=np.int64)
+
+    @property
+    def size(self) -> int:
+        """Number of edges."""
+        return int(self.facets.size)
+
+    def at(self, rows: Index, s: Array) -> tuple[Array, Array]:
+        """Points (2, m, k) and lengths per unit of s (m, k) of edges ``rows`` (m,) at ``s`` (m, k)."""
+        a, b = self.body.nodes[:, self.ends[:, rows]].transpose(1, 0, 2)
+        x = a[..., None] + s * (b - a)[..., None]
+        speed = np.broadcast_to(np.linalg.norm(b - a, axis=0)[:, None], s.shape).copy()
+        for arcs in self.body.arcs:
+            of, row = _matches(arcs.facets, self.facets[rows])
+            if of.size:
+                x[:, of], velocity = arcs.at(row, s[of])
+                speed[of] = np.linalg.norm(velocity, axis=0)
+        return x, speed
+
+
+def _matches(sought: Index, among: Index) -> tuple[Index, Index]:
+    """All pairs (i, j) with ``among[i] == sought[j]``."""
+    order = np.argsort(sought, kind="stable")
+    first = np.searchsorted(sought[order], among, side="left")
+    last = np.searchsorted(sought[order], among, side="right")
+    count = last - first
+    i = np.repeat(np.arange(among.size), count)
+    within = np.arange(i.size) - np.repeat(np.cumsum(count) - count, count)
+    return i, order[np.repeat(first, count) + within]
+
+
+def sides_on(problem: Statement, facets: Index) -> Sides:
+    """The sides of triangles that are these facets, on both sides of an interface."""
+    elements, ends, numbers = [], [], []
+    for beside in problem.mesh.f2t[:, facets]:
+        number = np.flatnonzero(beside >= 0)
+        corners = problem.triangles[:, beside[number]]
+        nodes = problem.mesh.facets[:, facets[number]]
+        elements.append(beside[number])
+        ends.append(np.stack([np.argmax(corners == node, axis=0) for node in nodes]))
+        numbers.append(number)
+    return Sides(np.concatenate(elements), np.hstack(ends), np.concatenate(numbers))

@@ -1,0 +1,189 @@
+"""The continuous energy of an admissible displacement: closed forms, and no penetration anywhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.assessment.admissible import Admissible, admissible
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.penetration import penetration
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.meshes.curves import Circle
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Laplace,
+    Motion,
+    Obstacle,
+    PlaneStrain,
+    Traction,
+)
+from rmesh_nlp.problem.refining import refined
+
+LAW = PlaneStrain.from_young(1000.0, 0.3)
+BUMP = Obstacle.interior(lambda x, y: -0.05 + 0.08 * ca.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2) / 0.0009))
+SIDES = ("left", "right", "top", "bottom")
+
+
+def block(obstacle: Obstacle, n: int = 3) -> ContactProblem:
+    return ContactProblem(
+        rectangle(4 * n, n, x=(0, 2)), LAW, ("left",), obstacle, tractions=(Traction("top", (6.0, -10.0)),)
+    )
+
+
+def deepest(found: Admissible) -> float:
+    return penetration(found.problem, found.body.nodes, found.displacement)
+
+
+@pytest.mark.parametrize(("name", "n"), [("6.1", 4), ("6.2", (6, 3)), ("6.3", (6, 3))])
+def test_on_flat_foundations_it_is_the_energy_by_an_accurate_rule(name: str, n: object) -> None:
+    problem = EXAMPLES[name](n=n)
+    exact = ContactModel(problem.with_rule(25)).solve(problem.mesh.p)
+    found = admissible(problem, start=exact.active)
+    assert found.energy == pytest.approx(exact.energy, rel=1e-9)
+    assert found.energy == pytest.approx(found.strain - found.work + found.friction)
+    assert 0 <= found.doubt < 1e-6
+    assert not np.any(found.standoff)
+    assert found.state.iterations == 1  # begun with the contact that was given
+    if problem.exact is not None:
+        assert found.energy > problem.exact.energy
+
+
+@pytest.mark.parametrize("frequency", [3, 8, 16])
+def test_friction_is_the_integral_of_the_bound_times_the_slip(frequency: int) -> None:
+    def bound(x: object, y: object) -> object:
+        return 8 * (1 + 0.95 * np.sin(frequency * np.pi * x + 0.3))
+
+    found = admissible(block(Obstacle.graph("bottom", 0.0, friction=bound)))
+    edges = found.problem.mesh.facets[:, found.problem.mesh.boundaries["bottom"]]
+    s = (np.arange(4000) + 0.5) / 4000
+    total = 0.0
+    for a, b in edges.T:
+        x = found.body.nodes[0, a] * (1 - s) + found.body.nodes[0, b] * s
+        slip = found.displacement[0, a] * (1 - s) + found.displacement[0, b] * s
+        total += abs(x[-1] - x[0]) * 4000 / 3999 * np.mean(bound(x, 0) * np.abs(slip))  # type: ignore[operator]
+    assert found.friction == pytest.approx(total, rel=1e-6)
+    # the bound of slip at nodes makes it no smaller than that
+    lumped = found.system.slip_bound @ np.abs(found.system.tangents @ found.state.u)
+    assert lumped >= found.friction * (1 - 1e-12)
+
+
+def test_slip_that_changes_sign_within_an_edge() -> None:
+    # the middle of the block spreads to both sides: u_t is zero within the middle edge
+    problem = ContactProblem(
+        rectangle(3, 1, x=(-1.5, 1.5)),
+        LAW,
+        (Dirichlet("top", (0.0, -0.1)),),
+        Obstacle.graph("bottom", 0.0, friction=0.5),
+    )
+    found = admissible(problem)
+    x, u = found.body.nodes[0], found.displacement[0]
+    ends = [int(np.argmin(np.abs(x - at) + np.abs(found.body.nodes[1]))) for at in (-0.5, 0.5)]
+    a, b = u[ends]
+    assert a * b < 0
+    far = [int(np.argmin(np.abs(x - at) + np.abs(found.body.nodes[1]))) for at in (-1.5, 1.5)]
+    outside = sum(0.5 * abs(u[one] + u[two]) / 2 for one, two in zip(ends, far, strict=True))
+    assert found.friction == pytest.approx(outside + 0.5 * (a**2 + b**2) / (2 * abs(a - b)), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "obstacle",
+    [
+        Obstacle.graph("bottom", lambda x, y: -0.02 + 0.004 * np.sin(24 * np.pi * x)),
+        Obstacle.graph("bottom", lambda x, y: -0.02 + 0.01 * np.exp(-(((x - 0.8) / 0.01) ** 2))),
+        Obstacle.circle("bottom", (1.0, -0.52), 0.5),
+    ],
+    ids=["waves", "bump", "disc"],
+)
+def test_nothing_passes_between_the_nodes(obstacle: Obstacle) -> None:
+    problem = block(obstacle)
+    found = admissible(problem)
+    assert found.status is Status.CONVERGED
+    assert np.sum(found.state.active.touching) >= 1
+    assert deepest(found) < 1e-10
+    assert deepest(replace(found, displacement=_at_nodes(problem))) > 1e-3
+    # and no farther off than need be: somewhere the gap closes
+    lower = replace(found, displacement=found.displacement - np.array([[0.0], [1e-4]]))
+    assert deepest(lower) > 1e-5
+    finer = refined(refined(refined(problem)))
+    assert found.energy > admissible(finer).energy
+
+
+def _at_nodes(problem: ContactProblem) -> np.ndarray:
+    model = ContactModel(problem)
+    return model.displacement.values(model.solve(problem.mesh.p).u)
+
+
+def test_a_bump_narrower_than_the_triangles_is_seen_inside_them() -> None:
+    problem = ContactProblem(rectangle(7, 7), Laplace(-1.0), SIDES, BUMP)  # no node at the top of the bump
+    found = admissible(problem)
+    assert deepest(found) < 1e-10
+    assert ContactModel(problem).solve(problem.mesh.p).energy < found.energy - 1e-3
+
+
+def test_triangles_that_are_held_as_a_whole_are_cut_where_the_foundation_rises() -> None:
+    hill = Obstacle.interior(lambda x, y: -0.02 + 0.1 * ca.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / 0.002))
+    problem = ContactProblem(rectangle(2, 2, diagonal="falling"), Laplace(0.0), SIDES, hill)
+    found = admissible(problem)
+    assert found.problem.mesh.t.shape[1] > problem.mesh.t.shape[1]
+    assert found.status is Status.CONVERGED
+    assert deepest(found) < 1e-3
+    assert found.energy > 0
+
+
+def test_beside_a_held_node_the_free_one_keeps_off_as_far_as_needed() -> None:
+    # the foundation rises from the held corner: half-way up the first edge it needs twice the height
+    rise = Obstacle.graph("bottom", lambda x, y: 0.02 * np.sin(2 * np.pi * x) ** 2)
+    found = admissible(block(rise, 2))
+    assert deepest(found) < 1e-10
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_refined_meshes_lower_it_and_never_below_the_limit(seed: int) -> None:
+    problem = replace(random_problem(seed), quadrature="auto")
+    energies = [admissible(problem).energy]
+    for _ in range(3):
+        problem = refined(problem)
+        energies.append(admissible(problem).energy)
+    falls = -np.diff(energies)
+    assert np.all(falls > 0)
+    assert np.all(falls[1:] < 0.75 * falls[:-1])
+
+
+def test_a_body_on_a_curve_touches_with_its_true_shape() -> None:
+    # half a disc of radius 1 that hangs 0.01 over a line by its given top
+    angle = np.linspace(-np.pi, 0, 9)
+    rim = np.stack([np.cos(angle), 1 + np.sin(angle)])
+    mesh = _fan(rim)
+    problem = ContactProblem(
+        mesh,
+        LAW,
+        (Dirichlet("top", (0.0, -0.02)),),
+        Obstacle.graph("arc", -0.01),
+        Motion(None, curves={"arc": Circle((0.0, 1.0), 1.0)}),
+    )
+    found = admissible(problem)
+    assert deepest(found) < 1e-10
+    assert found.standoff.max() > 0.98 * (1 - np.cos(np.pi / 16))  # the sagitta of the edge below
+    finer, energies = problem, [found.energy]
+    for _ in range(3):
+        finer = refined(finer)
+        energies.append(admissible(finer).energy)
+    assert np.all(np.diff(energies) < 0)
+
+
+def _fan(rim: np.ndarray) -> object:
+    from rmesh_nlp.meshes.reading import from_arrays
+
+    n = rim.shape[1]
+    points = np.vstack([rim.T, [(0.0, 1.0)]])
+    triangles = np.array([(i, i + 1, n) for i in range(n - 1)])
+    sides = {"arc": np.array([(i, i + 1) for i in range(n - 1)]), "top": np.array([(0, n), (n, n - 1)])}
+    return from_arrays(points, triangles, sides)
