@@ -40,13 +40,18 @@ class Block:
         return f"{'Example' if self.example in PAPER else 'Problem'} {self.example}"
 
     @property
-    def title(self) -> str:
-        """The settings in words."""
+    def settings(self) -> tuple[str, str, str]:
+        """Size, move limits and quadrature rule in words."""
         record = self.records[0]
         size = f"n = {record['n']}" if self.example in PAPER else str(record["n"])
         rule = record.get("quadrature", "midpoint")
         words = "midpoint rule" if rule == "midpoint" else f"rule of degree {rule}"
-        return f"{self.name}: {size}, delta = {delta_text(record['delta'])}, {words}"
+        return size, f"delta = {delta_text(record['delta'])}", words
+
+    @property
+    def title(self) -> str:
+        """The example with its settings."""
+        return f"{self.name}: {', '.join(self.settings)}"
 
     @property
     def succeeded(self) -> tuple[Record, ...]:
@@ -111,6 +116,20 @@ def label(record: Record) -> str:
     if record["seed"] is not None:
         parts.append(f"seed {record['seed']}")
     return ", ".join(parts)
+
+
+def names_of_solves(records: Sequence[Record]) -> list[str]:
+    """Example and formulation of each record, by blocks, with the settings that tell blocks apart."""
+    groups = blocks(records)
+    names = []
+    for block in groups:
+        told, same = [block.example], [other for other in groups if other.example == block.example]
+        for place, text in enumerate(block.settings):
+            alike = [other for other in same if other.settings[place] == text]
+            told += [text] if len(alike) < len(same) else []
+            same = alike
+        names += [", ".join([*told, label(record)]) for record in block.records]
+    return names
 
 
 def delta_text(delta: Any) -> str:

@@ -22,7 +22,7 @@ from rmesh_nlp.io.results import ROWS, Record, Result, Results
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.columns import MISSING, contact_units
 from rmesh_nlp.report.convergence import FLOOR, curve
-from rmesh_nlp.report.notes import LEGEND, notes
+from rmesh_nlp.report.notes import detailed_notes, main_notes
 from rmesh_nlp.report.study_summary import (
     Chart,
     charts,
@@ -233,7 +233,7 @@ def _failures(records: Sequence[Record]) -> str:
 
 
 def _notes(records: Sequence[Record]) -> str:
-    found = list(LEGEND) if is_study(records) else notes(records)
+    found = main_notes(records) + ([] if is_study(records) else detailed_notes(records))
     return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in found) + "</ul>"
 
 

@@ -1,4 +1,4 @@
-"""What random starts say of a strategy: best, median and worst end, and how many failed."""
+"""What random starts say of a formulation: best, median and worst end, and how many failed."""
 
 from __future__ import annotations
 
@@ -10,13 +10,17 @@ from rmesh_nlp.report.blocks import audited, blocks, label
 from rmesh_nlp.report.columns import MISSING, contact_units
 
 TITLE = "Several starts"
+CAPTION = (
+    "Ends of solves from several starts: audited energies, or values of another objective. The cost is the "
+    "median of one start."
+)
 
-HEAD = ("strategy", "starts", "best", "median", "worst", "failures", "cost [solves]")
+HEAD = ("formulation", "starts", "best", "median", "worst", "failures", "cost [contact solves]")
 """Ends are audited energies, or values of another objective; the cost is the median of one start."""
 
 
 def multistart_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]]]]:
-    """Per block, a row for each strategy and objective that was solved from two starts or more."""
+    """Per block, a row for each formulation and objective that was solved from two starts or more."""
     found = []
     for block in blocks(records):
         groups: dict[str, list[Record]] = {}

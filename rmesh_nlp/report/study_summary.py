@@ -13,7 +13,6 @@ from rmesh_nlp.io.results import Record, Result
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label
 from rmesh_nlp.report.columns import MISSING, contact_units, seconds_of_work
 from rmesh_nlp.report.convergence import curve
-from rmesh_nlp.report.markup import markdown_table
 from rmesh_nlp.report.profiles import (
     Profile,
     cost_of_gain,
@@ -21,6 +20,9 @@ from rmesh_nlp.report.profiles import (
     performance_profiles,
     quality_profiles,
 )
+
+MAIN = ("family", "formulation", "solves", "success", "converged", "gain [%]", "contact solves", "time [s]")
+"""Columns of the short table of a study."""
 
 LEVELS = (0.9, 0.99, 0.999)
 """Parts of the best gain for data profiles."""
@@ -79,8 +81,8 @@ def instance(record: Record) -> Instance:
 
 def summary_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table by family and strategy; repetitions are joined by medians."""
-    head = ["family", "strategy", "solves", "success", "converged", "audited gain [%]", "of best [%]"]
-    head += ["iterations", "contact solves", "build + solve [s]", "build + solve [solves]"]
+    head = ["family", "formulation", "solves", "success", "converged", "gain [%]", "of best [%]"]
+    head += ["iterations", "contact solves", "time [s]", "cost [contact solves]"]
     best = _best_gain(records)
     groups: dict[tuple[str, str], list[Record]] = {}
     for record in records:
@@ -110,23 +112,36 @@ def _rank(record: Record) -> tuple[bool, str]:
     return record["formulation"] != RELOCATING_NOTHING, strategy(record)
 
 
-def summary_markdown(records: Sequence[Record]) -> str:
-    """The table of :func:`summary_rows` as Markdown, with what its cells mean."""
+def median_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the columns of :func:`summary_rows` that a first reader needs, without ranges."""
     head, rows = summary_rows(records)
+    places = [head.index(name) for name in MAIN]
+    return [head[i] for i in places], [[row[i].split(" [")[0] for i in places] for row in rows]
+
+
+DETAILS = (
+    "Medians over successful solves, in brackets their range. Of best: the gain over the largest one of any "
+    "formulation on that problem. Cost: time over that of one contact solve on the given mesh."
+)
+"""What the columns of :func:`summary_rows` mean."""
+
+
+def study_notes(records: Sequence[Record]) -> list[str]:
+    """What is needed to read the tables of a study."""
     refused = sum(record["status"] == "refused" for record in records)
     shared = sum(bool(record.get("shared")) for record in records)
-    notes = [
-        "Medians over successful solves, in brackets their range. Audited gain: fall of the audited energy "
-        "over its initial size. Of best: over the largest audited gain of any strategy on that problem.",
+    found = [
+        "Medians over successful solves. Gain: fall of the audited energy in per cent of its size on the "
+        "given mesh. Time: build and solve.",
     ]
     if refused:
-        notes.append(f"{refused} solves were refused, since the strategy does not take the objective.")
+        found.append(f"{refused} solves were refused, since the formulation does not take the objective.")
     if shared:
-        notes.append(
+        found.append(
             f"{shared} of {len(records)} solves shared their core with something: compare their times in "
             "contact solves, measured beside each of them."
         )
-    return markdown_table(head, rows) + "\n" + "".join(f"- {note}\n" for note in notes)
+    return found
 
 
 def charts(results: Sequence[Result]) -> list[Chart]:

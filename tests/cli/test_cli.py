@@ -101,7 +101,7 @@ def test_compare_writes_everything_and_table_and_figures_remake_it(
     )
     out = Path("all")
     printed = capsys.readouterr()
-    assert printed.out == (out / "table.md").read_text()
+    assert (out / "table.md").read_text().startswith(f"{printed.out}\n## Details\n")
     assert [line.split(":")[0] for line in printed.err.splitlines()[:2]] == ["6.1 fixed", "6.1 joint"]
     assert len((out / "records.jsonl").read_text().splitlines()) == 2
     made = [out / name for name in ("table.md", "table.tex", "table.csv")]
@@ -113,6 +113,8 @@ def test_compare_writes_everything_and_table_and_figures_remake_it(
     assert run("figures", "all") == 0
     assert all(path.stat().st_size > 0 for path in made)
     assert capsys.readouterr().out == printed.out
+    assert run("table", "all", "--verbose") == 0
+    assert capsys.readouterr().out == (out / "table.md").read_text()
 
 
 @pytest.mark.slow
