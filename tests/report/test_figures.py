@@ -93,7 +93,7 @@ def test_grids_have_equal_axes_and_show_both_meshes(results: list[Result]) -> No
     titles = [axis.get_title() for axis in grids]
     assert titles[:2] == ["given grid", "relocated by joint"]
     assert titles[2] == titles[3]
-    magnification = float(titles[2].removeprefix("deformed, displacement × "))
+    magnification = float(titles[2].removeprefix("deformed, u and gap × "))
     joint = next(r for r in results if r.record["example"] == "6.3" and r.record["formulation"] == "joint")
     fields = read_vtu(joint.vtu)
     drawn = np.array(grids[3].lines[0].get_xydata())
