@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from formulations import joint
+from rmesh_nlp.campaign.progress import summary as one_line
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.solution.solution import Solution, _gain, counted
 from rmesh_nlp.solution.step import Step
 from rmesh_nlp.solution.step import plain as as_plain
@@ -38,7 +40,6 @@ class TestRecord:
         assert record["message"].endswith(" More.")
         rows = dict(made.summary())
         assert rows["audited gain"].endswith("(12.5 %)")
-        assert rows["success"] == ("yes" if made.success else "no")
         assert rows["iterations, contact solves"] == f"{made.iterations}, {made.contact_solves}"
         motion = np.linalg.norm(made.mesh.p - made.problem.mesh.p, axis=0).max()
         assert float(rows["largest motion"]) == pytest.approx(motion, rel=1e-3)
@@ -49,6 +50,16 @@ class TestRecord:
         assert "limited by boxes" not in dict(replace(made, multipliers=None).summary())
         assert "worth it?" not in rows
         assert dict(replace(made, extra={"worth": {"text": "yes"}}).summary())["worth it?"] == "yes"
+
+    def test_success_says_what_it_lacks(self, solution: Solution) -> None:
+        early = Status.ITERATION_LIMIT
+        ends = [(Status.CONVERGED, True), (early, True), (early, False)]
+        made = [replace(solution, status=status, success=success) for status, success in ends]
+        words = [dict(one.summary())["success"] for one in made]
+        assert words == ["yes", f"yes: {NOT_STATIONARY_YET}", "no"]
+        lines = [one_line(one.record()) for one in made]
+        assert [line.endswith(NOT_STATIONARY_YET) for line in lines] == [False, True, False]
+        assert lines[2].endswith(early.message)
 
     def test_gains_have_a_part_where_there_is_something_to_be_a_part_of(self) -> None:
         assert _gain(0.5, -2.0).endswith("(25 %)")
