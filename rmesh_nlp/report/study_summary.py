@@ -138,8 +138,8 @@ def study_notes(records: Sequence[Record]) -> list[str]:
         found.append(f"{refused} solves were refused, since the formulation does not take the objective.")
     if shared:
         found.append(
-            f"{shared} of {len(records)} solves shared their core with something: compare their times in "
-            "contact solves, measured beside each of them."
+            f"{shared} of {len(records)} solves shared their core with something: compare their costs in "
+            "contact solves, which were measured beside each of them."
         )
     return found
 
