@@ -104,15 +104,25 @@ def audited(record: Record) -> float:
     return float(record["energy"] if value is None else value)
 
 
+def objective_of(record: Record) -> str:
+    """What was asked for: the energy also where a distortion was minimised with it."""
+    objective = str(record["objective"])
+    return "energy" if record.get("regularisation") and objective.startswith("energy") else objective
+
+
 def label(record: Record) -> str:
     """The strategy, with what sets a row apart from the default."""
     parts = [str(record["formulation"])]
+    if record.get("chosen_by"):
+        parts = [f"{record['chosen_by']} ({parts[0]})"]
     if record["formulation"] == "mpcc" and record.get("start") in BORROWED:
         parts = [f"{record['start']}, certified as an MPCC solution"]
     if record.get("relaxation", DEFAULT_RELAXATION) != DEFAULT_RELAXATION:
         parts.append(str(record["relaxation"]))
-    if record["objective"] != "energy":
-        parts.append(str(record["objective"]))
+    if objective_of(record) != "energy":
+        parts.append(objective_of(record))
+    elif record["objective"] != "energy" and not record.get("chosen_by"):
+        parts.append("regularised")
     if record["seed"] is not None:
         parts.append(f"seed {record['seed']}")
     return ", ".join(parts)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from statistics import median
 
 from rmesh_nlp.io.record_model import Record
-from rmesh_nlp.report.blocks import audited, blocks, label
+from rmesh_nlp.report.blocks import audited, blocks, label, objective_of
 from rmesh_nlp.report.columns import MISSING, contact_units
 
 TITLE = "Several starts"
@@ -59,7 +59,7 @@ def _cells(name: str, starts: int, ends: Sequence[float], cost: float | None) ->
 
 
 def _end(record: Record) -> float | None:
-    if record["objective"] == "energy":
+    if objective_of(record) == "energy":
         return audited(record)
     value = record.get("objective_value")
     return None if value is None else float(value)

@@ -9,7 +9,7 @@ from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
 from rmesh_nlp.io.results import Record
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import units_of
-from rmesh_nlp.report.blocks import Block, audited, blocks, label
+from rmesh_nlp.report.blocks import Block, audited, blocks, label, objective_of
 
 ROUNDING = 1e-9
 """An energy is below a bound if by more than this part of it."""
@@ -57,9 +57,15 @@ def failures(records: Sequence[Record]) -> list[str]:
 
 
 def detailed_notes(records: Sequence[Record]) -> list[str]:
-    """What is needed to read the other tables, and what of the paper's printed values is met."""
-    found = list(DETAILED_LEGEND)
+    """What is needed to read the other tables, and what they show."""
+    return [*DETAILED_LEGEND, *block_notes(records)]
+
+
+def block_notes(records: Sequence[Record]) -> list[str]:
+    """What the records show: impossible energies, printed values that are met, stick zones, a ranking."""
+    found = []
     for block in blocks(records):
+        found += below_infimum(block)
         found += paper_notes(block)
         found += stick_zone(block)
         found += ranking(block)
@@ -97,7 +103,7 @@ def stick_zone(block: Block) -> list[str]:
 
 def ranking(block: Block) -> list[str]:
     """The successful formulations by audited energy, of those that minimised it."""
-    rows = [record for record in block.succeeded if record["objective"] == "energy"]
+    rows = [record for record in block.succeeded if objective_of(record) == "energy"]
     if len(rows) < 2:
         return []
     places: list[tuple[float, list[str]]] = []
@@ -164,7 +170,7 @@ def _initial(block: Block, paper: PaperValues) -> list[str]:
 
 
 def _final(block: Block, paper: PaperValues) -> list[str]:
-    moved = [r for r in block.succeeded if r["formulation"] != "fixed" and r["objective"] == "energy"]
+    moved = [r for r in block.succeeded if r["formulation"] != "fixed" and objective_of(r) == "energy"]
     if not moved:
         return ["no formulation relocated the grid here, so the printed final energy is not compared."]
     lowest = min(record["energy"] for record in moved)

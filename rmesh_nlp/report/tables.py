@@ -12,7 +12,7 @@ from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import TABLES, Results
 from rmesh_nlp.report import multistart, refinement, study_summary
-from rmesh_nlp.report.blocks import Block, blocks, names_of_solves
+from rmesh_nlp.report.blocks import Block, blocks, names_of_solves, objective_of
 from rmesh_nlp.report.columns import (
     CERTIFICATES,
     COMMON,
@@ -59,7 +59,7 @@ CAPTIONS = {
 WANTED: dict[tuple[Column, ...], Callable[[Record], bool]] = {
     COMMON: lambda record: record.get("common_objective") is not None,
     ERRORS: lambda record: record.get("I1") is not None,
-    OBJECTIVES: lambda record: record["objective"] != "energy",
+    OBJECTIVES: lambda record: objective_of(record) != "energy",
     CERTIFICATES: lambda record: "certificate_remark" in record,
 }
 """Tables that a block of records has only where one of its records asks for it."""

@@ -181,6 +181,13 @@ class TestBlocks:
             ({"formulation": "mpcc", "relaxation": "scholtes"}, "mpcc"),
             ({"formulation": "mpcc", "relaxation": "lin-fukushima"}, "mpcc, lin-fukushima"),
             ({"objective": "error-l2", "seed": 0}, "fixed, error-l2, seed 0"),
+            ({"objective": "energy + 0.01*shape-size", "regularisation": 0.01}, "fixed, regularised"),
+            ({"formulation": "nested", "chosen_by": "auto"}, "auto (nested)"),
+            (
+                {"objective": "energy + 1*quality", "regularisation": 1.0, "chosen_by": "auto"},
+                "auto (fixed)",
+            ),
+            ({"objective": "energy + 1*quality"}, "fixed, energy + 1*quality"),
         ],
     )
     def test_labels(self, changes: dict[str, Any], text: str) -> None:
