@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import ast
 import importlib.metadata
 import inspect
 import json
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -32,34 +29,6 @@ ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text()
 
 
-def imported(path: Path) -> set[str]:
-    """Top-level names that a file imports, wherever in it."""
-    names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            names |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            names.add((node.module or "").split(".")[0])
-    return names
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("folder", "forbidden"),
-    [
-        ("rmesh_nlp", {"formulations", "scripts", "tests"}),
-        ("formulations", {"scripts", "tests"}),
-        ("scripts", {"tests"}),
-    ],
-)
-def test_imports_go_one_way(folder: str, forbidden: set[str]) -> None:
-    paths = sorted((ROOT / folder).rglob("*.py"))
-    assert paths
-    for path in paths:
-        assert not imported(path) & forbidden, path
-
-
 @pytest.mark.slow
 def test_no_imports_go_in_a_circle() -> None:
     """Nor those for types alone; import-linter's layers hold it between sub-packages, not within one."""
@@ -72,13 +41,6 @@ def test_no_imports_go_in_a_circle() -> None:
     _, circle = connected_components(matrix, directed=True, connection="strong")
     together = [name for name, one in zip(modules, circle, strict=True) if np.sum(circle == one) > 1]
     assert together == []
-
-
-@pytest.mark.slow
-def test_the_library_loads_no_strategy() -> None:
-    code = "import sys, rmesh_nlp.cli.commands; print('formulations' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "False\n"
 
 
 def test_the_strategies_are_entry_points() -> None:

@@ -31,15 +31,12 @@ ENERGY, RESIDUAL = columns.ENERGIES, columns.RESIDUALS
         (COST, "build [s]", {}, "-"),
         (COST, "build [s]", {"build_time_s": 0.12345}, "0.123"),
         (COST, "build [s]", {"build_time_s": 0.12, "build_time_range_s": [0.1, 0.256]}, "0.12 (0.1 to 0.26)"),
-        (COST, "contact solves, cold + warm", {}, "-"),
         (COST, "contact solves, cold + warm", {"contact_solves": 7}, "7"),
         (COST, "contact solves, cold + warm", {"contact_solves": 7, "cold_contact_solves": 2}, "2 + 5"),
         (COST, "factorisations, contact; KKT", {"kkt_factorisations": 3}, "-"),
-        (COST, "factorisations, contact; KKT", {"contact_factorisations": 9}, "9"),
         (COST, "factorisations, contact; KKT", {"contact_factorisations": 9, "kkt_factorisations": 0}, "9"),
         (COST, "factorisations, contact; KKT", {"contact_factorisations": 9, "kkt_factorisations": 4},
          "9; 4 or more"),
-        (COST, "start", {"start": ""}, "-"),
         (COST, "start", {"start": "joint"}, "joint"),
         (ENERGY, "J relocated, own rule", {"energy": 0.0}, "0.000000"),
         (MAIN, "J relocated", {"energy_audited": -1.23456789e-5}, "-1.234568e-05"),
@@ -48,24 +45,18 @@ ENERGY, RESIDUAL = columns.ENERGIES, columns.RESIDUALS
         (MAIN, "gain [%]", {"energy_audited": 2.5, "energy_initial_audited": 2.0}, "-25.00"),
         (MAIN, "gain [%]", {"energy_audited": -200.0, "energy_initial_audited": -2.0}, "9.9e+03"),
         (MAIN, "gain [%]", {"energy_audited": 0.5, "energy_initial_audited": 0.0}, "-"),
-        (MAIN, "gain [%]", {"energy_audited": 0.5}, "-"),
         (MAIN, "gain [%]", {"energy_initial_audited": 2.0}, "-"),
         (MAIN, "time [s]", {"wall_time_s": 0.0751}, "0.075"),
         (MAIN, "time [s]", {"wall_time_s": 123.4}, "123"),
         (RESIDUAL, "biactive", {"biactive_nodes": [4, 5]}, "2"),
         (RESIDUAL, "biactive", {"biactive_nodes": []}, "0"),
-        (RESIDUAL, "biactive", {}, "-"),
         (RESIDUAL, "label", {"stationarity": "S", "biactive": 0}, "S (KKT)"),
         (RESIDUAL, "label", {"stationarity": "S", "biactive": 1}, "S"),
-        (RESIDUAL, "label", {"stationarity": "M", "biactive": 0}, "M"),
-        (RESIDUAL, "label", {"stationarity": "S"}, "S"),
         (RESIDUAL, "label", {"stationarity": "", "biactive": 0}, "-"),
         (columns.COMMON, "cost to that J", {"cost_to_objective": 99.94}, "99.9"),
-        (columns.COMMON, "cost to that J", {"cost_to_objective": 123.4}, "123"),
         (columns.COMMON, "cost to that J", {"cost_to_objective": 1234.4}, "1234"),
         (columns.COMMON, "cost to that J", {}, "-"),
         (columns.ERRORS, "sum", {"I1": 0.5, "I2": 0.25, "I3": 0.125}, "0.875000"),
-        (columns.ERRORS, "sum", {"I1": 0.5, "I2": 0.25}, "-"),
         (columns.ERRORS, "sum", {"I1": 0.5, "I2": 0.25, "I3": None}, "-"),
         (columns.CERTIFICATES, "error after [%]",
          {"relative_error_bound": 0.1234, "guaranteed_lower": True, "guaranteed_upper": True},
@@ -77,7 +68,6 @@ ENERGY, RESIDUAL = columns.ENERGIES, columns.RESIDUALS
         (columns.CERTIFICATES, "error before [%]",
          {"relative_error_bound_initial": 0.2, "guaranteed_lower": True, "guaranteed_initial": True},
          "at most 20"),
-        (columns.CERTIFICATES, "error before [%]", {}, "-"),
     ],
 )  # fmt: skip
 def test_a_cell(table: tuple[Column, ...], head: str, record: dict[str, Any], text: str) -> None:
@@ -89,9 +79,7 @@ def test_a_cell(table: tuple[Column, ...], head: str, record: dict[str, Any], te
     [
         ({"build_time_s": 1.0, "solve_time_s": 2.0, "wall_time_s": 9.0, "contact_time_s": 0.5}, 6.0, "6"),
         ({"build_time_s": None, "solve_time_s": 2.0, "wall_time_s": 9.0, "contact_time_s": 0.5}, 18.0, "18"),
-        ({"build_time_s": 1.0, "wall_time_s": 9.0, "contact_time_s": 0.5}, 18.0, "18"),
         ({"wall_time_s": 9.0}, None, "-"),
-        ({"contact_time_s": 0.5}, None, "-"),
         ({"wall_time_s": 9.0, "contact_time_s": 0.0}, None, "-"),
         ({"wall_time_s": 0.0, "contact_time_s": 0.5}, 0.0, "0"),
         ({"wall_time_s": 49.97, "contact_time_s": 0.5}, 99.94, "99.9"),
@@ -169,7 +157,6 @@ class TestBlocks:
         )
         assert delta_text({"relative": 0.3}) == "0.3 x shortest edge"
         assert delta_text([0.1, 0.25]) == "0.1 x 0.25"
-        assert delta_text([0.12345678, 0.12345678]) == "0.123457"
 
     @pytest.mark.parametrize(
         ("changes", "text"),
@@ -182,11 +169,7 @@ class TestBlocks:
             ({"formulation": "mpcc", "relaxation": "lin-fukushima"}, "mpcc, lin-fukushima"),
             ({"objective": "error-l2", "seed": 0}, "fixed, error-l2, seed 0"),
             ({"objective": "energy + 0.01*shape-size", "regularisation": 0.01}, "fixed, regularised"),
-            ({"formulation": "nested", "chosen_by": "auto"}, "auto (nested)"),
-            (
-                {"objective": "energy + 1*quality", "regularisation": 1.0, "chosen_by": "auto"},
-                "auto (fixed)",
-            ),
+            ({"objective": "energy + 1*s", "regularisation": 1.0, "chosen_by": "auto"}, "auto (fixed)"),
             ({"objective": "energy + 1*quality"}, "fixed, energy + 1*quality"),
         ],
     )

@@ -15,7 +15,7 @@ from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.report.before_after import pictures
-from rmesh_nlp.report.foundations import SEEN, displaced, magnification
+from rmesh_nlp.report.foundations import displaced, magnification
 from rmesh_nlp.report.grids import grid_figure
 from rmesh_nlp.report.page import Page
 from rmesh_nlp.solution.solution import Solution
@@ -66,7 +66,4 @@ def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:
     assert magnification([u], [], 1.0) == magnification([u], [even], 1.0) == 500.0
     assert magnification([u], [even, uneven], 1.0) == 2.0  # further, 0.75e-3 of gap were seen
     assert magnification([0 * u], [even], 1.0) == magnification([1e4 * u], [even], 1.0) == 1.0
-    assert SEEN < 0.01
     np.testing.assert_allclose(displaced(even, even, 5.0), 5 * even)
-    lines = np.arange(12.0).reshape(2, 2, 3)
-    np.testing.assert_array_equal(displaced(lines, lines, 1.0), lines)

@@ -9,7 +9,6 @@ import subprocess
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -54,7 +53,7 @@ def test_the_page_loads_nothing_and_has_all_parts(folder: Path) -> None:
     assert resources.found == []
     assert "url(" not in text
     assert "A &lt;study&gt;" in text
-    for section in (
+    for section in [
         "set-up",
         "summary",
         "profiles",
@@ -63,7 +62,7 @@ def test_the_page_loads_nothing_and_has_all_parts(folder: Path) -> None:
         "solves",
         "notes",
         "environment",
-    ):
+    ]:
         assert f'<section id="{section}">' in text
     assert text.count("<svg") >= 8
 
@@ -103,13 +102,8 @@ def test_a_failure_is_a_failure_in_table_and_profiles() -> None:
 
 def test_the_audit_is_no_cost_in_tables_and_profiles() -> None:
     # a's audit takes long, but it builds and solves in half of b's time
-    quick: dict[str, Any] = {
-        "build_time_s": 1.0,
-        "solve_time_s": 2.0,
-        "audit_time_s": 50.0,
-        "wall_time_s": 53.0,
-    }
-    slow: dict[str, Any] = {"build_time_s": 2.0, "solve_time_s": 4.0, "audit_time_s": 0.0, "wall_time_s": 6.0}
+    names = ("build_time_s", "solve_time_s", "audit_time_s", "wall_time_s")
+    quick, slow = (dict(zip(names, times, strict=True)) for times in ((1, 2, 50, 53), (2, 4, 0, 6)))
     rows = [joint_61(strategy="a", **quick), joint_61(strategy="b", **slow)]
     head, table = summary_rows(rows)
     assert [row[head.index("build + solve [s]")] for row in table] == ["3", "6"]

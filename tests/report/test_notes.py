@@ -79,3 +79,9 @@ def test_units_of_several_examples_are_named_once() -> None:
     units = {"length": "m", "force": "N"}
     rows = [record(units=units), record(example="6.3", units=units), record(example="6.1", units={})]
     assert units_notes(rows) == ["Example 6.2, Example 6.3: u in m, J in N, the energy per m of depth."]
+
+
+@pytest.mark.parametrize(("counted", "said"), [([0, 0], True), ([0, 1], False), ([None, None], False)])
+def test_missing_stick_zone_is_said(counted: list[int | None], said: bool) -> None:
+    text = "\n".join(detailed_notes([record(sticking_nodes=number) for number in counted]))
+    assert ("there is no stick zone" in text) is said
