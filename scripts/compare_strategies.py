@@ -20,7 +20,7 @@ from rmesh_nlp.campaign.progress import CampaignProgress
 from rmesh_nlp.cli.inputs import parse_size
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Record, Results
-from rmesh_nlp.report.tables import write_tables
+from rmesh_nlp.report.tables import short_markdown, write_tables
 
 
 def compare(example: str, sizes: Sequence[str], formulations: Sequence[str], out: Path) -> list[Record]:
@@ -55,7 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         records = compare(options.example, options.sizes, options.formulations, options.out)
     except BadInputError as error:
         parser.error(str(error))
-    print(write_tables(records, options.out), end="")
+    write_tables(records, options.out)
+    print(short_markdown(records), end="")
     return 0 if all(record["success"] for record in records) else 1
 
 

@@ -14,8 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rmesh_nlp import read_records
-from rmesh_nlp.io.record_model import Record
-from rmesh_nlp.report.markup import markdown_table
+from rmesh_nlp.report.tables import main_table
 
 ROOT = Path(__file__).resolve().parent.parent
 PICTURE = "6.1-8-joint-grid.png"
@@ -30,24 +29,8 @@ def with_block(page: str, name: str, text: str) -> str:
 
 
 def with_table(page: str, table: str) -> str:
-    """The page with what ``rmesh compare`` prints below its title."""
+    """The page with ``table.md`` below its title."""
     return with_block(page, "table", table.split("\n", 1)[1])
-
-
-def short_table(records: Sequence[Record]) -> str:
-    """Audited energies and work, one row per solve: what a first reader wants to know."""
-    head = ["solve", "J given", "J relocated", "gain", "iterations", "contact solves", "time [s]", "status"]
-    rows = []
-    for record in records:
-        before, after = record["energy_initial_audited"], record["energy_audited"]
-        name = f"{record['example']}, {record['formulation']}"
-        if before is None or after is None:
-            rows.append([name, *["-"] * 6, record["status"]])
-            continue
-        gain = f"{100 * (before - after) / abs(before):.2f} %"
-        work = (str(record["iterations"]), str(record["contact_solves"]), f"{record['wall_time_s']:.2g}")
-        rows.append([name, f"{before:.6f}", f"{after:.6f}", gain, *work, record["status"]])
-    return markdown_table(head, rows)
 
 
 def change(path: Path, edit: Callable[[str], str]) -> None:
@@ -68,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     docs = options.root / "docs"
     if options.folder:
         whole = (options.folder / "table.md").read_text()
-        short = short_table(read_records(options.folder))
+        short = main_table(read_records(options.folder))
         change(docs / "results.md", lambda page: with_table(page, whole))
         change(options.root / "README.md", lambda page: with_block(page, "table", short))
         shutil.copyfile(options.folder / "figures" / PICTURE, docs / "grid.png")

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.campaign.pace import Pace
 from rmesh_nlp.io.results import Record
+from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.solution.history import TIME_LIMIT_S
 from rmesh_nlp.solution.step import Step
 
@@ -94,6 +95,8 @@ def summary(record: Record) -> str:
     if record["iterations"] is not None:
         line += f", {record['iterations']} iterations"
     line += f", {record['wall_time_s']:.2f} s"
-    if not record["success"] and record.get("message"):
+    if record["success"] and record["status"] != Status.CONVERGED:
+        line += f": {NOT_STATIONARY_YET}"
+    elif not record["success"] and record.get("message"):
         line += f": {record['message']}"
     return line

@@ -28,7 +28,7 @@ from rmesh_nlp.io.results import (
 )
 from rmesh_nlp.report.common_costs import with_common_costs
 from rmesh_nlp.report.figures import write_figures
-from rmesh_nlp.report.tables import write_tables
+from rmesh_nlp.report.tables import markdown, short_markdown, write_tables
 from rmesh_nlp.study.campaign import in_parallel
 
 SUCCESS, NO_SUCCESS = 0, 1
@@ -105,6 +105,7 @@ def compare(
     jobs: int = 1,
     voice: str = "text",
     draw: bool = True,
+    verbose: bool = False,
 ) -> int:
     """Many solves, tables and figures; returns the exit code.
 
@@ -116,6 +117,8 @@ def compare(
         What is printed: "text", "json" (a list of the records) or "quiet".
     draw : bool
         Whether to write figures.
+    verbose : bool
+        Print the whole of ``table.md`` instead of its main table.
     """
     if jobs > 1 and any(name.endswith(".toml") for name in examples):
         raise BadInputError("--jobs is for the examples: put problem files into a study (rmesh new --study)")
@@ -144,7 +147,7 @@ def compare(
                 kept = f"{whole} of {len(cases)} solves are kept in {out}"
                 hint = "--resume goes on, rmesh table and rmesh figures show them"
                 raise InterruptedSolveError(f"{kept}; {hint}") from None
-        table(out, voice)
+        table(out, voice, verbose)
         if draw:
             figures(out, voice)
     if voice == "json":
@@ -153,12 +156,14 @@ def compare(
     return SUCCESS if asked and all(record["success"] for record in asked) else NO_SUCCESS
 
 
-def table(folder: Path, voice: str = "text") -> None:
-    """Write the tables of a folder and print the Markdown one."""
-    results = read_quietly(folder)
-    text = write_tables(with_common_costs(results), folder)
+def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
+    """Write the tables of a folder and print the main one, or with ``verbose`` all of them."""
+    records = with_common_costs(read_quietly(folder))
+    write_tables(records, folder)
     if voice == "text":
-        print(text, end="")
+        print(markdown(records) if verbose else short_markdown(records), end="")
+        if not verbose:
+            print(f"all columns: {folder / 'table.md'}, or --verbose", file=sys.stderr)
 
 
 def figures(folder: Path, voice: str = "text") -> None:

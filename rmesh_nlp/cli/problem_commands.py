@@ -71,10 +71,12 @@ def check(path: Path, picture: Path | None = None) -> int:
     if is_study(path):
         return check_study(path)
     problem = _load(path)
-    _plan(path, None, {})
+    _, keywords = _plan(path, None, {})
     parts = discretise(problem)
     free = parts.freedoms
     rows = problem.summary()
+    if "regularisation" in keywords and problem.motion.delta is not None and problem.motion.min_angle == 0:
+        rows.append(("regularisation", "a barrier in the place of the least area: areas are only positive"))
     for kind in Mobility:
         rows.append((f"nodes {kind.name.lower()}", str(int((free.mobility == kind).sum()))))
     rows.append(("moves", str(free.n)))

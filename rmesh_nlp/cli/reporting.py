@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rmesh_nlp.cli import work
-from rmesh_nlp.cli.options import Columns, Folder, Jobs, Json, Quiet
+from rmesh_nlp.cli.options import Columns, Folder, Jobs, Json, Quiet, Verbose
 
 
 def study(
@@ -44,15 +44,17 @@ def study(
     raise typer.Exit(work.study_commands().study(*given))
 
 
-def table(folder: Folder) -> None:
+def table(folder: Folder, verbose: Verbose = False) -> None:
     """Make the tables of DIR again.
 
-    Writes DIR/table.md, DIR/table.tex and DIR/table.csv from the records, without solving.
+    Writes DIR/table.md, DIR/table.tex and DIR/table.csv from the records, without solving, and prints
+    the main table.
 
     \b
     rmesh table results
+    rmesh table results --verbose
     """
-    work.commands().table(folder)
+    work.commands().table(folder, verbose=verbose)
 
 
 def mpcc(context: typer.Context) -> None:

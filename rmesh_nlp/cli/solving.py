@@ -24,6 +24,7 @@ from rmesh_nlp.cli.options import (
     Seeds,
     Size,
     StrategyOptions,
+    Verbose,
     with_strategy_options,
 )
 from rmesh_nlp.errors import BadInputError
@@ -122,10 +123,11 @@ def compare(
     ] = True,
     json: Json = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Compare strategies: solve, table and draw.
 
-    Writes DIR/records.jsonl, DIR/table.md, .tex, .csv, DIR/figures and DIR/solutions.
+    Prints a row per solve. Writes DIR/records.jsonl, DIR/table.md, .tex, .csv, DIR/figures and DIR/solutions.
     An option goes to those strategies that take it. Problem files are compared with uniform refinements
     of their meshes as well, so that you see what moving nodes is worth. What an earlier run left in DIR
     is moved to DIR/previous when the first solve has ended.
@@ -148,6 +150,7 @@ def compare(
             jobs,
             "json" if json else "quiet" if quiet else "text",
             figures,
+            verbose,
         )
     )
 

@@ -68,7 +68,8 @@ pinned = ["top"]                 # boundaries, or node numbers, that do not move
 # slides = []                    # that slide on their straight piece although a part ends there
 # free = []                      # that move freely; on the outer boundary this changes the domain
 # tied = [[12, 40]]              # node 12 makes the moves of node 40
-min_area_fraction = 0.01         # least area of an element over its initial one
+min_area_fraction = 0.01         # least area of an element over its given one; with delta = "none" auto
+#                                  keeps areas positive by a barrier instead, unless min_angle is given
 # min_angle = 5.0                # least angle of an element in degrees
 
 # [curves]                       # what boundaries are parts of; their nodes slide along it

@@ -59,7 +59,7 @@ def fields_of(solution: Solution) -> Fields:
         here = nodes[:, part.nodes]
         bound[part.nodes] = on_points(part.obstacle.friction, here)
         if problem.components == 2:
-            foundation[:, part.nodes] = here - part.obstacle.normals(here) * part.obstacle.distances(here)
+            foundation[:, part.nodes] = part.obstacle.feet(here)
     return Fields(
         nodes=nodes,
         initial=solution.initial_nodes,

@@ -51,3 +51,13 @@ _MESSAGES = {
     Status.EVALUATION_ERROR: "A function returned NaN or infinity.",
     Status.FAILED: "The solver failed.",
 }
+
+NOT_STATIONARY_YET = "valid and not worse than the given mesh, but not stationary to the tolerance"
+"""What a success is that did not converge."""
+
+
+def success_in_words(success: bool, status: Status) -> str:
+    """Whether a solve succeeded, and what its result lacks if it did not converge."""
+    if not success:
+        return "no"
+    return "yes" if status is Status.CONVERGED else f"yes: {NOT_STATIONARY_YET}"

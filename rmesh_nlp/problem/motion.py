@@ -47,7 +47,10 @@ class Motion:
     tied : tuple of (int, int)
         Pairs (node, leader): the node makes the moves of its leader.
     min_area_fraction : float
-        Smallest allowed signed area of an element, as a fraction of its initial one.
+        Smallest allowed signed area of an element, as a fraction of its given one. It is a constraint, except
+        where a distortion is minimised with the energy: with a ``regularisation``, which ``auto`` chooses if
+        ``delta`` is None and the objective is the energy. The distortion is a barrier that keeps areas
+        positive, also far below this fraction. With a ``min_angle`` both are constraints again.
     min_angle : float
         Smallest allowed angle of an element in degrees; 0 for none.
     curves : mapping from boundary names to Curve

@@ -11,6 +11,9 @@ from rmesh_nlp.problem.obstacle import Place
 from rmesh_nlp.problem.statement import ContactSet, Statement
 from rmesh_nlp.problem.units import after
 
+BY_BARRIER = "by auto, and with a regularisation: only positive"
+"""What becomes of the least area where a distortion is minimised with the energy: it is a barrier."""
+
 
 def summary_of_problem(problem: Statement) -> Rows:
     """Mesh, laws, loads, contact and motion of a problem."""
@@ -63,12 +66,14 @@ def _motion(motion: Motion) -> str:
     if isinstance(motion.delta, Relative):
         text = f"delta {figure(motion.delta.fraction)} of the shortest edge"
     elif motion.delta is None:
-        text = "no delta"
+        text = "no move limits"
     else:
         text = "delta " + " x ".join(figure(v) for v in motion.delta)  # type: ignore[union-attr]
-    text += f", areas at least {figure(motion.min_area_fraction)} of the initial ones"
+    text += f", areas at least {figure(motion.min_area_fraction)} of the given ones"
     if motion.min_angle > 0:
         text += f", angles at least {figure(motion.min_angle)} degrees"
+    elif motion.delta is None:
+        text += f" ({BY_BARRIER})"
     for rule in ("pinned", "slides", "free"):
         places = getattr(motion, rule)
         if places:

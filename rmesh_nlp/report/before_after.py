@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.units import bracketed
+from rmesh_nlp.report.foundations import Foundation, displaced, magnification
 from rmesh_nlp.report.limits import draw_limits, draw_motion
 from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.pixels import draw_edges, draw_field, is_fine
@@ -27,9 +28,6 @@ from rmesh_nlp.report.style import FOUNDATION, GRID_LINE, MAP, look, new_figure,
 TITLES = ("given mesh", "relocated mesh")
 PICTURES = ("mesh", "displacement", "stress", "flux", "pressure", "motion", "limits")
 """Names of all pictures that there may be."""
-
-LARGEST_DEFORMATION = 0.08
-"""Displacements are drawn no longer than this part of the body's extent."""
 
 ROOM = 0.15
 """A foundation is drawn up to this part of the extent outside the body."""
@@ -73,7 +71,7 @@ def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
 def _meshes(states: Sequence[State], page: Page) -> Figure:
     """Undeformed meshes; for an elastic body also deformed ones over the one foundation."""
     deforms = states[0].elastic and any(np.any(state.displacement) for state in states)
-    factor = _magnification(states) if deforms else 0.0
+    factor = _factor(states) if deforms else 0.0
     windows = [_window(states, 1.0 if deforms else 0.0)] + ([_window(states, factor)] if deforms else [])
     figure, axes = page.panels(len(states), windows, below=0.3)
     for k, state in enumerate(states):
@@ -82,12 +80,12 @@ def _meshes(states: Sequence[State], page: Page) -> Figure:
         _contact_set(top, state)
         _boundary(top, state)
         if deforms:
-            _foundation(top, states[0], 1.0)
+            _foundation(top, states[0], 1.0, width=4.0)  # a boundary may lie on it
             bottom = axes[1, k]
             moved = state.nodes + factor * state.displacement
             _edges(bottom, state, moved)
-            _foundation(bottom, states[0], factor)
-            bottom.set_title("deformed, u and gap" + (f" × {factor:g}" if factor != 1 else ""))
+            _foundation(bottom, states[0], factor, width=2.2)
+            bottom.set_title(f"deformed, u and gap × {factor:g}" if factor > 1 else "deformed, true scale")
     _finish(axes, states, windows)
     shown: dict[str, Artist] = {}
     for axis in axes[:, 0]:
@@ -175,16 +173,25 @@ def _one(solution: Drawable, page: Page, draw: Callable[[Figure, Axes, Drawable]
     return figure
 
 
-def _foundation(axis: Axes, state: State, factor: float) -> None:
-    """The foundations, their distance from the boundary magnified like the displacement."""
-    near = [one for one in state.foundations if not one.is_far]
-    for number, one in enumerate(near):
-        lines = one.starts + factor * (one.lines - one.starts)
+def _factor(states: Sequence[State]) -> float:
+    """By how much displacements are drawn larger than they are."""
+    ways = [(one.lines - one.starts).reshape(2, -1) for one in _near(states[0])]
+    extent = float(np.max(np.ptp(states[0].nodes, axis=1)))
+    return magnification([state.displacement for state in states], ways, extent)
+
+
+def _near(state: State) -> list[Foundation]:
+    return [one for one in state.foundations if not one.is_far]
+
+
+def _foundation(axis: Axes, state: State, factor: float, width: float) -> None:
+    """The foundations as the curves that they are, beside a body drawn with a magnified displacement."""
+    for number, one in enumerate(_near(state)):
         axis.add_collection(
             LineCollection(
-                list(lines.transpose(1, 2, 0)),
+                list(displaced(one.lines, one.lines - one.starts, factor).transpose(1, 2, 0)),
                 color=FOUNDATION,
-                linewidth=2.2 if factor != 1 else 4.0,  # thick where a boundary may lie on it
+                linewidth=width,
                 capstyle="round",
                 label="rigid foundation" if number == 0 else None,
             )
@@ -242,10 +249,8 @@ def _window(states: Sequence[State], factor: float) -> Array:
     low, high = every.min(axis=1), every.max(axis=1)
     room = ROOM * float(np.max(high - low))
     if factor:
-        for one in states[0].foundations:
-            if one.is_far:
-                continue
-            lines = (one.starts + factor * (one.lines - one.starts)).reshape(2, -1)
+        for one in _near(states[0]):
+            lines = displaced(one.lines, one.lines - one.starts, factor).reshape(2, -1)
             low = np.minimum(low, np.maximum(lines.min(axis=1), low - room))
             high = np.maximum(high, np.minimum(lines.max(axis=1), high + room))
     extra = 0.02 * float(np.max(high - low))
@@ -267,12 +272,3 @@ def _edges(axis: Axes, state: State, nodes: Array) -> None:
 def _line_width(state: State) -> float:
     """Thinner lines on finer meshes."""
     return float(np.clip(8 / np.sqrt(state.problem.mesh.t.shape[1]), 0.08, 0.5))
-
-
-def _magnification(states: Sequence[State]) -> float:
-    """The largest of 1, 2, 5, 10, ... that keeps displacements small against the body, or less."""
-    largest = max(float(np.max(np.abs(state.displacement))) for state in states)
-    extent = float(np.max(np.ptp(states[0].nodes, axis=1)))
-    wanted = LARGEST_DEFORMATION * extent / largest
-    decade = 10.0 ** np.floor(np.log10(wanted))
-    return float(max(step * decade for step in (1, 2, 5) if step * decade <= wanted * (1 + 1e-9)))

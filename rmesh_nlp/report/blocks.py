@@ -40,13 +40,18 @@ class Block:
         return f"{'Example' if self.example in PAPER else 'Problem'} {self.example}"
 
     @property
-    def title(self) -> str:
-        """The settings in words."""
+    def settings(self) -> tuple[str, str, str]:
+        """Size, move limits and quadrature rule in words."""
         record = self.records[0]
         size = f"n = {record['n']}" if self.example in PAPER else str(record["n"])
         rule = record.get("quadrature", "midpoint")
         words = "midpoint rule" if rule == "midpoint" else f"rule of degree {rule}"
-        return f"{self.name}: {size}, delta = {delta_text(record['delta'])}, {words}"
+        return size, f"delta = {delta_text(record['delta'])}", words
+
+    @property
+    def title(self) -> str:
+        """The example with its settings."""
+        return f"{self.name}: {', '.join(self.settings)}"
 
     @property
     def succeeded(self) -> tuple[Record, ...]:
@@ -99,18 +104,42 @@ def audited(record: Record) -> float:
     return float(record["energy"] if value is None else value)
 
 
+def objective_of(record: Record) -> str:
+    """What was asked for: the energy also where a distortion was minimised with it."""
+    objective = str(record["objective"])
+    return "energy" if record.get("regularisation") and objective.startswith("energy") else objective
+
+
 def label(record: Record) -> str:
     """The strategy, with what sets a row apart from the default."""
     parts = [str(record["formulation"])]
+    if record.get("chosen_by"):
+        parts = [f"{record['chosen_by']} ({parts[0]})"]
     if record["formulation"] == "mpcc" and record.get("start") in BORROWED:
         parts = [f"{record['start']}, certified as an MPCC solution"]
     if record.get("relaxation", DEFAULT_RELAXATION) != DEFAULT_RELAXATION:
         parts.append(str(record["relaxation"]))
-    if record["objective"] != "energy":
-        parts.append(str(record["objective"]))
+    if objective_of(record) != "energy":
+        parts.append(objective_of(record))
+    elif record["objective"] != "energy" and not record.get("chosen_by"):
+        parts.append("regularised")
     if record["seed"] is not None:
         parts.append(f"seed {record['seed']}")
     return ", ".join(parts)
+
+
+def names_of_solves(records: Sequence[Record]) -> list[str]:
+    """Example and formulation of each record, by blocks, with the settings that tell blocks apart."""
+    groups = blocks(records)
+    names = []
+    for block in groups:
+        told, same = [block.example], [other for other in groups if other.example == block.example]
+        for place, text in enumerate(block.settings):
+            alike = [other for other in same if other.settings[place] == text]
+            told += [text] if len(alike) < len(same) else []
+            same = alike
+        names += [", ".join([*told, label(record)]) for record in block.records]
+    return names
 
 
 def delta_text(delta: Any) -> str:

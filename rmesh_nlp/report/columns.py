@@ -113,13 +113,18 @@ def _sum_of_errors(record: Record) -> str:
 
 def _two(first: str, second: str) -> str:
     """A LaTeX heading of two lines."""
-    return rf"\shortstack[r]{{{first}\\ {{{second}}}}}"
+    return rf"\begin{{tabular}}[b]{{@{{}}r@{{}}}}{first}\\ {{{second}}}\end{{tabular}}"
 
 
-def _gain_in_per_cent(record: Record) -> str:
-    """The audited gain in per cent of the audited energy on the given mesh."""
-    gain, initial = record.get("gain_audited"), record.get("energy_initial_audited")
-    return MISSING if gain is None or not initial else f"{100 * gain / abs(initial):.3g}"
+def gain_in_per_cent(record: Record) -> float | None:
+    """The fall of the audited energy in per cent of its size on the given mesh."""
+    before, after = record.get("energy_initial_audited"), record.get("energy_audited")
+    return None if after is None or not before else 100 * (before - after) / abs(before)
+
+
+def _gain(record: Record) -> str:
+    gain = gain_in_per_cent(record)
+    return MISSING if gain is None else f"{gain:.2f}" if abs(gain) < 1000 else f"{gain:.3g}"
 
 
 def _bound(name: str, side: str) -> Callable[[Record], str]:
@@ -135,77 +140,102 @@ def _bound(name: str, side: str) -> Callable[[Record], str]:
     return cell
 
 
-STRATEGY = Column("strategy", "strategy", label)
+def _energy(name: str) -> Callable[[Record], str]:
+    """Six decimals, or seven digits where an energy is very large or very small."""
+
+    def cell(record: Record) -> str:
+        value = record.get(name)
+        if value is None:
+            return MISSING
+        return f"{value:.6f}" if value == 0 or 1e-3 <= abs(value) < 1e3 else f"{value:.7g}"
+
+    return cell
+
+
+def _time(record: Record) -> str:
+    """Wall time of build, solve and audit."""
+    value = record.get("wall_time_s")
+    return MISSING if value is None else f"{value:.2g}" if value < 10 else f"{value:.0f}"
+
+
+FORMULATION = Column("formulation", "formulation", label)
+
+MAIN = (
+    FORMULATION,
+    Column("J given", _two("$J$", "given"), _energy("energy_initial_audited")),
+    Column("J relocated", _two("$J$", "relocated"), _energy("energy_audited")),
+    Column("gain [%]", _two("gain", r"[\%]"), _gain),
+    Column("iterations", "iterations", _number("iterations", "d")),
+    Column("contact solves", _two("contact", "solves"), _number("contact_solves", "d")),
+    Column("time [s]", _two("time", "[s]"), _time),
+    Column("status", "status", _text("status")),
+)
+"""What a first reader wants to know: audited energies, work and how each solve ended."""
 
 ENERGIES = (
-    STRATEGY,
-    Column("J initial", _two("$J$", "initial"), _number("energy_initial", ".6f")),
-    Column("J final", _two("$J$", "final"), _number("energy", ".6f")),
-    Column("audited initial", _two("audited", "initial"), _number("energy_initial_audited", ".6f")),
-    Column("audited final", _two("audited", "final"), _number("energy_audited", ".6f")),
-    Column("audited gain", _two("audited", "gain"), _number("gain_audited", ".6f")),
-    Column("gain [%]", _two("gain", r"[\%]"), _gain_in_per_cent),
+    FORMULATION,
+    Column("J given, own rule", _two("$J$ given,", "own rule"), _energy("energy_initial")),
+    Column("J relocated, own rule", _two("$J$ relocated,", "own rule"), _energy("energy")),
     Column("u min", r"$u_{\min}$", _number("u_min", ".4g")),
     Column("u max", r"$u_{\max}$", _number("u_max", ".4g")),
-    Column("least area", _two("least", "area"), _number("min_area_ratio", ".3f")),
+    Column("least area ratio", _two("least", "area ratio"), _number("min_area_ratio", ".3f")),
 )
-"""Energies by the rule of the problem and by that of the audit, whose gain is what counts; extremes of the
-displacement; least element area over its initial one."""
+"""Energies by the rule of the problem, extremes of the displacement, least area over the given one."""
 
 COSTS = (
-    STRATEGY,
+    FORMULATION,
     Column("start", "start", _text("start")),
-    Column("iterations", "iter.", _number("iterations", "d")),
-    Column("contact solves, cold + warm", _two("contact", "solves"), _solves),
-    Column("factorisations, contact; KKT", _two("factor-", "isations"), _factorisations),
+    Column("contact solves, cold + warm", _two("contact solves,", "cold + warm"), _solves),
+    Column("factorisations, contact; KKT", _two("factorisations,", "contact; KKT"), _factorisations),
     Column("build [s]", _two("build", "[s]"), _seconds("build")),
     Column("solve [s]", _two("solve", "[s]"), _seconds("solve")),
     Column("audit [s]", _two("audit", "[s]"), _seconds("audit")),
-    Column("build + solve [solves]", _two("cost", "[solves]"), _in_contact_solves),
-    Column("tolerance", "tol.", _number("tolerance", ".0e")),
-    Column("status", "status", _text("status")),
+    Column("cost [contact solves]", _two("cost", "[contact solves]"), _in_contact_solves),
 )
-"""Work by one clock, the audit apart, and how it ended."""
+"""Work by one clock, the audit apart."""
 
 RESIDUALS = (
-    STRATEGY,
-    Column("equilibrium, own", _two("equil.", "own"), _number("own_equilibrium_residual", ".1e")),
-    Column("equilibrium, referee", _two("equil.", "referee"), _number("referee_equilibrium_residual", ".1e")),
-    Column("complementarity, own", _two("compl.", "own"), _number("own_complementarity_residual", ".1e")),
+    FORMULATION,
+    Column("equilibrium, own", _two("equil.,", "own"), _number("own_equilibrium_residual", ".1e")),
     Column(
-        "complementarity, referee",
-        _two("compl.", "referee"),
+        "equilibrium, assessed", _two("equil.,", "assessed"), _number("referee_equilibrium_residual", ".1e")
+    ),
+    Column("complementarity, own", _two("compl.,", "own"), _number("own_complementarity_residual", ".1e")),
+    Column(
+        "complementarity, assessed",
+        _two("compl.,", "assessed"),
         _number("referee_complementarity_residual", ".1e"),
     ),
-    Column("stationarity", "stat.", _number("stationarity_residual", ".1e")),
+    Column("first-order residual", _two("first-", "order"), _number("stationarity_residual", ".1e")),
     Column("biactive", "biactive", lambda record: _count(record.get("biactive_nodes"))),
     Column("label", "label", lambda record: label_in_words(record)),
 )
-"""Residuals of the strategy's own state and of the referee's contact solve on its mesh, and the label."""
+"""Residuals of the formulation's own state and of the assessment's contact solve, and the label."""
 
 COMMON = (
-    STRATEGY,
-    Column("common level", _two("common", "level"), _number("common_objective", ".7g")),
-    Column("cost to level [solves]", _two("cost", "to level"), _cost("cost_to_objective")),
-    Column("common stationarity", _two("common", "stat."), _number("common_stationarity", ".1e")),
-    Column("cost to stationarity [solves]", _two("cost", "to stat."), _cost("cost_to_stationarity")),
-    Column("cost to the end [solves]", _two("cost to", "the end"), _in_contact_solves),
+    FORMULATION,
+    Column("J reached by all", _two("$J$ reached", "by all"), _number("common_objective", ".7g")),
+    Column("cost to that J", _two("cost to", "that $J$"), _cost("cost_to_objective")),
+    Column(
+        "residual reached by all", _two("residual", "reached by all"), _number("common_stationarity", ".1e")
+    ),
+    Column("cost to that residual", _two("cost to", "that residual"), _cost("cost_to_stationarity")),
+    Column("cost to the end", _two("cost to", "the end"), _in_contact_solves),
 )
-"""Cost until the level that all strategies reach, and to the end of each."""
+"""Cost in contact solves until the level that all formulations reach, and to the end of each."""
 
 ERRORS = (
-    STRATEGY,
+    FORMULATION,
     Column("I1", "$I_1$", _number("I1", ".6f")),
     Column("I2", "$I_2$", _number("I2", ".2e")),
     Column("I3", "$I_3$", _number("I3", ".2e")),
     Column("sum", "sum", lambda record: _sum_of_errors(record)),
-    Column("J audited - J exact", _two("$J-J(u)$", "audited"), _number("energy_above_exact", ".6f")),
+    Column("J audited - J exact", _two("$J-J(u)$,", "audited"), _number("energy_above_exact", ".6f")),
 )
 """Theorem 4.1: the three errors, and the difference of the energies that their sum is."""
 
 OBJECTIVES = (
-    STRATEGY,
-    Column("objective", "objective", _text("objective")),
+    FORMULATION,
     Column("initial", "initial", _number("objective_initial", ".6e")),
     Column("final", "final", _number("objective_value", ".6e")),
     Column("biactive", "biactive", lambda record: _count(record.get("biactive_nodes"))),
@@ -216,9 +246,9 @@ OBJECTIVES = (
 
 
 CERTIFICATES = (
-    STRATEGY,
-    Column("lower bound", _two("lower", "bound"), _number("energy_lower_bound", ".6f")),
-    Column("upper bound", _two("upper", "bound"), _number("energy_upper_bound", ".6f")),
+    FORMULATION,
+    Column("lower bound", _two("lower", "bound"), _energy("energy_lower_bound")),
+    Column("upper bound", _two("upper", "bound"), _energy("energy_upper_bound")),
     Column(
         "error before [%]", _two("error before", r"[\%]"), _bound("relative_error_bound_initial", "initial")
     ),
@@ -242,14 +272,26 @@ def body(columns: tuple[Column, ...], block: Block) -> list[list[str]]:
 
 
 def _paper_rows(paper: PaperValues) -> list[list[str]]:
-    before = [f"{paper.energy_initial:.4f}", "", "", "", "", ""]
-    after = [f"{paper.energy_initial:.4f}", f"{paper.energy_final:.4f}", "", "", "", ""]
-    rows = [
-        ["paper, given grid", *before, _optional(paper.u_min_initial), _optional(paper.u_max_initial), ""],
-        ["paper, relocated", *after, _optional(paper.u_min_final), _optional(paper.u_max_final), ""],
+    given, final = f"{paper.energy_initial:.4f}", f"{paper.energy_final:.4f}"
+    return [
+        [
+            "paper, given grid",
+            given,
+            MISSING,
+            _optional(paper.u_min_initial),
+            _optional(paper.u_max_initial),
+            MISSING,
+        ],
+        [
+            "paper, relocated",
+            given,
+            final,
+            _optional(paper.u_min_final),
+            _optional(paper.u_max_final),
+            MISSING,
+        ],
     ]
-    return [[cell or MISSING for cell in row] for row in rows]
 
 
 def _optional(value: float | None) -> str:
-    return "" if value is None else f"{value:.4f}"
+    return MISSING if value is None else f"{value:.4f}"

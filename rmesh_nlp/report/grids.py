@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
@@ -13,12 +14,10 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.io.vtu import Fields
 from rmesh_nlp.problem.units import NO_UNITS, Units, bracketed
+from rmesh_nlp.report.foundations import FAR, displaced, magnification
 from rmesh_nlp.report.style import FOUNDATION, GRID_LINE, MAP, TWO_COLUMNS, new_figure
 
 LEVELS = 16
-LARGEST_DEFORMATION = 0.08
-"""Displacements are drawn no longer than this part of the body's extent."""
-
 BESIDE = 2.1
 """Inches of the width that labels and the colour bar take."""
 
@@ -37,13 +36,11 @@ def grid_figure(panels: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure
     """
     fields = list(panels.values())
     elastic = fields[0].displacement.shape[0] == 2
-    magnification = _magnification(fields)
+    factor = _magnification(fields) if elastic else 1.0
     windows = [_window([field.nodes for field in fields], 0.0)]
     if elastic:
-        moved = [
-            part for field in fields for part in (_moved(field, magnification), _ground(field, magnification))
-        ]
-        windows.append(_window(moved, 0.18))
+        ground = np.concatenate([_ground(field, factor) for field in fields], axis=2)
+        windows.append(_window([ground.reshape(2, -1), *(_moved(field, factor) for field in fields)], 0.18))
     scale = (TWO_COLUMNS - BESIDE) / 2 / max(np.ptp(window[0]) for window in windows)
     heights = [float(np.ptp(window[1])) * scale for window in windows]
     width = TWO_COLUMNS if len(panels) > 1 else (TWO_COLUMNS + BESIDE) / 2
@@ -57,7 +54,7 @@ def grid_figure(panels: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure
         top.triplot(_mesh(field.nodes, field), color="white", linewidth=_line_width(field))
         top.set_title(title)
         if elastic:
-            _deformed(axes[1, column], field, magnification)
+            _deformed(axes[1, column], field, factor, ground)
     bar = figure.colorbar(filled, ax=axes[0, :].tolist(), aspect=10 if elastic else 25, pad=0.02)
     bar.locator = MaxNLocator(5 if elastic else 8)
     bar.update_ticks()
@@ -101,19 +98,16 @@ def _frame(axis: Axes, window: NDArray[np.float64], unit: str, *, first: bool) -
         axis.set_ylabel(f"$x_2${unit}")
 
 
-def _deformed(axis: Axes, field: Fields, magnification: float) -> None:
-    """The grid moved by its magnified displacement, over the foundation.
-
-    The initial distance to the foundation is magnified as well, so that what touches is seen to.
-    """
-    axis.triplot(_mesh(_moved(field, magnification), field), color=GRID_LINE, linewidth=_line_width(field))
-    axis.set_title(f"deformed, displacement × {magnification:g}")
-    if field.contact.any():
-        line = _ground(field, magnification)
-        axis.plot(*line, color=FOUNDATION, linewidth=2.5, solid_capstyle="butt")
+def _deformed(axis: Axes, field: Fields, factor: float, ground: NDArray[np.float64]) -> None:
+    """The grid moved by its magnified displacement, over the foundation (2, 2, edges)."""
+    axis.triplot(_mesh(_moved(field, factor), field), color=GRID_LINE, linewidth=_line_width(field))
+    axis.set_title(f"deformed, u and gap × {factor:g}" if factor > 1 else "deformed, true scale")
+    if ground.size:
+        lines = list(ground.transpose(2, 1, 0))
+        axis.add_collection(LineCollection(lines, color=FOUNDATION, linewidth=2.5, capstyle="round"))
         axis.annotate(
             "rigid foundation",
-            (line[0, 0], line[1, 0]),
+            tuple(ground[:, 0, np.argmin(ground[0, 0])]),
             xytext=(0, -4),
             textcoords="offset points",
             va="top",
@@ -122,15 +116,27 @@ def _deformed(axis: Axes, field: Fields, magnification: float) -> None:
         )
 
 
-def _moved(field: Fields, magnification: float) -> NDArray[np.float64]:
+def _moved(field: Fields, factor: float) -> NDArray[np.float64]:
     """The nodes after the magnified displacement."""
-    return field.nodes + magnification * field.displacement
+    return field.nodes + factor * field.displacement
 
 
-def _ground(field: Fields, magnification: float) -> NDArray[np.float64]:
-    """The foundation below the contact nodes, its distance magnified, from left to right."""
-    ground = (field.nodes + magnification * (field.foundation - field.nodes))[:, field.contact]
-    return ground[:, np.argsort(ground[0])]
+def _way(field: Fields) -> NDArray[np.float64]:
+    """(2, contact nodes) from the contact nodes to the foundation; none if it is too far off to be drawn."""
+    way = (field.foundation - field.nodes)[:, field.contact]
+    far = way.size and np.min(np.linalg.norm(way, axis=0)) > FAR * np.max(np.ptp(field.initial, axis=1))
+    return way[:, :0] if far else way
+
+
+def _ground(field: Fields, factor: float) -> NDArray[np.float64]:
+    """(2, 2, edges) the foundation from node to node of the contact boundary, where it is drawn."""
+    way = _way(field)
+    if not way.size:
+        return np.zeros((2, 2, 0))
+    edges = np.sort(np.hstack([field.triangles[[i, j]] for i, j in ((0, 1), (1, 2), (2, 0))]), axis=0)
+    edges, times = np.unique(edges, axis=1, return_counts=True)
+    edges = edges[:, (times == 1) & np.all(field.contact[edges], axis=0)]
+    return displaced(field.foundation[:, edges], way, factor)
 
 
 def _window(points: Sequence[NDArray[np.float64]], margin: float) -> NDArray[np.float64]:
@@ -156,11 +162,8 @@ def _magnitude(displacement: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _magnification(fields: Sequence[Fields]) -> float:
-    """The largest of 1, 2, 5, 10, ... that keeps displacements small against the body, or less."""
-    largest = max(float(np.max(np.abs(field.displacement))) for field in fields)
+    """By how much displacements are drawn larger than they are."""
     extent = float(np.max(np.ptp(fields[0].initial, axis=1)))
-    if largest == 0:
-        return 1.0
-    wanted = LARGEST_DEFORMATION * extent / largest
-    decade = 10.0 ** np.floor(np.log10(wanted))
-    return float(max(step * decade for step in (1, 2, 5) if step * decade <= wanted))
+    return magnification(
+        [field.displacement for field in fields], [np.hstack([_way(field) for field in fields])], extent
+    )

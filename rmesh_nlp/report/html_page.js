@@ -1,4 +1,6 @@
 "use strict";
+// On paper everything is open.
+window.addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((one) => { one.open = true; }));
 // Sorting: a click on a head sorts by its column, numbers as numbers.
 for (const table of document.querySelectorAll("table.sortable")) {
   const body = table.tBodies[0];
@@ -71,7 +73,7 @@ if (viewer) {
       }
     });
     low.textContent = field.value + " " + least.toPrecision(4); high.textContent = most.toPrecision(4);
-    shown.textContent = t === 0 ? "given mesh" : t === 1 ? "relocated mesh" : Math.round(100 * t) + " % of the way";
+    shown.textContent = Math.round(100 * t) + " %";
     viewer.dataset.drawn = chosen.value + " " + steps + " " + field.value;
   };
   window.addEventListener("beforeprint", () => { printed = true; draw(); });

@@ -19,10 +19,10 @@ from rmesh_nlp import __version__
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.results import ROWS, Record, Result, Results
-from rmesh_nlp.report.blocks import blocks
-from rmesh_nlp.report.columns import MISSING, contact_units
+from rmesh_nlp.report.blocks import blocks, objective_of
+from rmesh_nlp.report.columns import MISSING, contact_units, gain_in_per_cent
 from rmesh_nlp.report.convergence import FLOOR, curve
-from rmesh_nlp.report.notes import LEGEND, notes
+from rmesh_nlp.report.notes import LEGEND, block_notes, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import (
     Chart,
     charts,
@@ -30,6 +30,7 @@ from rmesh_nlp.report.study_summary import (
     is_study,
     strategies_of,
     strategy,
+    study_notes,
     summary_rows,
 )
 from rmesh_nlp.report.svg import Line, line_chart
@@ -39,29 +40,43 @@ REPORT = "report.html"
 CONVERGENCE = 12
 """Most problems whose convergence is on the page."""
 
-COLUMNS: tuple[tuple[str, str, str], ...] = (
+WHICH: tuple[tuple[str, str, str], ...] = (
     ("example", "problem", "s"),
     ("n", "size", "s"),
     ("seed", "seed", "d"),
+)
+COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("status", "status", "s"),
-    ("energy_initial_audited", "J initial, audited", ".6g"),
-    ("energy_audited", "J final, audited", ".6g"),
-    ("gain_audited", "gain, audited", ".4g"),
-    ("u_min", "u min", ".4g"),
-    ("u_max", "u max", ".4g"),
-    ("min_area_ratio", "least area", ".3f"),
+    ("energy_initial_audited", "J given", ".6g"),
+    ("energy_audited", "J relocated", ".6g"),
+    ("gain_per_cent", "gain [%]", ".2f"),
     ("iterations", "iterations", "d"),
     ("contact_solves", "contact solves", "d"),
     ("wall_time_s", "time [s]", ".3g"),
-    ("time_contact_solves", "time [solves]", ".3g"),
+)
+MORE: tuple[tuple[str, str, str], ...] = (
+    ("time_contact_solves", "cost [contact solves]", ".4g"),
+    ("u_min", "u min", ".4g"),
+    ("u_max", "u max", ".4g"),
+    ("min_area_ratio", "least area ratio", ".3f"),
     ("equilibrium_residual", "equilibrium", ".1e"),
     ("complementarity_residual", "complementarity", ".1e"),
-    ("stationarity_residual", "stationarity", ".1e"),
+    ("stationarity_residual", "first-order residual", ".1e"),
     ("stationarity", "label", "s"),
     ("error_bound_initial", "error bound, given", ".3g"),
     ("error_bound", "error bound, relocated", ".3g"),
 )
-"""Entry, heading and format; columns that no row has are left out."""
+"""Entry, heading and format: what tells solves apart, their main table, and a second one. Columns that no row
+has are left out."""
+
+RESIDUALS = (
+    "Cost: time of build and solve over that of one contact solve on the given mesh. Residuals are "
+    "dimensionless: equilibrium and complementarity of an independent contact solve on the relocated mesh, "
+    "and the first-order residual of the outer problem over that on the given mesh."
+)
+
+STARTS = 8
+"""Most starts that are named one by one."""
 
 
 def write_report(folder: Path, results: Sequence[Result], question: str = "", title: str = "") -> Path:
@@ -89,7 +104,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
     drawn = charts(results)
     sections = [
         ("set-up", "Set-up", _setup(records)),
-        ("summary", "Strategies", _summary(records)),
+        ("summary", "Formulations", _summary(records)),
         ("profiles", "Profiles", _profiles(drawn)),
         ("convergence", "Convergence", _convergence(results)),
         ("meshes", "Meshes before and after", viewer(results)),
@@ -119,13 +134,14 @@ def _setup(records: Sequence[Record]) -> str:
     good = sum(record["success"] for record in records)
     refused = sum(record["status"] == "refused" for record in records)
     families = dict.fromkeys(map(family, records))
-    starts = dict.fromkeys("given mesh" if r["seed"] is None else f"seed {r['seed']}" for r in records)
+    starts = list(dict.fromkeys("given mesh" if r["seed"] is None else f"seed {r['seed']}" for r in records))
+    named = ", ".join(starts) if len(starts) <= STARTS else f"{len(starts)}, {starts[0]} to {starts[-1]}"
     entries = {
         "problems": f"{len({(r['example'], r['n']) for r in records})} of {', '.join(families)}",
-        "strategies": ", ".join(dict.fromkeys(map(strategy, records))),
-        "outer objectives": ", ".join(dict.fromkeys(str(r["objective"]) for r in records)),
+        "formulations": ", ".join(dict.fromkeys(map(strategy, records))),
+        "outer objectives": ", ".join(dict.fromkeys(objective_of(r) for r in records)),
         "solves": f"{len(records)}, of which {good} succeeded, {refused} were refused",
-        "starts": ", ".join(starts)[:200],
+        "starts": named,
     }
     return _list(entries)
 
@@ -147,10 +163,22 @@ def _table(
     lines = []
     for i, row in enumerate(rows):
         mark = ' class="failed"' if i < len(failed) and failed[i] else ""
-        cells = "".join(f'<td class="{k}">{escape(cell)}</td>' for k, cell in zip(kind, row, strict=True))
+        cells = "".join(f'<td class="{k}">{_in_lines(cell)}</td>' for k, cell in zip(kind, row, strict=True))
         lines.append(f"<tr{mark}>{cells}</tr>")
     whole = f"<thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody>"
     return f'<div class="wide"><table class="sortable">{whole}</table></div>'
+
+
+def _in_lines(cell: str) -> str:
+    """A cell, a range after its median on a line of its own; long texts may break."""
+    middle, bracket, ends = cell.partition(" [")
+    if bracket and ends.endswith("]"):
+        return f'{escape(middle)} <span class="range">[{escape(ends)}</span>'
+    return f'<span class="long">{escape(cell)}</span>' if len(cell) > LONG else escape(cell)
+
+
+LONG = 40
+"""Characters of a cell that may stand in several lines."""
 
 
 def _profiles(drawn: Sequence[Chart]) -> str:
@@ -175,7 +203,7 @@ def chart_svg(chart: Chart) -> str:
         lines.append(Line(name, at, share, looks[name], steps=True))
     whole = Line("", np.array([np.nan, np.nan]), np.array([0.0, 1.0]))
     svg = line_chart([*lines, whole], chart.title, chart.axis, "share of problems", log_x=chart.logarithmic)
-    return f"<figure>{svg}</figure>"
+    return svg
 
 
 def _convergence(results: Sequence[Result]) -> str:
@@ -202,19 +230,27 @@ def _convergence(results: Sequence[Result]) -> str:
             title = f"{block.title}{what}"
             label = f"|{symbol} - {symbol}*|"
             svg = line_chart(lines, title, "cost [contact solves]", label, log_x=True, log_y=True)
-            parts.append(f"<figure>{svg}</figure>")
+            parts.append(svg)
     more = len(every) - CONVERGENCE
     note = f"The first {CONVERGENCE} problems; {more} more are not drawn." if more > 0 else ""
     return f'<p class="note">{note}</p><div class="charts">{"".join(parts)}</div>' if parts else ""
 
 
 def _solves(records: Sequence[Record]) -> str:
-    rows = [{**record, "time_contact_solves": contact_units(record)} for record in records]
-    columns = [column for column in COLUMNS if any(row.get(column[0]) not in (None, "") for row in rows)]
-    head = ["strategy", *(column[1] for column in columns)]
-    body = [[strategy(row), *(_cell(row.get(name), form) for name, _, form in columns)] for row in rows]
+    rows = [
+        {**record, "time_contact_solves": contact_units(record), "gain_per_cent": gain_in_per_cent(record)}
+        for record in records
+    ]
     failed = [not record["success"] and record["status"] != "refused" for record in records]
-    return _table(head, body, texts=2, failed=failed)
+
+    def table(wanted: tuple[tuple[str, str, str], ...]) -> str:
+        shown = [column for column in wanted if any(row.get(column[0]) not in (None, "") for row in rows)]
+        head = ["formulation", *(name for _, name, _ in shown)]
+        body = [[strategy(row), *(_cell(row.get(name), form) for name, _, form in shown)] for row in rows]
+        return _table(head, body, texts=2, failed=failed)
+
+    more = f"<details><summary>Residuals and more</summary>{table((*WHICH, *MORE))}</details>"
+    return table((*WHICH, *COLUMNS)) + more
 
 
 def _cell(value: Any, form: str) -> str:
@@ -229,11 +265,12 @@ def _failures(records: Sequence[Record]) -> str:
         [strategy(r), str(r["example"]), str(r["n"]), str(r["status"]), str(r.get("message") or "")]
         for r in failed
     ]
-    return _table(["strategy", "problem", "size", "status", "message"], rows, texts=5) if rows else ""
+    return _table(["formulation", "problem", "size", "status", "message"], rows, texts=5) if rows else ""
 
 
 def _notes(records: Sequence[Record]) -> str:
-    found = list(LEGEND) if is_study(records) else notes(records)
+    found = [*LEGEND, RESIDUALS, *units_notes(records), *stopped_early(records)]
+    found += study_notes(records) if is_study(records) else block_notes(records)
     return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in found) + "</ul>"
 
 

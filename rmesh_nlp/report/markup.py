@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 Rows = Sequence[Sequence[str]]
+Groups = Sequence[tuple[str, Rows]]
 
 _NUMBER = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
 _SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
@@ -30,73 +31,112 @@ def markdown_table(head: Sequence[str], rows: Rows) -> str:
     return "\n".join([lines[0], rule, *lines[1:]]) + "\n"
 
 
-COLUMN = 240.0
-"""Points of the width of one of two columns of a printed page."""
+COLUMN, PAGE = 229.0, 345.0
+"""Points of the width of a column of the class ``article`` with two columns, and with one."""
 
-DIGIT = 4.3
-"""Points of a digit in footnote size."""
+LINES = 36
+"""Most lines of one table, so that it fits a page with its caption and notes; a title counts as two."""
 
 GAP = 5.0
 """Points between two columns of a table."""
 
+LABEL = 60.0
+"""Points that the first column keeps at least; longer labels are set in several lines."""
 
-def latex_table(
-    head: Sequence[str], groups: Sequence[tuple[str, Rows]], caption: str, notes: Sequence[str] = ()
-) -> str:
-    r"""A ``table`` with booktabs rules that fits a column; each group has a title over its rows.
 
-    A table that is too wide is split into several below each other, each with the first column.
-    Notes stand below as ``tablenotes`` of ``threeparttable``, no wider than the table.
+def latex_table(head: Sequence[str], groups: Groups, caption: str, notes: Sequence[str] = ()) -> str:
+    r"""Tables with booktabs rules, as wide as a column of the page if they fit, else as wide as the text.
 
-    ``head`` and ``caption`` are LaTeX already, titles, cells and notes are plain text.
+    A ``table`` becomes a ``table*`` if its columns need more than ``COLUMN``; where pages have one column
+    the two are the same. A table of more than ``LINES`` lines is continued in a second one.
+
+    Parameters
+    ----------
+    head : sequence of str
+        LaTeX, as is ``caption``; titles, cells and notes are plain text.
+    groups : sequence of (title, rows)
+        Each title stands over its rows.
+    notes : sequence of str
+        Sentences below the table.
     """
-    lines = [
-        r"\begin{table}[htbp]",
-        r"\centering\footnotesize\setlength{\tabcolsep}{2.5pt}",
-        r"\begin{threeparttable}",
-        rf"\caption{{{caption}}}",
-    ]
-    for number, columns in enumerate(split_columns(head, groups)):
-        lines += [r"", r"\medskip"] if number else []
-        lines += _tabular(head, groups, columns)
-    if notes:
-        # a hyphen before a number is a minus sign
-        items = [re.sub(r"(?<![\w.])-(?=\d)", "$-$", rf"\item {latex_text(note)}") for note in notes]
-        lines += [r"\begin{tablenotes}\scriptsize", *items, r"\end{tablenotes}"]
-    return "\n".join([*lines, r"\end{threeparttable}", r"\end{table}"]) + "\n"
-
-
-def split_columns(head: Sequence[str], groups: Sequence[tuple[str, Rows]]) -> list[list[int]]:
-    """Numbers of the columns of each part that fits ``COLUMN``; the first column is in all."""
     widths = [
-        DIGIT * max(_letters(head[i]), *(len(row[i]) for _, rows in groups for row in rows), 1) + GAP
+        max(_width(line) for line in (*_lines(head[i]), *(row[i] for _, rows in groups for row in rows)))
         for i in range(len(head))
     ]
-    parts: list[list[int]] = [[0]]
-    for i in range(1, len(head)):
-        if sum(widths[k] for k in parts[-1]) + widths[i] > COLUMN and len(parts[-1]) > 1:
-            parts.append([0])
-        parts[-1].append(i)
-    return parts
+    room = PAGE - sum(widths[1:]) - GAP * (len(widths) - 1)
+    first = max(LABEL, room)
+    whole = min(widths[0], first) + PAGE - room
+    place = "table" if whole <= COLUMN else "table*"
+    size = r"\footnotesize" if whole <= PAGE else r"\scriptsize"
+    tables = []
+    for number, part in enumerate(_parts(groups)):
+        lines = [
+            rf"\begin{{{place}}}[tbp]",
+            r"\setlength{\abovecaptionskip}{0pt}\setlength{\belowcaptionskip}{5pt}",
+            rf"\addtocounter{{table}}{{-1}}\caption{{{caption} (continued)}}"
+            if number
+            else rf"\caption{{{caption}}}",
+            rf"\centering{size}\setlength{{\tabcolsep}}{{{GAP / 2:g}pt}}",
+            *_tabular(head, part, first if widths[0] > first else None),
+        ]
+        if notes:
+            # a hyphen before a number is a minus sign
+            said = re.sub(r"(?<![\w.])-(?=\d)", "$-$", " ".join(latex_text(note) for note in notes))
+            lines += [r"\par\smallskip", rf"\parbox{{\linewidth}}{{\scriptsize {said}}}"]
+        tables.append("\n".join([*lines, rf"\end{{{place}}}"]) + "\n")
+    return "\n".join(tables)
 
 
-def _letters(head: str) -> int:
-    """Letters of the longest line of a heading."""
-    lines = re.sub(r"\\shortstack\[r\]|\\(?!\\)\w+|[{}$]", "", head).split(r"\\")
-    return max(len(line.strip()) for line in lines)
+def _parts(groups: Groups) -> Iterator[list[tuple[str, Rows]]]:
+    """The groups in parts of at most ``LINES`` lines; a longer group is continued."""
+    part: list[tuple[str, Rows]] = []
+    left = LINES
+    for title, rows in groups:
+        rest = list(rows)
+        while rest:
+            if part and left < 2 + min(len(rest), LINES - 2):
+                yield part
+                part, left = [], LINES
+            taken, rest = rest[: left - 2], rest[left - 2 :]
+            part.append((title if len(taken) + len(rest) == len(rows) else f"{title} (continued)", taken))
+            left -= 2 + len(taken)
+    if part:
+        yield part
 
 
-def _tabular(head: Sequence[str], groups: Sequence[tuple[str, Rows]], columns: Sequence[int]) -> list[str]:
+def _lines(head: str) -> list[str]:
+    """The lines of a heading without LaTeX's commands."""
+    inside = re.sub(r"\\begin\{tabular\}\[b\]\{@\{\}r@\{\}\}|\\end\{tabular\}", "", head)
+    return re.sub(r"\\(?!\\)\w+|[{}$]", "", inside).split(r"\\")
+
+
+def _width(text: str) -> float:
+    """Points of a cell in footnote size, estimated from above."""
+    text = text.strip()
+    if not _NUMBER.fullmatch(text):
+        return 4.4 * len(text)
+    mantissa, _, exponent = text.lower().partition("e")
+    return 4.3 * len(mantissa) + 2.4 * text.startswith("-") + (17 + 3.8 * len(exponent) if exponent else 0)
+
+
+def _tabular(head: Sequence[str], groups: Groups, first: float | None) -> list[str]:
+    """As wide as the line; labels longer than ``first`` points are set in several lines."""
     lines = [
-        rf"\begin{{tabular}}{{@{{}}l{'r' * (len(columns) - 1)}@{{}}}}",
+        rf"\begin{{tabular*}}{{\linewidth}}{{@{{\extracolsep{{\fill}}}}l{'r' * (len(head) - 1)}@{{}}}}",
         r"\toprule",
-        " & ".join(head[i] for i in columns) + r" \\",
+        " & ".join(head) + r" \\",
     ]
     for title, rows in groups:
-        span = rf"\multicolumn{{{len(columns)}}}{{@{{}}l}}"
-        lines += [r"\midrule", rf"{span}{{\emph{{{latex_title(title)}}}}} \\"]
-        lines += [" & ".join(latex_cell(row[i]) for i in columns) + r" \\" for row in rows]
-    return [*lines, r"\bottomrule", r"\end{tabular}"]
+        # without a width of its own a title does not widen the columns below it
+        text = rf"\raggedright\emph{{{latex_title(title)}}}\strut"
+        box = rf"\makebox[0pt][l]{{\parbox[t]{{\linewidth}}{{{text}}}}}"
+        lines += [r"\midrule", rf"\multicolumn{{{len(head)}}}{{@{{}}l@{{}}}}{{{box}}} \\"]
+        for row in rows:
+            name = latex_cell(row[0])
+            if first is not None and _width(row[0]) > first:
+                name = rf"\parbox[t]{{{first:.0f}pt}}{{\raggedright {name}\strut}}"
+            lines.append(" & ".join([name, *map(latex_cell, row[1:])]) + r" \\")
+    return [*lines, r"\bottomrule", r"\end{tabular*}"]
 
 
 def latex_cell(text: str) -> str:

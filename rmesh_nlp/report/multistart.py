@@ -1,4 +1,4 @@
-"""What random starts say of a strategy: best, median and worst end, and how many failed."""
+"""What random starts say of a formulation: best, median and worst end, and how many failed."""
 
 from __future__ import annotations
 
@@ -6,17 +6,21 @@ from collections.abc import Sequence
 from statistics import median
 
 from rmesh_nlp.io.record_model import Record
-from rmesh_nlp.report.blocks import audited, blocks, label
+from rmesh_nlp.report.blocks import audited, blocks, label, objective_of
 from rmesh_nlp.report.columns import MISSING, contact_units
 
 TITLE = "Several starts"
+CAPTION = (
+    "Ends of solves from several starts: audited energies, or values of another objective. The cost is the "
+    "median of one start."
+)
 
-HEAD = ("strategy", "starts", "best", "median", "worst", "failures", "cost [solves]")
+HEAD = ("formulation", "starts", "best", "median", "worst", "failures", "cost [contact solves]")
 """Ends are audited energies, or values of another objective; the cost is the median of one start."""
 
 
 def multistart_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]]]]:
-    """Per block, a row for each strategy and objective that was solved from two starts or more."""
+    """Per block, a row for each formulation and objective that was solved from two starts or more."""
     found = []
     for block in blocks(records):
         groups: dict[str, list[Record]] = {}
@@ -55,7 +59,7 @@ def _cells(name: str, starts: int, ends: Sequence[float], cost: float | None) ->
 
 
 def _end(record: Record) -> float | None:
-    if record["objective"] == "energy":
+    if objective_of(record) == "energy":
         return audited(record)
     value = record.get("objective_value")
     return None if value is None else float(value)

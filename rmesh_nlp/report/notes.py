@@ -1,4 +1,4 @@
-"""What stands below a table: which printed values of the paper are met, and what failed."""
+"""What stands below the tables: the meaning of columns, how solves ended, which printed values are met."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from rmesh_nlp.examples import PAPER, PaperValues
 from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
 from rmesh_nlp.io.results import Record
+from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import units_of
-from rmesh_nlp.report.blocks import Block, audited, blocks, label
+from rmesh_nlp.report.blocks import Block, audited, blocks, label, objective_of
 
 ROUNDING = 1e-9
 """An energy is below a bound if by more than this part of it."""
@@ -17,47 +18,76 @@ TIED = 1e-8
 """Energies that differ by less than this part of them are one: two solvers' ends of the same minimum."""
 
 LEGEND = (
-    "J is the energy with the example's own quadrature. Audited is that of the contact problem solved "
-    "again with a rule of degree 20, on the given mesh and on the final one: strategies are compared by "
-    "the latter.",
-    "Least area: smallest element area over its initial value. Build + solve [solves]: their time over that "
-    "of one contact solve on the initial mesh, measured in the same run; the audit is no cost.",
-    "Residuals are dimensionless. Own: those of the displacement and contact forces that the strategy "
-    "itself ended with. Referee: those of an independent contact solve on its final mesh; they say how well "
-    "that mesh can be solved on, not how well the strategy did. Stationarity: the first-order residual of "
-    "the outer problem, computed by the referee for every strategy, relative to that on the given mesh. "
-    "Biactive: pairs of gap and contact force that both vanish. Label: the kind of stationarity that was "
-    "computed; S (KKT) is S-stationarity without a biactive pair, which says no more than that the point is "
-    "a KKT point.",
-    "Factorisations: those of the contact solver, and of KKT matrices at least as many as Ipopt took "
-    "iterations; it does not say how often it repeated one. Common level and stationarity: what all "
-    "successful strategies reach, and the cost until each was there first.",
+    "J is the total potential energy of the contact solution on the given and on the relocated mesh, audited "
+    "with quadrature of degree 20. Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.",
 )
+"""What the main table needs to be read."""
+
+DETAILED_LEGEND = (
+    "Own rule: the energy with the quadrature of the problem. Least area ratio: the smallest element area "
+    "over its value on the given mesh.",
+    "Cost: time of build and solve over that of one contact solve on the given mesh, measured in the same "
+    "run. Reached by all: what all successful formulations reach, and the cost until each was there first. "
+    "Factorisations of KKT matrices: at least as many as Ipopt took iterations.",
+    "Residuals are dimensionless. Own: of the displacement and contact forces that the formulation ended "
+    "with. Assessed: of an independent contact solve on its mesh. First-order residual: of the outer "
+    "problem, over that on the given mesh. Biactive: pairs of gap and contact force that both vanish. "
+    "Label: the stationarity that was computed; S (KKT) is S-stationarity without a biactive pair, that is, "
+    "a KKT point.",
+)
+"""What the other tables need."""
 
 
-def notes(records: Sequence[Record]) -> list[str]:
-    """All notes to the tables of these records."""
-    found = list(LEGEND)
+def main_notes(records: Sequence[Record]) -> list[str]:
+    """What is needed to read the main table: meaning of its columns, units, and how solves ended."""
+    found = [*LEGEND, *units_notes(records)]
     for block in blocks(records):
-        found += units_note(block)
+        found += below_infimum(block)
+    return [*found, *stopped_early(records), *failures(records)]
+
+
+def failures(records: Sequence[Record]) -> list[str]:
+    """Why solves did not succeed."""
+    return [
+        f"{block.example}, {label(record)}: {record['status']}: {record.get('message', '')}"
+        for block in blocks(records)
+        for record in block.records
+        if not record["success"]
+    ]
+
+
+def detailed_notes(records: Sequence[Record]) -> list[str]:
+    """What is needed to read the other tables, and what they show."""
+    return [*DETAILED_LEGEND, *block_notes(records)]
+
+
+def block_notes(records: Sequence[Record]) -> list[str]:
+    """What the records show: impossible energies, printed values that are met, stick zones, a ranking."""
+    found = []
+    for block in blocks(records):
+        found += below_infimum(block)
         found += paper_notes(block)
         found += stick_zone(block)
         found += ranking(block)
-        found += below_infimum(block)
-        found += [
-            f"{block.example}, {label(record)}: {record['status']}: {record.get('message', '')}"
-            for record in block.records
-            if not record["success"]
-        ]
     return found
 
 
-def units_note(block: Block) -> list[str]:
-    """The units of u and J where the problem names its own."""
-    units = units_of(block.records[0].get("units"))
-    if not (units.length and units.force):
-        return []
-    return [f"{block.name}: u in {units.length}, J in {units.force}, the energy per {units.length} of depth."]
+def stopped_early(records: Sequence[Record]) -> list[str]:
+    """What a success is whose status is not "converged"."""
+    early = [str(record["status"]) for record in records if record["success"]]
+    names = sorted({status for status in early if status != Status.CONVERGED.value})
+    return [f"{', '.join(names)}: a success that is {NOT_STATIONARY_YET}."] if names else []
+
+
+def units_notes(records: Sequence[Record]) -> list[str]:
+    """The units of u and J of the problems that name theirs."""
+    named: dict[str, list[str]] = {}
+    for block in blocks(records):
+        units = units_of(block.records[0].get("units"))
+        if units.length and units.force:
+            text = f"u in {units.length}, J in {units.force}, the energy per {units.length} of depth."
+            named.setdefault(text, []).append(block.name)
+    return [f"{', '.join(dict.fromkeys(names))}: {text}" for text, names in named.items()]
 
 
 def stick_zone(block: Block) -> list[str]:
@@ -72,8 +102,8 @@ def stick_zone(block: Block) -> list[str]:
 
 
 def ranking(block: Block) -> list[str]:
-    """The successful strategies by audited energy, of those that minimised it."""
-    rows = [record for record in block.succeeded if record["objective"] == "energy"]
+    """The successful formulations by audited energy, of those that minimised it."""
+    rows = [record for record in block.succeeded if objective_of(record) == "energy"]
     if len(rows) < 2:
         return []
     places: list[tuple[float, list[str]]] = []
@@ -140,9 +170,9 @@ def _initial(block: Block, paper: PaperValues) -> list[str]:
 
 
 def _final(block: Block, paper: PaperValues) -> list[str]:
-    moved = [r for r in block.succeeded if r["formulation"] != "fixed" and r["objective"] == "energy"]
+    moved = [r for r in block.succeeded if r["formulation"] != "fixed" and objective_of(r) == "energy"]
     if not moved:
-        return ["no strategy relocated the grid here, so the printed final energy is not compared."]
+        return ["no formulation relocated the grid here, so the printed final energy is not compared."]
     lowest = min(record["energy"] for record in moved)
     best = next(record for record in moved if _tied(record["energy"], lowest))
     ours = f"the lowest here is {best['energy']:.6f} ({label(best)})"

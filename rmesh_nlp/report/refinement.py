@@ -7,8 +7,12 @@ from collections.abc import Sequence
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label
 
-HEAD = ("mesh", "strategy", "nodes", "J audited", "gain", "time [s]")
+HEAD = ("mesh", "formulation", "nodes", "J audited", "gain", "time [s]")
 TITLE = "Relocation against uniform refinement"
+CAPTION = (
+    "Relocation against uniform refinement: audited energies $J$ and gains over the given mesh, with the "
+    "wall time of each solve."
+)
 
 
 def refinement_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]]]]:
@@ -50,7 +54,7 @@ def refinement_notes(records: Sequence[Record]) -> list[str]:
         best = min(moved, key=lambda record: record["energy_audited"])
         gain, other = start - best["energy_audited"], start - finer[0]["energy_audited"]
         if gain <= 0:
-            notes.append(f"{name}: no strategy gained on the given mesh.")
+            notes.append(f"{name}: no formulation gained on the given mesh.")
             continue
         times = finer[0]["wall_time_s"] / best["wall_time_s"]
         notes.append(

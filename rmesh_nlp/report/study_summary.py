@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.io.results import Record, Result
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label
+from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label, objective_of
 from rmesh_nlp.report.columns import MISSING, contact_units, seconds_of_work
 from rmesh_nlp.report.convergence import curve
-from rmesh_nlp.report.markup import markdown_table
 from rmesh_nlp.report.profiles import (
     Profile,
     cost_of_gain,
@@ -21,6 +20,18 @@ from rmesh_nlp.report.profiles import (
     performance_profiles,
     quality_profiles,
 )
+
+MAIN = (
+    "family",
+    "formulation",
+    "solves",
+    "success",
+    "converged",
+    "gain [%]",
+    "contact solves",
+    "build + solve [s]",
+)
+"""Columns of the short table of a study."""
 
 LEVELS = (0.9, 0.99, 0.999)
 """Parts of the best gain for data profiles."""
@@ -74,13 +85,13 @@ def is_study(records: Sequence[Record]) -> bool:
 def instance(record: Record) -> Instance:
     """What has to agree for two strategies to have solved the same."""
     # a strategy without a seed, and one that failed before it had a box, still solve the instance
-    return str(record["example"]), str(record["n"]), str(record["objective"])
+    return str(record["example"]), str(record["n"]), objective_of(record)
 
 
 def summary_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table by family and strategy; repetitions are joined by medians."""
-    head = ["family", "strategy", "solves", "success", "converged", "audited gain [%]", "of best [%]"]
-    head += ["iterations", "contact solves", "build + solve [s]", "build + solve [solves]"]
+    head = ["family", "formulation", "solves", "success", "converged", "gain [%]", "of best [%]"]
+    head += ["iterations", "contact solves", "build + solve [s]", "cost [contact solves]"]
     best = _best_gain(records)
     groups: dict[tuple[str, str], list[Record]] = {}
     for record in records:
@@ -100,7 +111,7 @@ def summary_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]
         ):
             cells.append(_range([record[entry] for record in good], form))
         cells.append(_range([seconds_of_work(record) for record in good], "{:.3g}"))
-        cells.append(_range([contact_units(record) for record in good], "{:.3g}"))
+        cells.append(_range([contact_units(record) for record in good], "{:.4g}"))
         rows.append(cells)
     return head, rows
 
@@ -110,23 +121,37 @@ def _rank(record: Record) -> tuple[bool, str]:
     return record["formulation"] != RELOCATING_NOTHING, strategy(record)
 
 
-def summary_markdown(records: Sequence[Record]) -> str:
-    """The table of :func:`summary_rows` as Markdown, with what its cells mean."""
+def median_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the columns of :func:`summary_rows` that a first reader needs, without ranges."""
     head, rows = summary_rows(records)
+    places = [head.index(name) for name in MAIN]
+    return [head[i] for i in places], [[row[i].split(" [")[0] for i in places] for row in rows]
+
+
+DETAILS = (
+    "Medians over successful solves, in brackets their range. Of best: the gain over the largest one of any "
+    "formulation on that problem. Cost: time of build and solve over that of one contact solve on the given "
+    "mesh."
+)
+"""What the columns of :func:`summary_rows` mean."""
+
+
+def study_notes(records: Sequence[Record]) -> list[str]:
+    """What is needed to read the tables of a study."""
     refused = sum(record["status"] == "refused" for record in records)
     shared = sum(bool(record.get("shared")) for record in records)
-    notes = [
-        "Medians over successful solves, in brackets their range. Audited gain: fall of the audited energy "
-        "over its initial size. Of best: over the largest audited gain of any strategy on that problem.",
+    found = [
+        "Medians over successful solves. Gain: fall of the audited energy in per cent of its size on the "
+        "given mesh.",
     ]
     if refused:
-        notes.append(f"{refused} solves were refused, since the strategy does not take the objective.")
+        found.append(f"{refused} solves were refused, since the formulation does not take the objective.")
     if shared:
-        notes.append(
-            f"{shared} of {len(records)} solves shared their core with something: compare their times in "
-            "contact solves, measured beside each of them."
+        found.append(
+            f"{shared} of {len(records)} solves shared their core with something: compare their costs in "
+            "contact solves, which were measured beside each of them."
         )
-    return markdown_table(head, rows) + "\n" + "".join(f"- {note}\n" for note in notes)
+    return found
 
 
 def charts(results: Sequence[Result]) -> list[Chart]:

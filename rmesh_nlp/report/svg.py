@@ -14,10 +14,8 @@ from rmesh_nlp.report.style import look
 
 Array = NDArray[np.float64]
 
-WIDTH, HEIGHT = 480, 300
-LEFT, RIGHT, TOP, BOTTOM = 58, 12, 26, 44
-TITLE = 54
-"""Characters of a title that fit above a chart."""
+WIDTH, HEIGHT = 480, 284
+LEFT, RIGHT, TOP, BOTTOM = 64, 24, 8, 46
 
 DASHES = {"-": "", "--": "7 4", "-.": "8 3 2 3", ":": "2 3"}
 
@@ -46,43 +44,38 @@ class Line:
 def line_chart(
     lines: Sequence[Line], title: str, x_label: str, y_label: str, *, log_x: bool = False, log_y: bool = False
 ) -> str:
-    """An ``<svg>`` with axes, the curves and their names."""
+    """A ``<figure>``: an ``<svg>`` with axes and curves, its title above and the names of curves below.
+
+    Title and names are text of the page, which breaks lines where they do not fit.
+    """
     x_axis = _Axis([line.x for line in lines], log_x, LEFT, WIDTH - RIGHT)
     y_axis = _Axis([line.y for line in lines], log_y, HEIGHT - BOTTOM, TOP)
     parts = [
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT + 18 * math.ceil(len(lines) / 3)}" role="img" '
-        f'aria-label="{escape(title)}" class="chart">',
-        f'<text x="{LEFT}" y="16" class="title">{escape(_short(title))}<title>{escape(title)}</title></text>',
+        f"<figure><figcaption>{escape(title)}</figcaption>"
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}" class="chart">',
     ]
     for value, text in x_axis.ticks():
         at = x_axis.place(value)
         parts.append(f'<line x1="{at:.1f}" x2="{at:.1f}" y1="{TOP}" y2="{HEIGHT - BOTTOM}" class="grid"/>')
-        parts.append(f'<text x="{at:.1f}" y="{HEIGHT - BOTTOM + 15}" text-anchor="middle">{text}</text>')
+        parts.append(f'<text x="{at:.1f}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{text}</text>')
     for value, text in y_axis.ticks():
         at = y_axis.place(value)
         parts.append(f'<line x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{at:.1f}" y2="{at:.1f}" class="grid"/>')
         parts.append(f'<text x="{LEFT - 5}" y="{at + 4:.1f}" text-anchor="end">{text}</text>')
     middle = (LEFT + WIDTH - RIGHT) / 2
-    parts.append(f'<text x="{middle}" y="{HEIGHT - 10}" text-anchor="middle">{escape(x_label)}</text>')
+    parts.append(f'<text x="{middle}" y="{HEIGHT - 8}" text-anchor="middle">{escape(x_label)}</text>')
     height = (TOP + HEIGHT - BOTTOM) / 2
     parts.append(
         f'<text transform="translate(13 {height}) rotate(-90)" text-anchor="middle">{escape(y_label)}</text>'
     )
-    for number, line in enumerate(lines):
+    names = []
+    for line in (line for line in lines if line.name):
         style = look(line.look)
         pen = f'stroke="{style.color}" stroke-dasharray="{DASHES[style.linestyle]}" class="curve"'
-        if not line.name:
-            continue
         parts.append(f'<path d="{_path(line, x_axis, y_axis)}" {pen}/>')
-        x, y = LEFT + (number % 3) * 140, HEIGHT + 10 + 18 * (number // 3)
-        parts.append(f'<path d="M{x} {y}h26" {pen}/>')
-        parts.append(f'<text x="{x + 31}" y="{y + 4}">{escape(line.name[:20])}</text>')
-    return "".join([*parts, "</svg>"])
-
-
-def _short(title: str) -> str:
-    """A title that fits above the chart; the whole of it is shown on hover."""
-    return title if len(title) <= TITLE else title[: TITLE - 1].rstrip(" ,") + "…"
+        sample = f'<svg viewBox="0 0 26 8" class="sample"><path d="M0 4h26" {pen}/></svg>'
+        names.append(f"<li>{sample}{escape(line.name)}</li>")
+    return "".join([*parts, f'</svg><ul class="legend">{"".join(names)}</ul></figure>'])
 
 
 class _Axis:

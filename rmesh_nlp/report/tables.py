@@ -2,98 +2,164 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from types import ModuleType
 
 import pandas as pd
 
 from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import TABLES, Results
-from rmesh_nlp.report import multistart
-from rmesh_nlp.report.blocks import blocks
+from rmesh_nlp.report import multistart, refinement, study_summary
+from rmesh_nlp.report.blocks import Block, blocks, names_of_solves, objective_of
 from rmesh_nlp.report.columns import (
     CERTIFICATES,
     COMMON,
     COSTS,
     ENERGIES,
     ERRORS,
+    MAIN,
     OBJECTIVES,
     RESIDUALS,
     Column,
     body,
     contact_units,
 )
-from rmesh_nlp.report.markup import latex_table, latex_text, markdown_table
-from rmesh_nlp.report.notes import notes
-from rmesh_nlp.report.refinement import HEAD, TITLE, refinement_notes, refinement_rows
-from rmesh_nlp.report.study_summary import is_study, summary_markdown, summary_rows
+from rmesh_nlp.report.markup import Groups, latex_table, latex_text, markdown_table
+from rmesh_nlp.report.notes import detailed_notes, main_notes, stopped_early, units_notes
+from rmesh_nlp.report.study_summary import (
+    is_study,
+    median_rows,
+    study_notes,
+    summary_rows,
+)
+
+DETAILS = "## Details"
+"""What stands below this line is in ``table.md``, and printed with ``--verbose`` only."""
 
 CAPTIONS = {
-    ENERGIES: r"Energies and extremes of the displacement; the paper truncates its digits.",
-    COSTS: r"Work by one clock: building the programs, solving them, and the audit, which is not a cost.",
-    COMMON: r"Cost to the audited energy, or other objective, and to the first-order residual that all "
-    r"strategies reach.",
-    RESIDUALS: r"Residuals of each strategy's own state, and of the referee's contact solve on its mesh.",
-    ERRORS: r"Theorem 4.1: errors in energy, contact and friction, and the energy above the exact one.",
-    OBJECTIVES: r"Outer objectives.",
+    MAIN: r"Relocation by each formulation. $J$ is the total potential energy of the contact solution on "
+    r"the given and on the relocated mesh, both with quadrature of degree 20; the gain is in per cent of "
+    r"$|J|$ on the given mesh. Times are wall times of build, solve and audit.",
+    ENERGIES: r"Energies by the quadrature rule of the problem, extremes of the displacement $u$, and the "
+    r"least element area over the given one.",
+    COMMON: r"Cost, in contact solves on the given mesh, until each formulation reached what all of them "
+    r"reach: an energy or other objective, and a first-order residual.",
+    RESIDUALS: r"Dimensionless residuals of equilibrium and complementarity, of the state that the "
+    r"formulation ended with and of an independent contact solve on its mesh, and the first-order residual "
+    r"of the outer problem over that on the given mesh.",
+    ERRORS: r"Theorem 4.1: errors in energy ($I_1$), contact ($I_2$) and friction ($I_3$), and the energy "
+    r"above the exact one.",
+    OBJECTIVES: r"Outer objectives other than the energy.",
     CERTIFICATES: r"Bounds of the least energy, and of the error in the energy norm in per cent of the norm.",
 }
+"""The tables that LaTeX has; the others are in ``table.md`` and ``table.csv``."""
+
+WANTED: dict[tuple[Column, ...], Callable[[Record], bool]] = {
+    COMMON: lambda record: record.get("common_objective") is not None,
+    ERRORS: lambda record: record.get("I1") is not None,
+    OBJECTIVES: lambda record: objective_of(record) != "energy",
+    CERTIFICATES: lambda record: "certificate_remark" in record,
+}
+"""Tables that a block of records has only where one of its records asks for it."""
 
 
 def markdown(records: Sequence[Record]) -> str:
-    """Tables of each example, and the notes."""
+    """The short tables of :func:`short_markdown`, and below ``DETAILS`` all others."""
+    return f"{short_markdown(records)}\n{DETAILS}\n\n{_details(records)}"
+
+
+def short_markdown(records: Sequence[Record]) -> str:
+    """One row per solve, what else was asked for, and what is needed to read it."""
     if is_study(records):
-        return f"# Study\n\n{summary_markdown(records)}"
-    parts = ["# Comparison of strategies\n"]
+        return f"# Study\n\n{markdown_table(*median_rows(records))}\n{_items(study_notes(records))}"
+    parts = [
+        "# Comparison of formulations\n",
+        main_table(records) if records else "No solve has ended yet.\n",
+    ]
+    for columns in (OBJECTIVES, CERTIFICATES):
+        for block in _having(columns, records):
+            parts += [f"### {block.title}\n", markdown_table(_heads(columns), body(columns, block))]
+    for module, groups in _joined(records):
+        for name, rows in groups:
+            parts.append(f"## {module.TITLE}: {name}\n\n{markdown_table(module.HEAD, rows)}")
+    parts.append(_items([*refinement.refinement_notes(records), *main_notes(records)]))
+    return "\n".join(parts)
+
+
+def main_table(records: Sequence[Record]) -> str:
+    """Audited energies, work and status, one row per solve."""
+    solved = [row for block in blocks(records) for row in body(MAIN, block)]
+    named = [[name, *row[1:]] for name, row in zip(names_of_solves(records), solved, strict=True)]
+    return markdown_table(["solve", *_heads(MAIN)[1:]], named)
+
+
+def _details(records: Sequence[Record]) -> str:
+    """Everything else that is known, and what of it means what."""
+    if is_study(records):
+        return f"{markdown_table(*summary_rows(records))}\n- {study_summary.DETAILS}\n"
+    parts = []
     for block in blocks(records):
-        parts.append(f"## {block.title}\n")
-        parts += [
-            markdown_table([column.head for column in columns], body(columns, block))
-            for columns in _tables(block.records)
-        ]
-    for name, rows in multistart.multistart_rows(records):
-        parts.append(f"## {multistart.TITLE}: {name}\n")
-        parts.append(markdown_table(multistart.HEAD, rows))
-    for name, rows in refinement_rows(records):
-        parts.append(f"## {TITLE}: {name}\n")
-        parts.append(markdown_table(HEAD, rows))
-    parts += [f"{note}\n" for note in refinement_notes(records)]
-    if not records:
-        parts.append("No solve has ended yet.\n")
-    parts.append("## Notes\n")
-    parts.append("".join(f"- {note}\n" for note in notes(records)))
+        parts.append(f"### {block.title}\n")
+        for columns in (ENERGIES, COSTS, COMMON, RESIDUALS, ERRORS):
+            if _having(columns, block.records):
+                parts.append(markdown_table(_heads(columns), body(columns, block)))
+    parts.append(f"### Notes\n\n{_items(detailed_notes(records))}")
     return "\n".join(parts)
 
 
 def latex(records: Sequence[Record]) -> str:
-    r"""One ``table`` per kind, examples below each other, each as wide as a column of a page at most.
+    r"""Tables of at most eight columns, examples below each other; needs ``\usepackage{booktabs}``.
 
-    Needs ``\usepackage{booktabs,threeparttable}``. The notes stand below the last table.
+    What has no place in them is in ``table.md`` and ``table.csv``.
     """
-    parts = ["% made by rmesh table; needs \\usepackage{booktabs,threeparttable}\n"]
+    parts = ["% made by rmesh table; needs \\usepackage{booktabs}\n"]
     if is_study(records):
-        head, rows = summary_rows(records)
-        caption = "Medians over successful solves, in brackets their range; failures count as failures."
-        joined = [[f"{row[0]}, {row[1]}", *row[2:]] for row in rows]  # wide tables repeat one column only
-        names = ["family, strategy", *map(latex_text, head[2:])]
-        return parts[0] + latex_table(names, [("medians", joined)], caption)
-    tables = [
-        ([column.tex for column in columns], [(b.title, body(columns, b)) for b in blocks(records)], columns)
-        for columns in _tables(records)
-    ]
-    finer = refinement_rows(records)
-    said = [latex_text(note) for note in refinement_notes(records)]
-    for head, groups, columns in tables:
-        last = columns is tables[-1][2]
-        below = notes(records) if last else ()
-        parts.append(latex_table(head, groups, CAPTIONS[columns], below))
-    several = multistart.multistart_rows(records)
-    if several:
-        parts.append(latex_table(multistart.HEAD, several, f"{multistart.TITLE}."))
-    if finer:
-        parts.append(latex_table(HEAD, finer, " ".join([f"{TITLE}.", *said])))
+        head, rows = median_rows(records)
+        families = dict.fromkeys(row[0] for row in rows)
+        groups = [(name, [row[1:] for row in rows if row[0] == name]) for name in families]
+        names = [latex_text(cell) for cell in head[1:]]
+        return parts[0] + latex_table(names, groups, "Results of the study.", study_notes(records))
+    parts += [latex_table(*table) for table in _latex_tables(records)]
     return "\n".join(parts)
+
+
+def _latex_tables(records: Sequence[Record]) -> Iterator[tuple[list[str], Groups, str, Sequence[str]]]:
+    """Heads, rows, caption and notes of each."""
+    units = units_notes(records)
+    printed = ["The paper truncates its digits."] if any(block.paper for block in blocks(records)) else []
+    below = {MAIN: [*units, *stopped_early(records)], ENERGIES: [*printed, *units]}
+    for columns, caption in CAPTIONS.items():
+        own = [(block.title, body(columns, block)) for block in _having(columns, records)]
+        if own:
+            yield [column.tex for column in columns], own, caption, below.get(columns, ())
+    for module, groups in _joined(records):
+        said = refinement.refinement_notes(records) if module is refinement else ()
+        yield [latex_text(cell) for cell in module.HEAD], groups, module.CAPTION, said
+
+
+def _joined(records: Sequence[Record]) -> list[tuple[ModuleType, Groups]]:
+    """The tables whose rows join several records: those of several starts, and of several meshes."""
+    joined: list[tuple[ModuleType, Groups]] = [
+        (multistart, multistart.multistart_rows(records)),
+        (refinement, refinement.refinement_rows(records)),
+    ]
+    return [(module, groups) for module, groups in joined if groups]
+
+
+def _having(columns: tuple[Column, ...], records: Sequence[Record]) -> list[Block]:
+    """The blocks with a record that asks for these columns."""
+    wanted = WANTED.get(columns, lambda _: True)
+    return [block for block in blocks(records) if any(wanted(record) for record in block.records)]
+
+
+def _heads(columns: tuple[Column, ...]) -> list[str]:
+    return [column.head for column in columns]
+
+
+def _items(notes: Sequence[str]) -> str:
+    return "".join(f"- {note}\n" for note in notes)
 
 
 def frame(records: Sequence[Record]) -> pd.DataFrame:
@@ -111,8 +177,8 @@ def frame(records: Sequence[Record]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def write_tables(records: Sequence[Record], folder: Path) -> str:
-    """Write ``table.md``, ``table.tex`` and ``table.csv``; returns the Markdown.
+def write_tables(records: Sequence[Record], folder: Path) -> None:
+    """Write ``table.md``, ``table.tex`` and ``table.csv``.
 
     Raises
     ------
@@ -120,26 +186,9 @@ def write_tables(records: Sequence[Record], folder: Path) -> str:
         If a file of one of these names is there that this package did not write.
     """
     Results(folder).manifest.claim(*TABLES)
-    text = markdown(records)
     for name, content in (
-        ("table.md", text),
+        ("table.md", markdown(records)),
         ("table.tex", latex(records)),
         ("table.csv", frame(records).to_csv(index=False)),
     ):
         write_text(folder / name, content)
-    return text
-
-
-def _tables(records: Sequence[Record]) -> list[tuple[Column, ...]]:
-    """The tables these records need: those of outer objectives and certificates only where there are any."""
-    kinds: list[tuple[Column, ...]] = [ENERGIES, COSTS]
-    if any(record.get("common_objective") is not None for record in records):
-        kinds.append(COMMON)
-    kinds.append(RESIDUALS)
-    if any(record.get("I1") is not None for record in records):
-        kinds.append(ERRORS)
-    if any(record["objective"] != "energy" for record in records):
-        kinds.append(OBJECTIVES)
-    if any("certificate_remark" in record for record in records):
-        kinds.append(CERTIFICATES)
-    return kinds

@@ -16,7 +16,7 @@ from rmesh_nlp.assessment.assessor import Audit
 from rmesh_nlp.assessment.verdict import Measured
 from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.status import Status, success_in_words
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.multipliers import Multipliers
 from rmesh_nlp.solution import plotting
@@ -236,7 +236,7 @@ class Solution:
         audit, motion = self.audit, np.linalg.norm(self.mesh.p - self.initial_nodes, axis=0)
         rows = [
             ("status", f"{self.status.value}: {self.message}"),
-            ("success", "yes" if self.success else "no"),
+            ("success", success_in_words(self.success, self.status)),
             ("audited energy on the given mesh", figure(self.energy_initial_audited)),
             ("audited energy", figure(audit.energy_audited)),
             ("audited gain", _gain(self.gain_audited, self.energy_initial_audited)),

@@ -6,7 +6,7 @@ TEMPLATE = """# A study for rmesh: every problem by every strategy, one row each
 # Run the last command again at any moment: it goes on where it was.
 
 name = "{name}"
-question = "Which strategy lowers the energy most, and at what cost?"
+question = "How far does relocation lower the energy, and at what cost?"
 
 # --- problems -------------------------------------------------------------------------------
 examples = ["6.1"]               # of the paper: "6.1", "6.2", "6.3"
@@ -14,10 +14,12 @@ sizes = [4, 6]                   # squares per side, or "12x6"; or {{ "6.1" = [8
 # files = ["my.toml"]            # problem files, relative to this one
 random = {{ seed = 0, count = 4 }} # random contact problems, of
 #                                  kinds = ["scalar", "membrane", "elastic", "rough"]
-quadrature = "midpoint"          # of the examples: "midpoint", or a degree such as 6
+quadrature = 8                   # of the examples: a degree, or "midpoint", the paper's rule, whose error
+#                                  relocation can exploit on coarse meshes: such a row is no success
 
 # --- what is varied -------------------------------------------------------------------------
-strategies = ["fixed", "joint"]
+strategies = ["fixed", "auto"]   # or nested, joint, mpcc, which do as they are told: over a curved
+#                                  foundation auto lets gaps hold along edges, they hold them at nodes only
 # or with settings, each under a name of its own:
 #   [strategies.newton]
 #   formulation = "nested"

@@ -33,23 +33,8 @@ def run(*arguments: str) -> int:
 
 
 def test_solve_writes_record_solution_and_history() -> None:
-    assert (
-        run(
-            "solve",
-            "6.1",
-            "--formulation",
-            "joint",
-            "--n",
-            "4",
-            "--delta",
-            "0.05",
-            "--quadrature",
-            "6",
-            "--out",
-            "one",
-        )
-        == 0
-    )
+    size = ("--n", "4", "--delta", "0.05", "--quadrature", "6")
+    assert run("solve", "6.1", "--formulation", "joint", *size, "--out", "one") == 0
     record = json.loads(Path("one/record.json").read_text())
     assert set(REQUIRED) <= set(record)
     assert (record["example"], record["formulation"], record["n"]) == ("6.1", "joint", "4")
@@ -93,15 +78,11 @@ def test_options_reach_the_strategy() -> None:
 def test_compare_writes_everything_and_table_and_figures_remake_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert (
-        run(
-            "compare", "6.1", "--formulations", "fixed,joint", "--n", "3", "--quadrature", "6", "--out", "all"
-        )
-        == 0
-    )
+    size = ("--n", "3", "--quadrature", "6")
+    assert run("compare", "6.1", "--formulations", "fixed,joint", *size, "--out", "all") == 0
     out = Path("all")
     printed = capsys.readouterr()
-    assert printed.out == (out / "table.md").read_text()
+    assert (out / "table.md").read_text().startswith(f"{printed.out}\n## Details\n")
     assert [line.split(":")[0] for line in printed.err.splitlines()[:2]] == ["6.1 fixed", "6.1 joint"]
     assert len((out / "records.jsonl").read_text().splitlines()) == 2
     made = [out / name for name in ("table.md", "table.tex", "table.csv")]
@@ -113,6 +94,8 @@ def test_compare_writes_everything_and_table_and_figures_remake_it(
     assert run("figures", "all") == 0
     assert all(path.stat().st_size > 0 for path in made)
     assert capsys.readouterr().out == printed.out
+    assert run("table", "all", "--verbose") == 0
+    assert capsys.readouterr().out == (out / "table.md").read_text()
 
 
 @pytest.mark.slow

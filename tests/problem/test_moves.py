@@ -9,6 +9,7 @@ from formulations import joint, nested
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.discretisation.validity import least_angles
+from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -21,6 +22,7 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     Relative,
 )
+from rmesh_nlp.problem.summary import BY_BARRIER
 from rmesh_nlp.solution.referee import Referee
 
 
@@ -178,3 +180,27 @@ def test_a_least_angle_is_kept() -> None:
     assert kept.multipliers.angle.max() > 0
     with pytest.raises(ValueError, match=r"min_angle is 50.0 degrees, but element 0"):
         joint.solve(replace(loose, motion=replace(loose.motion, min_angle=50.0)))
+
+
+@pytest.mark.parametrize(
+    ("motion", "text"),
+    [
+        (Motion(0.1), "delta 0.1 x 0.1, areas at least 0.01 of the given ones"),
+        (Motion(None), f"no move limits, areas at least 0.01 of the given ones ({BY_BARRIER})"),
+        (
+            Motion(None, min_angle=5),
+            "no move limits, areas at least 0.01 of the given ones, angles at least 5 degrees",
+        ),
+    ],
+)
+def test_summary_says_what_holds_for_areas(motion: Motion, text: str) -> None:
+    assert dict(problem(motion).summary())["motion"] == text
+
+
+def test_least_area_is_a_constraint_unless_a_distortion_stands_in_its_place() -> None:
+    tight = replace(EXAMPLES["6.1"](3), quadrature=6, motion=Motion(None, min_area_fraction=0.3))
+    held, by_barrier = joint.solve(tight), joint.solve(tight, regularisation=0.1)
+    assert held.success
+    assert held.audit.min_area_ratio == pytest.approx(0.3, abs=1e-6)
+    assert by_barrier.success
+    assert 0 < by_barrier.audit.min_area_ratio < 0.2

@@ -13,7 +13,6 @@ from rmesh_nlp.cli import app as cli
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative, Units
 from rmesh_nlp.report.before_after import pictures, write_pictures
-from rmesh_nlp.report.foundations import foundations
 from rmesh_nlp.report.limits import Limit, limits
 from rmesh_nlp.report.page import SMALLEST, Page, letters
 from rmesh_nlp.report.states import after, before
@@ -68,22 +67,6 @@ def test_nothing_that_is_zero_is_drawn() -> None:
     rest = replace(membrane(), law=Laplace(0.0), obstacle=Obstacle.interior(-1.0))
     assert [name for name, _ in pictures(fixed.solve(rest), Page())] == ["mesh"]
     assert [name for name, _ in pictures(fixed.solve(membrane()), Page())] == ["mesh", "displacement", "flux"]
-
-
-@pytest.mark.slow
-def test_the_foundation_is_one_curve_before_and_after() -> None:
-    problem = block_between_two_foundations()
-    solution = joint.solve(problem)
-    first, second = (foundations(problem, np.asarray(mesh.p)) for mesh in (problem.mesh, solution.mesh))
-    for one, other in zip(first, second, strict=True):
-        x = np.linspace(0.1, 1.9, 50)
-        order, again = (np.argsort(f.lines[0].ravel()) for f in (one, other))
-        y = [
-            np.interp(x, f.lines[0].ravel()[o], f.lines[1].ravel()[o])
-            for f, o in ((one, order), (other, again))
-        ]
-        # chords of 1/8 edge: the curve bends by 0.01, they miss it by less than 1e-4
-        np.testing.assert_allclose(y[0], y[1], atol=1e-4)
 
 
 def test_the_contact_set_of_a_membrane_is_where_it_touches() -> None:

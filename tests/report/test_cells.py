@@ -21,7 +21,8 @@ def cell(table: tuple[Column, ...], head: str, /, **record: Any) -> str:
     return column.cell(record)
 
 
-COST, ENERGY, RESIDUAL = columns.COSTS, columns.ENERGIES, columns.RESIDUALS
+MAIN, COST = columns.MAIN, columns.COSTS
+ENERGY, RESIDUAL = columns.ENERGIES, columns.RESIDUALS
 
 
 @pytest.mark.parametrize(
@@ -30,39 +31,32 @@ COST, ENERGY, RESIDUAL = columns.COSTS, columns.ENERGIES, columns.RESIDUALS
         (COST, "build [s]", {}, "-"),
         (COST, "build [s]", {"build_time_s": 0.12345}, "0.123"),
         (COST, "build [s]", {"build_time_s": 0.12, "build_time_range_s": [0.1, 0.256]}, "0.12 (0.1 to 0.26)"),
-        (COST, "contact solves, cold + warm", {}, "-"),
         (COST, "contact solves, cold + warm", {"contact_solves": 7}, "7"),
         (COST, "contact solves, cold + warm", {"contact_solves": 7, "cold_contact_solves": 2}, "2 + 5"),
         (COST, "factorisations, contact; KKT", {"kkt_factorisations": 3}, "-"),
-        (COST, "factorisations, contact; KKT", {"contact_factorisations": 9}, "9"),
         (COST, "factorisations, contact; KKT", {"contact_factorisations": 9, "kkt_factorisations": 0}, "9"),
         (COST, "factorisations, contact; KKT", {"contact_factorisations": 9, "kkt_factorisations": 4},
          "9; 4 or more"),
-        (COST, "tolerance", {"tolerance": 0.0}, "0"),
-        (COST, "tolerance", {"tolerance": 1e-6}, "1e-06"),
-        (COST, "start", {"start": ""}, "-"),
         (COST, "start", {"start": "joint"}, "joint"),
-        (ENERGY, "J final", {"energy": 0.0}, "0.000000"),
-        (ENERGY, "gain [%]", {"gain_audited": 0.5, "energy_initial_audited": -2.0}, "25"),
-        (ENERGY, "gain [%]", {"gain_audited": -0.5, "energy_initial_audited": 2.0}, "-25"),
-        (ENERGY, "gain [%]", {"gain_audited": 0.5, "energy_initial_audited": 0.0}, "-"),
-        (ENERGY, "gain [%]", {"gain_audited": 0.5}, "-"),
-        (ENERGY, "gain [%]", {"energy_initial_audited": 2.0}, "-"),
-        (ENERGY, "gain [%]", {"gain_audited": 0.0, "energy_initial_audited": 2.0}, "0"),
+        (ENERGY, "J relocated, own rule", {"energy": 0.0}, "0.000000"),
+        (MAIN, "J relocated", {"energy_audited": -1.23456789e-5}, "-1.234568e-05"),
+        (MAIN, "J relocated", {"energy_audited": -123456.789}, "-123456.8"),
+        (MAIN, "gain [%]", {"energy_audited": -2.5, "energy_initial_audited": -2.0}, "25.00"),
+        (MAIN, "gain [%]", {"energy_audited": 2.5, "energy_initial_audited": 2.0}, "-25.00"),
+        (MAIN, "gain [%]", {"energy_audited": -200.0, "energy_initial_audited": -2.0}, "9.9e+03"),
+        (MAIN, "gain [%]", {"energy_audited": 0.5, "energy_initial_audited": 0.0}, "-"),
+        (MAIN, "gain [%]", {"energy_initial_audited": 2.0}, "-"),
+        (MAIN, "time [s]", {"wall_time_s": 0.0751}, "0.075"),
+        (MAIN, "time [s]", {"wall_time_s": 123.4}, "123"),
         (RESIDUAL, "biactive", {"biactive_nodes": [4, 5]}, "2"),
         (RESIDUAL, "biactive", {"biactive_nodes": []}, "0"),
-        (RESIDUAL, "biactive", {}, "-"),
         (RESIDUAL, "label", {"stationarity": "S", "biactive": 0}, "S (KKT)"),
         (RESIDUAL, "label", {"stationarity": "S", "biactive": 1}, "S"),
-        (RESIDUAL, "label", {"stationarity": "M", "biactive": 0}, "M"),
-        (RESIDUAL, "label", {"stationarity": "S"}, "S"),
         (RESIDUAL, "label", {"stationarity": "", "biactive": 0}, "-"),
-        (columns.COMMON, "cost to level [solves]", {"cost_to_objective": 99.94}, "99.9"),
-        (columns.COMMON, "cost to level [solves]", {"cost_to_objective": 123.4}, "123"),
-        (columns.COMMON, "cost to level [solves]", {"cost_to_objective": 1234.4}, "1234"),
-        (columns.COMMON, "cost to level [solves]", {}, "-"),
+        (columns.COMMON, "cost to that J", {"cost_to_objective": 99.94}, "99.9"),
+        (columns.COMMON, "cost to that J", {"cost_to_objective": 1234.4}, "1234"),
+        (columns.COMMON, "cost to that J", {}, "-"),
         (columns.ERRORS, "sum", {"I1": 0.5, "I2": 0.25, "I3": 0.125}, "0.875000"),
-        (columns.ERRORS, "sum", {"I1": 0.5, "I2": 0.25}, "-"),
         (columns.ERRORS, "sum", {"I1": 0.5, "I2": 0.25, "I3": None}, "-"),
         (columns.CERTIFICATES, "error after [%]",
          {"relative_error_bound": 0.1234, "guaranteed_lower": True, "guaranteed_upper": True},
@@ -74,7 +68,6 @@ COST, ENERGY, RESIDUAL = columns.COSTS, columns.ENERGIES, columns.RESIDUALS
         (columns.CERTIFICATES, "error before [%]",
          {"relative_error_bound_initial": 0.2, "guaranteed_lower": True, "guaranteed_initial": True},
          "at most 20"),
-        (columns.CERTIFICATES, "error before [%]", {}, "-"),
     ],
 )  # fmt: skip
 def test_a_cell(table: tuple[Column, ...], head: str, record: dict[str, Any], text: str) -> None:
@@ -86,9 +79,7 @@ def test_a_cell(table: tuple[Column, ...], head: str, record: dict[str, Any], te
     [
         ({"build_time_s": 1.0, "solve_time_s": 2.0, "wall_time_s": 9.0, "contact_time_s": 0.5}, 6.0, "6"),
         ({"build_time_s": None, "solve_time_s": 2.0, "wall_time_s": 9.0, "contact_time_s": 0.5}, 18.0, "18"),
-        ({"build_time_s": 1.0, "wall_time_s": 9.0, "contact_time_s": 0.5}, 18.0, "18"),
         ({"wall_time_s": 9.0}, None, "-"),
-        ({"contact_time_s": 0.5}, None, "-"),
         ({"wall_time_s": 9.0, "contact_time_s": 0.0}, None, "-"),
         ({"wall_time_s": 0.0, "contact_time_s": 0.5}, 0.0, "0"),
         ({"wall_time_s": 49.97, "contact_time_s": 0.5}, 99.94, "99.9"),
@@ -97,7 +88,7 @@ def test_a_cell(table: tuple[Column, ...], head: str, record: dict[str, Any], te
 )
 def test_costs_are_counted_in_contact_solves(record: dict[str, Any], units: float | None, text: str) -> None:
     assert contact_units(record) == (None if units is None else pytest.approx(units))
-    assert cell(COST, "build + solve [solves]", **record) == text
+    assert cell(COST, "cost [contact solves]", **record) == text
 
 
 class TestBlocks:
@@ -119,7 +110,7 @@ class TestBlocks:
         assert Block(rows).unit == 0.3
         assert Block(rows[1:2]).unit is None
         table = body(COST, Block(tuple(joint_61(wall_time_s=3.0, contact_time_s=t) for t in (0.1, 0.3, 0.5))))
-        place = [column.head for column in COST].index("build + solve [solves]")
+        place = [column.head for column in COST].index("cost [contact solves]")
         assert [row[place] for row in table] == ["10", "10", "10"]
         unmeasured = body(COST, Block((joint_61(wall_time_s=3.0, contact_time_s=None), *rows)))
         assert unmeasured[0][place] == "-"
@@ -156,20 +147,8 @@ class TestBlocks:
         assert len(body(COST, block)) == 1
         if is_paper and not changes:
             given, relocated = rows[:2]
-            assert given == [
-                "paper, given grid",
-                "-1.1246",
-                "-",
-                "-",
-                "-",
-                "-",
-                "-",
-                "-0.4549",
-                "0.4753",
-                "-",
-            ]
-            assert relocated[:7] == ["paper, relocated", "-1.1246", "-1.4445", "-", "-", "-", "-"]
-            assert relocated[9] == "-"
+            assert given == ["paper, given grid", "-1.1246", "-", "-0.4549", "0.4753", "-"]
+            assert relocated[:3] == ["paper, relocated", "-1.1246", "-1.4445"]
 
     def test_titles(self) -> None:
         assert Block((fixed_61(),)).title == "Example 6.1: n = 8, delta = 0.0275, midpoint rule"
@@ -178,7 +157,6 @@ class TestBlocks:
         )
         assert delta_text({"relative": 0.3}) == "0.3 x shortest edge"
         assert delta_text([0.1, 0.25]) == "0.1 x 0.25"
-        assert delta_text([0.12345678, 0.12345678]) == "0.123457"
 
     @pytest.mark.parametrize(
         ("changes", "text"),
@@ -190,6 +168,9 @@ class TestBlocks:
             ({"formulation": "mpcc", "relaxation": "scholtes"}, "mpcc"),
             ({"formulation": "mpcc", "relaxation": "lin-fukushima"}, "mpcc, lin-fukushima"),
             ({"objective": "error-l2", "seed": 0}, "fixed, error-l2, seed 0"),
+            ({"objective": "energy + 0.01*shape-size", "regularisation": 0.01}, "fixed, regularised"),
+            ({"objective": "energy + 1*s", "regularisation": 1.0, "chosen_by": "auto"}, "auto (fixed)"),
+            ({"objective": "energy + 1*quality"}, "fixed, energy + 1*quality"),
         ],
     )
     def test_labels(self, changes: dict[str, Any], text: str) -> None:

@@ -65,8 +65,8 @@ def test_the_level_is_what_all_reach_and_infeasible_iterates_do_not_count(tmp_pa
     assert joint["cost_to_stationarity"] == pytest.approx(30)
     assert nested["cost_to_objective"] == pytest.approx(40)
     text = markdown([fixed, joint, nested])
-    assert "cost to level [solves]" in text
-    assert "cost to level [solves]" not in markdown([one.record for one in results])
+    assert "cost to that J" in text
+    assert "cost to that J" not in markdown([one.record for one in results])
 
 
 def test_costs_are_in_the_units_and_at_the_pace_of_the_medians(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ import subprocess
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
 from support.reporting import failed_61, fixed_61, joint_61
 
@@ -20,6 +20,7 @@ from rmesh_nlp.cli import app as cli
 from rmesh_nlp.io.results import Results, read_results, to_json
 from rmesh_nlp.report.html_page import page, write_report
 from rmesh_nlp.report.study_summary import charts, summary_rows
+from rmesh_nlp.report.svg import Line, line_chart
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
@@ -52,7 +53,7 @@ def test_the_page_loads_nothing_and_has_all_parts(folder: Path) -> None:
     assert resources.found == []
     assert "url(" not in text
     assert "A &lt;study&gt;" in text
-    for section in (
+    for section in [
         "set-up",
         "summary",
         "profiles",
@@ -61,7 +62,7 @@ def test_the_page_loads_nothing_and_has_all_parts(folder: Path) -> None:
         "solves",
         "notes",
         "environment",
-    ):
+    ]:
         assert f'<section id="{section}">' in text
     assert text.count("<svg") >= 8
 
@@ -72,6 +73,20 @@ def test_hostile_text_stays_text(tmp_path: Path) -> None:
     (tmp_path / "records.jsonl").write_text(to_json(row) + "\n")
     text = page(tmp_path, read_results(tmp_path), evil, evil)
     assert "<script>alert" not in text
+
+
+def test_long_titles_and_names_are_not_cut() -> None:
+    name, title = "newton from forty random starts " * 3, "Data profile: a quantity of a long name " * 3
+    line = Line(name, np.array([1.0, 2.0]), np.array([1.0, 2.0]), 1)
+    text = line_chart([line], title, "x", "y")
+    assert f"<figcaption>{title}</figcaption>" in text
+    assert f"{name}</li>" in text
+    message = failed_61(message="a reason " * 40, key="x")
+    rows = [joint_61(strategy=name, family=title, key="y", seed=seed) for seed in range(300)]
+    whole = page(Path("nowhere"), [Results(Path("nowhere")).result(row) for row in [message, *rows]], "", "")
+    assert "a reason " * 40 in whole
+    assert "301, given mesh to seed 299" in whole
+    assert "…" not in whole
 
 
 def test_a_failure_is_a_failure_in_table_and_profiles() -> None:
@@ -87,13 +102,8 @@ def test_a_failure_is_a_failure_in_table_and_profiles() -> None:
 
 def test_the_audit_is_no_cost_in_tables_and_profiles() -> None:
     # a's audit takes long, but it builds and solves in half of b's time
-    quick: dict[str, Any] = {
-        "build_time_s": 1.0,
-        "solve_time_s": 2.0,
-        "audit_time_s": 50.0,
-        "wall_time_s": 53.0,
-    }
-    slow: dict[str, Any] = {"build_time_s": 2.0, "solve_time_s": 4.0, "audit_time_s": 0.0, "wall_time_s": 6.0}
+    names = ("build_time_s", "solve_time_s", "audit_time_s", "wall_time_s")
+    quick, slow = (dict(zip(names, times, strict=True)) for times in ((1, 2, 50, 53), (2, 4, 0, 6)))
     rows = [joint_61(strategy="a", **quick), joint_61(strategy="b", **slow)]
     head, table = summary_rows(rows)
     assert [row[head.index("build + solve [s]")] for row in table] == ["3", "6"]
@@ -112,7 +122,7 @@ WATCH = "<script>window.wrong = []; addEventListener('error', (e) => window.wron
 OPERATE = """<script>
 const verdict = { wrong: window.wrong };
 const table = document.querySelector("#solves table"), heads = [...table.querySelectorAll("th")];
-const column = heads.findIndex((head) => head.textContent === "J final, audited");
+const column = heads.findIndex((head) => head.textContent === "J relocated");
 heads[column].click();
 verdict.sorted = [...table.tBodies[0].rows].map((row) => parseFloat(row.cells[column].textContent));
 const canvas = document.querySelector("canvas"), slider = document.querySelector("#slider");
@@ -132,6 +142,10 @@ dispatchEvent(new Event("afterprint")); verdict.again = document.querySelector("
 verdict.empty = [...document.querySelectorAll("svg.chart")].filter(
   (chart) => ![...chart.querySelectorAll("path.curve")].some((path) => path.getTotalLength() > 40)).length;
 verdict.charts = document.querySelectorAll("svg.chart").length;
+verdict.cut = [...document.querySelectorAll("svg.chart text")].filter((text) => {
+  const box = text.getBoundingClientRect(), chart = text.closest("svg").getBoundingClientRect();
+  return box.left < chart.left - 1 || box.right > chart.right + 1;
+}).map((text) => text.textContent);
 verdict.overflow = document.documentElement.scrollWidth - document.documentElement.clientWidth;
 const out = document.createElement("pre"); out.id = "verdict"; out.textContent = JSON.stringify(verdict);
 document.body.append(out);
@@ -157,7 +171,7 @@ def test_the_page_works_in_a_browser(folder: Path, tmp_path: Path, window: str) 
     assert verdict["sorted"] == sorted(verdict["sorted"])
     assert len(verdict["sorted"]) == 3
     assert verdict["moved"]
-    assert verdict["shown"] == "given mesh"
+    assert verdict["shown"] == "0 %"
     assert verdict["hover"].startswith("node ")
     values = re.fullmatch(r"u (\S+?)(-?\d+\.\d+)", verdict["scale"])
     assert values is not None
@@ -165,4 +179,5 @@ def test_the_page_works_in_a_browser(folder: Path, tmp_path: Path, window: str) 
     assert verdict["again"] == "0 0 u"
     assert verdict["charts"] >= 8
     assert verdict["empty"] == 0
+    assert verdict["cut"] == []
     assert verdict["overflow"] <= 0

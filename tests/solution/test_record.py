@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from formulations import joint
+from rmesh_nlp.campaign.progress import summary as one_line
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.solution.solution import Solution, _gain, counted
 from rmesh_nlp.solution.step import Step
 from rmesh_nlp.solution.step import plain as as_plain
@@ -38,7 +40,6 @@ class TestRecord:
         assert record["message"].endswith(" More.")
         rows = dict(made.summary())
         assert rows["audited gain"].endswith("(12.5 %)")
-        assert rows["success"] == ("yes" if made.success else "no")
         assert rows["iterations, contact solves"] == f"{made.iterations}, {made.contact_solves}"
         motion = np.linalg.norm(made.mesh.p - made.problem.mesh.p, axis=0).max()
         assert float(rows["largest motion"]) == pytest.approx(motion, rel=1e-3)
@@ -49,6 +50,16 @@ class TestRecord:
         assert "limited by boxes" not in dict(replace(made, multipliers=None).summary())
         assert "worth it?" not in rows
         assert dict(replace(made, extra={"worth": {"text": "yes"}}).summary())["worth it?"] == "yes"
+
+    def test_success_says_what_it_lacks(self, solution: Solution) -> None:
+        early = Status.ITERATION_LIMIT
+        ends = [(Status.CONVERGED, True), (early, True), (early, False)]
+        made = [replace(solution, status=status, success=success) for status, success in ends]
+        words = [dict(one.summary())["success"] for one in made]
+        assert words == ["yes", f"yes: {NOT_STATIONARY_YET}", "no"]
+        lines = [one_line(one.record()) for one in made]
+        assert [line.endswith(NOT_STATIONARY_YET) for line in lines] == [False, True, False]
+        assert lines[2].endswith(early.message)
 
     def test_gains_have_a_part_where_there_is_something_to_be_a_part_of(self) -> None:
         assert _gain(0.5, -2.0).endswith("(25 %)")
@@ -61,7 +72,9 @@ class TestRecord:
         assert "q" not in first
         assert first["t"] == float("inf")
         assert "q=" not in repr(step)  # thousands of numbers
-        assert replace(step, dual_residual=0.0) == replace(step, dual_residual=0.0, q=np.zeros(3))
+        known = replace(step, dual_residual=0.0)
+        assert known == replace(known, q=np.zeros(3), energy_given=-0.5, seconds_left=12.5)
+        assert known != replace(known, energy=-2.0)
         assert second["t"] is None
         assert (first["iteration"], first["energy"], first["dual_residual"]) == (3, -1.0, None)
         assert (first["objective"], first["product"], first["biactive"], first["stationarity"]) == (None,) * 4
@@ -79,15 +92,3 @@ class TestRecord:
     def test_values_become_plain(self, value: Any, plain: Any) -> None:
         assert as_plain(value) == plain
         assert type(as_plain(value)) is type(plain)
-
-
-def test_steps_are_equal_if_their_histories_are() -> None:
-    """What it carries for progress alone, moves and guesses, is not printed and makes no other step."""
-    step = Step(3, -1.0, 0.0, 0.0, 1e-3, 4, 0.5, objective=-1.0, product=0.0, biactive=0.0, stationarity=1e-3)
-    progress = {"q": np.arange(3.0), "energy_given": -0.5, "seconds_left": 12.5}
-    for name, value in progress.items():
-        other = replace(step, **{name: value})
-        assert other == step
-        assert name not in repr(other)
-    assert replace(step, energy=-2.0) != step
-    assert replace(step, stationarity=2e-3) != step

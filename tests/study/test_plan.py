@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from rmesh_nlp import read_records
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import safe_name
@@ -47,7 +48,7 @@ def test_the_matrix_is_problems_by_strategies_by_seeds_by_repeats(path: Path) ->
 
 def test_the_template_is_a_valid_study_of_which_every_problem_can_be_built(path: Path) -> None:
     plan = plan_of(path, template("mine", "study.toml"))
-    assert {solve.strategy for solve in plan} == {"fixed", "joint"}
+    assert {solve.strategy for solve in plan} == {"fixed", "auto"}
     assert [build(solve).name for solve in plan] == [solve.name for solve in plan]
 
 
@@ -123,3 +124,13 @@ def test_a_dry_run_lists_the_keys_and_writes_nothing(path: Path, capsys: pytest.
     assert printed["solves"] == [solve.key for solve in make_plan(read_study(path), path)]
     assert printed["guess_s"] > 0
     assert not out.exists()
+
+
+@pytest.mark.slow
+def test_every_solve_of_the_template_succeeds(path: Path) -> None:
+    assert cli.run(["new", "--study", str(path)]) == 0
+    assert cli.run(["study", str(path), "--out", str(path.parent / "out"), "--quiet"]) == 0
+    rows = read_records(path.parent / "out")
+    assert [row["success"] for row in rows] == [True] * 12
+    moved = [row for row in rows if row["strategy"] != "fixed"]
+    assert all(row["gain_audited"] > 0 for row in moved)
