@@ -48,8 +48,11 @@ class TestRecord:
         areas = np.sum(solution.multipliers.area > 0)
         assert rows["limited by areas"].startswith(f"{areas} elements")
         assert "limited by boxes" not in dict(replace(made, multipliers=None).summary())
-        assert "worth it?" not in rows
-        assert dict(replace(made, extra={"worth": {"text": "yes"}}).summary())["worth it?"] == "yes"
+        assert "error reduction" not in rows
+        assert (
+            dict(replace(made, extra={"error_reduction": {"text": "yes"}}).summary())["error reduction"]
+            == "yes"
+        )
 
     def test_success_says_what_it_lacks(self, solution: Solution) -> None:
         early = Status.ITERATION_LIMIT
