@@ -22,6 +22,7 @@ from rmesh_nlp.fem.assembly import Assembled, assemble
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_field, without_elements
 from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem.body import Body
 from rmesh_nlp.vectorised import USUAL, AssemblySettings
 
 ROUNDING = 1e-9
@@ -135,7 +136,12 @@ def least_area_ratio(problem: ContactProblem, nodes: Array) -> float:
 
 
 def is_upright(problem: ContactProblem, nodes: Array) -> bool:
-    """Whether no element is inverted or flat at ``nodes`` (2, nodes); else energies there mean nothing."""
+    """Whether no element is inverted or flat at ``nodes`` (2, nodes); else energies there mean nothing.
+
+    Beside a curve that includes the blended triangle: its arc does not cut through it.
+    """
+    if problem.motion.curves:
+        return Body(problem, nodes).is_upright()
     return bool(np.min(signed_areas(nodes, problem.triangles)) > 0)
 
 
@@ -146,9 +152,11 @@ def is_valid(problem: ContactProblem, nodes: Array, *, by_barrier: bool = False)
     angle is asked for they need a positive area only.
     """
     motion = problem.motion
+    if not is_upright(problem, nodes):
+        return False
     least = least_area_ratio(problem, nodes)
     if by_barrier and motion.min_angle == 0:
-        return least > 0
+        return True
     if not least >= motion.min_area_fraction - ROUNDING:
         return False
     if motion.min_angle == 0:

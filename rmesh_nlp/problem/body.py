@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Curve
+from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.obstacle import Obstacle, Place
 from rmesh_nlp.problem.statement import Statement
 
@@ -138,6 +139,18 @@ class Body:
         det = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         return a * barycentric[0] + b * barycentric[1] + c * barycentric[2], det
 
+    def is_upright(self) -> bool:
+        """Whether no triangle is inverted or flat, and no arc cuts through its triangle."""
+        if not np.all(signed_areas(self.nodes, self.triangles) > 0):
+            return False
+        elements = np.flatnonzero(self.is_curved)
+        if elements.size == 0:
+            return True
+        barycentric = np.empty((3, elements.size, _LOOK.shape[1]))
+        for turn, part in enumerate(_LOOK):
+            barycentric[(self.apex[elements] + turn) % 3, np.arange(elements.size)] = part
+        return bool(np.min(determinants(self.at(elements, barycentric)[1])) > 0)
+
     def edges(self, name: str) -> Edges:
         """The edges of a named boundary."""
         return Edges(self, np.asarray(self.problem.mesh.boundaries[name], dtype=np.int64))
@@ -158,6 +171,10 @@ class Body:
         for sides in self._sides:
             apex[sides.element] = 3 - sides.ends.sum(axis=0)
         return apex
+
+
+_LOOK = np.array([(1 - r, r * (1 - s), r * s) for r in (0.5, 1.0) for s in np.linspace(0, 1, 9)]).T
+"""Barycentric coordinates, that of the apex first, at which blended triangles are looked at."""
 
 
 def determinants(slopes: Array) -> Array:

@@ -11,6 +11,7 @@ from rmesh_nlp.meshes.decimation import Lines, decimated
 from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.meshes.unrefinement import Coarse, unrefined
 from rmesh_nlp.problem import ContactProblem, Relative
+from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.lines import line_facets, on_curve, sliding_directions
 
 COARSER = 4
@@ -51,7 +52,7 @@ def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None
         tied=tuple((number[a], number[b]) for a, b in motion.tied),
     )
     try:
-        return replace(
+        found = replace(
             problem,
             mesh=coarse.mesh,
             motion=motion,
@@ -60,6 +61,7 @@ def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None
         )
     except ProblemError:
         return None  # too coarse for what the problem says
+    return found if Body(found, found.mesh.p).is_upright() else None  # too coarse for its curves
 
 
 def _decimated(problem: ContactProblem, target: int) -> Coarse:

@@ -12,13 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rmesh_nlp.assessment.admissible import admissible
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.assessment.admissible import Admissible, admissible
+from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.programs.refinement import edge_gains
 
 EXTRAPOLATION = 4 / 3
 """Error of the energy over its decrease by one uniform refinement, if the error falls by four."""
@@ -45,11 +47,26 @@ class GainEstimate:
 
 
 def gain_estimate(problem: ContactProblem) -> GainEstimate:
-    """Estimate the error of the continuous energy of the mesh as given, by two contact solves."""
-    here = admissible(problem).energy
-    there = admissible(refined(problem)).energy
-    floor = LEAST_GAIN * max(abs(here), abs(there), 1e-300)
-    return GainEstimate(here, there, max(EXTRAPOLATION * (here - there), floor))
+    """Estimate the error of the continuous energy of the mesh as given, by two contact solves.
+
+    Where the contact problem cannot be solved on the refined mesh, or its energy does not fall, the gains of
+    new nodes on edges estimate it.
+    """
+    here, there = admissible(problem), _refined(problem)
+    floor = LEAST_GAIN * max(abs(here.energy), 1e-300)
+    if there is not None and there.status is Status.CONVERGED and there.energy < here.energy:
+        return GainEstimate(
+            here.energy, there.energy, max(EXTRAPOLATION * (here.energy - there.energy), floor)
+        )
+    gain = float(edge_gains(problem).sum())
+    return GainEstimate(here.energy, here.energy - gain, max(gain, floor))
+
+
+def _refined(problem: ContactProblem) -> Admissible | None:
+    try:
+        return admissible(refined(problem))
+    except ProblemError:  # new nodes on a curve fold a thin element
+        return None
 
 
 def weights(regularisation: float | str | Sequence[float], name: str = "regularisation") -> tuple[float, ...]:

@@ -43,17 +43,17 @@ def accepted(h: float, folder: Path, refinements: int = 1) -> Iterator[Row]:
     record = json.loads(record_path.read_text())
     exact = energy(load_problem(path).mesh, STATED, refinements)
     before, after = (record[key] - exact for key in ("energy_initial_audited", "energy_audited"))
-    worth = record["worth"]
+    claimed = record["error_reduction"]
     figures = {
         "error_before": before,
         "factor": before / after,
-        "claimed": worth["factor"],
-        "claimed_before": worth["error_initial"],
+        "claimed": claimed["factor"],
+        "claimed_before": claimed["error_initial"],
         "success": record["success"],
         "status": record["status"],
-        "text": worth["text"],
+        "text": claimed["text"],
     }
-    nodes, area = worth["nodes"], record["min_area_ratio"]
+    nodes, area = claimed["nodes"], record["min_area_ratio"]
     yield Row(
         "acceptance",
         "rmesh solve",

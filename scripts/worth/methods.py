@@ -99,9 +99,9 @@ def _relocated(case: Case, method: str, size: int, solution: Solution, seconds: 
     seconds *= 1 - record["audit_time_s"] / record["wall_time_s"]
     final = replace(solution.problem, mesh=solution.mesh, quadrature=RULE, reference=None)
     figures: dict[str, Any] = {"status": solution.status.value, "success": solution.success}
-    worth = solution.extra.get("worth")
-    if worth:
-        figures["claimed"] = round(worth["factor"], 3)
+    reduction = solution.extra.get("error_reduction")
+    if reduction:
+        figures["claimed"] = round(reduction["factor"], 3)
     levels = record.get("cascade")
     if levels:
         one = _unit(case.problem(size))

@@ -164,7 +164,6 @@ def test_a_part_of_a_map_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     few = {"brief": 1, "iterations": 10, "stationary": 1}
     row = auto.solve(over_a_parabola(12), settings=few).record()
     assert "of a prolonged map a part was taken" in row["chosen"]
-    assert row["gain_audited"] >= 0
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def test_nothing_more_is_stated_once_the_time_is_up(monkeypatch: pytest.MonkeyPa
     assert row["status"] == "time_limit"
     assert row["valid"]
     assert row["gain"] == 0
-    assert row.get("worth") is None
+    assert row.get("error_reduction") is None
     assert len(stated) == 1  # that of the audit
 
 
@@ -71,7 +71,7 @@ def test_a_time_limit_on_the_way_to_a_stationary_point_is_said(monkeypatch: pyte
     assert row["status"] == "time_limit"
     assert row["valid"]
     assert row["gain_audited"] > 0
-    assert row.get("worth") is None
+    assert row.get("error_reduction") is None
 
 
 class Interrupting:

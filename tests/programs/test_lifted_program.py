@@ -34,10 +34,10 @@ def bumpy(friction: float) -> ContactProblem:
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_newton_converges_with_gaps_along_edges(friction: float) -> None:
-    """Without some entries of the matrix Ipopt's steps are not Newton's, and it meets its limit."""
+    """Without some entries of the matrix Ipopt's steps are not Newton's, and it meets its limit of 500."""
     solution = nested.solve(bumpy(friction), outer="newton")
     assert solution.status.value == "converged"
-    assert solution.iterations <= 60
+    assert solution.iterations <= 100
 
 
 def program_of(problem: ContactProblem, objective: str = "energy") -> ReducedProgram:

@@ -10,14 +10,11 @@ import pytest
 
 import rmesh_nlp as rm
 from formulations import fixed, joint
-from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.programs.reduced import ReducedPoint
-from rmesh_nlp.solution import findings
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.solution import Solution
 
@@ -141,27 +138,6 @@ def test_rounding_is_relative_to_parts_of_the_energy_that_cancel() -> None:
     assert abs(state.energy) < 0.2 * strain
     assert found.measured is not None
     assert found.measured.size == pytest.approx(strain, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_the_advised_degree_is_the_least_that_gives_the_gain(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = EXAMPLES["6.1"](3)
-    referee = Referee(problem)
-    q = joint.solve(problem).mesh
-    nodes = np.asarray(q.p)
-    gains = {}
-    for degree in (*findings.DEGREES, 24):
-        model = ContactModel(discretise(replace(problem, quadrature=degree)))
-        gains[degree] = model.solve(problem.mesh.p).energy - model.solve(nodes).energy
-    near = [
-        d
-        for d in findings.DEGREES
-        if abs(gains[d] - gains[24]) <= 0.01 * max(map(abs, (gains[d], gains[24])))
-    ]
-    assert findings.advice(referee.model, nodes, gains[24]) == f"Here degree {near[0]} suffices."
-    assert findings.advice(referee.model, nodes, 10 * gains[24]) == "Here not even degree 20 suffices."
-    assert findings.DEGREES[-1] == 20
-    assert list(findings.DEGREES) == sorted(findings.DEGREES)
 
 
 def test_a_point_where_an_element_is_too_small_is_not_valid() -> None:
