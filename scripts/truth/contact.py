@@ -10,7 +10,7 @@ from skfem import MeshTri
 
 from truth.body import Body, composite
 from truth.data import Data, values
-from truth.minimise import minimise
+from truth.minimise import Rows, minimise
 
 CHECK = 512, 96
 """Parts of a contact edge, or of the side of a triangle over an interior obstacle, where gaps are checked."""
@@ -20,14 +20,13 @@ CHECK = 512, 96
 class Equilibrium:
     """A displacement (unknowns,) of a mesh, with friction integrated in its ``energy`` J.
 
-    ``depth`` is the penetration left after the check; ``stress`` (nodes, c) are contact forces over the
-    length or area of their nodes, ``peak`` is the largest normal one, ``length`` is where they act.
+    ``stress`` (nodes, c) are contact forces over the length or area of their nodes, ``peak`` is the largest
+    normal one, ``resultant`` the sum of all normal forces, ``length`` is where they act.
     """
 
     body: Body
     u: np.ndarray
     energy: float
-    depth: float
     converged: bool
     stress: np.ndarray
     peak: float
@@ -86,72 +85,67 @@ def accurate_loads(body: Body) -> np.ndarray:
     return F
 
 
+def contact_rows(body: Body, parts: int) -> tuple[Rows, int]:
+    """Rows of friction, then of gaps, that are not given by supports, and the number of the first."""
+    A, d, use = gap_rows(body, parts)
+    A, d, none = A[use], d[use], np.zeros(np.sum(use))
+    if body.data.foundation.friction == 0:
+        return (A, d, none, none + np.inf), 0
+    B, bound = slip_rows(body, *composite(4 * parts, 2))
+    use = (np.asarray(np.abs(B[:, ~body.given[0]]).sum(axis=1)).ravel() > 1e-9) & (bound > 0)
+    B, bound = B[use], bound[use]
+    limits = np.append(-bound, none), np.append(bound, none + np.inf)
+    return (vstack([B, A]).tocsr(), np.append(0 * bound, d), *limits), bound.size
+
+
 def equilibrium(
     body: Body,
     F: np.ndarray,
     parts: int = 1,
     check: int = 0,
-    tolerance: float = 1e-10,
+    tolerance: float = 1e-9,
     start: Equilibrium | None = None,
 ) -> Equilibrium:
     """The least energy with gaps at ``parts`` + 1 points of edges or triangles' sides.
 
-    With ``check`` points where the gap is most negative among so many more are added, until none is.
+    With ``check`` points where the gap is most negative among so many more are added, until none is. A
+    ``start`` on another mesh saves steps.
     """
     held, u = body.given
-    free, c, weight = ~held, body.c, nodal_weights(body)
-    (A, d, use), slips = gap_rows(body, parts), 0
-    A, d = A[use], d[use]
-    low, high = np.zeros(d.size), np.full(d.size, np.inf)
-    if body.data.foundation.friction != 0:
-        B, bound = slip_rows(body, *composite(4 * parts, 2))
-        use = (np.asarray(np.abs(B[:, free]).sum(axis=1)).ravel() > 1e-9) & (bound > 0)
-        slips, B, bound = int(np.sum(use)), B[use], bound[use]
-        A, d = vstack([B, A]).tocsr(), np.append(np.zeros(slips), d)
-        low, high = np.append(-bound, low), np.append(bound, high)
-    fine, begin = gap_rows(body, check) if check else None, None
+    free, c, weight, u = ~held, body.c, nodal_weights(body), u.copy()
+    (A, d, low, high), slips = contact_rows(body, parts)
+    begin, fine = None, gap_rows(body, check) if check else None
     if start is not None:
         there = start.body.at(start.body.locate(body.p), body.p[:, :, None])
         coarse, stress = (there @ part.reshape(-1, c) for part in (start.u, start.stress))
         entries = np.maximum(np.asarray(np.abs(A).sum(axis=0)).reshape(-1, c), 1e-300)
         begin = coarse.ravel()[free], A @ (stress * weight[:, None] / entries).ravel()
-    K, rhs, whole, depth, size = (
-        body.stiffness[free][:, free],
-        (F - body.stiffness @ u)[free],
-        u.copy(),
-        0.0,
-        0.0,
-    )
+    K, f, given = body.stiffness[free][:, free], (F - body.stiffness @ u)[free], np.where(held, u, 0.0)
     for _ in range(60):
-        found, mu, converged = minimise(K, rhs, (A[:, free], d + A @ u, low, high), tolerance, begin)
-        whole[free] = found
+        u[free], mu, converged = minimise(K, f, (A[:, free], d + A @ given, low, high), tolerance, begin)
         if fine is None:
             break
-        z = np.where(fine[2], fine[0] @ whole + fine[1], np.inf).reshape(body.cells, -1)
-        depth, size = float(np.max(-z, initial=0.0)), np.max(np.abs(whole))
-        if depth <= 1e-9 * size:
+        z = np.where(fine[2], fine[0] @ u + fine[1], np.inf).reshape(body.cells, -1)
+        converged, small = (
+            converged and bool(np.min(z) >= -1e-9 * np.max(np.abs(u))),
+            1e-10 * np.max(np.abs(u)),
+        )
+        cells = np.flatnonzero(z.min(axis=1) < -small)
+        if converged or not cells.size:
             break
-        worst = np.flatnonzero(z.min(axis=1) < -1e-10 * size)
-        new = worst * z.shape[1] + z[worst].argmin(axis=1)
-        A, d = vstack([A, fine[0][new]]).tocsr(), np.append(d, fine[1][new])
-        low, high = np.append(low, np.zeros(new.size)), np.append(high, np.full(new.size, np.inf))
-        begin = found, np.append(mu, np.zeros(new.size))
-    normal = np.linalg.norm((A[slips:].T @ mu[slips:]).reshape(-1, c), axis=1)
+        new = cells * z.shape[1] + z[cells].argmin(axis=1)
+        A, d, none = vstack([A, fine[0][new]]).tocsr(), np.append(d, fine[1][new]), np.zeros(new.size)
+        low, high, begin = (
+            np.append(low, none),
+            np.append(high, none + np.inf),
+            (u[free], np.append(mu, none)),
+        )
     on = np.where(weight > 1e-12 * np.max(weight), weight, np.inf)
-    peak = float(np.max(normal / on, initial=0.0))
-    length = float(np.sum(weight[normal / on > 1e-6 * peak]))
-    stress, J = (A.T @ mu).reshape(-1, c) / on[:, None], energy(body, F, whole)
-    return Equilibrium(
-        body,
-        whole,
-        J,
-        depth,
-        converged and depth <= 1e-9 * size,
-        stress,
-        peak,
-        float(np.sum(mu[slips:])),
-        length,
-    )
+    pressure = np.linalg.norm((A[slips:].T @ mu[slips:]).reshape(-1, c), axis=1) / on
+    peak, resultant = float(np.max(pressure)), float(np.sum(mu[slips:]))
+    length = float(np.sum(weight[pressure > 1e-6 * peak]))
+    stress = (A.T @ mu).reshape(-1, c) / on[:, None]
+    return Equilibrium(body, u, energy(body, F, u), converged, stress, peak, resultant, length)
 
 
 def least(data: Data, mesh: MeshTri) -> Equilibrium:

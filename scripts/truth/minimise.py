@@ -19,6 +19,10 @@ Found = tuple[np.ndarray, np.ndarray, bool]
 """Minimiser, forces of the rows, and whether the method converged."""
 
 
+Rows = tuple[csr_matrix, np.ndarray, np.ndarray, np.ndarray]
+"""A, d, low, high: with [0, inf) a row is the constraint A u + d >= 0, with [-b, b] friction b |A u + d|."""
+
+
 def factorised(K: Any, order: str = "MMD_AT_PLUS_A") -> Any:
     """LU factors of a symmetric positive definite matrix, with diagonal pivots."""
     return splu(K.tocsc(), order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -27,15 +31,14 @@ def factorised(K: Any, order: str = "MMD_AT_PLUS_A") -> Any:
 def minimise(
     K: csr_matrix,
     f: np.ndarray,
-    rows: tuple[csr_matrix, np.ndarray, np.ndarray, np.ndarray],
+    rows: Rows,
     tolerance: float,
     start: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Found:
     """Minimise ``u.K u / 2 - f.u + sum_r h_r((A u + d)_r)``, h_r(z) the maximum of -mu z over [low, high].
 
-    ``rows`` are A, d, low, high. With [0, inf) a row is the constraint z >= 0 and mu its force; with [-b, b]
-    it is friction b |z|. Unknowns without a row are eliminated: with the others ordered first, the last block
-    of the factors is the factorised Schur complement.
+    Unknowns without a row are eliminated: with them ordered first, the last block of the factors is the
+    factorised Schur complement.
     """
     A, d, low, high = rows
     u, mu = start or (np.zeros(f.size), 0 * d)
@@ -58,12 +61,12 @@ def minimise(
     return u, mu, converged
 
 
-def multipliers(K: Any, f: np.ndarray, rows: Any, tolerance: float, u: np.ndarray, mu: np.ndarray) -> Found:
+def multipliers(K: Any, f: np.ndarray, rows: Rows, tolerance: float, u: np.ndarray, mu: np.ndarray) -> Found:
     """:func:`minimise` by the method of multipliers.
 
     Its smooth convex problems are solved by semismooth Newton steps with an exact line search (the derivative
     along a line is monotone), which end after finitely many. It has converged when the duality gap is at
-    most 100 times ``tolerance`` of the energy and no constraint is violated by more than ``tolerance`` of the
+    most 10 times ``tolerance`` of the energy and no constraint is violated by more than ``tolerance`` of the
     largest displacement; stationarity holds to rounding.
     """
     A, d, low, high = rows
@@ -86,7 +89,7 @@ def multipliers(K: Any, f: np.ndarray, rows: Any, tolerance: float, u: np.ndarra
         mu = np.clip(mu - penalty * z, low, high)
         gap = mu @ z + np.where(bounded, high, 0.0) @ np.abs(z)
         violated = np.max(-z[~bounded], initial=0.0) > tolerance * np.max(np.abs(u), initial=1e-300)
-        if abs(gap) <= 100 * tolerance * size and not violated:
+        if abs(gap) <= 10 * tolerance * size and not violated:
             return u, mu, True
         if steps < 4:  # the forces are nearly right: a stiffer penalty brings them closer
             penalty = np.minimum(10 * penalty, HARDEST * stiffness)
