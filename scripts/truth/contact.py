@@ -126,20 +126,15 @@ def equilibrium(
         if fine is None:
             break
         z = np.where(fine[2], fine[0] @ u + fine[1], np.inf).reshape(body.cells, -1)
-        converged, small = (
-            converged and bool(np.min(z) >= -1e-9 * np.max(np.abs(u))),
-            1e-10 * np.max(np.abs(u)),
-        )
-        cells = np.flatnonzero(z.min(axis=1) < -small)
+        small = 1e-9 * np.max(np.abs(u))
+        converged = converged and bool(np.min(z) >= -small)
+        cells = np.flatnonzero(z.min(axis=1) < -small / 10)
         if converged or not cells.size:
             break
         new = cells * z.shape[1] + z[cells].argmin(axis=1)
         A, d, none = vstack([A, fine[0][new]]).tocsr(), np.append(d, fine[1][new]), np.zeros(new.size)
-        low, high, begin = (
-            np.append(low, none),
-            np.append(high, none + np.inf),
-            (u[free], np.append(mu, none)),
-        )
+        low, high = np.append(low, none), np.append(high, none + np.inf)
+        begin = u[free], np.append(mu, none)
     on = np.where(weight > 1e-12 * np.max(weight), weight, np.inf)
     pressure = np.linalg.norm((A[slips:].T @ mu[slips:]).reshape(-1, c), axis=1) / on
     peak, resultant = float(np.max(pressure)), float(np.sum(mu[slips:]))

@@ -101,6 +101,8 @@ def test_domain_of_the_true_curves() -> None:
         mu, lam = 7 / 2.4, 7 * 0.2 / (1.2 * 0.6)
         density = lam * 0.8**2 / 2 + mu * (0.3**2 + 0.5**2 + 2 * 0.05**2)
         np.testing.assert_allclose(found.area.sum(), area)
+        finer = body.Body(one, script("truth.reference").refined(one, one.mesh, np.arange(3)))
+        np.testing.assert_allclose(finer.area.sum(), area)
         np.testing.assert_allclose(u.ravel() @ found.stiffness @ u.ravel() / 2, density * area)
 
 
@@ -152,7 +154,7 @@ def test_success_without_admissible_displacements_is_a_fault(monkeypatch: pytest
     assert soak.judged(data)["faults"] == ["infeasible success"]
 
 
-def test_certificates_are_checked() -> None:
+def test_displacements_and_certificates_are_checked() -> None:
     """Against J* = -1 of a mesh with the error 0.02 and a solution with an energy norm error of 0.3."""
     soak = script("soak_truth")
     row = {"J": -1.0, "bar": 1e-4, "errors": [0.02, 0.02], "success": True, "claimed": None, "audited": []}
@@ -160,6 +162,7 @@ def test_certificates_are_checked() -> None:
     sound = {"energy_lower_bound": -1.05, "energy_upper_bound": -0.98, "error_bound": 0.4, "percent": True}
     sound |= {"guaranteed_lower": True, "guaranteed_upper": True}
     assert soak.found_faults({**row, "certificate": sound}) == []
+    assert soak.found_faults({**row, "own": [{"J": -0.98}, {"J": -0.9}]}) == ["worse displacement"]
     for change, fault in (
         ({"energy_lower_bound": -0.99}, "lower bound"),
         ({"energy_upper_bound": -1.01}, "upper bound"),
