@@ -91,8 +91,9 @@ def certificate(solution: Any) -> Row:
 def contradiction(record: Row) -> bool:
     """Whether status, success and their reasons disagree (docs/verdict.md)."""
     status, success, valid, improved = (record[key] for key in ("status", "success", "valid", "improved"))
-    near = record["stationarity_residual"] is not None and record["stationarity_residual"] <= 1e-6
-    near = near or record["stationarity"] in ("S", "B") or record["formulation"] == "fixed"
+    residual = record.get("stationarity_residual")
+    near = residual is not None and residual <= 1e-6
+    near = near or record.get("stationarity") in ("S", "B") or record["formulation"] == "fixed"
     if success:
         return not (valid and improved and (near or status != "converged"))
     return status == "converged" or (status == "worse") != (valid and not improved)
@@ -117,7 +118,7 @@ def judged(data: Data) -> Row:
         row["seconds"] = time.perf_counter() - began
         record = solution.record()
         row |= {"status": record["status"], "success": record["success"], "claimed": claimed_factor(record)}
-        row["audited"] = [record["energy_initial_audited"], record["energy_audited"]]
+        row["audited"] = [record.get(key) for key in ("energy_initial_audited", "energy_audited")]
         if data.certify and row["feasible"]:
             row["certificate"] = certificate(solution)
         row["faults"] += ["contradiction"] * contradiction(record)
