@@ -1,0 +1,1 @@
+"""An independent judge: own assembly, contact solver, friction integral, reference meshes."""

@@ -1,0 +1,170 @@
+"""The least energy of all admissible displacements of a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix, vstack
+from skfem import MeshTri
+
+from truth.body import Body, composite
+from truth.data import Data, values
+from truth.minimise import Rows, minimise
+
+CHECK = 512, 96
+"""Parts of a contact edge, or of the side of a triangle over an interior obstacle, where gaps are checked."""
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """A displacement (unknowns,) of a mesh, with friction integrated in its ``energy`` J.
+
+    ``stress`` (nodes, c) are contact forces over the length or area of their nodes, ``peak`` is the largest
+    normal one, ``resultant`` the sum of all normal forces, ``length`` is where they act.
+    """
+
+    body: Body
+    u: np.ndarray
+    energy: float
+    converged: bool
+    stress: np.ndarray
+    peak: float
+    resultant: float
+    length: float
+
+
+def gap_rows(body: Body, parts: int) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
+    """Gaps A u + d at the ends of equal parts of contact edges or triangles' sides, and which can move."""
+    foundation, t = body.data.foundation, np.arange(parts + 1) / parts
+    if foundation.kind == "interior":
+        a, b = (part[np.add.outer(t, t) <= 1 + 1e-9] for part in np.meshgrid(t, t, indexing="ij"))
+        points = np.einsum("iae,aq->ieq", body.p[:, body.t], np.stack([1 - a - b, a, b]))
+        matrix = body.at(np.arange(body.t.shape[1]), points)
+    else:
+        points, _, matrix = body.trace(foundation.boundary, t)
+    normal, distance = foundation.at(points)
+    A = body.along(matrix, normal)
+    return A, distance.ravel(), np.asarray(np.abs(A[:, ~body.given[0]]).sum(axis=1)).ravel() > 1e-9
+
+
+def slip_rows(body: Body, t: np.ndarray, w: np.ndarray) -> tuple[csr_matrix, np.ndarray]:
+    """Rows of the slip, and bounds g ds, at points t of the contact edges with weights w."""
+    foundation = body.data.foundation
+    points, length, matrix = body.trace(foundation.boundary, t)
+    normal, _ = foundation.at(points)
+    rows = body.along(matrix, np.stack([normal[1], -normal[0]]))
+    return rows, (values(foundation.friction, points) * length * w).ravel()
+
+
+def friction(body: Body, u: np.ndarray, parts: int = 64) -> float:
+    """The integral of g |u_t|: each part of an edge is split where u_t changes its sign."""
+    if body.data.foundation.friction == 0:
+        return 0.0
+    t, (s, w) = np.arange(parts + 1) / parts, composite(1, 4)
+    slip = (slip_rows(body, t, np.ones(parts + 1))[0] @ u).reshape(-1, parts + 1)
+    one, two = slip[:, :-1, None], slip[:, 1:, None]
+    root = np.where(one * two < 0, one / np.where(one == two, 1.0, one - two), 0.5)
+    points = t[:-1, None] + np.concatenate([root * s, root + (1 - root) * s], axis=2) / parts
+    weights = np.concatenate([root * w, (1 - root) * w], axis=2) / parts
+    rows, bound = slip_rows(body, points.reshape(len(slip), -1), weights.reshape(len(slip), -1))
+    return float(bound @ np.abs(rows @ u))
+
+
+def energy(body: Body, F: np.ndarray, u: np.ndarray) -> float:
+    """J(u)."""
+    return float(u @ (body.stiffness @ u) / 2 - F @ u) + friction(body, u)
+
+
+def accurate_loads(body: Body) -> np.ndarray:
+    """Forces by a rule so fine that a coarser one agrees to 1e-9."""
+    for n in (8, 12, 20, 32):
+        F, before = body.loads(n), body.loads(n - 2)
+        if np.max(np.abs(F - before)) <= 1e-9 * np.max(np.abs(F)):
+            break
+    return F
+
+
+def contact_rows(body: Body, parts: int) -> tuple[Rows, int]:
+    """Rows of friction, then of gaps, that are not given by supports, and the number of the first."""
+    A, d, use = gap_rows(body, parts)
+    A, d, none = A[use], d[use], np.zeros(np.sum(use))
+    if body.data.foundation.friction == 0:
+        return (A, d, none, none + np.inf), 0
+    B, bound = slip_rows(body, *composite(4 * parts, 2))
+    use = (np.asarray(np.abs(B[:, ~body.given[0]]).sum(axis=1)).ravel() > 1e-9) & (bound > 0)
+    B, bound = B[use], bound[use]
+    limits = np.append(-bound, none), np.append(bound, none + np.inf)
+    return (vstack([B, A]).tocsr(), np.append(0 * bound, d), *limits), bound.size
+
+
+def equilibrium(
+    body: Body,
+    F: np.ndarray,
+    parts: int = 1,
+    check: int = 0,
+    tolerance: float = 1e-9,
+    start: Equilibrium | None = None,
+) -> Equilibrium:
+    """The least energy with gaps at ``parts`` + 1 points of edges or triangles' sides.
+
+    With ``check`` points where the gap is most negative among so many more are added, until none is. A
+    ``start`` on another mesh saves steps.
+    """
+    held, u = body.given
+    free, c, weight, u = ~held, body.c, nodal_weights(body), u.copy()
+    (A, d, low, high), slips = contact_rows(body, parts)
+    begin, fine = None, gap_rows(body, check) if check else None
+    if start is not None:
+        there = start.body.at(start.body.locate(body.p), body.p[:, :, None])
+        coarse, stress = (there @ part.reshape(-1, c) for part in (start.u, start.stress))
+        entries = np.maximum(np.asarray(np.abs(A).sum(axis=0)).reshape(-1, c), 1e-300)
+        begin = coarse.ravel()[free], A @ (stress * weight[:, None] / entries).ravel()
+    K, f, given = body.stiffness[free][:, free], (F - body.stiffness @ u)[free], np.where(held, u, 0.0)
+    for _ in range(60):
+        u[free], mu, converged = minimise(K, f, (A[:, free], d + A @ given, low, high), tolerance, begin)
+        if fine is None:
+            break
+        z = np.where(fine[2], fine[0] @ u + fine[1], np.inf).reshape(body.cells, -1)
+        small = 1e-9 * np.max(np.abs(u))
+        converged = converged and bool(np.min(z) >= -small)
+        cells = np.flatnonzero(z.min(axis=1) < -small / 10)
+        if converged or not cells.size:
+            break
+        new = cells * z.shape[1] + z[cells].argmin(axis=1)
+        A, d, none = vstack([A, fine[0][new]]).tocsr(), np.append(d, fine[1][new]), np.zeros(new.size)
+        low, high = np.append(low, none), np.append(high, none + np.inf)
+        begin = u[free], np.append(mu, none)
+    on = np.where(weight > 1e-12 * np.max(weight), weight, np.inf)
+    pressure = np.linalg.norm((A[slips:].T @ mu[slips:]).reshape(-1, c), axis=1) / on
+    peak, resultant = float(np.max(pressure)), float(np.sum(mu[slips:]))
+    length = float(np.sum(weight[pressure > 1e-6 * peak]))
+    stress = (A.T @ mu).reshape(-1, c) / on[:, None]
+    return Equilibrium(body, u, energy(body, F, u), converged, stress, peak, resultant, length)
+
+
+def least(data: Data, mesh: MeshTri) -> Equilibrium:
+    """The best admissible displacement of a mesh."""
+    body = Body(data, mesh)
+    return equilibrium(body, accurate_loads(body), 8, CHECK[data.foundation.kind == "interior"])
+
+
+def penetration(body: Body, u: np.ndarray) -> float:
+    """The deepest negative gap, where it is not given by supports."""
+    A, d, free = gap_rows(body, CHECK[body.data.foundation.kind == "interior"])
+    return float(np.max(-(A @ u + d)[free], initial=0.0))
+
+
+def blocked(body: Body) -> bool:
+    """Whether supports alone press the body into the foundation: then nothing is admissible."""
+    A, d, free = gap_rows(body, 8)
+    return bool(np.min((A @ body.given[1] + d)[~free], initial=0.0) < -1e-9)
+
+
+def nodal_weights(body: Body) -> np.ndarray:
+    """Length of the contact boundary, or area, that belongs to each node."""
+    if body.data.foundation.kind == "interior":
+        return np.bincount(body.t.ravel(), np.tile(body.area / 3, 3), body.p.shape[1])
+    t, w = composite(1, 3)
+    _, length, matrix = body.trace(body.data.foundation.boundary, t)
+    return np.asarray(matrix.T @ (length * w).ravel())

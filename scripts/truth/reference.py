@@ -1,0 +1,101 @@
+"""Reference solutions: local refinement along the true curves, two levels, the energy extrapolated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+from skfem import MeshTri
+
+from truth.body import Body
+from truth.contact import Equilibrium, equilibrium
+from truth.data import Data
+
+UNIFORM, CONTACT_EDGES = 400, 80
+"""Nodes up to which refinement is uniform, and edges that contact boundaries have at least."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """``energy`` extrapolates J*, ``bar`` is the doubt; ``state`` is the finer of the two solutions."""
+
+    state: Equilibrium
+    energy: float
+    bar: float
+    converged: bool
+
+
+def reference(data: Data, nodes: int) -> Reference:
+    """Local refinement to ``nodes``, then a uniform one.
+
+    On locally refined meshes errors of the energy fall like one over the number of nodes: J* is a third of
+    the last decrease below the last energy, and the whole of that third is the doubt. Gaps hold at nodes:
+    what passes between them is of the same order, and extrapolated with the rest.
+    """
+    mesh, last, levels = data.mesh, None, []
+    while mesh.p.shape[1] < nodes:
+        marks = None
+        if mesh.p.shape[1] >= min(UNIFORM, nodes / 2):
+            body = Body(data, mesh)
+            last = equilibrium(body, body.loads(3), tolerance=1e-6, start=last)
+            marks = marked(body, last.u)
+        mesh = refined(data, mesh, marks)
+    for _ in range(2):
+        body = Body(data, mesh)
+        last = equilibrium(body, body.loads(4), tolerance=1e-8, start=last)
+        levels.append(last)
+        mesh = refined(data, mesh)
+    third = (levels[0].energy - levels[1].energy) / 3
+    bar = max(abs(third), 1e-8 * abs(levels[1].energy))
+    return Reference(levels[1], levels[1].energy - third, bar, all(level.converged for level in levels))
+
+
+def refined(data: Data, mesh: MeshTri, elements: np.ndarray | None = None) -> MeshTri:
+    """The mesh refined in all or in marked elements, with its names, and new nodes on the curves."""
+    bare = replace(mesh, _boundaries=None, _subdomains=None)
+    fine = bare.refined() if elements is None else bare.refined(elements)
+    p, n = np.array(fine.p), fine.p.shape[1]
+    keys, tree = fine.facets[0].astype(np.int64) * n + fine.facets[1], cKDTree(p.T)
+    order, names = np.argsort(keys), {}
+    for name, facets in mesh.boundaries.items():
+        one, two = mesh.facets[:, np.asarray(facets)].astype(np.int64)
+        off, new = tree.query((mesh.p[:, one] + mesh.p[:, two]).T / 2)
+        cut = off < 1e-12 * np.ptp(p)
+        halves = [(one[~cut], two[~cut]), (one[cut], new[cut]), (two[cut], new[cut])]
+        pairs = np.sort(np.hstack([np.stack(half) for half in halves]), axis=0)
+        names[name] = order[np.searchsorted(keys[order], pairs[0] * n + pairs[1])]
+    for name, (x, y, radius) in data.circles.items():
+        nodes, centre = np.unique(fine.facets[:, names[name]]), np.array([[x], [y]])
+        out = p[:, nodes] - centre
+        p[:, nodes] = centre + radius * out / np.linalg.norm(out, axis=0)
+    return replace(fine, doflocs=p, _boundaries=names)
+
+
+def marked(body: Body, u: np.ndarray) -> np.ndarray:
+    """Elements with half of the error that averaged gradients show, and those of long contact edges."""
+    gradient, nodes = body.gradients(u), body.p.shape[1]
+    places = body.t + nodes * body.material  # gradients jump between materials
+    weight = np.bincount(places.ravel(), np.tile(body.area, 3), nodes * len(body.tensor)) + 1e-300
+    mean = np.zeros((weight.size, *gradient.shape[1:]))
+    for corner in places:
+        np.add.at(mean, corner, gradient * body.area[:, None, None])
+    away = [mean[corner] / weight[corner, None, None] - gradient for corner in places]
+    error = body.area * sum(body.density(part) for part in [*away, sum(away)])
+    order = np.argsort(-error)
+    half = np.searchsorted(np.cumsum(error[order]), 0.5 * np.sum(error)) + 1
+    chosen = order[: min(half, body.t.shape[1] // 3)]
+    if body.data.foundation.kind != "interior":
+        facets = body.facets(body.data.foundation.boundary)
+        length = np.linalg.norm(body.ends[:, 1, facets] - body.ends[:, 0, facets], axis=0)
+        chosen = np.union1d(chosen, body.mesh.f2t[0, facets[length > np.sum(length) / CONTACT_EDGES]])
+    return chosen
+
+
+def distance(one: Body, u: np.ndarray, fine: Equilibrium) -> float:
+    """Energy norm of the difference to a finer solution; displacements continue linearly to the curve."""
+    body, total = fine.body, 0.0
+    for spot in np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6:
+        found = one.locate(np.einsum("iae,a->ie", body.p[:, body.t], spot))
+        total += body.density(one.gradients(u)[found] - body.gradients(fine.u)) @ body.area / 3
+    return float(np.sqrt(max(total, 0.0)))
