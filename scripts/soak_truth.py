@@ -73,7 +73,7 @@ def solved(data: Data, formulation: str, **options: Any) -> Any:
 
 def claimed_factor(record: Row) -> float | None:
     """The factor by which the record says at least that the error fell; None if it claims nothing."""
-    found = record.get("worth") or {}
+    found = record.get("error_reduction") or {}
     factor = next((found[key] for key in ("factor_lower", "factor") if found.get(key) is not None), None)
     return float(factor[0] if isinstance(factor, (list, tuple)) else factor) if factor is not None else None
 
@@ -96,7 +96,7 @@ def contradiction(record: Row) -> bool:
     near = near or record.get("stationarity") in ("S", "B") or record["formulation"] == "fixed"
     if success:
         return not (valid and improved and (near or status != "converged"))
-    return status == "converged" or (status == "worse") != (valid and not improved)
+    return status == "converged" or (status in ("worse", "exploited")) != (valid and not improved)
 
 
 def own(data: Data, solution: Any, true: Reference) -> Row:

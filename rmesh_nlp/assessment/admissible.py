@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from rmesh_nlp.assessment.energy import hat_integrals, load_vector, stiffness
 from rmesh_nlp.assessment.friction import friction_energy
 from rmesh_nlp.assessment.standoff import Cells, cells_of
+from rmesh_nlp.assessment.tightening import tightened
 from rmesh_nlp.contact.directions import Directions
 from rmesh_nlp.contact.model import solve
 from rmesh_nlp.contact.ordering import LARGE, elimination_order
@@ -142,17 +143,29 @@ class Continuous:
         system = self.system(standoff)
         state = _solved(system, start)
         left = 0.0
+        if np.any(standoff) or self._is_curved:
+            state, standoff, left = self._safe(system, state, standoff)
+            closer = tightened(system, state, self.cells, self.field) if left == 0 else None
+            if closer is not None and closer.energy < state.energy:
+                standoff = np.where(closer.active.touching, self._gaps(closer.u), 0.0)
+                state = closer
+            system = self.system(standoff)
+        return self._with_energy(system, state, standoff, left)
+
+    def _safe(
+        self, system: ContactSystem, state: Equilibrium, standoff: Array
+    ) -> tuple[Equilibrium, Array, float]:
+        """Stand-offs raised until no violation is left where normals vary; what is left else."""
         for _ in range(REPEATS):
             more = self._missing(state)
             left = float(np.max(more, initial=0.0))
             size = np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=0.0)
             if left <= SLACK * size:
-                left = 0.0
-                break
+                return state, standoff, 0.0
             standoff = standoff + 1.1 * more
             system = replace(system, offset=system.offset - 1.1 * more)
             state = _solved(system, state.active)
-        return self._with_energy(system, state, standoff, left)
+        return state, standoff, left
 
     def _with_energy(
         self, system: ContactSystem, state: Equilibrium, standoff: Array, left: float
@@ -182,6 +195,16 @@ class Continuous:
             doubt,
             left,
         )
+
+    @property
+    def _is_curved(self) -> bool:
+        """Whether a foundation has other normals at other places."""
+        return any(part.obstacle.level is not None for part in self.problem.contact_sets)
+
+    def _gaps(self, u: Array) -> Array:
+        """(gaps,) gaps at the nodes, without stand-offs."""
+        bare = self.system(np.zeros(self.problem.contact_nodes.size))
+        return np.asarray(bare.normals @ u + bare.offset)
 
     def _given(self) -> Array:
         return self.field.values(np.zeros(self.n_u)).T.ravel()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -21,12 +22,14 @@ from rmesh_nlp.problem.statement import ContactSet
 SAMPLES = 128
 """Parts of an edge between whose ends the foundation is looked at."""
 
-LATTICE = 12
-"""The same along the sides of a triangle."""
+LATTICES, POINTS = (48, 32, 24, 16, 12), 150_000
+"""The same along the sides of a triangle: the finest with which the mesh has no more points than this, or the
+coarsest."""
 
-BETWEEN = 0.25
-"""Of the largest second difference of neighbouring samples, what the height may exceed them by in between: an
-eighth where the foundation is smooth, a quarter at a kink."""
+BETWEEN = {2: 1 / 4, 3: 1 / 6}
+"""Of the largest second difference beside a sample, what the height may exceed it by towards the next ones,
+on edges (2 nodes) and in triangles (3): a quarter at a kink of the foundation, an eighth on a smooth edge, a
+sixth of that of a paraboloid within a triangle of samples."""
 
 NO_SHARE = 1e-9
 """A node with less than this share of a point does not reach it."""
@@ -50,8 +53,8 @@ class Cells:
     points : (2, m, k) array
     distance : (m, k) array
         Gaps without displacement.
-    reserve : (m,) array
-        What the gap may fall below its samples by.
+    low : (m, k) array
+        The same less what they may fall by between the points.
     """
 
     contact: ContactSet
@@ -61,7 +64,7 @@ class Cells:
     shares: Array
     points: Array
     distance: Array
-    reserve: Array
+    low: Array
 
     def off(self, given: Array) -> Array:
         """(m,) how far the free nodes of each cell must keep off; -infinity where none is free.
@@ -71,7 +74,7 @@ class Cells:
         given : (nodes,) array
             Displacement along the normal where it is given.
         """
-        height = self.shares.T @ self._at_nodes() - self.distance.T + self.reserve
+        height = self.shares.T @ self._at_nodes() - self.low.T
         return self._needed(height, np.where(self.rows < 0, self._at_nodes() + given[self.nodes], 0.0))
 
     def unreachable(self, given: Array) -> Index:
@@ -83,18 +86,27 @@ class Cells:
         size = 1e-9 * (np.max(np.abs(self.distance)) + np.max(np.abs(given), initial=0.0))
         return held[np.min(gap, axis=0) < -size]
 
-    def missing(self, displacement: Array) -> Array:
-        """(m,) by how much the free nodes of each cell must keep off more than they do; not negative.
+    @cached_property
+    def normals(self) -> Array:
+        """(components, m, k) unit normals at the points."""
+        normals = self.contact.obstacle.normals(self.points.reshape(2, -1))
+        return normals.reshape(normals.shape[0], *self.points.shape[1:])
 
-        Parameters
-        ----------
-        displacement : (components, nodes) array
-        """
+    def gaps(self, displacement: Array) -> Array:
+        """(m, k) least gaps about the points under a displacement (components, nodes)."""
         u = np.einsum("cvm,vk->cmk", displacement[:, self.nodes], self.shares)
-        normals = self.contact.obstacle.normals(self.points.reshape(2, -1)).reshape(u.shape[0], *u.shape[1:])
-        gap = np.sum(normals * u, axis=0) + self.distance
-        lack = self._needed(self.reserve - gap.T, np.zeros(self.rows.shape))
+        return np.sum(self.normals * u, axis=0) + self.low
+
+    def missing(self, displacement: Array) -> Array:
+        """(m,) by how much the free nodes of each cell must keep off more than they do; not negative."""
+        lack = self._needed(-self.gaps(displacement).T, np.zeros(self.rows.shape))
         return np.maximum(np.where(np.isfinite(lack), lack, 0.0), 0.0)
+
+    def share(self, force: Array, cells: Index, points: Index, pressing: Array) -> None:
+        """Add forces (n,) at points of cells to those (gaps,) of their free nodes."""
+        for rows, shares in zip(self.rows[:, cells], self.shares[:, points], strict=True):
+            free = rows >= 0
+            np.add.at(force, rows[free], (shares * pressing)[free])
 
     def _at_nodes(self) -> Array:
         """(v, m) gaps without displacement at the nodes."""
@@ -121,19 +133,22 @@ def cells_of(body: Body, contact: ContactSet) -> Iterator[Cells]:
     row = np.full(body.nodes.shape[1], -1)
     row[contact.nodes] = contact.rows
     if contact.obstacle.boundary is Place.INTERIOR:
-        edges, nodes, shares, bends = None, body.triangles, _LATTICE_POINTS, _LATTICE_BENDS
+        edges, nodes = None, body.triangles
+        fits = [n for n in LATTICES if n * n / 2 * nodes.shape[1] <= POINTS]
+        shares, bends = _lattice(fits[0] if fits else LATTICES[-1])
     else:
         edges = body.edges(str(contact.obstacle.boundary))
         nodes, shares, bends = edges.ends, np.stack([1 - _ALONG, _ALONG]), _EDGE_BENDS
-    step = max(1, 400_000 // shares.shape[1])
+    step, triples = max(1, 400_000 // shares.shape[1]), _triples_of(bends, shares.shape[1])
     for first in range(0, nodes.shape[1], step):
         part = np.arange(first, min(first + step, nodes.shape[1]))
         some = nodes[:, part]
         points = _points(body, edges, part, shares)
         distance = contact.obstacle.distances(points.reshape(2, -1)).reshape(points.shape[1:])
         bend = distance[:, bends[0]] - 2 * distance[:, bends[1]] + distance[:, bends[2]]
-        reserve = BETWEEN * np.max(np.abs(bend), axis=1)
-        yield Cells(contact, part, some, row[some], shares, points, distance, reserve)
+        around = np.max(np.abs(bend)[:, triples], axis=2)
+        share = BETWEEN[shares.shape[0]]
+        yield Cells(contact, part, some, row[some], shares, points, distance, distance - share * around)
 
 
 def _points(body: Body, edges: Edges | None, part: Index, shares: Array) -> Array:
@@ -146,9 +161,9 @@ _ALONG = np.arange(SAMPLES + 1) / SAMPLES
 _EDGE_BENDS = np.arange(SAMPLES - 1) + np.array([[0], [1], [2]])
 
 
-def _lattice() -> tuple[Array, Index]:
+@lru_cache
+def _lattice(n: int) -> tuple[Array, Index]:
     """Barycentric points (3, k) of a triangle, and triples of neighbours in a row, in three directions."""
-    n = LATTICE
     places = [(i, j) for i in range(n + 1) for j in range(n + 1 - i)]
     number = {place: k for k, place in enumerate(places)}
     triples = [
@@ -161,4 +176,11 @@ def _lattice() -> tuple[Array, Index]:
     return points, np.array(triples).T
 
 
-_LATTICE_POINTS, _LATTICE_BENDS = _lattice()
+def _triples_of(bends: Index, points: int) -> Index:
+    """(points, most) the triples that each point belongs to, the first of them repeated."""
+    of: list[list[int]] = [[] for _ in range(points)]
+    for number, triple in enumerate(bends.T.tolist()):
+        for point in triple:
+            of[point].append(number)
+    most = max(len(numbers) for numbers in of)
+    return np.array([numbers + [(numbers or [0])[0]] * (most - len(numbers)) for numbers in of])

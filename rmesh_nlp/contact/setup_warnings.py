@@ -41,7 +41,10 @@ LOAD_ERROR = 0.1
 """Relative difference of nodal loads by the problem's rule and by one of high degree."""
 
 FEW = 3
-"""Touching nodes below which a contact is not resolved."""
+"""Touching nodes below which a contact is not resolved, and nodes at which a boundary bends that is round."""
+
+STRAIGHT, BEND = 1e-6, 0.7
+"""Angles in radians between which a boundary bends like a curve: less is rounding, more a corner."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class SetupWarning:
     ----------
     kind : str
         A short name: overlap, open, away, all-touching, unresolved, penetration, large, tiny, locking,
-        load, point-load.
+        load, point-load, round.
     message : str
         One sentence for people, with the figure that it rests on.
     """
@@ -82,6 +85,7 @@ def setup_warnings(
     u = model.displacement.values(state.u)
     found = [*_materials(problem), *_loads(problem, system, accurate), *_sizes(problem, u)]
     found += _point_loads(problem)
+    found += _round(problem)
     for part in problem.contact_sets:
         found += _contact(problem, part, system, state, u)
     found += penetration_warnings(problem, problem.mesh.p, u)
@@ -166,6 +170,34 @@ def _point_loads(problem: ContactProblem) -> Iterator[SetupWarning]:
             "a point load has no finite energy in the plane: its energy falls without end as the mesh is "
             "refined, so compare energies on this mesh only",
         )
+
+
+def _round(problem: ContactProblem) -> Iterator[SetupWarning]:
+    """Contact boundaries that bend at every node, where nodes cannot slide without a curve."""
+    for part in problem.contact_sets:
+        name = part.obstacle.boundary
+        if isinstance(name, Place) or name in problem.motion.curves or name in problem.motion.pinned:
+            continue
+        turns = _turns(problem, name)
+        round_ones = np.count_nonzero((turns > STRAIGHT) & (turns < BEND))
+        if round_ones >= FEW and 2 * round_ones > turns.size:
+            yield SetupWarning(
+                "round",
+                f"{name!r} bends at {round_ones} of its {turns.size} inner nodes, which are fixed: say which "
+                f"curve it is on, as in [curves] {name} = 'circle' or 'spline', and they slide along it",
+            )
+
+
+def _turns(problem: ContactProblem, name: str) -> Array:
+    """Angles in radians by which a boundary turns at its inner nodes."""
+    edges = problem.mesh.facets[:, np.asarray(problem.mesh.boundaries[name])]
+    nodes, count = np.unique(edges, return_counts=True)
+    turns = []
+    for node in nodes[count == 2]:
+        at = np.flatnonzero(np.any(edges == node, axis=0))
+        one, two = (problem.mesh.p[:, edges[:, k].sum() - node] - problem.mesh.p[:, node] for k in at)
+        turns.append(np.pi - np.arccos(np.clip(one @ two / np.linalg.norm(one) / np.linalg.norm(two), -1, 1)))
+    return np.array(turns)
 
 
 def _sizes(problem: ContactProblem, u: Array) -> Iterator[SetupWarning]:

@@ -5,12 +5,14 @@ from typing import Any
 
 import casadi as ca
 import pytest
+from support.curved import disc
 
 from formulations import fixed
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import named
+from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -95,3 +97,15 @@ def test_nearly_incompressible_plane_stress_does_not_lock() -> None:
 
     problem = sound(law=PlaneStress.from_young(21600.0, 0.4999))
     assert "locking" not in {warning.kind for warning in setup_warnings(problem)}
+
+
+def test_a_round_contact_boundary_without_a_curve_is_told() -> None:
+    arc = Circle((0.0, 1.0), 1.0)
+    quarter = disc()
+    rough = replace(quarter, obstacle=Obstacle.graph("arc", -1.0), motion=Motion(None))
+    (said,) = [one.message for one in setup_warnings(rough) if one.kind == "round"]
+    assert "'arc' bends at 8 of its 8 inner nodes" in said
+    assert "[curves] arc = 'circle'" in said
+    along = replace(rough, motion=Motion(None, curves={"arc": arc}))
+    assert not [one for one in setup_warnings(along) if one.kind == "round"]
+    assert not [one for one in setup_warnings(quarter) if one.kind == "round"]  # the contact is straight
