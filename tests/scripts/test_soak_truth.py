@@ -137,8 +137,8 @@ def test_false_claims_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     worse = replace(data.mesh, doflocs=p)
     solutions = {
         "fixed": claimed(data.mesh),
-        "bad": claimed(worse, worth={"factor": 2.0}, energy_audited=-2.0),
-        "good": claimed(data.mesh, worth={"factor": 1.1}, energy_audited=-0.1),
+        "bad": claimed(worse, error_reduction={"factor": 2.0}, energy_audited=-2.0),
+        "good": claimed(data.mesh, error_reduction={"factor": 1.1}, energy_audited=-0.1),
     }
     monkeypatch.setattr(soak, "solved", lambda data, formulation, **options: solutions[formulation])
     bad = soak.judged(replace(data, formulation="bad"))
