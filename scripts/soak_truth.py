@@ -89,7 +89,7 @@ def certificate(solution: Any) -> Row:
 
 
 def contradiction(record: Row) -> bool:
-    """Whether status, success and their reasons disagree (docs/verdict.md)."""
+    """Whether status, success and their reasons disagree (docs/assessment.md)."""
     status, success, valid, improved = (record[key] for key in ("status", "success", "valid", "improved"))
     residual = record.get("stationarity_residual")
     near = residual is not None and residual <= 1e-6

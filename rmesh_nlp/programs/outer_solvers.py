@@ -88,7 +88,7 @@ def _newton_cg(
 ) -> OuterResult:
     """Projected Newton-CG, along element areas too; an interior point from where it stalls.
 
-    The cheapest way to a stationary point, but not to the lowest: see docs/verdict.md.
+    The cheapest way to a stationary point, but not to the lowest: see docs/assessment.md.
     """
     if not program.nlp.n_g:
         return _newton(program, start, monitor, settings)

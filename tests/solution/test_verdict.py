@@ -150,7 +150,7 @@ sound = st.builds(
     *3 * [st.booleans()],
 )
 LEGITIMATE = {"converged", "not_stationary", "stalled", "iteration_limit", "time_limit", "interrupted"}
-"""What docs/verdict.md allows as the status of a success."""
+"""What docs/assessment.md allows as the status of a success."""
 FAILED = {"infeasible", "unbounded", "too_few_freedoms", "evaluation_error", "failed"}
 FAULTS = {"invalid_mesh", "cycled", "iteration_limit", "inaccurate", "evaluation_error"}
 
