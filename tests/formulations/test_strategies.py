@@ -15,9 +15,10 @@ from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import signed_areas
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain, signed_areas
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.solution import Solution
 
@@ -91,6 +92,17 @@ def test_fixed_is_the_baseline(name: str) -> None:
     check_record(solution)
     assert solution.energy == solution.energy_initial
     np.testing.assert_array_equal(solution.mesh.p, solution.problem.mesh.p)
+
+
+@pytest.mark.parametrize("strategy", ["fixed", "nested", "joint", "mpcc"])
+def test_a_mesh_of_one_triangle_is_solved(strategy: str) -> None:
+    """One unknown and no free node: load 1/6, stiffness 1/2. Then friction at one free node."""
+    mesh = from_arrays([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], {"left": [[0, 2]], "bottom": [[0, 1]]})
+    solve = strategies.load(strategy)
+    assert solve(ContactProblem(mesh, Laplace(1.0), ("left",))).energy == pytest.approx(-1 / 36, rel=1e-9)
+    block = PlaneStrain(1.0, 1.0, body_force=(0.1, -1.0))
+    support = Obstacle("bottom", (0.0, 1.0), 0.1, friction=0.01)
+    assert solve(ContactProblem(mesh, block, ("left",), support, Motion(0.1, free=(1,)))).success
 
 
 @pytest.mark.slow
