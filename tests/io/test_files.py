@@ -144,11 +144,21 @@ def test_a_file_of_the_user_s_is_not_claimed(tmp_path: Path) -> None:
         Manifest(tmp_path).claim("solutions/a.vtu")
 
 
-def test_a_list_that_leads_out_of_its_folder_is_not_followed(tmp_path: Path) -> None:
-    inside = tmp_path / "in"
-    inside.mkdir()
-    (tmp_path / "victim").write_text("mine")
-    (inside / MANIFEST).write_text(f"../victim\n{tmp_path / 'victim'}\n")
-    assert Manifest(inside).set_aside() is None
-    Manifest(inside).remove(["../victim", str(tmp_path / "victim")])
-    assert (tmp_path / "victim").read_text() == "mine"
+@pytest.mark.parametrize(
+    "name", ["../victim/a", "{outside}/a", "sub/a", "sub/../victim/a", "deep/sub/a", "link", "a\0b/c"]
+)
+def test_a_list_that_leads_out_of_its_folder_is_not_followed(tmp_path: Path, name: str) -> None:
+    inside, outside = tmp_path / "in", tmp_path / "victim"
+    outside.mkdir()
+    (inside / "deep").mkdir(parents=True)
+    (outside / "a").write_text("mine")
+    for link in ("sub", "deep/sub"):
+        (inside / link).symlink_to(outside)
+    (inside / "link").symlink_to(outside / "a")
+    (inside / MANIFEST).write_text(f"{name.format(outside=outside)}\nown\n")
+    (inside / "own").write_text("ours")
+    manifest = Manifest(inside)
+    assert manifest.names() == ["own"]
+    manifest.remove([name, "own"])
+    assert manifest.set_aside() is None
+    assert ((outside / "a").read_text(), (inside / "link").is_symlink()) == ("mine", True)
