@@ -15,6 +15,7 @@ from rmesh_nlp.campaign.progress import CampaignProgress
 from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.io.files import remove_leftovers
 from rmesh_nlp.io.manifest import Manifest
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import (
@@ -156,6 +157,7 @@ def compare(
 def table(folder: Path, voice: str = "text") -> None:
     """Write the tables of a folder and print the Markdown one."""
     results = read_quietly(folder)
+    remove_leftovers(folder)
     text = write_tables(with_common_costs(results), folder)
     if voice == "text":
         print(text, end="")
@@ -163,7 +165,9 @@ def table(folder: Path, voice: str = "text") -> None:
 
 def figures(folder: Path, voice: str = "text") -> None:
     """Write the figures of a folder and say where they are."""
-    paths = write_figures(read_quietly(folder), folder / "figures", Manifest(folder))
+    results = read_quietly(folder)
+    remove_leftovers(folder)
+    paths = write_figures(results, folder / "figures", Manifest(folder))
     if voice == "text":
         print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
 

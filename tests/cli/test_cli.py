@@ -116,11 +116,19 @@ def test_compare_writes_everything_and_table_and_figures_remake_it(
 
 
 @pytest.mark.slow
-def test_table_and_figures_take_a_single_solve() -> None:
+def test_commands_of_results_take_a_single_solve_and_what_a_killed_one_left() -> None:
     assert run("solve", "6.1", "-f", "fixed", "--n", "3", "--out", "one") == 0
-    assert run("table", "one") == 0
-    assert run("figures", "one") == 0
-    assert Path("one/figures/6.1-3-grid.png").exists()
+    left = Path("one/figures/.rmesh-writing-x/half.png")
+    for command, made in (
+        ("table", "table.md"),
+        ("figures", "figures/6.1-3-grid.png"),
+        ("report", "report.html"),
+    ):
+        left.parent.mkdir(parents=True)
+        left.write_text("x")
+        assert run(command, "one") == 0
+        assert Path("one", made).exists()
+        assert not left.parent.exists()
 
 
 @pytest.mark.slow

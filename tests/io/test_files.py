@@ -10,7 +10,15 @@ from pathlib import Path
 import pytest
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.files import append_whole, safe_name, write_new, write_text, write_whole
+from rmesh_nlp.io.files import (
+    TEMPORARY,
+    append_whole,
+    remove_leftovers,
+    safe_name,
+    write_new,
+    write_text,
+    write_whole,
+)
 from rmesh_nlp.io.lock import FolderLock
 from rmesh_nlp.io.manifest import MANIFEST, Manifest
 
@@ -100,21 +108,32 @@ def test_a_second_writer_is_refused_in_one_line(tmp_path: Path) -> None:
         pass
 
 
-def test_a_writer_that_is_killed_leaves_no_lock(tmp_path: Path) -> None:
+def test_a_writer_that_is_killed_leaves_no_lock_and_no_files(tmp_path: Path) -> None:
     code = (
         "import sys, time; from pathlib import Path; from rmesh_nlp.io.lock import FolderLock\n"
-        "with FolderLock(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+        "from rmesh_nlp.io.files import folder_aside; folder = Path(sys.argv[1])\n"
+        "with FolderLock(folder), folder_aside(folder / 'figures') as place:\n"
+        "    (place / 'half').write_text('ha'); print(place, flush=True); time.sleep(60)"
     )
+    folder, elsewhere = tmp_path / "results", tmp_path / "elsewhere"
+    (elsewhere / f"{TEMPORARY}x").mkdir(parents=True)
+    folder.mkdir()
+    (folder / "link").symlink_to(elsewhere)
     with subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", code, str(folder)], stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
-        assert process.stdout.readline() == "held\n"
-        with pytest.raises(BadInputError, match=str(process.pid)), FolderLock(tmp_path):
+        half = Path(process.stdout.readline().strip()) / "half"
+        remove_leftovers(folder)
+        assert half.read_text() == "ha"
+        with pytest.raises(BadInputError, match=str(process.pid)), FolderLock(folder):
             pass
         process.kill()
-    with FolderLock(tmp_path):
-        pass
+    with FolderLock(folder):
+        remove_leftovers(folder)
+    assert not half.parent.exists()
+    assert half.parent.parent.exists()
+    assert (elsewhere / f"{TEMPORARY}x").exists()
 
 
 def test_older_runs_are_numbered_and_nothing_of_the_user_is_touched(tmp_path: Path) -> None:
