@@ -19,6 +19,7 @@ from rmesh_nlp.io.problem_messages import (
     as_text,
     at_key,
     contact_key,
+    deepest_line,
     error_at,
     nearest,
     one_line,
@@ -52,6 +53,9 @@ else:
 
 LARGEST_FILE = 1_000_000
 """Bytes that a problem file may have."""
+
+DEEPEST = 20
+"""How deep tables and lists may be nested; a valid file needs five."""
 
 SAME_PLACE = 1e-6
 """Distance, in units of the extent of the mesh, at which a node is at the place that a load names."""
@@ -105,7 +109,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     ProblemFileError
-        If the file cannot be read, is too large or no TOML; an expression without quotes is named.
+        If the file cannot be read, is too large, too deep or no TOML; an expression without quotes is named.
     """
     try:
         raw = path.read_bytes()
@@ -114,10 +118,28 @@ def read_toml(path: Path) -> dict[str, Any]:
     if len(raw) > LARGEST_FILE:
         raise ProblemFileError([f"{path}: has {len(raw)} bytes: more than {LARGEST_FILE} are not read"])
     try:
-        return tomllib.loads(raw.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        data = tomllib.loads(raw.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         hint = unquoted(raw, str(error))
         raise ProblemFileError([f"{path}: {hint or f'is not valid TOML: {one_line(error)}'}"]) from error
+    except RecursionError as error:
+        raise ProblemFileError([_too_deep(path, raw)]) from error
+    if _depth(data) > DEEPEST:
+        raise ProblemFileError([_too_deep(path, raw)])
+    return data
+
+
+def _depth(data: Any) -> int:
+    """How deep tables and lists are nested; no function calls itself, however deep that is."""
+    depth, level = 0, [data]
+    while level := [one for one in level if isinstance(one, (dict, list))]:
+        depth += 1
+        level = [v for one in level for v in (one.values() if isinstance(one, dict) else one)]
+    return depth
+
+
+def _too_deep(path: Path, raw: bytes) -> str:
+    return f"{path}: line {deepest_line(raw)}: tables and lists are nested more than {DEEPEST} deep"
 
 
 def build(table: ProblemTable, path: Path) -> ContactProblem:

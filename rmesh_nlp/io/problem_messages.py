@@ -176,6 +176,18 @@ def unquoted(raw: bytes, error: str) -> str:
     return f"{key} = {value}: expressions need quotes (line {number}), as in {key} = {_in_quotes(value)}"
 
 
+def deepest_line(raw: bytes) -> int:
+    """Number of the line of a TOML file at which most brackets are open, or with most parts in its key."""
+    deepest, found, opened = 0, 1, 0
+    for number, line in enumerate(raw.decode(errors="replace").splitlines(), 1):
+        bare = re.sub(r"\"[^\"]*\"|'[^']*'|#.*", "", line)
+        here = opened + bare.count("[") + bare.count("{") + bare.partition("=")[0].count(".")
+        opened += sum(bare.count(sign) for sign in "[{") - sum(bare.count(sign) for sign in "]}")
+        if here > deepest:
+            deepest, found = here, number
+    return found
+
+
 def _in_quotes(value: str) -> str:
     """The value with quotes around it, or around its items."""
     items = re.fullmatch(r"\[(.*)\]", value)
