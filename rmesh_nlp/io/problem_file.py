@@ -184,11 +184,34 @@ def build(table: ProblemTable, path: Path) -> ContactProblem:
             units=Units(table.units.length, table.units.force),
         )
     except ProblemError as error:
-        key = "material" if error.part == "law" and table.material else _KEY_OF_PART[error.part]
-        raise error_at(path, key, shown(table, key), one_line(error)) from error
+        raise error_at(path, *_at_fault(table, error), one_line(error)) from error
     with at_key(path, "motion", table):
         _ = discretise(problem).validity  # the rules of the motion can be obeyed
     return problem
+
+
+def _at_fault(table: ProblemTable, error: ProblemError) -> tuple[str, str]:
+    """Key and value that an error of the problem speaks of."""
+    part, name = error.part, error.name
+    if part == "law" and name is not None:
+        key, law = "material", table.material
+        if law is None:
+            key, law = f"materials.{name}", table.materials[str(name)]
+        field = "source" if law.law == "laplace" else "body_force"
+        return f"{key}.{field}", as_text(getattr(law, field))
+    if part in ("obstacle", "friction") and name is not None:
+        key, contact = contact_key(table, int(name)), table.contact[int(name)]
+        fields = ("friction",) if part == "friction" else FOUNDATIONS
+        field = next((field for field in fields if getattr(contact, field) is not None), "boundary")
+        return f"{key}.{field}", as_text(getattr(contact, field))
+    key = "material" if part == "law" and table.material else _KEY_OF_PART[part]
+    if part in ("tractions", "dirichlet") and name is not None:
+        key = f"{key}.{name}"
+    return key, shown(table, key)
+
+
+FOUNDATIONS = ("interior", "height", "offset", "points", "line", "circle", "curve")
+"""Keys of a contact that say where the foundation is."""
 
 
 def _mesh(table: ProblemTable, path: Path) -> MeshTri:

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Evaluator
 
 PositionFunction = Callable[[Any, Any], Any]
 Coefficient = float | PositionFunction
@@ -77,7 +77,8 @@ def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficien
     else:
         x, y = ca.SX.sym("x"), ca.SX.sym("y")
         function = ca.Function("coefficient", [x, y], [at(coefficient, x, y)])
-        values = function(ca.DM(points[0]).T, ca.DM(points[1]).T).full().ravel()
+        dense = ca.Function("dense", [x, y], [ca.densify(function(x, y))])  # a zero has an entry, too
+        (values,) = Evaluator(dense.map(points.shape[1]))(*points)
     if not np.all(np.isfinite(values)):
         bad = int(np.flatnonzero(~np.isfinite(values))[0])
         raise ValueError(f"{what} is {values[bad]} at ({points[0, bad]:.6g}, {points[1, bad]:.6g})")

@@ -103,6 +103,8 @@ def test_a_mesh_of_one_triangle_is_solved(strategy: str) -> None:
     block = PlaneStrain(1.0, 1.0, body_force=(0.1, -1.0))
     support = Obstacle("bottom", (0.0, 1.0), 0.1, friction=0.01)
     assert solve(ContactProblem(mesh, block, ("left",), support, Motion(0.1, free=(1,)))).success
+    with pytest.raises(ValueError, match="every displacement is given"):
+        solve(ContactProblem(mesh, Laplace(1.0), ("left", "bottom")))
 
 
 @pytest.mark.slow

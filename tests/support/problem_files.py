@@ -153,7 +153,24 @@ BROKEN: list[tuple[Edit, str]] = [
     (('"-20*x"', '"-20*"'), "'-20*' is not an expression of x and y"),
     (('"-20*x"', '"max(x)"'), "max takes 2 arguments, got 1"),
     (('"-20*x"', '"[v for v in x]"'), "is not allowed in an expression"),
-    (('"-0.01*x**2"', '"sqrt(x - 1)"'), "contact = {'boundary': 'bottom', 'height': 'sqrt(x - 1)'"),
+    # finite somewhere, but not on the mesh
+    (('"-0.01*x**2"', '"sqrt(x - 1)"'), "contact.height = 'sqrt(x - 1)': the obstacle is nan at (0, 0)"),
+    (
+        ('"-20*x"', '"log(x - 3)"'),
+        "hard.body_force = [0.0, 'log(x - 3)']: component 2 of the body force of 'hard' is nan at (2, 0)",
+    ),
+    (
+        ('"-30*sin(pi*x/4)"', '"-20*sqrt(x-10)"'),
+        "tractions.load = [0.0, '-20*sqrt(x-10)']: component 2 of the traction on 'load' is nan at (2, 1)",
+    ),
+    (
+        ('"0*y"', '"log(y - 2)"'),
+        "left = [0.0, 'log(y - 2)']: the displacement given on 'left' is nan at",
+    ),
+    (
+        ('"10 + x"', '"1/(x - 4)**2"'),
+        "friction = '1/(x - 4)**2': the friction bound is inf at (4, 0)",
+    ),
     # physics
     (
         ("poisson = 0.3", "poisson = 0.5"),
