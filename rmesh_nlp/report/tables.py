@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from rmesh_nlp.display import for_markdown, for_spreadsheet
 from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import TABLES, Results
@@ -44,7 +45,7 @@ CAPTIONS = {
 def markdown(records: Sequence[Record]) -> str:
     """Tables of each example, and the notes."""
     if is_study(records):
-        return f"# Study\n\n{summary_markdown(records)}"
+        return for_markdown(f"# Study\n\n{summary_markdown(records)}")
     parts = ["# Comparison of strategies\n"]
     for block in blocks(records):
         parts.append(f"## {block.title}\n")
@@ -63,7 +64,7 @@ def markdown(records: Sequence[Record]) -> str:
         parts.append("No solve has ended yet.\n")
     parts.append("## Notes\n")
     parts.append("".join(f"- {note}\n" for note in notes(records)))
-    return "\n".join(parts)
+    return for_markdown("\n".join(parts))
 
 
 def latex(records: Sequence[Record]) -> str:
@@ -111,6 +112,12 @@ def frame(records: Sequence[Record]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def csv(records: Sequence[Record]) -> str:
+    """The same as CSV, without text that a spreadsheet would run."""
+    table = frame(records).rename(columns=for_spreadsheet)
+    return str(table.apply(lambda column: column.map(for_spreadsheet)).to_csv(index=False))
+
+
 def write_tables(records: Sequence[Record], folder: Path) -> str:
     """Write ``table.md``, ``table.tex`` and ``table.csv``; returns the Markdown.
 
@@ -124,7 +131,7 @@ def write_tables(records: Sequence[Record], folder: Path) -> str:
     for name, content in (
         ("table.md", text),
         ("table.tex", latex(records)),
-        ("table.csv", frame(records).to_csv(index=False)),
+        ("table.csv", csv(records)),
     ):
         write_text(folder / name, content)
     return text
