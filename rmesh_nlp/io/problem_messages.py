@@ -91,7 +91,7 @@ def pydantic_line(path: Path, item: Any, data: dict[str, Any]) -> str:
         return f"{path}: {key} = nothing: expected, but it is missing"
     if item["type"] == "literal_error":
         return f"{path}: {key} = {as_text(item['input'])}: expected {item['ctx']['expected']}"
-    if item["type"] in ("model_type", "dict_type", "model_attributes_type"):
+    if item["type"] in ("model_type", "dict_type", "tuple_type", "model_attributes_type"):
         return f"{path}: {key} = {as_text(item['input'])}: expected a table [{key}]"
     message = one_line(item["msg"]).removeprefix("Value error, ")
     if not location:

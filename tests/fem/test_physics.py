@@ -17,6 +17,7 @@ from rmesh_nlp.problem import (
     PiecewiseLinear,
     PlaneStrain,
     PlaneStress,
+    PointLoad,
     Relative,
     Traction,
 )
@@ -215,6 +216,11 @@ def between_nodes(x: object, y: object) -> object:
         ({"obstacle": Obstacle("bottom", offset=between_nodes)}, "the obstacle is nan"),
         ({"obstacle": Obstacle("bottom", friction=between_nodes)}, "the friction bound is nan"),
         ({"motion": Motion(0.1, pinned=(99,))}, "names node 99"),
+        ({"dirichlet": ("left", 3)}, "dirichlet must be names of boundaries or Dirichlet, got 3"),
+        ({"dirichlet": {"left": 0.5}}, r"or Dirichlet, got \{'left': 0.5\}"),
+        ({"tractions": "right"}, "tractions must be Traction, got 'right'"),
+        ({"obstacle": "bottom"}, "obstacle must be Obstacle, got 'bottom'"),
+        ({"motion": 0.1}, "motion must be Motion, got 0.1"),
         ({"obstacle": Obstacle("left")}, "no node of the contact set"),
     ],
 )
@@ -222,6 +228,17 @@ def test_bad_problems_are_named(change: dict, message: str) -> None:
     good = ContactProblem(rectangle(4, 2), PlaneStrain(1.0, 1.0), ("left",), motion=Motion(0.1))
     with pytest.raises(ValueError, match=message):
         replace(good, **change)
+
+
+def test_one_of_several_may_stand_alone() -> None:
+    load, motion = Traction("right", 2.0), Motion(0.1, pinned="top", free=4)
+    problem = ContactProblem(rectangle(4, 2), Laplace(), "left", motion=motion, tractions=load)
+    assert (problem.dirichlet, problem.tractions, load.value) == (("left",), (load,), (2.0,))
+    assert (motion.pinned, motion.free) == (("top",), (4,))
+    support, force = Dirichlet("left", 0.5), PointLoad(3, 1.0)
+    problem = replace(problem, dirichlet=support, point_loads=force)
+    assert problem.supports == (Dirichlet("left", (0.5,)),)
+    assert problem.point_loads == (PointLoad(3, (1.0,)),)
 
 
 @pytest.mark.parametrize(
@@ -240,6 +257,8 @@ def test_bad_problems_are_named(change: dict, message: str) -> None:
         (lambda: Motion((0.1, 0.1, 0.1)), "delta must be"),
         (lambda: Motion("wide"), "delta must be"),
         (lambda: Motion(0.1, min_angle=60.0), "min_angle"),
+        (lambda: Motion(0.1, pinned=(0.5,)), "pinned must be names of boundaries or node numbers, got 0.5"),
+        (lambda: Motion(0.1, tied=(1, 2)), "tied must be pairs of node numbers, got 1"),
     ],
 )
 def test_bad_values_are_named(make: object, message: str) -> None:

@@ -70,6 +70,8 @@ def test_missing_quotes_are_named_with_their_key(tmp_path: Path, old: str, new: 
         ('source = "x"\nmesh = { shape = "rectangle", nx = 2, ny = 2 }', "belongs in [material]"),
         ('mesh = { shape = "rectangle", nx = 2, ny = 2, friction = 1 }', "belongs in [contact]"),
         ('mesh = { shape = "rectangle", nx = 2, ny = 2, quadrature = 4 }', "belongs at the top of the file"),
+        ('dirichlet = "left"', "dirichlet = 'left': expected a table [dirichlet]"),
+        ('contact = "bottom"', "contact = 'bottom': expected a table [contact]"),
     ],
 )
 def test_a_key_in_the_wrong_table_is_sent_home(tmp_path: Path, text: str, home: str) -> None:
