@@ -46,7 +46,10 @@ def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None
     n = problem.mesh.p.shape[1]
     coarse = unrefined(problem.mesh)
     if coarse is None or not set(problem.motion.numbers) <= set(coarse.nodes.tolist()):
-        coarse = _decimated(problem, max(n // COARSER, least))
+        try:
+            coarse = _decimated(problem, max(n // COARSER, least))
+        except ValueError:
+            return None  # nothing is left of a boundary or a subdomain
     size = coarse.mesh.p.shape[1]
     if size < least or WORTHWHILE * size > n:
         return None
