@@ -28,11 +28,6 @@ def test_a_strategy_is_found_by_its_name(comparison: rm.Comparison) -> None:
     assert {"fixed", "joint", "mpcc", "nested"} <= set(rm.strategies())
 
 
-def test_an_unknown_strategy_is_named() -> None:
-    with pytest.raises(ValueError, match="jiont"):
-        rm.solve(rm.EXAMPLES["6.1"](n=3), "jiont")
-
-
 @pytest.mark.parametrize(
     ("strategy", "option"), [("fixed", "levels"), ("fixed", "starts"), ("joint", "sede")]
 )

@@ -180,28 +180,9 @@ def test_the_quasi_newton_memory_is_not_forgotten() -> None:
     assert solution.energy == pytest.approx(nested.solve(problem, outer="newton").energy, rel=1e-6)
 
 
-def test_unknown_outer_solver_is_named() -> None:
-    with pytest.raises(ValueError, match="unknown outer solver 'sqp'"):
-        nested.solve(EXAMPLES["6.1"](4), outer="sqp")
-
-
 def test_a_solver_without_constraints_refuses_large_boxes() -> None:
     with pytest.raises(ValueError, match="l-bfgs-b knows boxes only"):
         nested.solve(EXAMPLES["6.1"](4, 0.9), outer="l-bfgs-b")
-
-
-def test_joint_refuses_other_objectives() -> None:
-    with pytest.raises(ValueError, match="with terms in the positions, not 'error-l2'"):
-        joint.solve(EXAMPLES["6.1"](4), objective="error-l2")
-
-
-def test_a_solve_stopped_by_a_limit_says_so_and_keeps_what_it_gained() -> None:
-    solution = joint.solve(replace(EXAMPLES["6.1"](4), quadrature=6), max_iterations=2)
-    assert solution.status is Status.ITERATION_LIMIT
-    assert solution.audit.energy_audited < solution.energy_initial_audited
-    assert solution.success
-    assert solution.stationarity == ""
-    assert np.isfinite(solution.record()["energy_audited"])
 
 
 def test_steps_are_reported_as_they_come() -> None:

@@ -81,13 +81,6 @@ def test_a_key_in_the_wrong_table_is_sent_home(tmp_path: Path, text: str, home: 
         load_problem(path)
 
 
-def test_other_errors_of_toml_stay_as_they_are(tmp_path: Path) -> None:
-    path = tmp_path / "my.toml"
-    path.write_text(VALID.replace("ny = 3", "ny = 3 cells"))
-    with pytest.raises(ProblemFileError, match="is not valid TOML"):
-        load_problem(path)
-
-
 @pytest.mark.parametrize(
     "line",
     [

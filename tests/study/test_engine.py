@@ -20,7 +20,6 @@ from support.strategies import install
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.lock import FolderLock
 from rmesh_nlp.io.results import read_results, row_files
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.study import engine, worker
@@ -93,17 +92,6 @@ def test_a_study_by_command_runs_once_and_has_fields(
     assert json.loads(environment.read_text())["versions"]["casadi"]
     assert cli.run(arguments) == 0
     assert rows_of(out) == rows  # nothing was solved again
-
-
-@pytest.mark.slow
-def test_a_second_client_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, out = tmp_path / "study.toml", tmp_path / "out"
-    path.write_text(SMALL)
-    out.mkdir()
-    with FolderLock(out):
-        assert cli.run(["study", str(path), "--out", str(out)]) == 2
-    assert "being written by another rmesh" in capsys.readouterr().err.strip()
-    assert row_files(out) == []
 
 
 def test_rows_of_workers_that_were_killed_are_kept_and_joined(
