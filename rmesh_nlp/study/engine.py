@@ -7,7 +7,7 @@ import concurrent.futures
 import logging
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
@@ -165,11 +165,11 @@ def _client(distributed: Any, jobs: int, scheduler: str | None) -> Iterator[Any]
         try:
             for one in (client, cluster):
                 if one is not None:
-                    one.close(timeout=10)
-        except KeyboardInterrupt:  # a second one: nobody waits, the workers end with this process
+                    with suppress(*NO_CLUSTER):  # it did not end in time
+                        one.close(timeout=10)
+        finally:  # also after a second Ctrl-C nobody waits again: what is left ends with this process
             if cluster is not None:
                 cluster.shutdown_on_close = False
-            raise
 
 
 def _has_certificate(distributed: Any) -> bool:

@@ -183,7 +183,7 @@ def test_a_reader_that_waits_for_the_processor_is_not_stopped(
 ) -> None:
     monkeypatch.setattr("rmesh_nlp.meshes.files.SECONDS", 0.1)
     monkeypatch.setattr("meshio.read", lambda *_: time.sleep(0.3) or "a mesh")
-    (tmp_path / "a.vtk").write_text("")
+    (tmp_path / "a.vtk").write_text("x")
     assert read_file(tmp_path / "a.vtk") == "a mesh"
 
 
