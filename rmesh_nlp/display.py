@@ -39,6 +39,20 @@ def html_table(title: str, rows: Rows) -> str:
     return f"<table><caption>{escape(title)}</caption>{lines}</table>"
 
 
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
+"""What spreadsheets take for the beginning of a formula."""
+
+
+def for_spreadsheet(value: Any) -> Any:
+    """A value for a CSV file: a text that a spreadsheet would run as a formula begins with an apostrophe."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
+
+
+def for_markdown(text: str) -> str:
+    """Markdown in which no name is taken for HTML."""
+    return text.replace("<", "&lt;")
+
+
 def figure(value: float) -> str:
     """A number with six digits."""
     return f"{value:.6g}"

@@ -26,9 +26,10 @@ class ProblemError(ValueError):
     """A problem that contradicts itself.
 
     ``part`` names the part of the statement that is at fault: mesh, law, dirichlet, obstacle,
-    friction, motion, curves or tractions.
+    friction, motion, curves or tractions. ``name`` says which of several: of a region or a boundary, or the
+    number of an obstacle.
     """
 
-    def __init__(self, part: str, message: str) -> None:
+    def __init__(self, part: str, message: str, name: str | int | None = None) -> None:
         super().__init__(message)
-        self.part = part
+        self.part, self.name = part, name

@@ -22,7 +22,7 @@ from rmesh_nlp.campaign import strategies
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli import work
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.io.problem_file import read_table
+from rmesh_nlp.io.problem_file import read_table, read_toml
 from rmesh_nlp.problem import ContactProblem
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -41,6 +41,19 @@ def test_no_imports_go_in_a_circle() -> None:
     _, circle = connected_components(matrix, directed=True, connection="strong")
     together = [name for name, one in zip(modules, circle, strict=True) if np.sum(circle == one) > 1]
     assert together == []
+
+
+def test_every_file_of_the_packages_is_installed() -> None:
+    """Without an editable installation; ``.ci/run`` looks into the wheel itself."""
+    data = read_toml(ROOT / "pyproject.toml")["tool"]["setuptools"]["package-data"]
+    files = [path for name in ("rmesh_nlp", "formulations") for path in (ROOT / name).rglob("*")]
+    for path in files:
+        if path.is_dir() or "__pycache__" in path.parts:
+            continue
+        assert path.with_name("__init__.py").exists(), path
+        package = ".".join(path.relative_to(ROOT).parent.parts)
+        patterns = ["*.py", *data.get("*", ()), *data.get(package, ())]
+        assert any(path.match(pattern) for pattern in patterns), path
 
 
 def test_the_strategies_are_entry_points() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 from rmesh_nlp.campaign.strategies import available, load
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solution.solution import Solution
 
@@ -39,5 +41,13 @@ def solve(problem: ContactProblem, strategy: str = "auto", **options: Any) -> So
     ValueError
         If there is no such strategy, or it does not take this problem or option.
     """
-    solution: Solution = load(strategy)(problem, **options)
+    chosen = load(strategy)
+    parameters = inspect.signature(chosen).parameters.values()
+    known = [one.name for one in parameters if one.kind is one.KEYWORD_ONLY]
+    unknown = () if any(one.kind is one.VAR_KEYWORD for one in parameters) else set(options) - set(known)
+    if unknown:
+        name = min(unknown)
+        said = f"the formulation {strategy!r} takes no {name}, got {name}={options[name]!r}"
+        raise BadInputError(f"{said}; it takes {', '.join(known)}")
+    solution: Solution = chosen(problem, **options)
     return solution

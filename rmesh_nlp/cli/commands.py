@@ -15,6 +15,7 @@ from rmesh_nlp.campaign.progress import CampaignProgress
 from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.io.files import remove_leftovers
 from rmesh_nlp.io.manifest import Manifest
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import (
@@ -158,7 +159,9 @@ def compare(
 
 def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
     """Write the tables of a folder and print the main one, or with ``verbose`` all of them."""
-    records = with_common_costs(read_quietly(folder))
+    results = read_quietly(folder)
+    remove_leftovers(folder)
+    records = with_common_costs(results)
     write_tables(records, folder)
     if voice == "text":
         print(markdown(records) if verbose else short_markdown(records), end="")
@@ -168,7 +171,9 @@ def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
 
 def figures(folder: Path, voice: str = "text") -> None:
     """Write the figures of a folder and say where they are."""
-    paths = write_figures(read_quietly(folder), folder / "figures", Manifest(folder))
+    results = read_quietly(folder)
+    remove_leftovers(folder)
+    paths = write_figures(results, folder / "figures", Manifest(folder))
     if voice == "text":
         print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
 

@@ -34,6 +34,7 @@ from rmesh_nlp.io.problem_template import template
 from rmesh_nlp.io.results import Results, to_json, write_single
 from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.checks import check_unknowns
 from rmesh_nlp.report.before_after import PICTURES, write_pictures
 from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.problem_picture import draw_problem
@@ -82,6 +83,7 @@ def check(path: Path, picture: Path | None = None) -> int:
     rows.append(("moves", str(free.n)))
     rows.append(("validity constraints", str(parts.validity.size)))
     try:
+        check_unknowns(problem)
         found = [warning.message for warning in setup_warnings(problem)]
     except ValueError as error:
         raise BadInputError(f"{path}: {one_line(error)}") from error

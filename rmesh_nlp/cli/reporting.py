@@ -17,7 +17,7 @@ def study(
     jobs: Jobs = 1,
     scheduler: Annotated[
         str | None,
-        typer.Option("--scheduler", metavar="ADDRESS", help="A running dask scheduler: tcp://host:8786."),
+        typer.Option("--scheduler", metavar="ADDRESS", help="A running dask scheduler: tls://host:8786."),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the plan and a guess of its time.")
@@ -37,7 +37,7 @@ def study(
     rmesh new --study study.toml
     rmesh study study.toml --out first --dry-run
     rmesh study study.toml --out first --jobs 2
-    rmesh study study.toml --out first --scheduler tcp://login1:8786
+    rmesh study study.toml --out first --scheduler tls://login1:8786
     rmesh study study.toml --out first --retry-failed
     """
     given = (file, out, jobs, scheduler, dry_run, json, quiet, retry_failed)

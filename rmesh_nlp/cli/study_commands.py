@@ -11,7 +11,7 @@ from pathlib import Path
 from rmesh_nlp.cli.commands import read_quietly
 from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
-from rmesh_nlp.io.files import safe_name, write_new, write_whole
+from rmesh_nlp.io.files import remove_leftovers, safe_name, write_new, write_whole
 from rmesh_nlp.io.results import ROWS, SOLUTIONS, read_rows
 from rmesh_nlp.report.html_page import write_report
 from rmesh_nlp.report.reproduction_page import NAMES, write_page
@@ -97,6 +97,7 @@ def study(
 def report(folder: Path) -> None:
     """Write the page of a folder and say where it is."""
     results = read_quietly(folder)
+    remove_leftovers(folder)
     path, question, title = folder / STUDY_FILE, "", ""
     if path.exists():
         table = read_study(path)

@@ -91,7 +91,9 @@ class ContactModel:
         no_rows = ca.MX.zeros(self.contact_nodes.size)
         hessian = inner.hess_lag(zero, X, 1.0, no_rows)
         self._kept = [inner]
-        self._evaluate = Evaluator(ca.Function("contact_system", [X], [hessian, -gradient, value, gap]))
+        self._evaluate = Evaluator(
+            ca.Function("contact_system", [X], [hessian, ca.densify(-gradient), ca.densify(value), gap])
+        )
         self._loads = _Loads(parts)
         self._stiffness = Symmetric(numbered(hessian.sparsity()))
         self._curved = any(part.level is not None for part in problem.obstacles)

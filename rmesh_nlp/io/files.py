@@ -7,11 +7,16 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rmesh_nlp.errors import BadInputError
+
+try:
+    import fcntl
+except ImportError:  # Windows: no such locks there
+    fcntl = None  # type: ignore[assignment]
 
 LONGEST_NAME = 150
 """Bytes of a file name, its suffix and those of figures aside; file systems allow 255."""
@@ -41,7 +46,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     The file is filled in a new folder that only this user can enter, with a name that cannot be
     foreseen: nobody can put a link in its way. A link at ``path`` itself is replaced, not followed.
     """
-    with _Aside(path) as aside:
+    with _aside(path) as aside:
         write(aside)
         _to_disk(aside)
         os.replace(aside, path)
@@ -60,7 +65,7 @@ def write_new(path: Path, text: str) -> None:
     FileExistsError
         If something has this name; it is not touched.
     """
-    with _Aside(path) as aside:
+    with _aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
         _to_disk(aside)
         try:
@@ -115,25 +120,62 @@ def read_text(path: Path) -> str:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Take away what writers that were killed left aside; only for who holds the folder's lock."""
-    for path in folder.glob(f"{TEMPORARY}*"):
-        if path.is_dir() and not path.is_symlink():
+    """Take away what writers that were killed left aside in a folder and those in it.
+
+    What a living writer fills is locked, and stays.
+    """
+    inside = [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
+    for path in [left for place in (folder, *inside) for left in place.glob(f"{TEMPORARY}*")]:
+        with suppress(OSError):
+            descriptor = _locked(path)
             shutil.rmtree(path, ignore_errors=True)
+            _unlock(descriptor)
 
 
-class _Aside:
+@contextmanager
+def folder_aside(folder: Path) -> Iterator[Path]:
+    """A new folder in a folder, for this user alone, that goes at the end; a lock tells that it is in use."""
+    folder.mkdir(parents=True, exist_ok=True)
+    place = Path(tempfile.mkdtemp(prefix=TEMPORARY, dir=folder))
+    descriptor = None
+    with suppress(OSError):  # a file system without locks of folders: what is left there stays
+        descriptor = _locked(place)
+    try:
+        yield place
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+        _unlock(descriptor)
+
+
+@contextmanager
+def _aside(path: Path) -> Iterator[Path]:
     """A path of the same name in a new private folder beside the file to be written."""
+    with folder_aside(path.parent) as place:
+        yield place / path.name
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
 
-    def __enter__(self) -> Path:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._folder = Path(tempfile.mkdtemp(prefix=TEMPORARY, dir=self._path.parent))
-        return self._folder / self._path.name
+def _locked(folder: Path) -> int | None:
+    """Hold the lock of a folder until its descriptor is closed; None on systems without ``fcntl``.
 
-    def __exit__(self, *_: object) -> None:
-        shutil.rmtree(self._folder, ignore_errors=True)
+    Raises
+    ------
+    OSError
+        If another process holds it, it is a link, or such locks are not to be had there.
+    """
+    if fcntl is None:
+        return None
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _unlock(descriptor: int | None) -> None:
+    if descriptor is not None:
+        os.close(descriptor)
 
 
 def _to_disk(path: Path) -> None:

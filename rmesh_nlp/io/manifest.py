@@ -36,11 +36,34 @@ class Manifest:
         return self.path.is_file() and not self.path.is_symlink()
 
     def names(self) -> list[str]:
-        """Names noted so far, relative to the folder; what leads out of it is passed over."""
+        """Names noted so far, relative to the folder.
+
+        A name that leads out of the folder, by itself or through a link, is not this package's: whoever
+        reads, replaces, moves or removes by these names stays inside.
+        """
         if not self.exists:
             return []
         lines = self.path.read_text(encoding="utf-8", errors="replace").splitlines()
-        return list(dict.fromkeys(line for line in lines if line and line[0] != "#" and _stays_inside(line)))
+        names = list(dict.fromkeys(line for line in lines if line and line[0] != "#"))
+        parents = {PurePosixPath(name).parent for name in names}
+        inside = {parent for parent in parents if self._is_itself(parent)}
+        return [
+            name
+            for name in names
+            if PurePosixPath(name).parent in inside
+            and PurePosixPath(name).name != MANIFEST
+            and not os.path.islink(self.folder / name)
+        ]
+
+    def _is_itself(self, path: PurePosixPath) -> bool:
+        """Whether a folder below this one is really there: no link and no ``..`` leads elsewhere."""
+        if path.is_absolute() or ".." in path.parts:
+            return False
+        try:
+            real = os.path.realpath(self.folder / path)
+        except ValueError:  # a null character
+            return False
+        return Path(real) == Path(os.path.realpath(self.folder)) / path
 
     def check(self, names: Iterable[str]) -> None:
         """Refuse names that are taken by something which is not this package's.
@@ -69,7 +92,8 @@ class Manifest:
             See :meth:`check`.
         """
         self.check(names)
-        fresh = [name for name in names if name not in set(self.names())]
+        own = set(self.names())
+        fresh = [name for name in names if name not in own]
         if fresh:
             head = "" if self.exists else HEAD
             append_whole(self.path, head + "".join(f"{name}\n" for name in fresh))
@@ -126,8 +150,3 @@ class Manifest:
             raise BadInputError(f"{path} is a link: results are written in their own folder only")
         if path.exists() and not path.is_dir():
             raise BadInputError(f"{path} is a file, where a folder is to be written")
-
-
-def _stays_inside(name: str) -> bool:
-    path = PurePosixPath(name)
-    return not path.is_absolute() and ".." not in path.parts and path.name != MANIFEST

@@ -19,6 +19,7 @@ from rmesh_nlp.io.problem_messages import (
     as_text,
     at_key,
     contact_key,
+    deepest_line,
     error_at,
     nearest,
     one_line,
@@ -52,6 +53,9 @@ else:
 
 LARGEST_FILE = 1_000_000
 """Bytes that a problem file may have."""
+
+DEEPEST = 20
+"""How deep tables and lists may be nested; a valid file needs five."""
 
 SAME_PLACE = 1e-6
 """Distance, in units of the extent of the mesh, at which a node is at the place that a load names."""
@@ -105,7 +109,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     ProblemFileError
-        If the file cannot be read, is too large or no TOML; an expression without quotes is named.
+        If the file cannot be read, is too large, too deep or no TOML; an expression without quotes is named.
     """
     try:
         raw = path.read_bytes()
@@ -114,10 +118,28 @@ def read_toml(path: Path) -> dict[str, Any]:
     if len(raw) > LARGEST_FILE:
         raise ProblemFileError([f"{path}: has {len(raw)} bytes: more than {LARGEST_FILE} are not read"])
     try:
-        return tomllib.loads(raw.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        data = tomllib.loads(raw.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         hint = unquoted(raw, str(error))
         raise ProblemFileError([f"{path}: {hint or f'is not valid TOML: {one_line(error)}'}"]) from error
+    except RecursionError as error:
+        raise ProblemFileError([_too_deep(path, raw)]) from error
+    if _depth(data) > DEEPEST:
+        raise ProblemFileError([_too_deep(path, raw)])
+    return data
+
+
+def _depth(data: Any) -> int:
+    """How deep tables and lists are nested; no function calls itself, however deep that is."""
+    depth, level = 0, [data]
+    while level := [one for one in level if isinstance(one, (dict, list))]:
+        depth += 1
+        level = [v for one in level for v in (one.values() if isinstance(one, dict) else one)]
+    return depth
+
+
+def _too_deep(path: Path, raw: bytes) -> str:
+    return f"{path}: line {deepest_line(raw)}: tables and lists are nested more than {DEEPEST} deep"
 
 
 def build(table: ProblemTable, path: Path) -> ContactProblem:
@@ -162,11 +184,34 @@ def build(table: ProblemTable, path: Path) -> ContactProblem:
             units=Units(table.units.length, table.units.force),
         )
     except ProblemError as error:
-        key = "material" if error.part == "law" and table.material else _KEY_OF_PART[error.part]
-        raise error_at(path, key, shown(table, key), one_line(error)) from error
+        raise error_at(path, *_at_fault(table, error), one_line(error)) from error
     with at_key(path, "motion", table):
         _ = discretise(problem).validity  # the rules of the motion can be obeyed
     return problem
+
+
+def _at_fault(table: ProblemTable, error: ProblemError) -> tuple[str, str]:
+    """Key and value that an error of the problem speaks of."""
+    part, name = error.part, error.name
+    if part == "law" and name is not None:
+        key, law = "material", table.material
+        if law is None:
+            key, law = f"materials.{name}", table.materials[str(name)]
+        field = "source" if law.law == "laplace" else "body_force"
+        return f"{key}.{field}", as_text(getattr(law, field))
+    if part in ("obstacle", "friction") and name is not None:
+        key, contact = contact_key(table, int(name)), table.contact[int(name)]
+        fields = ("friction",) if part == "friction" else FOUNDATIONS
+        field = next((field for field in fields if getattr(contact, field) is not None), "boundary")
+        return f"{key}.{field}", as_text(getattr(contact, field))
+    key = "material" if part == "law" and table.material else _KEY_OF_PART[part]
+    if part in ("tractions", "dirichlet") and name is not None:
+        key = f"{key}.{name}"
+    return key, shown(table, key)
+
+
+FOUNDATIONS = ("interior", "height", "offset", "points", "line", "circle", "curve")
+"""Keys of a contact that say where the foundation is."""
 
 
 def _mesh(table: ProblemTable, path: Path) -> MeshTri:

@@ -91,7 +91,7 @@ def pydantic_line(path: Path, item: Any, data: dict[str, Any]) -> str:
         return f"{path}: {key} = nothing: expected, but it is missing"
     if item["type"] == "literal_error":
         return f"{path}: {key} = {as_text(item['input'])}: expected {item['ctx']['expected']}"
-    if item["type"] in ("model_type", "dict_type", "model_attributes_type"):
+    if item["type"] in ("model_type", "dict_type", "tuple_type", "model_attributes_type"):
         return f"{path}: {key} = {as_text(item['input'])}: expected a table [{key}]"
     message = one_line(item["msg"]).removeprefix("Value error, ")
     if not location:
@@ -174,6 +174,18 @@ def unquoted(raw: bytes, error: str) -> str:
     if not re.search(r"[xy]\b|\*|\(|[0-9]\s*[-+/^]", value):
         return ""
     return f"{key} = {value}: expressions need quotes (line {number}), as in {key} = {_in_quotes(value)}"
+
+
+def deepest_line(raw: bytes) -> int:
+    """Number of the line of a TOML file at which most brackets are open, or with most parts in its key."""
+    deepest, found, opened = 0, 1, 0
+    for number, line in enumerate(raw.decode(errors="replace").splitlines(), 1):
+        bare = re.sub(r"\"[^\"]*\"|'[^']*'|#.*", "", line)
+        here = opened + bare.count("[") + bare.count("{") + bare.partition("=")[0].count(".")
+        opened += sum(bare.count(sign) for sign in "[{") - sum(bare.count(sign) for sign in "]}")
+        if here > deepest:
+            deepest, found = here, number
+    return found
 
 
 def _in_quotes(value: str) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
@@ -113,6 +114,7 @@ def _merges(
     edges = np.unique(edges[:, chosen[edges[0]] & ~on_line[edges[0]]], axis=1)
     along = line_edges[:, line_edges[0] != line_edges[1]]
     along = np.hstack([along, along[::-1]])
+    along = along[:, ~_in_short_loops(along, n)[along[0]]]
     pairs = np.hstack([edges, np.unique(along[:, chosen[along[0]]], axis=1)])
     if pairs.shape[1] == 0:
         return pairs
@@ -122,6 +124,21 @@ def _merges(
     _, first = np.unique(pairs[0], return_index=True)
     good = first[quality[first] > LEAST_QUALITY]
     return pairs[:, good]
+
+
+def _in_short_loops(along: NDArray, n: int) -> NDArray[np.bool_]:
+    """Nodes (n,) of closed lines of three or four edges, such as small holes: fewer would close them.
+
+    Two nodes of a line may be taken out at once, so that five leave three at least.
+    """
+    line = sp.csr_array((np.ones(along.shape[1]), along), shape=(n, n))
+    line.data[:] = 1.0  # an edge of two parts counts once
+    twice = sp.csr_array(line @ line)
+    found = np.zeros(n, dtype=bool)
+    regular = np.flatnonzero(np.diff(line.indptr) == 2)
+    first, second = line.indices[line.indptr[regular]], line.indices[line.indptr[regular] + 1]
+    found[regular] = (line[first, second] > 0) | (twice[first, second] > 1)
+    return found
 
 
 def _mean_edges(nodes: Array, t: NDArray) -> Array:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import signal
 import threading
+import warnings
+import xml.etree.ElementTree
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -40,11 +43,14 @@ def read_file(path: Path) -> Any:
         raise ValueError(f"{path}: cannot be read as a mesh: {error.strerror}") from error
     if not path.is_file():
         raise ValueError(f"{path}: cannot be read as a mesh: it is not a file")
+    if size == 0:
+        raise ValueError(f"{path}: cannot be read as a mesh: it is empty{AGAIN}")
     if size > LARGEST_FILE:
         raise ValueError(f"{path}: has {size} bytes: of a mesh no more than {LARGEST_FILE} are read")
     seconds = SECONDS + SECONDS_PER_BYTE * size
+    said = io.StringIO()  # meshio prints what it dislikes
     try:
-        with contextlib.redirect_stdout(io.StringIO()):  # meshio prints what it dislikes
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()), _no_warnings():
             return _limited(lambda: meshio.read(path, kind), seconds)
     except _TooLongError:
         raise ValueError(
@@ -52,10 +58,45 @@ def read_file(path: Path) -> Any:
             "the file may be damaged"
         ) from None
     except (SystemExit, Exception) as error:  # meshio's readers raise anything, some call sys.exit
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        if isinstance(error, SystemExit):
-            reason = f"it is not in the format {kind}"
-        raise ValueError(f"{path}: cannot be read as a mesh: {reason}") from error
+        reason = _reason(error, said.getvalue())
+        raise ValueError(f"{path}: cannot be read as a mesh of the format {kind}: {reason}") from error
+
+
+AGAIN = "; export it again, as .msh of gmsh or .vtu if it can be"
+
+NO_NUMBER = re.compile(r"(?:could not convert string to float|invalid literal for int\(\).*?): (.*)")
+
+INTERNAL = (AssertionError, AttributeError, IndexError, TypeError, NameError)
+"""Errors of a reader that met what it was not made for; their texts speak of its code."""
+
+
+def _reason(error: BaseException, said: str) -> str:
+    """One line for people on why a reader of meshio gave up, and what to do."""
+    if isinstance(error, ModuleNotFoundError):
+        return f"this format needs the package {error.name}: pip install {error.name}"
+    text = " ".join(str(error).split())
+    number = NO_NUMBER.match(text)
+    if isinstance(error, SystemExit):  # its reason was printed
+        lines = [line for line in said.splitlines() if re.match(r"\s*[A-Za-z]", line)]
+        text = lines[-1].strip() if lines else "its content is in another format"
+    elif isinstance(error, UnicodeDecodeError):
+        text = "it is not a text file"
+    elif isinstance(error, xml.etree.ElementTree.ParseError):
+        text = f"it is no XML at line {error.position[0]}, column {error.position[1]}"
+    elif isinstance(error, KeyError):
+        text = f"{error.args[0] if error.args else 'a part'} is missing in it, or the reader does not know it"
+    elif number:
+        text = f"{number[1].strip()} stands where a number is expected"
+    elif isinstance(error, INTERNAL) or not text:
+        text = "it is damaged, or has parts that the reader does not know"
+    return text.rstrip(".") + AGAIN
+
+
+@contextlib.contextmanager
+def _no_warnings() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 def _format(path: Path) -> str:

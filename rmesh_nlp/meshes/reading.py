@@ -117,9 +117,16 @@ def read_mesh(path: str | Path) -> MeshTri:
     if "triangle" not in kinds:
         raise ValueError(f"{path}: has no triangles{_hint_of_gmsh(file)}")
     points = np.asarray(file.points, dtype=float)
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise ValueError(
+            f"{path}: its points have shape {points.shape}: expected two or three coordinates each"
+        )
     if points.shape[1] == 3 and np.ptp(points[:, 2]) > SAME_NODE * np.max(np.ptp(points, axis=0)):
         raise ValueError(f"{path}: is not plane: z runs from {points[:, 2].min()} to {points[:, 2].max()}")
-    boundaries, subdomains = _groups(file)
+    try:
+        boundaries, subdomains = _groups(file)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
     triangles = np.vstack([block.data for block in file.cells if block.type == "triangle"])
     try:
         return from_arrays(points[:, :2], triangles, boundaries, subdomains)
@@ -241,12 +248,25 @@ def _groups(file: Any) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
                 parts[block.type].setdefault(name, []).append(cells[tags == tag])
         for name, chosen in (file.cell_sets or {}).items():
             # gmsh's own sets repeat its physical groups; the others are none of the user's
-            if name.startswith("gmsh:") or name in parts[block.type] or chosen[position] is None:
+            if str(name).startswith("gmsh:") or name in parts[block.type]:
                 continue
-            members = np.asarray(chosen[position], dtype=np.int64)
+            members = _members(name, chosen, position)
             if members.size:
                 parts[block.type].setdefault(name, []).append(cells[members])
     return tuple({n: np.concatenate(v) for n, v in parts[k].items()} for k in ("line", "triangle"))  # type: ignore[return-value]
+
+
+def _members(name: Any, chosen: Any, position: int) -> NDArray[np.int64]:
+    """Numbers of the cells of a set in one block."""
+    try:
+        members = np.asarray([] if chosen[position] is None else chosen[position], dtype=np.int64)
+        if members.ndim == 1:
+            return members
+    except (IndexError, TypeError, ValueError):
+        pass
+    raise ValueError(
+        f"the set {name!r} is no list of cells, perhaps one of sets: write out its cells, or leave it out"
+    )
 
 
 def _warn(message: str) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from rmesh_nlp.display import for_markdown, for_spreadsheet
 from rmesh_nlp.mpcc.families import FAMILIES
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.plain import plain_loop
@@ -198,13 +199,14 @@ def table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
 def markdown(frame: pd.DataFrame) -> str:
     """A Markdown table."""
     rows = [list(frame.columns), ["---"] * len(frame.columns), *frame.astype(str).to_numpy().tolist()]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+    return for_markdown("\n".join("| " + " | ".join(row) + " |" for row in rows))
 
 
 def write(rows: Sequence[dict[str, Any]], out: Path) -> None:
     """Write ``table.md``, ``records.csv`` and, with the plain loop, ``profile.png``."""
     (out / "table.md").write_text(markdown(table(rows)) + "\n", encoding="utf-8")
-    pd.DataFrame(rows).to_csv(out / "records.csv", index=False)
+    frame = pd.DataFrame(rows).apply(lambda column: column.map(for_spreadsheet))
+    frame.to_csv(out / "records.csv", index=False)
     if "plain_f" in rows[0]:
         _profile(rows, out / "profile.png")
 

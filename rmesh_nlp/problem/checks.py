@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import overlapping, signed_areas
-from rmesh_nlp.problem.coefficients import at, on_points
+from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.obstacle import Place
 from rmesh_nlp.problem.rigid import NO_MOTION, rigid_motions, seen_by_contact
 from rmesh_nlp.problem.statement import NO_NORMAL, ContactSet, Statement
 
 ROUNDING = 1e-10
 """Part of the distances below which a gap is zero."""
+
+HIGHEST_DEGREE = 19
+"""Highest degree of scikit-fem's rules for triangles; its points stand for those of higher ones."""
+
+LEAST_DEGREE_ON_EDGES = 4
+"""That of the rule for tractions."""
 
 
 def check(problem: Statement) -> None:
@@ -31,13 +37,16 @@ def check(problem: Statement) -> None:
         if not 0 <= node < problem.mesh.p.shape[1]:
             last = problem.mesh.p.shape[1] - 1
             raise ProblemError("motion", f"the motion names node {node}; nodes run from 0 to {last}")
-    try:
-        held, value = problem.held()
-    except ValueError as error:
-        raise ProblemError("dirichlet", str(error)) from error
+    held, value = problem.held()
     _check_friction(problem, held, value)
     _check_obstacle(problem)
     _check_held(problem)
+
+
+def check_unknowns(problem: Statement) -> None:
+    """Raise a ProblemError if there is nothing to solve for; such a problem may still be refined."""
+    if np.all(problem.held()[0][:, np.unique(problem.mesh.t)]):
+        raise ProblemError("dirichlet", "every displacement is given: leave some node free")
 
 
 def _check_obstacle(problem: Statement) -> None:
@@ -47,24 +56,9 @@ def _check_obstacle(problem: Statement) -> None:
 
 
 def _check_contact_set(problem: Statement, contact: ContactSet) -> None:
-    nodes, obstacle = contact.nodes, contact.obstacle
     _check_given_gaps(problem, contact)
-    if nodes.size == 0:
+    if contact.nodes.size == 0:
         raise ProblemError("obstacle", "no node of the contact set is free to move: it is held as a whole")
-    where = problem.mesh.p[:, nodes]
-    try:
-        obstacle.distances(where)
-    except ValueError as error:
-        raise ProblemError("obstacle", str(error)) from error
-    try:
-        values = on_points(obstacle.friction, where, "the friction bound")
-    except ValueError as error:
-        raise ProblemError("friction", str(error)) from error
-    if np.min(values) < 0:
-        node = nodes[np.argmin(values)]
-        raise ProblemError(
-            "friction", f"the friction bound must not be negative, got {np.min(values)} at node {node}"
-        )
 
 
 def _check_given_gaps(problem: Statement, contact: ContactSet) -> None:
@@ -76,10 +70,7 @@ def _check_given_gaps(problem: Statement, contact: ContactSet) -> None:
     if nodes.size == 0:
         return
     where, (held, value) = problem.mesh.p[:, nodes], problem.held()
-    try:
-        distance = obstacle.distances(where)
-    except ValueError as error:
-        raise ProblemError("obstacle", str(error)) from error
+    distance = obstacle.distances(where)
     along = np.sum(obstacle.normals(where) * np.where(held, value, 0.0)[:, nodes], axis=0)
     gap, scale = distance + along, max(1e-300, np.max(np.abs(distance)), np.max(np.abs(along)))
     if np.min(gap) < -ROUNDING * scale:
@@ -196,15 +187,77 @@ def _check_components(problem: Statement) -> None:
 
 
 def _check_functions(problem: Statement) -> None:
-    """Every load takes symbols: supports and obstacles are evaluated anyway."""
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    loads = [("law", value) for law in problem.laws for value in law.load]
-    loads += [("tractions", value) for traction in problem.tractions for value in traction.value]
-    for part, value in loads:
-        try:
-            at(value, x, y)
-        except ValueError as error:
-            raise ProblemError(part, str(error)) from error
+    """Functions of position must take symbols, and be finite where they are evaluated on the given mesh.
+
+    These are its nodes and the points of its quadrature rules.
+    """
+    laws = problem.law if isinstance(problem.law, Mapping) else {"": problem.law}
+    for (name, law), (_, elements) in zip(laws.items(), problem.regions, strict=True):
+        points, of = _inside(problem, elements), f" of {name!r}" if name else ""
+        for what, value in _components("source" if law.components == 1 else "body force", law.load):
+            _values("law", value, points, f"{what}{of}", name)
+    for traction in problem.tractions:
+        points = _along(problem, traction.boundary)
+        for what, value in _components("traction", traction.value):
+            _values("tractions", value, points, f"{what} on {traction.boundary!r}", traction.boundary)
+    for support in problem.supports:
+        points = _along(problem, support.boundary)
+        for value in (value for value in support.value if value is not None):
+            what = f"the displacement given on {support.boundary!r}"
+            _values("dirichlet", value, points, what, support.boundary)
+    for number, obstacle in enumerate(problem.obstacles):
+        if isinstance(obstacle.boundary, Place):
+            points = _inside(problem, np.arange(problem.mesh.t.shape[1]))
+        else:
+            points = _along(problem, obstacle.boundary)
+        _values(
+            "obstacle",
+            obstacle.offset if obstacle.level is None else obstacle.distance,
+            points,
+            "the obstacle",
+            number,
+        )
+        bound = _values("friction", obstacle.friction, points, "the friction bound", number)
+        if np.min(bound) < 0:
+            k = int(np.argmin(bound))
+            place = f"({points[0, k]:.6g}, {points[1, k]:.6g})"
+            said = f"the friction bound must not be negative, got {bound[k]:.6g} at {place}"
+            raise ProblemError("friction", said, number)
+
+
+def _components(what: str, values: tuple[Coefficient, ...]) -> list[tuple[str, Coefficient]]:
+    """Names and values of the components of a load."""
+    if len(values) == 1:
+        return [(f"the {what}", values[0])]
+    return [(f"component {i} of the {what}", value) for i, value in enumerate(values, 1)]
+
+
+def _values(part: str, value: Coefficient, points: Array, what: str, name: str | int) -> Array:
+    """Values of a coefficient at points (2, points), of a number at the first alone."""
+    try:
+        return on_points(value, points if callable(value) else points[:, :1], what)
+    except ValueError as error:
+        raise ProblemError(part, str(error), name) from error
+
+
+def _inside(problem: Statement, elements: NDArray) -> Array:
+    """The nodes of some elements and their quadrature points for loads, (2, points)."""
+    p, t = problem.mesh.p, problem.mesh.t[:, elements]
+    if isinstance(problem.rule, int):
+        local, _ = get_quadrature_tri(min(problem.rule, HIGHEST_DEGREE))
+    else:
+        local = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5]])
+    weights = np.vstack([1 - local.sum(axis=0), local])
+    return np.hstack([p[:, np.unique(t)], np.einsum("cae,an->cen", p[:, t], weights).reshape(2, -1)])
+
+
+def _along(problem: Statement, boundary: str) -> Array:
+    """The nodes of a boundary and its quadrature points for tractions, (2, points)."""
+    p, edges = problem.mesh.p, problem.mesh.facets[:, problem.mesh.boundaries[boundary]]
+    degree = problem.rule if isinstance(problem.rule, int) else 0
+    local, _ = get_quadrature_line(max(degree, LEAST_DEGREE_ON_EDGES))
+    weights = np.vstack([1 - local, local])
+    return np.hstack([p[:, np.unique(edges)], np.einsum("cae,an->cen", p[:, edges], weights).reshape(2, -1)])
 
 
 def _check_friction(problem: Statement, held: NDArray[np.bool_], value: Array) -> None:

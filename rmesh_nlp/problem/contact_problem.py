@@ -28,6 +28,7 @@ class ContactProblem(Statement):
     """
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check(self)
         try:
             object.__setattr__(self, "mesh", onto_curves(self.mesh, self.motion.curves))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -40,7 +40,7 @@ class Motion:
     delta : float, (float, float), Relative or None
         Half-widths of the box around each initial position, in units of length; None for no
         box, so that only element validity limits the motion.
-    pinned, slides, free : tuples of str or int
+    pinned, slides, free : tuples of str or int, or one alone
         Names of boundaries, or node numbers. Rules for names apply first, then those for
         numbers; among equals ``pinned`` beats ``slides`` beats ``free``. A node slides only
         where its piece is straight. A free node on the outer boundary changes the domain.
@@ -81,6 +81,16 @@ class Motion:
             raise ValueError(f"min_area_fraction must lie between 0 and 1, got {self.min_area_fraction}")
         if not 0 <= self.min_angle < 60:
             raise ValueError(f"min_angle must be at least 0 and less than 60 degrees, got {self.min_angle}")
+        for name in ("pinned", "slides", "free"):
+            given = getattr(self, name)
+            places = (given,) if isinstance(given, (str, Integral)) else tuple(given)
+            for place in places:
+                if not isinstance(place, (str, Integral)):
+                    raise ValueError(f"{name} must be names of boundaries or node numbers, got {place!r}")
+            object.__setattr__(self, name, places)
+        for pair in self.tied:
+            if not (isinstance(pair, (tuple, list)) and len(pair) == 2):
+                raise ValueError(f"tied must be pairs of node numbers, got {pair!r}")
         for name, curve in self.curves.items():
             if not isinstance(curve, Curve):
                 raise ValueError(

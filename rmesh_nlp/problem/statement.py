@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -37,6 +37,9 @@ class Traction:
     boundary: str
     value: tuple[Coefficient, ...]
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "value", _tuple(self.value))
+
 
 @dataclass(frozen=True)
 class PointLoad:
@@ -53,6 +56,9 @@ class PointLoad:
 
     node: int
     force: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "force", _tuple(self.force))
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,15 @@ class Dirichlet:
 
     boundary: str
     value: tuple[Coefficient | None, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "value", _tuple(self.value))
+
+
+def _tuple(value: Any) -> tuple[Any, ...]:
+    """One thing alone as a tuple of one."""
+    several = isinstance(value, Iterable) and not isinstance(value, str) and not callable(value)
+    return tuple(value) if several else (value,)
 
 
 @dataclass(frozen=True)
@@ -107,19 +122,19 @@ class Statement:
         First-order triangles with named boundaries.
     law : Laplace, PlaneStrain, PlaneStress, or a mapping from subdomain names to laws
         A mapping must cover every triangle exactly once.
-    dirichlet : tuple of str or Dirichlet
+    dirichlet : tuple of str or Dirichlet, or one alone
         Where the displacement is given; a plain name holds all components at zero.
     obstacle : Obstacle or tuple of Obstacle
         ``NO_CONTACT`` by default; several for several contact boundaries or foundations.
     motion : Motion
-    tractions : tuple of Traction
+    tractions : tuple of Traction, or one alone
     quadrature : "auto", "midpoint" or int
         Rule for the source or body force: the three edge midpoints (degree 2), a degree, or one that is
         exact for the load if it is a polynomial and of high degree else, see ``rule``.
     exact : ExactSolution, optional
     name, size : str
         For records and file names.
-    point_loads : tuple of PointLoad
+    point_loads : tuple of PointLoad, or one alone
     units : Units
         Names of units, only for people: texts and pictures.
     reference : (2, 3, elements) array, optional
@@ -139,6 +154,24 @@ class Statement:
     point_loads: tuple[PointLoad, ...] = ()
     units: Units = NO_UNITS
     reference: Array | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """One support, traction or point load may stand alone; what is something else is refused."""
+        for name, kinds, what in (
+            ("dirichlet", (str, Dirichlet), "names of boundaries or Dirichlet"),
+            ("tractions", (Traction,), "Traction"),
+            ("point_loads", (PointLoad,), "PointLoad"),
+            ("obstacle", (Obstacle,), "Obstacle"),
+            ("motion", (Motion,), "Motion"),
+        ):
+            given = getattr(self, name)
+            every = () if given is None else _tuple(given)
+            wrong = [one for one in every if not isinstance(one, kinds)]
+            if wrong or isinstance(given, Mapping):
+                part = "tractions" if name == "point_loads" else name
+                raise ProblemError(part, f"{name} must be {what}, got {wrong[0] if wrong else given!r}")
+            if name not in ("obstacle", "motion"):
+                object.__setattr__(self, name, every)
 
     @property
     def laws(self) -> tuple[Law, ...]:

@@ -42,7 +42,10 @@ def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None
     if coarse is not None and set(problem.motion.numbers) <= set(coarse.nodes.tolist()):
         return _on(problem, coarse, least)
     for share in SHARES if problem.motion.curves else SHARES[:1]:
-        found = _on(problem, _decimated(problem, max(round(share * n), least)), least)
+        try:
+            found = _on(problem, _decimated(problem, max(round(share * n), least)), least)
+        except ValueError:
+            continue  # nothing is left of a boundary or a subdomain
         if found is not None:
             return found
     return None

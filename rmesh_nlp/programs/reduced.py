@@ -74,7 +74,7 @@ class ReducedEnergy:
             ca.MX.sym("tangential", relocation.n_s),
         )
         jacobian = assembled.jac_g(x, none)[1][:, : relocation.n_q]
-        gradient = assembled.grad_f(x, none)[1][: relocation.n_q]
+        gradient = assembled.grad_f(x, none)[1][: relocation.n_q, :]
         gradient -= jacobian[relocation.gap_rows, :].T @ normal
         gradient -= jacobian[relocation.slip_rows, :].T @ tangential
         self._gradient = Evaluator(

@@ -8,6 +8,7 @@ from types import ModuleType
 
 import pandas as pd
 
+from rmesh_nlp.display import for_markdown, for_spreadsheet
 from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.results import TABLES, Results
@@ -67,13 +68,14 @@ WANTED: dict[tuple[Column, ...], Callable[[Record], bool]] = {
 
 def markdown(records: Sequence[Record]) -> str:
     """The short tables of :func:`short_markdown`, and below ``DETAILS`` all others."""
-    return f"{short_markdown(records)}\n{DETAILS}\n\n{_details(records)}"
+    return f"{short_markdown(records)}\n{DETAILS}\n\n{for_markdown(_details(records))}"
 
 
 def short_markdown(records: Sequence[Record]) -> str:
     """One row per solve, what else was asked for, and what is needed to read it."""
     if is_study(records):
-        return f"# Study\n\n{markdown_table(*median_rows(records))}\n{_items(study_notes(records))}"
+        table = markdown_table(*median_rows(records))
+        return for_markdown(f"# Study\n\n{table}\n{_items(study_notes(records))}")
     parts = [
         "# Comparison of formulations\n",
         main_table(records) if records else "No solve has ended yet.\n",
@@ -85,7 +87,7 @@ def short_markdown(records: Sequence[Record]) -> str:
         for name, rows in groups:
             parts.append(f"## {module.TITLE}: {name}\n\n{markdown_table(module.HEAD, rows)}")
     parts.append(_items([*refinement.refinement_notes(records), *main_notes(records)]))
-    return "\n".join(parts)
+    return for_markdown("\n".join(parts))
 
 
 def main_table(records: Sequence[Record]) -> str:
@@ -177,6 +179,12 @@ def frame(records: Sequence[Record]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def csv(records: Sequence[Record]) -> str:
+    """The same as CSV, without text that a spreadsheet would run."""
+    table = frame(records).rename(columns=for_spreadsheet)
+    return str(table.apply(lambda column: column.map(for_spreadsheet)).to_csv(index=False))
+
+
 def write_tables(records: Sequence[Record], folder: Path) -> None:
     """Write ``table.md``, ``table.tex`` and ``table.csv``.
 
@@ -189,6 +197,6 @@ def write_tables(records: Sequence[Record], folder: Path) -> None:
     for name, content in (
         ("table.md", markdown(records)),
         ("table.tex", latex(records)),
-        ("table.csv", frame(records).to_csv(index=False)),
+        ("table.csv", csv(records)),
     ):
         write_text(folder / name, content)

@@ -24,6 +24,7 @@ from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem.checks import check_unknowns
 from rmesh_nlp.programs.energy_program import Relocation, relocation
 from rmesh_nlp.programs.multipliers import multipliers
 from rmesh_nlp.programs.outer_function import Reduced, outer_function
@@ -79,6 +80,7 @@ class Referee:
 
     def __init__(self, problem: ContactProblem, objective: str | Objective = "energy") -> None:
         self.clock = Clock()
+        check_unknowns(problem)
         self.problem = problem
         self._last_function: tuple[str | Objective, Reduced] | None = None
         self.discretisation = discretise(problem)

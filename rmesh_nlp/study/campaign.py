@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Any
 
 from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.campaign.run import Ended, Solver
-from rmesh_nlp.io.files import TEMPORARY
+from rmesh_nlp.io.files import folder_aside
 from rmesh_nlp.io.results import Result, Results
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.plan import PlannedSolve
@@ -36,13 +34,10 @@ def in_parallel(folder: Path, settings: Mapping[str, Any], jobs: int) -> Solver:
             return
         plans = [_planned(case, settings) for case in cases]
         case_of = {plan.key: case for plan, case in zip(plans, cases, strict=True)}
-        aside = Path(tempfile.mkdtemp(prefix=TEMPORARY, dir=folder))
-        try:
+        with folder_aside(folder) as aside:
             for plan, row in engine.run_for_client(plans, aside, jobs):
                 case, files = case_of[plan.key], Results(aside).result(row)
                 yield Ended(case, {**row, **case.identity, "key": case.key}, partial(_move, files))
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
 
     return solver
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
+import concurrent.futures
 import logging
 import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Record
+from rmesh_nlp.study import worker as workers
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import Keys, RowsFile, set_failures_aside, wait_for_workers
 from rmesh_nlp.study.runner import failure
@@ -25,6 +28,9 @@ WAIT_S = 120.0
 
 START_S = 120.0
 """Longest wait for the workers of a cluster."""
+
+NO_CLUSTER = (OSError, ValueError, RuntimeError, asyncio.TimeoutError, concurrent.futures.TimeoutError)
+"""What dask.distributed raises if a cluster cannot be reached, or its processes do not start."""
 
 
 def missing(plan: Sequence[PlannedSolve], folder: Path) -> list[PlannedSolve]:
@@ -52,8 +58,8 @@ def run(
     jobs : int
         Processes of a local cluster; 1 needs no cluster.
     scheduler : str, optional
-        Address of a running ``dask scheduler``, such as ``tcp://host:8786``; its workers must see the folder
-        under the same path.
+        Address of a running ``dask scheduler``, such as ``tls://host:8786``; its workers must see the folder
+        under the same path. Whoever reaches one at a ``tcp://`` address can run code as its owner.
     retry_failed : bool
         Do solves again whose row is a failure; that row is moved to ``rows/failed.jsonl``.
 
@@ -137,46 +143,102 @@ def _client(distributed: Any, jobs: int, scheduler: str | None) -> Iterator[Any]
     cluster = client = None
     try:
         try:
-            if scheduler is None:
-                with _deaf_to_interrupts(), _without_profile():
-                    cluster = distributed.LocalCluster(
-                        n_workers=jobs,
-                        threads_per_worker=1,
-                        processes=True,
-                        dashboard_address=None,
-                        memory_limit=0,
-                        silence_logs=logging.CRITICAL,
+            with _own_settings():
+                if scheduler is None:
+                    cluster = _own_cluster(distributed)
+                    _start_workers(cluster, jobs)
+                elif scheduler.startswith("tls:") and not _has_certificate(distributed):
+                    raise BadInputError(
+                        f"{scheduler} asks for a certificate: name it in dask's configuration, "
+                        "distributed.comm.tls.client, or in DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT"
                     )
-            client = distributed.Client(cluster or scheduler, timeout=START_S, set_as_default=False)
-            client.wait_for_workers(1, timeout=START_S)
-        except (OSError, ValueError, TimeoutError) as error:
-            raise BadInputError(f"no cluster at {scheduler or 'this machine'}: {error}") from error
+                client = distributed.Client(cluster or scheduler, timeout=START_S, set_as_default=False)
+                client.wait_for_workers(1, timeout=START_S)
+        except BadInputError:
+            raise
+        except NO_CLUSTER as error:
+            reason = " ".join(str(error).split()) or "it did not answer in time"
+            where = f"at {scheduler}" if scheduler else "on this machine"
+            raise BadInputError(f"no cluster {where}: {reason}") from error
         yield client
     finally:
-        for one in (client, cluster):
-            if one is not None:
-                one.close(timeout=10)
+        try:
+            for one in (client, cluster):
+                if one is not None:
+                    with suppress(*NO_CLUSTER):  # it did not end in time
+                        one.close(timeout=10)
+        finally:  # also after a second Ctrl-C nobody waits again: what is left ends with this process
+            if cluster is not None:
+                cluster.shutdown_on_close = False
+
+
+def _has_certificate(distributed: Any) -> bool:
+    return distributed.Security().get_connection_args("client").get("ssl_context") is not None
+
+
+def _own_cluster(distributed: Any) -> Any:
+    """A scheduler on this machine that talks to this client and its own workers only.
+
+    Both sides must show a certificate that is made here and never written to the disk: any local user may
+    connect to a port of this machine. Its threads, and the processes that they start, do not see Ctrl-C,
+    which is for the client.
+    """
+    try:
+        security = distributed.Security.temporary()
+    except ImportError:
+        raise BadInputError("--jobs above 1 needs cryptography: pip install 'rmesh-nlp[study]'") from None
+    with _deaf_to_interrupts():
+        return distributed.LocalCluster(
+            n_workers=0,
+            threads_per_worker=1,
+            processes=True,
+            security=security,
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+        )
+
+
+def _start_workers(cluster: Any, jobs: int) -> None:
+    """Start worker processes and wait for them; an interrupt ends the waiting, and closing then ends them."""
+
+    async def started() -> None:
+        await cluster
+        if not cluster.scheduler.workers:
+            raise RuntimeError("its worker processes ended while they started; run the same command again")
+
+    # else the failure of one of several workers is printed as a traceback; the others do its work
+    cluster.loop.asyncio_loop.set_exception_handler(lambda loop, context: None)
+    cluster.scale(jobs)
+    asyncio.run_coroutine_threadsafe(started(), cluster.loop.asyncio_loop).result(START_S)
 
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes that are started now ignore Ctrl-C: it is for the client, which then ends them."""
-    if threading.current_thread() is not threading.main_thread():
+    """Threads that are started now, and processes that they start, never get Ctrl-C."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource_tracker.ensure_running()  # else the first process that is started lets signals in again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
-def _without_profile() -> Iterator[None]:
-    """Workers that are started now do not look at their own stack a hundred times a second."""
+def _own_settings() -> Iterator[None]:
+    """A cluster that is started now serves no pages, and its workers do not look at their own stack."""
     import dask
 
-    with dask.config.set({"distributed.worker.profile.enabled": False}):
+    own = {
+        "distributed.scheduler.preload": [workers.__name__],  # its dask_setup
+        "distributed.worker.preload": [workers.__name__],
+        "distributed.worker.profile.enabled": False,
+    }
+    with dask.config.set(own):
         yield
 
 

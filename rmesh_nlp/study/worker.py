@@ -88,6 +88,14 @@ def whole_row(content: dict[str, Any], folder: str) -> Record:
     return worker_of(folder).row(PlannedSolve(**content))
 
 
+def dask_setup(server: Any) -> None:
+    """Called by dask.distributed in each scheduler and worker of an own cluster: stop its web server.
+
+    There is one even without a dashboard, and it would tell any user of this machine what is solved.
+    """
+    server.http_server.stop()
+
+
 def travelling(solve: PlannedSolve) -> dict[str, Any]:
     """A planned solve as plain values."""
     return asdict(solve)

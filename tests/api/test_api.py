@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 import rmesh_nlp as rm
 from rmesh_nlp.cli.app import run
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem import NO_CONTACT
 from rmesh_nlp.programs import reduced
 
@@ -27,9 +28,13 @@ def test_a_strategy_is_found_by_its_name(comparison: rm.Comparison) -> None:
     assert {"fixed", "joint", "mpcc", "nested"} <= set(rm.strategies())
 
 
-def test_an_unknown_strategy_is_named() -> None:
-    with pytest.raises(ValueError, match="jiont"):
-        rm.solve(rm.EXAMPLES["6.1"](n=3), "jiont")
+@pytest.mark.parametrize(
+    ("strategy", "option"), [("fixed", "levels"), ("fixed", "starts"), ("joint", "sede")]
+)
+def test_an_option_that_a_strategy_does_not_take_is_named(strategy: str, option: str) -> None:
+    said = f"the formulation '{strategy}' takes no {option}, got {option}=2; it takes .*tolerance"
+    with pytest.raises(BadInputError, match=said):
+        rm.solve(rm.EXAMPLES["6.1"](n=3), strategy, **{option: 2})
 
 
 def test_a_comparison_holds_solutions_records_and_tables(comparison: rm.Comparison) -> None:

@@ -1,7 +1,6 @@
 """What ``import rmesh_nlp as rm`` offers: names, laziness, what type checkers see."""
 
 import ast
-import pydoc
 import subprocess
 import sys
 from pathlib import Path
@@ -42,15 +41,6 @@ def test_nothing_heavy_is_loaded_before_it_is_used() -> None:
     code = "import sys, rmesh_nlp; dir(rmesh_nlp); print({'casadi', 'numpy', 'rich'} & {*sys.modules})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
-
-
-def test_star_import_and_help_know_the_names() -> None:
-    space: dict[str, object] = {}
-    exec("from rmesh_nlp import *", space)
-    assert space["solve"] is rm.solve
-    text = pydoc.plain(pydoc.render_doc(rm))
-    for name in ("ContactProblem", "solve", "verify_gradient"):
-        assert name in text
 
 
 def test_the_solver_of_mpccs_stays_a_package() -> None:

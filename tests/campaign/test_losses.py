@@ -96,15 +96,6 @@ def test_two_runs_beside_files_of_the_user_s(
     assert Path("records.jsonl").read_text() == "my own records"
 
 
-@pytest.mark.slow
-def test_a_run_of_a_version_without_a_list_is_known_by_its_records(cases: list[Case], tmp_path: Path) -> None:
-    list(run(cases, Results(tmp_path)))
-    (tmp_path / ".rmesh-files").unlink()
-    list(run(cases, Results(tmp_path)))
-    assert len(read_results(tmp_path / "previous")) == 2
-    assert all(result.vtu.exists() for result in read_results(tmp_path / "previous"))
-
-
 def test_what_is_in_the_way_is_found_before_anything_is_solved(cases: list[Case], tmp_path: Path) -> None:
     (tmp_path / "solutions").write_text("a file")
     with pytest.raises(BadInputError, match="solutions is a file"):
@@ -192,7 +183,7 @@ def test_a_reader_that_waits_for_the_processor_is_not_stopped(
 ) -> None:
     monkeypatch.setattr("rmesh_nlp.meshes.files.SECONDS", 0.1)
     monkeypatch.setattr("meshio.read", lambda *_: time.sleep(0.3) or "a mesh")
-    (tmp_path / "a.vtk").write_text("")
+    (tmp_path / "a.vtk").write_text("x")
     assert read_file(tmp_path / "a.vtk") == "a mesh"
 
 

@@ -33,8 +33,8 @@ def run(*arguments: str) -> int:
 
 
 def test_solve_writes_record_solution_and_history() -> None:
-    size = ("--n", "4", "--delta", "0.05", "--quadrature", "6")
-    assert run("solve", "6.1", "--formulation", "joint", *size, "--out", "one") == 0
+    arguments = "--formulation joint --n 4 --delta 0.05 --quadrature 6 --out one"
+    assert run("solve", "6.1", *arguments.split()) == 0
     record = json.loads(Path("one/record.json").read_text())
     assert set(REQUIRED) <= set(record)
     assert (record["example"], record["formulation"], record["n"]) == ("6.1", "joint", "4")
@@ -78,8 +78,8 @@ def test_options_reach_the_strategy() -> None:
 def test_compare_writes_everything_and_table_and_figures_remake_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    size = ("--n", "3", "--quadrature", "6")
-    assert run("compare", "6.1", "--formulations", "fixed,joint", *size, "--out", "all") == 0
+    arguments = "--formulations fixed,joint --n 3 --quadrature 6 --out all"
+    assert run("compare", "6.1", *arguments.split()) == 0
     out = Path("all")
     printed = capsys.readouterr()
     assert (out / "table.md").read_text().startswith(f"{printed.out}\n## Details\n")
@@ -99,19 +99,19 @@ def test_compare_writes_everything_and_table_and_figures_remake_it(
 
 
 @pytest.mark.slow
-def test_table_and_figures_take_a_single_solve() -> None:
+def test_commands_of_results_take_a_single_solve_and_what_a_killed_one_left() -> None:
     assert run("solve", "6.1", "-f", "fixed", "--n", "3", "--out", "one") == 0
-    assert run("table", "one") == 0
-    assert run("figures", "one") == 0
-    assert Path("one/figures/6.1-3-grid.png").exists()
-
-
-@pytest.mark.slow
-def test_an_option_goes_to_the_strategies_that_take_it() -> None:
-    size = ("--n", "3", "--quadrature", "6")
-    assert run("compare", "6.1", "--formulations", "fixed,joint", *size, "--seed", "1", "--out", "a") == 0
-    fixed, joint = map(json.loads, Path("a/records.jsonl").read_text().splitlines())
-    assert (fixed["seed"], joint["seed"]) == (None, 1)
+    left = Path("one/figures/.rmesh-writing-x/half.png")
+    for command, made in (
+        ("table", "table.md"),
+        ("figures", "figures/6.1-3-grid.png"),
+        ("report", "report.html"),
+    ):
+        left.parent.mkdir(parents=True)
+        left.write_text("x")
+        assert run(command, "one") == 0
+        assert Path("one", made).exists()
+        assert not left.parent.exists()
 
 
 @pytest.mark.slow
@@ -142,7 +142,7 @@ def test_a_solve_that_raises_is_recorded_and_exit_code_1(
     assert [path.name for path in Path("one").glob("[!.]*")] == ["record.json"]  # no stale solution
 
 
-def test_a_solve_that_does_not_converge_is_exit_code_1(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_limit_of_iterations_is_exit_code_0_if_the_mesh_is_better(monkeypatch: pytest.MonkeyPatch) -> None:
     load = strategies.load("joint")
     monkeypatch.setattr(strategies, "load", lambda name: lambda problem: load(problem, max_iterations=2))
     assert run("solve", "6.1", "--n", "3", "--quadrature", "6", "--out", "one") == 0
@@ -156,20 +156,13 @@ BAD = {
     "unknown strategy": (["solve", "6.1", "-f", "jiont"], "did you mean joint"),
     "unknown strategy in a list": (["compare", "--formulations", "fixed,nestde"], "nestde"),
     "empty name": (["compare", "--formulations", "fixed,,joint"], "fixed,,joint"),
-    "negative size": (["solve", "6.1", "--n", "-3"], "-3"),
     "size zero": (["solve", "6.1", "--n", "0"], "'0'"),
-    "size not a number": (["solve", "6.1", "--n", "nan"], "nan"),
     "fractional size": (["solve", "6.1", "--n", "8.5"], "8.5"),
-    "three sizes": (["solve", "6.1", "--n", "2x3x4"], "2x3x4"),
     "odd columns": (["solve", "6.2", "--n", "7x6"], "7"),
     "negative delta": (["solve", "6.1", "--delta", "-1"], "-1"),
-    "delta zero": (["solve", "6.1", "--delta", "0"], "'0'"),
     "delta nan": (["solve", "6.1", "--delta", "nan"], "nan"),
-    "delta infinite": (["solve", "6.1", "--delta", "inf"], "inf"),
-    "delta not a number": (["solve", "6.1", "--delta", "wide"], "wide"),
     "three deltas": (["solve", "6.1", "--delta", "1,2,3"], "1,2,3"),
     "negative seed": (["solve", "6.1", "--seed", "-1"], "-1"),
-    "seed not a number": (["solve", "6.1", "--seed", "x"], "'x'"),
     "quadrature": (["solve", "6.1", "--quadrature", "0"], "'0'"),
     "objective": (["solve", "6.1", "--objective", "energie"], "energie"),
     "objective refused": (["solve", "6.1", "--objective", "error-l2"], "error-l2"),
@@ -203,34 +196,6 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert named in lines[0]
     assert printed.out == ""
     assert sorted(path.name for path in Path().iterdir()) == ["file"]
-
-
-@pytest.mark.parametrize(
-    ("content", "named"),
-    [
-        ("{half\n", "line 1"),
-        ("[1]\n", "list"),
-        ('{"example": "6.1"}\n', "formulation"),
-    ],
-)
-def test_records_that_are_none(content: str, named: str, capsys: pytest.CaptureFixture[str]) -> None:
-    Path("records.jsonl").write_text(content)
-    assert run("table", ".") == 2
-    assert named in capsys.readouterr().err
-    assert not Path("table.md").exists()
-
-
-@pytest.mark.parametrize("content", ["<nonsense", "<VTKFile/>", None])
-def test_figures_say_which_file_is_missing_or_spoilt(
-    content: str | None, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("solve", "6.1", "-f", "fixed", "--n", "3", "--out", "one") == 0
-    Path("one/solution.vtu").unlink()
-    if content is not None:
-        Path("one/solution.vtu").write_text(content)
-    capsys.readouterr()
-    assert run("figures", "one") == 2
-    assert "solution.vtu" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")

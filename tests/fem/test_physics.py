@@ -17,6 +17,7 @@ from rmesh_nlp.problem import (
     PiecewiseLinear,
     PlaneStrain,
     PlaneStress,
+    PointLoad,
     Relative,
     Traction,
 )
@@ -191,6 +192,11 @@ def test_strategies_agree_on_an_interior_obstacle() -> None:
     assert energies[0] < solutions[0].energy_initial
 
 
+def between_nodes(x: object, y: object) -> object:
+    """Not a number, but at the nodes of the mesh of the next test."""
+    return ca.sqrt(1e-9 - ca.sin(4 * ca.pi * x) ** 2 - ca.sin(2 * ca.pi * y) ** 2)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -205,10 +211,20 @@ def test_strategies_agree_on_an_interior_obstacle() -> None:
         ({"dirichlet": ()}, "at least one boundary must be held"),
         ({"law": {"body": PlaneStrain(1, 1)}}, "no subdomain named 'body'"),
         ({"obstacle": Obstacle("bottom", (1.0,))}, "has 1 components"),
-        ({"obstacle": Obstacle("bottom", friction=lambda x, y: x - 0.5)}, "must not be negative, got -0.25"),
+        ({"obstacle": Obstacle("bottom", friction=lambda x, y: x - 0.5)}, r"negative, got -0.5 at \(0, 0\)"),
         ({"obstacle": Obstacle("bottom", offset=lambda x, y: ca.sqrt(x - 0.5))}, "the obstacle is nan"),
         ({"tractions": (Traction("right", (1.0,)),)}, "needs 2 values"),
+        ({"law": PlaneStrain(1.0, 1.0, (0.0, between_nodes))}, "component 2 of the body force is nan at"),
+        ({"tractions": (Traction("right", (between_nodes, 0.0)),)}, "component 1 of the traction on 'right'"),
+        ({"dirichlet": (Dirichlet("left", (0.0, between_nodes)),)}, "displacement given on 'left' is nan"),
+        ({"obstacle": Obstacle("bottom", offset=between_nodes)}, "the obstacle is nan"),
+        ({"obstacle": Obstacle("bottom", friction=between_nodes)}, "the friction bound is nan"),
         ({"motion": Motion(0.1, pinned=(99,))}, "names node 99"),
+        ({"dirichlet": ("left", 3)}, "dirichlet must be names of boundaries or Dirichlet, got 3"),
+        ({"dirichlet": {"left": 0.5}}, r"or Dirichlet, got \{'left': 0.5\}"),
+        ({"tractions": "right"}, "tractions must be Traction, got 'right'"),
+        ({"obstacle": "bottom"}, "obstacle must be Obstacle, got 'bottom'"),
+        ({"motion": 0.1}, "motion must be Motion, got 0.1"),
         ({"obstacle": Obstacle("left")}, "no node of the contact set"),
     ],
 )
@@ -216,6 +232,17 @@ def test_bad_problems_are_named(change: dict, message: str) -> None:
     good = ContactProblem(rectangle(4, 2), PlaneStrain(1.0, 1.0), ("left",), motion=Motion(0.1))
     with pytest.raises(ValueError, match=message):
         replace(good, **change)
+
+
+def test_one_of_several_may_stand_alone() -> None:
+    load, motion = Traction("right", 2.0), Motion(0.1, pinned="top", free=4)
+    problem = ContactProblem(rectangle(4, 2), Laplace(), "left", motion=motion, tractions=load)
+    assert (problem.dirichlet, problem.tractions, load.value) == (("left",), (load,), (2.0,))
+    assert (motion.pinned, motion.free) == (("top",), (4,))
+    support, force = Dirichlet("left", 0.5), PointLoad(3, 1.0)
+    problem = replace(problem, dirichlet=support, point_loads=force)
+    assert problem.supports == (Dirichlet("left", (0.5,)),)
+    assert problem.point_loads == (PointLoad(3, (1.0,)),)
 
 
 @pytest.mark.parametrize(
@@ -234,6 +261,8 @@ def test_bad_problems_are_named(change: dict, message: str) -> None:
         (lambda: Motion((0.1, 0.1, 0.1)), "delta must be"),
         (lambda: Motion("wide"), "delta must be"),
         (lambda: Motion(0.1, min_angle=60.0), "min_angle"),
+        (lambda: Motion(0.1, pinned=(0.5,)), "pinned must be names of boundaries or node numbers, got 0.5"),
+        (lambda: Motion(0.1, tied=(1, 2)), "tied must be pairs of node numbers, got 1"),
     ],
 )
 def test_bad_values_are_named(make: object, message: str) -> None:

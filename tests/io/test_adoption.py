@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from support.reporting import failed_61, fixed_61, joint_61
 
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.manifest import MANIFEST, Manifest
 from rmesh_nlp.io.results import (
     FIGURES,
@@ -92,11 +91,6 @@ def test_a_single_solve_and_tables_are_known_too_and_nothing_else(
     fill(tmp_path, files)
     assert sorted(Results(tmp_path).manifest.names()) == sorted(adopted)
     assert (tmp_path / MANIFEST).exists() == bool(adopted)
-
-
-def test_a_folder_that_is_not_there_has_no_list(tmp_path: Path) -> None:
-    assert Results(tmp_path / "nowhere").manifest.names() == []
-    assert not (tmp_path / "nowhere").exists()
 
 
 def study(folder: Path, *files: list[Any]) -> None:
@@ -235,11 +229,3 @@ def test_rows_without_a_key_are_all_kept_and_nothing_is_written_without_need(tmp
     results.append(rows[3])
     assert results.repaired() == [rows[0], rows[1], rows[3]]
     assert results.read() == [rows[0], rows[1], rows[3]]
-
-
-def test_a_text_that_is_no_folder_and_a_broken_record_are_named(tmp_path: Path) -> None:
-    fill(tmp_path, {"file": "x", "bad/record.json": "{}"})
-    with pytest.raises(BadInputError, match="is not a folder"):
-        read_results(tmp_path / "file")
-    with pytest.raises(BadInputError, match=r"record\.json"):
-        read_results(tmp_path / "bad")

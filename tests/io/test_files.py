@@ -10,7 +10,15 @@ from pathlib import Path
 import pytest
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.files import append_whole, safe_name, write_new, write_text, write_whole
+from rmesh_nlp.io.files import (
+    TEMPORARY,
+    append_whole,
+    remove_leftovers,
+    safe_name,
+    write_new,
+    write_text,
+    write_whole,
+)
 from rmesh_nlp.io.lock import FolderLock
 from rmesh_nlp.io.manifest import MANIFEST, Manifest
 
@@ -100,21 +108,32 @@ def test_a_second_writer_is_refused_in_one_line(tmp_path: Path) -> None:
         pass
 
 
-def test_a_writer_that_is_killed_leaves_no_lock(tmp_path: Path) -> None:
+def test_a_writer_that_is_killed_leaves_no_lock_and_no_files(tmp_path: Path) -> None:
     code = (
         "import sys, time; from pathlib import Path; from rmesh_nlp.io.lock import FolderLock\n"
-        "with FolderLock(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+        "from rmesh_nlp.io.files import folder_aside; folder = Path(sys.argv[1])\n"
+        "with FolderLock(folder), folder_aside(folder / 'figures') as place:\n"
+        "    (place / 'half').write_text('ha'); print(place, flush=True); time.sleep(60)"
     )
+    folder, elsewhere = tmp_path / "results", tmp_path / "elsewhere"
+    (elsewhere / f"{TEMPORARY}x").mkdir(parents=True)
+    folder.mkdir()
+    (folder / "link").symlink_to(elsewhere)
     with subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", code, str(folder)], stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
-        assert process.stdout.readline() == "held\n"
-        with pytest.raises(BadInputError, match=str(process.pid)), FolderLock(tmp_path):
+        half = Path(process.stdout.readline().strip()) / "half"
+        remove_leftovers(folder)
+        assert half.read_text() == "ha"
+        with pytest.raises(BadInputError, match=str(process.pid)), FolderLock(folder):
             pass
         process.kill()
-    with FolderLock(tmp_path):
-        pass
+    with FolderLock(folder):
+        remove_leftovers(folder)
+    assert not half.parent.exists()
+    assert half.parent.parent.exists()
+    assert (elsewhere / f"{TEMPORARY}x").exists()
 
 
 def test_older_runs_are_numbered_and_nothing_of_the_user_is_touched(tmp_path: Path) -> None:
@@ -144,11 +163,21 @@ def test_a_file_of_the_user_s_is_not_claimed(tmp_path: Path) -> None:
         Manifest(tmp_path).claim("solutions/a.vtu")
 
 
-def test_a_list_that_leads_out_of_its_folder_is_not_followed(tmp_path: Path) -> None:
-    inside = tmp_path / "in"
-    inside.mkdir()
-    (tmp_path / "victim").write_text("mine")
-    (inside / MANIFEST).write_text(f"../victim\n{tmp_path / 'victim'}\n")
-    assert Manifest(inside).set_aside() is None
-    Manifest(inside).remove(["../victim", str(tmp_path / "victim")])
-    assert (tmp_path / "victim").read_text() == "mine"
+@pytest.mark.parametrize(
+    "name", ["../victim/a", "{outside}/a", "sub/a", "sub/../victim/a", "deep/sub/a", "link", "a\0b/c"]
+)
+def test_a_list_that_leads_out_of_its_folder_is_not_followed(tmp_path: Path, name: str) -> None:
+    inside, outside = tmp_path / "in", tmp_path / "victim"
+    outside.mkdir()
+    (inside / "deep").mkdir(parents=True)
+    (outside / "a").write_text("mine")
+    for link in ("sub", "deep/sub"):
+        (inside / link).symlink_to(outside)
+    (inside / "link").symlink_to(outside / "a")
+    (inside / MANIFEST).write_text(f"{name.format(outside=outside)}\nown\n")
+    (inside / "own").write_text("ours")
+    manifest = Manifest(inside)
+    assert manifest.names() == ["own"]
+    manifest.remove([name, "own"])
+    assert manifest.set_aside() is None
+    assert ((outside / "a").read_text(), (inside / "link").is_symlink()) == ("mine", True)

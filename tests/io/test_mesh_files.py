@@ -128,6 +128,7 @@ def test_tables_have_a_column_for_each_component(problem: ContactProblem) -> Non
     assert not {"motion_z", "displacement", "motion"} & set(nodes)
     np.testing.assert_array_equal(nodes["x"], problem.mesh.p[0])
     np.testing.assert_array_equal(nodes["y"], problem.mesh.p[1])
+    np.testing.assert_array_equal(nodes["displacement_y"], solution.displacement[1])
     assert {"stress_xx", "stress_yy", "stress_xy", "stress_zz", "von_mises", "zone"} <= set(elements)
     np.testing.assert_array_equal(elements[["node_1", "node_2", "node_3"]].T, problem.triangles)
     membrane = element_table(fixed.solve(rm.EXAMPLES["6.1"](3)))

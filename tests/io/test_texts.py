@@ -9,6 +9,7 @@ import pytest
 from support.problem_files import VALID
 
 from formulations import fixed, mpcc
+from rmesh_nlp.cli import app as cli
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import ProblemFileError, load_problem
@@ -69,6 +70,8 @@ def test_missing_quotes_are_named_with_their_key(tmp_path: Path, old: str, new: 
         ('source = "x"\nmesh = { shape = "rectangle", nx = 2, ny = 2 }', "belongs in [material]"),
         ('mesh = { shape = "rectangle", nx = 2, ny = 2, friction = 1 }', "belongs in [contact]"),
         ('mesh = { shape = "rectangle", nx = 2, ny = 2, quadrature = 4 }', "belongs at the top of the file"),
+        ('dirichlet = "left"', "dirichlet = 'left': expected a table [dirichlet]"),
+        ('contact = "bottom"', "contact = 'bottom': expected a table [contact]"),
     ],
 )
 def test_a_key_in_the_wrong_table_is_sent_home(tmp_path: Path, text: str, home: str) -> None:
@@ -78,11 +81,25 @@ def test_a_key_in_the_wrong_table_is_sent_home(tmp_path: Path, text: str, home: 
         load_problem(path)
 
 
-def test_other_errors_of_toml_stay_as_they_are(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"[{'.'.join('a' * 5000)}]",
+        f"{'.'.join('a' * 5000)} = 1",
+        f"a = {'[' * 5000}{']' * 5000}",
+        f"a = {'{a = ' * 5000}1{'}' * 5000}",
+        f"a = {'[' * 21}{']' * 21}",
+    ],
+    ids=["header", "key", "lists", "tables", "little"],
+)
+def test_what_is_nested_too_deep_is_one_line_with_its_place(
+    tmp_path: Path, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "my.toml"
-    path.write_text(VALID.replace("ny = 3", "ny = 3 cells"))
-    with pytest.raises(ProblemFileError, match="is not valid TOML"):
-        load_problem(path)
+    path.write_text(f'name = "x"\n{line}\n')
+    assert cli.run(["check", str(path)]) == 2
+    said = f"rmesh: error: {path}: line 2: tables and lists are nested more than 20 deep\n"
+    assert capsys.readouterr().err == said
 
 
 def test_a_power_is_written_with_stars() -> None:

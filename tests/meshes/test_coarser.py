@@ -10,6 +10,7 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays, named
+from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.decimation import shape_quality
 from rmesh_nlp.meshes.flips import flipped, sum_of_cotangents
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
@@ -99,6 +100,24 @@ def test_a_decimated_problem_keeps_domain_names_and_corners(seed: int) -> None:
         assert np.abs(signed_areas(two.p, two.t))[two.subdomains[name]].sum() == pytest.approx(fine)
     # coarser spaces have higher energies, up to quadrature: the problem is the same one
     assert ContactModel(replace(coarse, quadrature=12)).solve(two.p).status.value == "converged"
+
+
+@pytest.mark.parametrize("edges", [4, 8])
+def test_a_small_hole_stays_open(edges: int) -> None:
+    """Its nodes slide along a circle, so that any of them may be taken out, but not all."""
+    grid, radius = rectangle(12, 12, x=(-6, 6), y=(-6, 6)), edges / 8
+    p = grid.p + (0.5 if edges == 4 else 0.0)  # one square, or two by two
+    t = grid.t[:, np.max(np.abs(p[:, grid.t].mean(axis=1)), axis=0) > radius]
+    rim = np.isclose(np.max(np.abs(p), axis=0), radius)
+    p[:, rim] *= radius / np.linalg.norm(p[:, rim], axis=0)
+    used = np.unique(t)
+    parts = {"left": lambda x: x[0] < -5, "hole": lambda x: np.hypot(*x) < 2}
+    mesh = from_arrays(p[:, used].T, np.searchsorted(used, counter_clockwise(p, t)).T, parts)
+    motion = Motion(None, curves={"hole": Circle((0.0, 0.0), radius)})
+    coarse = coarsened(ContactProblem(mesh, Laplace(1.0), "left", motion=motion), least=12)
+    assert coarse is not None
+    found = coarse.mesh.facets[:, coarse.mesh.boundaries["hole"]]
+    assert np.unique(found).size == found.shape[1] >= 3
 
 
 def test_nodes_named_by_number_stay_and_are_renumbered() -> None:

@@ -1,5 +1,7 @@
 """Meshes in and out: repairs are said, errors are named, names survive."""
 
+import re
+import sys
 import warnings
 from pathlib import Path
 
@@ -112,6 +114,40 @@ def test_files_that_cannot_be_used(tmp_path: Path) -> None:
     for name in ("no.msh", "no.txt"):
         with pytest.raises(ValueError, match=f"{name}: cannot be read as a mesh"):
             read_mesh(tmp_path / name)
+
+
+INP = "*NODE\n1, 0, 0\n2, 1, 0\n3, 0, 1\n*ELEMENT, TYPE=CPS3, ELSET=BODY\n1, 1, 2, 3\n"
+INP_READ, XDMF_READ = "of the format abaqus: ", "of the format xdmf: "
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("a.inp", INP.replace("2, 1, 0", "2, 1, x"), INP_READ + "' x' stands where a number is expected"),
+        ("a.inp", INP.replace("1, 1, 2, 3", "1, 1, 2, 9"), INP_READ + "9 is missing in it"),
+        ("a.inp", INP.replace("CPS3", "FOO"), INP_READ + "Element type not available: FOO"),
+        ("a.inp", INP + "*ELSET, ELSET=A\n1\n*ELSET, ELSET=B\nA, A\n", "the set 'B' is no list of cells"),
+        ("a.inp", "\xff\x00", INP_READ + "it is not a text file"),
+        ("a.xdmf", "", "it is empty"),
+        ("a.xdmf", "<Xdmf>", XDMF_READ + "it is no XML at line 1, column 6"),
+        ("a.xdmf", "<Xdmf/>", XDMF_READ + "Version is missing in it"),
+        ("a.xdmf", '<Xdmf Version="9.0"/>', XDMF_READ + "Unknown XDMF version 9.0"),
+        ("a.h5m", "x", "of the format h5m: this format needs the package h5py: pip install h5py"),
+    ],
+)  # fmt: skip
+def test_a_file_that_cannot_be_read_says_why_in_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    name: str, content: str, reason: str,
+) -> None:  # fmt: skip
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    (tmp_path / name).write_bytes(content.encode("latin-1"))
+    with pytest.raises(ValueError, match=re.escape(reason)) as caught:
+        read_mesh(tmp_path / name)
+    said = str(caught.value)
+    assert said.startswith(str(tmp_path / name))
+    assert "\n" not in said
+    assert re.search("export it again|pip install|leave it out", said)
+    assert capfd.readouterr() == ("", "")  # nor by meshio
 
 
 def test_shapes_have_their_names_and_the_right_areas() -> None:

@@ -18,7 +18,8 @@ from rmesh_nlp.report.blocks import names_of_solves
 from rmesh_nlp.report.markup import LINES, latex_cell, latex_table, latex_text, markdown_table
 from rmesh_nlp.report.notes import detailed_notes, main_notes
 from rmesh_nlp.report.refinement import TITLE, refinement_notes, refinement_rows
-from rmesh_nlp.report.tables import DETAILS, frame, latex, markdown, short_markdown, write_tables
+from rmesh_nlp.report.tables import DETAILS, latex, markdown, short_markdown, write_tables
+from rmesh_nlp.report.tables import csv as as_csv
 
 MARKDOWN = """\
 # Comparison of formulations
@@ -209,8 +210,7 @@ def test_the_terms_of_theorem_41_have_a_table() -> None:
 
 
 def test_csv_has_every_scalar_field_and_the_paper_s_values() -> None:
-    text = frame(ROWS).to_csv(index=False)
-    first, second = csv.DictReader(io.StringIO(text))
+    first, second = csv.DictReader(io.StringIO(as_csv(ROWS)))
     assert first["energy"] == "-4.910329789"
     assert first["paper_energy_final"] == "-4.9188"
     assert first["delta"] == "0.15667x0.07333"
@@ -231,6 +231,25 @@ def test_markup_escapes() -> None:
     assert latex_cell("1.5e-06") == r"$1.5\cdot 10^{-6}$"
     assert latex_cell("12x6") == "12x6"
     assert markdown_table(["a", "b"], [["x|y", "1"]]) == "| a    |   b |\n|:-----|----:|\n| x\\|y |   1 |\n"
+
+
+@pytest.mark.parametrize("name", ["=cmd|'/c calc'!A1", "+1", "-2+3", "@SUM(A1)", "\t=1"])
+def test_names_are_no_formulas_in_a_csv(name: str) -> None:
+    hostile = record(example=name, message=name, **{name: 1.0})
+    (row,) = csv.DictReader(io.StringIO(as_csv([hostile])))
+    assert (row["example"], row["message"], row[f"'{name}"]) == (f"'{name}", f"'{name}", "1.0")
+    assert float(row["energy"]) < 0  # a number stays one
+
+
+def test_names_are_no_html_in_markdown() -> None:
+    name = "<img src=x onerror=alert(1)>"
+    for rows in (
+        [record(example=name, formulation=name)],
+        [record(example=name, strategy=name, family=name)],
+    ):
+        text = markdown(rows)
+        assert text.count("&lt;img src=x") >= 2
+        assert "<" not in text
 
 
 def test_files(tmp_path: Path) -> None:

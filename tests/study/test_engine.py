@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import http.client
+import itertools
 import json
 import os
 import re
@@ -10,13 +13,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.strategies import install
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.lock import FolderLock
 from rmesh_nlp.io.results import read_results, row_files
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.study import engine, worker
@@ -91,17 +94,6 @@ def test_a_study_by_command_runs_once_and_has_fields(
     assert rows_of(out) == rows  # nothing was solved again
 
 
-@pytest.mark.slow
-def test_a_second_client_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, out = tmp_path / "study.toml", tmp_path / "out"
-    path.write_text(SMALL)
-    out.mkdir()
-    with FolderLock(out):
-        assert cli.run(["study", str(path), "--out", str(out)]) == 2
-    assert "being written by another rmesh" in capsys.readouterr().err.strip()
-    assert row_files(out) == []
-
-
 def test_rows_of_workers_that_were_killed_are_kept_and_joined(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,9 +129,12 @@ def test_who_resumes_waits_for_workers_that_outlived_their_client(
         list(engine.run([solve_of("fixed")], tmp_path))
 
 
-def test_without_dask_more_jobs_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(BadInputError, match=r"need dask\.distributed: pip install"):
+@pytest.mark.parametrize("package", ["distributed", "cryptography"])
+def test_without_the_extra_more_jobs_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(BadInputError, match=rf"^--jobs above 1.* needs? .*{package}: pip install"):
         list(engine.run([solve_of("fixed"), solve_of("joint")], tmp_path, jobs=2))
 
 
@@ -194,6 +189,74 @@ def rmesh(*arguments: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow
+def test_an_own_cluster_refuses_strangers_and_serves_no_page() -> None:
+    distributed, psutil = pytest.importorskip("distributed"), pytest.importorskip("psutil")
+    other = distributed.Security.temporary().get_connection_args("client")
+    with engine._client(distributed, 1, None) as client:
+        address = client.scheduler.address
+        assert client.submit(abs, -1).result() == 1
+        for stranger, certificate in ((address, other), (address.replace("tls:", "tcp:"), {})):
+            with pytest.raises(OSError, match=r"(?i)tls|connection|timed out"):
+                asyncio.run(distributed.comm.connect(stranger, timeout=1, **certificate))
+        me = psutil.Process()
+        sockets = [one.net_connections("tcp") for one in (me, *me.children(recursive=True))]
+        ports = {tuple(one.laddr) for one in itertools.chain(*sockets) if one.status == "LISTEN"}
+        assert distributed.comm.parse_host_port(address.split("//")[1]) in ports
+        assert not any(serves_pages(*port) for port in ports)
+
+
+def serves_pages(host: str, port: int) -> bool:
+    try:
+        page = http.client.HTTPConnection(host, port, timeout=5)
+        page.request("GET", "/sitemap.json")
+        return page.getresponse().status > 0
+    except (OSError, http.client.HTTPException):
+        return False
+
+
+def starting(path: Path, out: Path) -> tuple[subprocess.Popen[str], list[Any]]:
+    """A study on two jobs and its two worker processes, which have just been started."""
+    psutil = pytest.importorskip("psutil")
+    path.write_text('random = { count = 300 }\nstrategies = ["fixed"]\nfields = false\n')
+    process = rmesh("study", str(path), "--out", str(out), "--jobs", "2")
+    found: list[Any] = []
+    while len(found) < 2 and process.poll() is None:
+        children = psutil.Process(process.pid).children()
+        found = [one for one in children if "--multiprocessing-fork" in one.cmdline()]
+        time.sleep(0.02)
+    return process, found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize("presses", [1, 2])
+def test_ctrl_c_while_workers_start_ends_the_study(tmp_path: Path, presses: int) -> None:
+    """As on a terminal, where all processes get it: nothing is solved, and none is left over."""
+    process, workers = starting(tmp_path / "study.toml", tmp_path / "out")
+    for _ in range(presses):
+        for one in (process, *workers):
+            one.send_signal(signal.SIGINT)
+        time.sleep(0.3)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode in (130, -signal.SIGINT)
+    (line,) = said.splitlines()
+    assert line.startswith("rmesh: interrupted: 0 of 300 solves are kept")
+    assert not any(one.is_running() for one in workers)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_workers_killed_while_they_start_are_one_line(tmp_path: Path) -> None:
+    process, workers = starting(tmp_path / "study.toml", tmp_path / "out")
+    for one in workers:
+        one.kill()
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert said.endswith("its worker processes ended while they started; run the same command again\n")
+    assert len(said.splitlines()) == 1
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_ctrl_c_with_two_jobs_keeps_what_is_finished_in_one_line(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
@@ -241,7 +304,9 @@ def test_a_scheduler_that_is_not_there_is_one_line(
     monkeypatch.setattr(engine, "START_S", 0.5)
     path = tmp_path / "study.toml"
     path.write_text(SMALL)
-    for address in ("tcp://127.0.0.1:1", "nonsense://x"):
+    places = {"tcp://127.0.0.1:1": "no cluster at {}", "nonsense://x": "no cluster at {}"}
+    places["tls://127.0.0.1:1"] = "{} asks for a certificate"
+    for address, message in places.items():
         assert cli.run(["study", str(path), "--out", str(tmp_path / "out"), "--scheduler", address]) == 2
         (line,) = capsys.readouterr().err.strip().splitlines()
-        assert f"no cluster at {address}" in line
+        assert message.format(address) in line

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -29,13 +28,3 @@ def test_no_core_is_given_twice_and_a_core_given_back_is_free(monkeypatch: pytes
     assert again[0] == number
     for _, each in (again, held[1]):  # type: ignore[misc]
         each.close()
-
-
-def test_workers_of_two_studies_have_different_cores_or_none(tmp_path: Path) -> None:
-    one, other = worker.Worker(tmp_path / "one"), worker.Worker(tmp_path / "other")
-    try:
-        cores = [each._core[0] for each in (one, other) if each._core is not None]
-        assert len(set(cores)) == len(cores)
-    finally:
-        one.close()
-        other.close()

@@ -1,4 +1,4 @@
-"""A valid problem file and sixty ways to break it: (edit, what the one line must say)."""
+"""A valid problem file and ways to break it: (edit, what the one line must say)."""
 
 VALID = """\
 name = "block"
@@ -77,7 +77,6 @@ BROKEN: list[tuple[Edit, str]] = [
     # the file itself
     (('name = "block"', "name = block"), "is not valid TOML"),
     (("[motion]", "[motion"), "is not valid TOML"),
-    (("[solve]", "[mesh]"), "is not valid TOML"),
     # unknown keys
     (("[contact]", "[contacts]"), "contacts = {'boundary'"),
     (
@@ -85,13 +84,7 @@ BROKEN: list[tuple[Edit, str]] = [
         "materials.hard.youngs = 22000.0: unknown key, did you mean 'young'?",
     ),
     (("pinned =", "pined ="), "motion.pined = ['top', 0]: unknown key, did you mean 'pinned'?"),
-    (("height =", "heights ="), "contact.heights = '-0.01*x**2': unknown key, did you mean 'height'?"),
     (("quadrature = 4", "quadratur = 4"), "quadratur = 4: unknown key, did you mean 'quadrature'?"),
-    (
-        ("formulation =", "formulaton ="),
-        "solve.formulaton = 'joint': unknown key, did you mean 'formulation'?",
-    ),
-    (("shape =", "shpe ="), "mesh.shpe = 'rectangle': unknown key, did you mean 'shape'?"),
     (
         ("{ relative = 0.3 }", "{ relativ = 0.3 }"),
         "motion.delta = {'relativ': 0.3}: expected a positive number",
@@ -112,18 +105,13 @@ BROKEN: list[tuple[Edit, str]] = [
         ("quadrature = 4", 'quadrature = "simpson"'),
         "quadrature = 'simpson': expected 'auto', 'midpoint' or a degree from 1 to 50",
     ),
-    (("quadrature = 4", "quadrature = true"), "quadrature = True: expected 'auto'"),
     (('name = "block"', "name = 3"), "name = 3: expected a text"),
     (("nx = 8", "nx = 8.5"), "mesh.nx = 8.5: expected a whole number from 1 to 10000"),
     (("nx = 8", "nx = 0"), "mesh.nx = 0: expected a whole number from 1 to 10000"),
-    (("nx = 8", "nx = -3"), "mesh.nx = -3: expected a whole number"),
-    (("ny = 3", 'ny = "three"'), "mesh.ny = 'three': expected a whole number"),
     (("x = [0, 4]", "x = [0, 4, 8]"), "mesh.x = [0, 4, 8]: expected two numbers"),
     (("x = [0, 4]", "x = [4, 0]"), "x must be two increasing numbers, got (4.0, 0.0)"),
-    (("x = [0, 4]", "x = [0, inf]"), "mesh.x = [0, inf]: expected two numbers"),
     (('shape = "rectangle"', 'shape = "circle"'), "mesh.shape = 'circle': expected 'rectangle', 'l-shape'"),
     (('shape = "rectangle"', 'file = "body.msh"'), "mesh.nx = 8: a mesh from a file takes file"),
-    (("ny = 3", "ny = 3\nradius = 1"), "mesh.radius = 1.0: the shape 'rectangle' takes shape, nx, ny"),
     (("nx = 8\nny = 3", "nx = 9000\nny = 9000"), "would be a mesh of about 2e+08 triangles"),
     # names
     (("left = [0", "lft = [0"), "expected a boundary of the mesh, did you mean 'left'?"),
@@ -139,28 +127,38 @@ BROKEN: list[tuple[Edit, str]] = [
     (('["top", 0]', '["top", 999]'), "the motion names node 999; nodes run from 0 to 35"),
     (("[materials.soft]", "[materials.sofd]"), "expected a subdomain of the mesh, did you mean 'soft'?"),
     (('hard = "x > 2"', 'hard = "x > 1"'), "has 2 laws: every element needs exactly one"),
-    (('hard = "x > 2"', 'hard = "x > 3"'), "has 0 laws: every element needs exactly one"),
     (
         ('load = "y == 1 and x > 2"', 'load = "y == 7"'),
         "boundaries.load = 'y == 7': the boundary 'load' is empty",
     ),
     (('load = "y == 1 and x > 2"', "load = 3"), "boundaries.load = 3: expected a condition on x and y"),
     # expressions
-    (('"-20*x"', "\"__import__('os').remove('x')\""), "is not allowed in an expression"),
     (('"-20*x"', '"x.__class__"'), "'x.__class__' is not allowed in an expression"),
-    (('"-20*x"', '"-20*z"'), "unknown name 'z'"),
     (('"-20*x"', '"-20*sine(x)"'), "unknown function 'sine', did you mean 'sin'?"),
-    (('"-20*x"', '"-20*"'), "'-20*' is not an expression of x and y"),
-    (('"-20*x"', '"max(x)"'), "max takes 2 arguments, got 1"),
-    (('"-20*x"', '"[v for v in x]"'), "is not allowed in an expression"),
-    (('"-0.01*x**2"', '"sqrt(x - 1)"'), "contact = {'boundary': 'bottom', 'height': 'sqrt(x - 1)'"),
+    # finite somewhere, but not on the mesh
+    (('"-0.01*x**2"', '"sqrt(x - 1)"'), "contact.height = 'sqrt(x - 1)': the obstacle is nan at (0, 0)"),
+    (
+        ('"-20*x"', '"log(x - 3)"'),
+        "hard.body_force = [0.0, 'log(x - 3)']: component 2 of the body force of 'hard' is nan at (2, 0)",
+    ),
+    (
+        ('"-30*sin(pi*x/4)"', '"-20*sqrt(x-10)"'),
+        "tractions.load = [0.0, '-20*sqrt(x-10)']: component 2 of the traction on 'load' is nan at (2, 1)",
+    ),
+    (
+        ('"0*y"', '"log(y - 2)"'),
+        "left = [0.0, 'log(y - 2)']: the displacement given on 'left' is nan at",
+    ),
+    (
+        ('"10 + x"', '"1/(x - 4)**2"'),
+        "friction = '1/(x - 4)**2': the friction bound is inf at (4, 0)",
+    ),
     # physics
     (
         ("poisson = 0.3", "poisson = 0.5"),
         "materials.hard.poisson = 0.5: expected a number between -1 and 0.5",
     ),
     (("young = 2.2e4", "young = -1"), "materials.hard.young = -1: expected a positive number"),
-    (("young = 2.2e4", "young = nan"), "materials.hard.young = nan: expected a positive number"),
     (("lame_mu = 0.83e4", "young = 1.0"), "expected either young and poisson, or lame_lambda and lame_mu"),
     (
         ("lame_mu = 0.83e4", "lame_mu = 0.83e4\nsource = 1"),
@@ -172,8 +170,6 @@ BROKEN: list[tuple[Edit, str]] = [
     ),
     (('left = [0, "0*y"]', "left = 0"), "dirichlet.left = [0.0]: expected 2 values"),
     (('left = [0, "0*y"]', "left = [0, 0, 0]"), "dirichlet.left = [0, 0, 0]: expected one value, or two"),
-    (('left = [0, "0*y"]', 'left = ["fre", 0]'), "unknown name 'fre'"),
-    (('left = [0, "0*y"]\n', ""), "can still move as a rigid body"),
     (('"10 + x"', '"x - 1"'), "contact.friction = 'x - 1': the friction bound must not be negative"),
     (
         ('height = "-0.01*x**2"', "height = 0\noffset = 0"),
@@ -183,7 +179,6 @@ BROKEN: list[tuple[Edit, str]] = [
     (('height = "-0.01*x**2"', "points = [[0, 0], [0, 1]]"), "breakpoints must increase"),
     # motion
     (("{ relative = 0.3 }", "-0.1"), "motion.delta = -0.1: expected a positive number, two of them"),
-    (("{ relative = 0.3 }", "[0.1, 0.2, 0.3]"), "motion.delta = [0.1, 0.2, 0.3]: expected a positive number"),
     (
         ("min_area_fraction = 0.02", "min_area_fraction = 2"),
         "motion.min_area_fraction = 2: expected a number between 0 and 1",
@@ -192,10 +187,6 @@ BROKEN: list[tuple[Edit, str]] = [
     (
         ("min_area_fraction = 0.02", "tied = [[1, 2, 3]]"),
         "motion.tied = [[1, 2, 3]]: expected pairs of node numbers",
-    ),
-    (
-        ("min_area_fraction = 0.02", "slides = [0.5]"),
-        "motion.slides = [0.5]: expected a list of boundary names",
     ),
     (('formulation = "joint"', "seed = -1"), "solve.seed = -1: expected a whole number of at least 0"),
     (('formulation = "joint"', "starts = 2\nlevels = 1"), "expected starts alone, without levels or seed"),
