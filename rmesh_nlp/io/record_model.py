@@ -144,6 +144,7 @@ class RecordModel(BaseModel):
     penetration: Number = None
     objective_initial: Number = None
     objective_value: Number = None
+    gain_surviving: Number = None
     energy_lower_bound: Number = None
     energy_upper_bound: Number = None
     error_bound_initial: Number = None

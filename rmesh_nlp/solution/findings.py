@@ -90,17 +90,20 @@ def decrease_of(
     elif isinstance(function, ReducedCertificate):  # by that rule already
         one, two = function(zero).value, function(q).value
     else:
-        rel = energy.relocation
-        value = element_values(
-            parse_objective(objective).groups(
-                rel.problem.with_rule(ACCURATE), rel.freedoms.positions, rel.displacement, rel.slip
-            )
-        )
+        outer = parse_objective(objective)
         one, two = (
-            float(sum(np.sum(part) for part in value(energy.point(moves, state))))
+            objective_value(energy, outer, moves, state)
             for moves, state in ((zero, before[1]), (q, after[1]))
         )
     return one - two, max(abs(one), abs(two))
+
+
+def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state: Equilibrium) -> float:
+    """An objective at moves (n_q,) and a contact solution, by the assessment's rule."""
+    rel = energy.relocation
+    problem = rel.problem.with_rule(ACCURATE)
+    groups = objective.groups(problem, rel.freedoms.positions, rel.displacement, rel.slip)
+    return float(sum(np.sum(part) for part in element_values(groups)(energy.point(q, state))))
 
 
 def nodal_stress(model: ContactModel, force: Array, weights: Array) -> Array:

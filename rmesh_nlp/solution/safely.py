@@ -24,6 +24,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.registry import accepted
 from rmesh_nlp.solution.solution import Solution, counted
+from rmesh_nlp.solution.surviving import with_surviving_gain
 
 SAFE_DEGREE = 20
 """Degree of the rule of the second solve."""
@@ -42,8 +43,9 @@ def safely(solve: Callable[..., Solution]) -> Callable[..., Solution]:
     def run(problem: ContactProblem, **options: Any) -> Solution:
         began = time.perf_counter()
         first = solve(problem, **options)
+        outer = options.get("objective", "energy")
         if not _is_hollow(first):
-            return first
+            return with_surviving_gain(first, outer)
         found, safe = first, safe_discretisation(first.problem)
         said = f"{first.measured.costliest} was exploited" if first.measured else ""
         if safe is not first.problem:
@@ -56,7 +58,7 @@ def safely(solve: Callable[..., Solution]) -> Callable[..., Solution]:
         if found.status is Status.EXPLOITED:
             found, part = damped(found)
             said += f", and {part:g} of the way to the last mesh taken" if part < 1 else ""
-        return replace(found, extra={**found.extra, "safe": said})
+        return with_surviving_gain(replace(found, extra={**found.extra, "safe": said}), outer)
 
     return run
 

@@ -252,6 +252,10 @@ class Solution:
         ]
         if self.extra.get("error_reduction"):
             rows.append(("error reduction", self.extra["error_reduction"]["text"]))
+        if "gain_surviving" in self.extra:
+            rows.append(
+                ("gain left on refined meshes", f"{self.extra['gain_surviving']:.0%} of the objective's")
+            )
         if self.multipliers is not None:
             box, area = self.multipliers.box, self.multipliers.area
             rows.append(("limited by boxes", f"{np.sum(box > 0)} nodes, largest {figure(box.max())}"))

@@ -1,0 +1,98 @@
+"""What is left on finer meshes of the gain in an objective other than the energy.
+
+No theorem says that a lower value is a truer one: a relocation may lower the mean deflection of a body by
+the error of the displacement alone. That error is smaller on uniform refinements of the two meshes.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+from skfem import MeshTri
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.programs.outer_function import has_certificate
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.solution.findings import objective_value
+from rmesh_nlp.solution.solution import Solution, interrupted
+
+SMALL = 0.5
+"""Surviving share below which a record warns."""
+
+
+def with_surviving_gain(solution: Solution, outer: str | Objective) -> Solution:
+    """The solution with ``gain_surviving`` in its record; the time for that counts as audit.
+
+    Nothing is added for the energy, for errors against an exact solution and bounds of errors, which are true
+    by themselves, for terms in the positions alone, and where nothing was gained.
+    """
+    objective = _of_displacement(parse_objective(outer))
+    if not solution.success or objective is None or not _is_relocated(solution):
+        return solution
+    began = time.perf_counter()
+    try:
+        share = _share(solution, objective)
+    except KeyboardInterrupt:  # the solution is there
+        return interrupted(solution)
+    extra = solution.extra
+    if share is not None:
+        extra = {**extra, "gain_surviving": share}
+        if share < SMALL:
+            message = (
+                f"only {max(share, 0):.0%} of the gain in {objective.text} is left on refined meshes: "
+                "the rest is an error of the discretisation"
+            )
+            extra["warnings"] = [*extra["warnings"], message]
+    return replace(solution, extra=extra, audit_time_s=solution.audit_time_s + time.perf_counter() - began)
+
+
+def _of_displacement(objective: Objective) -> Objective | None:
+    """The terms that depend on the displacement; None where their gain needs no check."""
+    if objective.collapses or objective.needs_exact or has_certificate(objective):
+        return None
+    terms = tuple((weight, term) for weight, term in objective.terms if not term.of_positions)
+    return Objective(terms) if terms else None
+
+
+def _is_relocated(solution: Solution) -> bool:
+    return not np.array_equal(solution.mesh.p, solution.initial_nodes)
+
+
+def _share(solution: Solution, objective: Objective) -> float | None:
+    problem = solution.problem
+    given = replace(solution.mesh, doflocs=solution.initial_nodes)
+    values = []
+    for finer in (False, True):
+        pair = []
+        for mesh in (given, solution.mesh):
+            value = _value(problem, mesh, objective, finer)
+            if value is None:
+                return None
+            pair.append(value)
+        values.append(pair[0] - pair[1])
+    here, finest = values
+    return finest / here if here > 0 else None
+
+
+def _value(problem: ContactProblem, mesh: MeshTri, objective: Objective, finer: bool) -> float | None:
+    """The objective on a mesh or its refinement; None where the contact problem has no solution there."""
+    there = replace(problem, mesh=mesh, reference=None)
+    try:
+        stated = discretise(refined(there) if finer else there)
+        energy = ReducedEnergy(relocation(stated), ContactModel(stated))
+    except ProblemError:  # refined edges on a curve may fold a thin element
+        return None
+    state = energy.model.solve(np.asarray(stated.problem.mesh.p))
+    if state.status is not Status.CONVERGED:
+        return None
+    return objective_value(energy, objective, np.zeros(energy.relocation.n_q), state)
