@@ -101,7 +101,7 @@ def test_strategies_agree(make: Make) -> None:
     # with friction on the circle there are several local minima, 0.2 % of the gain apart
     start = first if make is block_sliding_on_a_circle else None
     solutions = [first, *(module.solve(problem, start=start) for module in (nested, mpcc))]
-    assert all(solution.success and solution.status is Status.CONVERGED for solution in solutions)
+    assert all(one.valid and one.solver_status is Status.CONVERGED for one in solutions)
     gain = solutions[0].energy_initial - solutions[0].energy
     assert gain > 0
     for other in solutions[1:]:

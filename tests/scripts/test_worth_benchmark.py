@@ -129,8 +129,9 @@ def test_the_command_line_is_better_by_the_factor_that_it_claims(tmp_path: Path)
     found = row.figures
     assert found["success"]
     assert found["factor"] > 1.4
-    assert found["claimed"] == pytest.approx(found["factor"], rel=0.15)
-    assert found["claimed_before"] == pytest.approx(found["error_before"], rel=0.15)
+    assert 0.7 * found["factor"] < found["claimed"] <= 1.05 * found["factor"]
+    least, most = found["claimed_before"]
+    assert least <= found["error_before"] <= most
 
 
 @pytest.mark.slow
