@@ -161,7 +161,10 @@ def _curved(rng: np.random.Generator, family: str, pressed: bool) -> Data:
 
 def aimed() -> list[Data]:
     """Problems made to be exploited; the name says the family and the number."""
-    return [replace(data, name=f"{data.name} #{i}") for i, data in enumerate(_aimed())]
+    first = list(_aimed())
+    by_joint = [data for data in first if data.formulation == "joint" and data.name != "waves"]
+    every = [*first, *(replace(data, formulation="mpcc") for data in by_joint)]
+    return [replace(data, name=f"{data.name} #{i}") for i, data in enumerate(every)]
 
 
 def _aimed() -> Iterator[Data]:
