@@ -96,7 +96,11 @@ class ReducedEnergy:
         return float(sum(values.sum() for values in self._position_terms(x)))
 
     def is_defined(self, q: Array) -> bool:
-        """Whether the terms in the positions are defined, as a distortion is where no element is inverted."""
+        """Whether the terms in the positions are finite and, if one of them stands in the place of area
+        constraints, no element is inverted or cut through by its arc."""
+        rel = self.relocation
+        if rel.objective.has_barrier and not is_upright(rel.problem, rel.nodes(q)):
+            return False
         return bool(np.isfinite(self.of_positions(q)))
 
     def __call__(self, q: Array) -> ReducedPoint:

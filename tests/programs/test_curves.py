@@ -6,9 +6,11 @@ from support.curved import CURVES, HOLE, disc, plate, spline_of_the_hole
 from formulations import auto, joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.curves import Circle, Curve
 from rmesh_nlp.problem import ContactProblem, Motion, ProblemError, signed_areas
 from rmesh_nlp.problem.refining import locally_refined, refined
+from rmesh_nlp.programs.acceptance import accepted
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.levels import coarsened
@@ -92,6 +94,20 @@ def test_auto_slides_along_the_arc_of_a_disc() -> None:
     assert off(problem, solution.mesh, "arc", ARC) < 1e-12
     assert moved(problem, solution, "arc") > 1e-3
     assert solution.record()["error_reduction"]["factor"] > 1.35
+
+
+def test_no_map_is_taken_where_an_arc_cuts_through_its_triangle() -> None:
+    problem = plate({"hole": HOLE})
+    energy = ReducedEnergy(relocation(problem, parse_objective("energy + shape-size")))
+    facet = int(problem.mesh.boundaries["hole"][0])
+    ends, element = problem.mesh.facets[:, facet], problem.mesh.f2t[0, facet]
+    inner = int(np.setdiff1d(problem.triangles[:, element], ends)[0])
+    nodes = np.array(problem.mesh.p)
+    nodes[:, inner] = 0.98 * nodes[:, ends].mean(axis=1) + 0.02 * nodes[:, inner]
+    q = energy.relocation.freedoms.q_of(nodes)
+    assert np.min(signed_areas(energy.relocation.nodes(q), problem.triangles)) > 0
+    assert not energy.is_defined(q)
+    assert energy.is_defined(accepted(energy, q)[0])
 
 
 def test_refined_and_coarsened_meshes_have_their_nodes_on_the_curve() -> None:
