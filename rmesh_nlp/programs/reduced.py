@@ -97,7 +97,8 @@ class ReducedEnergy:
 
     def is_defined(self, q: Array) -> bool:
         """Whether the terms in the positions are finite and, if one of them stands in the place of area
-        constraints, no element is inverted or cut through by its arc."""
+        constraints, no element is inverted or cut through by its arc.
+        """
         rel = self.relocation
         if rel.objective.has_barrier and not is_upright(rel.problem, rel.nodes(q)):
             return False
