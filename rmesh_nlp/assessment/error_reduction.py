@@ -26,8 +26,8 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.refining import refined
 
-FEW = 400
-"""Nodes up to which a mesh is refined twice; a larger one once, which takes four times as many nodes."""
+FEW = 100
+"""Nodes up to which a mesh is refined twice; a larger one once, or this would cost more than the audit."""
 
 SLOWEST = 1.7
 """Least factor by which the error falls with a refinement: that of N^-0.38. On 40 random problems

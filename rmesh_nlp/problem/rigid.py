@@ -32,7 +32,9 @@ def rigid_motions(problem: Statement, nodes: Array | None = None) -> Array:
     for part in parts(problem):
         modes = _modes(p, part, problem.components)
         rows = modes[:, held]
-        basis = scipy.linalg.null_space(rows.T, rcond=NO_MOTION) if rows.size else np.eye(len(modes))
+        # of a triangular factor: with all rows the other singular vectors, thousands, would be made as well
+        triangle = np.linalg.qr(rows.T, mode="r")
+        basis = scipy.linalg.null_space(triangle, rcond=NO_MOTION) if rows.size else np.eye(len(modes))
         found += list(np.einsum("mk,mcn->kcn", basis, modes))
     return np.array(found).reshape(-1, *held.shape)
 

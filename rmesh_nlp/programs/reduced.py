@@ -96,8 +96,9 @@ class ReducedEnergy:
         return float(sum(values.sum() for values in self._position_terms(x)))
 
     def is_defined(self, q: Array) -> bool:
-        """Whether the terms in the positions are finite and, if one of them stands in the place of area
-        constraints, no element is inverted or cut through by its arc.
+        """Whether the terms in the positions are defined.
+
+        Where one stands in the place of area constraints no element may be inverted or cut by its arc.
         """
         rel = self.relocation
         if rel.objective.has_barrier and not is_upright(rel.problem, rel.nodes(q)):
