@@ -25,13 +25,13 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.regularisation import weights
 from rmesh_nlp.settings import check_limits
-from rmesh_nlp.solution.beginning import Start
-from rmesh_nlp.solution.flipping import check_flips
-from rmesh_nlp.solution.history import TIME_LIMIT_S
-from rmesh_nlp.solution.reducing import with_error_reduction
-from rmesh_nlp.solution.referee import STATIONARY, OnStep
-from rmesh_nlp.solution.regularised import Regularisation
-from rmesh_nlp.solution.solution import Solution, interrupted
+from rmesh_nlp.solving.beginning import Start
+from rmesh_nlp.solving.flipping import check_flips
+from rmesh_nlp.solving.history import TIME_LIMIT_S
+from rmesh_nlp.solving.reducing import with_error_reduction
+from rmesh_nlp.solving.referee import STATIONARY, OnStep
+from rmesh_nlp.solving.regularised import Regularisation
+from rmesh_nlp.solving.solution import Solution, interrupted
 
 MANY = 2000
 """Moves above which boxed problems are solved by Newton-CG: the time of ``joint`` grows like the square of

@@ -21,9 +21,9 @@ from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import regularised
 from rmesh_nlp.programs.stationary import Finish, finished
-from rmesh_nlp.solution.clock import solving
-from rmesh_nlp.solution.referee import OnStep, Referee
-from rmesh_nlp.solution.solution import Solution, interrupted
+from rmesh_nlp.solving.clock import solving
+from rmesh_nlp.solving.referee import OnStep, Referee
+from rmesh_nlp.solving.solution import Solution, interrupted
 
 SPARE = 6
 """Contact solves that one more iteration may take, steps that are refused included."""

@@ -17,12 +17,12 @@ from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.stationary import finished
-from rmesh_nlp.solution.clock import solving
-from rmesh_nlp.solution.flipping import with_flips
-from rmesh_nlp.solution.interrupts import deferred
-from rmesh_nlp.solution.referee import OnStep, Referee
-from rmesh_nlp.solution.solution import Solution, interrupted
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.clock import solving
+from rmesh_nlp.solving.flipping import with_flips
+from rmesh_nlp.solving.interrupts import deferred
+from rmesh_nlp.solving.referee import OnStep, Referee
+from rmesh_nlp.solving.solution import Solution, interrupted
+from rmesh_nlp.solving.step import Step
 
 
 def with_edges_flipped(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 RULES = (6, 10, 14, 20)
 """Degrees of the quadrature rule that are tried in turn; the last one is that of the audit."""

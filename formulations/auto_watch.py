@@ -22,9 +22,9 @@ from rmesh_nlp.programs.outer_solvers import StoppedError
 from rmesh_nlp.programs.prolongation import prolonged
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.residual import OuterResidual
-from rmesh_nlp.solution.interrupts import deferred
-from rmesh_nlp.solution.referee import OnStep
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.interrupts import deferred
+from rmesh_nlp.solving.referee import OnStep
+from rmesh_nlp.solving.step import Step
 
 T = TypeVar("T")
 

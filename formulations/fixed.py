@@ -13,12 +13,12 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Count, Settings, check_limits
-from rmesh_nlp.solution.beginning import Start
-from rmesh_nlp.solution.history import TIME_LIMIT_S
-from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
-from rmesh_nlp.solution.registry import ignoring
-from rmesh_nlp.solution.solution import Solution
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.beginning import Start
+from rmesh_nlp.solving.history import TIME_LIMIT_S
+from rmesh_nlp.solving.referee import STATIONARY, OnStep, Referee
+from rmesh_nlp.solving.registry import ignoring
+from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.step import Step
 
 
 @dataclass(frozen=True)

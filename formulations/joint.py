@@ -26,12 +26,12 @@ from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.energy_program import Relocation, relocation
 from rmesh_nlp.programs.reduced import ReducedPoint
 from rmesh_nlp.settings import Count, Limit, Positive, Settings
-from rmesh_nlp.solution.beginning import Start, beginning
-from rmesh_nlp.solution.composed import composed
-from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder
-from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
-from rmesh_nlp.solution.regularised import Regularisation
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.beginning import Start, beginning
+from rmesh_nlp.solving.composed import composed
+from rmesh_nlp.solving.history import TIME_LIMIT_S, Recorder
+from rmesh_nlp.solving.referee import STATIONARY, OnStep, Referee
+from rmesh_nlp.solving.regularised import Regularisation
+from rmesh_nlp.solving.solution import Solution
 
 ORDINARY = (1e-4, 1e4)
 """Sizes of displacements that Ipopt is given as they are; others are measured in the largest of them."""
@@ -163,7 +163,7 @@ def solve(
     time_limit_s : float
         After it, as after Ctrl-C, the best valid mesh so far is the solution.
     start : positions (2, nodes), "given", name of a strategy, or Solution, optional
-        See :func:`rmesh_nlp.solution.beginning.beginning`.
+        See :func:`rmesh_nlp.solving.beginning.beginning`.
     seed : int, optional
         Random start; by default the initial mesh.
     on_step : callable, optional

@@ -14,8 +14,8 @@ from rmesh_nlp.programs.interior import ROUNDING
 from rmesh_nlp.programs.nested_settings import NestedSettings
 from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS
 from rmesh_nlp.programs.reduced_program import reduced_nlp
-from rmesh_nlp.solution.history import Recorder
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.history import Recorder
+from rmesh_nlp.solving.referee import Referee
 
 NEAR = 1e-2
 """First-order residual up to which the end of a solve is near a stationary point."""

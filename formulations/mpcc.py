@@ -25,12 +25,12 @@ from rmesh_nlp.mpcc import MPCC, MPCCResult, MPCCSolver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.kkt_program import Bilevel, bilevel
-from rmesh_nlp.solution.beginning import Start
-from rmesh_nlp.solution.composed import composed
-from rmesh_nlp.solution.history import TIME_LIMIT_S, Recorder, ending_with_residual
-from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
-from rmesh_nlp.solution.regularised import Regularisation
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.beginning import Start
+from rmesh_nlp.solving.composed import composed
+from rmesh_nlp.solving.history import TIME_LIMIT_S, Recorder, ending_with_residual
+from rmesh_nlp.solving.referee import STATIONARY, OnStep, Referee
+from rmesh_nlp.solving.regularised import Regularisation
+from rmesh_nlp.solving.solution import Solution
 
 LIMITS = (Status.TIME_LIMIT, Status.ITERATION_LIMIT)
 """Ends of a homotopy whose last point need not be complementary."""

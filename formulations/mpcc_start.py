@@ -14,10 +14,10 @@ from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.kkt_program import Bilevel
 from rmesh_nlp.programs.reduced import ReducedPoint
-from rmesh_nlp.solution.beginning import GIVEN, Beginning, Start, beginning
-from rmesh_nlp.solution.history import Recorder
-from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.beginning import GIVEN, Beginning, Start, beginning
+from rmesh_nlp.solving.history import Recorder
+from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.step import Step
 
 DROPPED = "without-complementarity"
 """A start of ``mpcc`` alone: its program with the products dropped."""

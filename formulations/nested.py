@@ -27,14 +27,14 @@ from rmesh_nlp.programs.outer_solvers import (
     reduced_nlp,
 )
 from rmesh_nlp.programs.residual import OuterResidual
-from rmesh_nlp.solution.beginning import Start, beginning
-from rmesh_nlp.solution.composed import composed
-from rmesh_nlp.solution.history import TIME_LIMIT_S, Watch
-from rmesh_nlp.solution.referee import STATIONARY, OnStep, Referee
-from rmesh_nlp.solution.regularised import Regularisation
-from rmesh_nlp.solution.solution import Solution
-from rmesh_nlp.solution.step import Step
-from rmesh_nlp.solution.time_left import Falling
+from rmesh_nlp.solving.beginning import Start, beginning
+from rmesh_nlp.solving.composed import composed
+from rmesh_nlp.solving.history import TIME_LIMIT_S, Watch
+from rmesh_nlp.solving.referee import STATIONARY, OnStep, Referee
+from rmesh_nlp.solving.regularised import Regularisation
+from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.time_left import Falling
 
 
 @composed
@@ -89,7 +89,7 @@ def solve(
     time_limit_s : float
         After it, as after Ctrl-C, the best valid mesh so far is the solution.
     start : positions (2, nodes), "given", name of a strategy, or Solution, optional
-        See :func:`rmesh_nlp.solution.beginning.beginning`.
+        See :func:`rmesh_nlp.solving.beginning.beginning`.
     seed : int, optional
         Random start; by default the initial mesh.
     on_step : callable, optional

@@ -45,13 +45,13 @@ _NAMES = {
     "read_problem": "rmesh_nlp.api.files",
     # solving it
     "Comparison": "rmesh_nlp.api.comparison",
-    "Solution": "rmesh_nlp.solution.solution",
-    "certify": "rmesh_nlp.solution.certify",
+    "Solution": "rmesh_nlp.solving.solution",
+    "certify": "rmesh_nlp.solving.certify",
     "compare": "rmesh_nlp.api.comparison",
     "objective": "rmesh_nlp.fem.objective_text",
     "solve": "rmesh_nlp.api.solving",
     "strategies": "rmesh_nlp.api.solving",
-    "verify_gradient": "rmesh_nlp.solution.verification",
+    "verify_gradient": "rmesh_nlp.solving.verification",
     # looking at results
     "plot": "rmesh_nlp.api.pictures",
     "read_records": "rmesh_nlp.api.files",

@@ -32,9 +32,9 @@ from rmesh_nlp.problem import Relative as Relative
 from rmesh_nlp.problem import Traction as Traction
 from rmesh_nlp.problem import Units as Units
 from rmesh_nlp.problem import where as where
-from rmesh_nlp.solution.certify import certify as certify
-from rmesh_nlp.solution.solution import Solution as Solution
-from rmesh_nlp.solution.verification import verify_gradient as verify_gradient
+from rmesh_nlp.solving.certify import certify as certify
+from rmesh_nlp.solving.solution import Solution as Solution
+from rmesh_nlp.solving.verification import verify_gradient as verify_gradient
 
 __version__: str
 

@@ -20,7 +20,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.programs.energy_program import relocation
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 OPTIONS = {"max_iter": 3000}
 

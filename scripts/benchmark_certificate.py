@@ -46,7 +46,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.report.errors import bracket_figure
 from rmesh_nlp.report.style import SETTINGS, save
-from rmesh_nlp.solution.certify import certify, contact_solution
+from rmesh_nlp.solving.certify import certify, contact_solution
 
 
 def exact_part(sizes: Sequence[int], figure: Path | None) -> int:

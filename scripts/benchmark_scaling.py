@@ -40,7 +40,7 @@ from formulations import joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

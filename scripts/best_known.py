@@ -19,7 +19,7 @@ from typing import Any
 from formulations import joint, mpcc, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 FILE = Path(__file__).parents[1] / "docs" / "best_known.json"
 

@@ -22,7 +22,7 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.examples.random_problems import STILL, Frame, random_problem
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem import ContactProblem, Obstacle
-from rmesh_nlp.solution.certify import contact_solution
+from rmesh_nlp.solving.certify import contact_solution
 
 KINDS = ("scalar", "membrane", "elastic", "rough")
 FINER = 2

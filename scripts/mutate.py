@@ -1,8 +1,8 @@
 """Do the tests notice when the code is wrong? Change one thing at a time, and run them.
 
 python scripts/mutate.py --sample 30                     of all modules below, drawn with a seed
-python scripts/mutate.py rmesh_nlp/solution/audit.py     all mutants of one file
-python scripts/mutate.py rmesh_nlp/solution/audit.py:74  of one line
+python scripts/mutate.py rmesh_nlp/solving/audit.py     all mutants of one file
+python scripts/mutate.py rmesh_nlp/solving/audit.py:74  of one line
 python scripts/mutate.py --list rmesh_nlp/fem/stress.py  what they are
 
 Each mutant has one change of one expression: a comparison or an arithmetic operator turned, a number
@@ -48,12 +48,12 @@ EQUIVALENT = ROOT / "scripts" / "mutations_equivalent.json"
 """Mutants that no test can notice: file, line before and after, reason."""
 
 MODULES = (
-    "rmesh_nlp/solution/audit.py",
-    "rmesh_nlp/solution/referee.py",
-    "rmesh_nlp/solution/solution.py",
-    "rmesh_nlp/solution/verdict.py",
-    "rmesh_nlp/solution/starts.py",
-    "rmesh_nlp/solution/verification.py",
+    "rmesh_nlp/solving/audit.py",
+    "rmesh_nlp/solving/referee.py",
+    "rmesh_nlp/solving/solution.py",
+    "rmesh_nlp/solving/verdict.py",
+    "rmesh_nlp/solving/starts.py",
+    "rmesh_nlp/solving/verification.py",
     "rmesh_nlp/programs/reduced.py",
     "rmesh_nlp/contact/sensitivity.py",
     "rmesh_nlp/fem/stress.py",

@@ -24,7 +24,7 @@ from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.history import TIME_LIMIT_S
+from rmesh_nlp.solving.history import TIME_LIMIT_S
 
 OBJECTIVES = ("energy", "error-energy", "error-l2", "error-h1", "contact", "energy+0.1*quality")
 COLUMNS = {

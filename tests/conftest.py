@@ -8,7 +8,7 @@ from support.problems import sloped_block
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution import clock
+from rmesh_nlp.solving import clock
 
 # the same inputs in every run: a test fails for a change, not by chance; scripts/ draw other ones
 settings.register_profile("repeatable", derandomize=True)

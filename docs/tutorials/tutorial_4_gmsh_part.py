@@ -111,7 +111,7 @@ rm.plot(before, after, what="pressure")
 # %%
 # Is it worth it? One uniform refinement is the price to beat: ``rmesh compare plate.toml`` prints both.
 
-from rmesh_nlp.solution.starts import refine
+from rmesh_nlp.solving.starts import refine
 
 refined = rm.solve(refine(problem), "fixed")
 print(f"relocated, {problem.mesh.p.shape[1]} nodes: lower by {before.energy - after.energy:.3g}")

@@ -15,7 +15,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Record
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.tables import frame, markdown
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 COLUMNS = (
     "energy_initial_audited",

@@ -8,7 +8,7 @@ from typing import Any
 from rmesh_nlp.campaign.strategies import available, load
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 
 def strategies() -> tuple[str, ...]:

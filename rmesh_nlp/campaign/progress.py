@@ -13,8 +13,8 @@ from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.campaign.pace import Pace
 from rmesh_nlp.io.results import Record
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.solution.history import TIME_LIMIT_S
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.history import TIME_LIMIT_S
+from rmesh_nlp.solving.step import Step
 
 EVERY_S = 10.0
 """Seconds between lines about a solve that goes on, where there is no terminal."""

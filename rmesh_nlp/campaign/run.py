@@ -18,10 +18,10 @@ from rmesh_nlp.io.files import remove_leftovers, write_whole
 from rmesh_nlp.io.record_model import REQUIRED, Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, RECORDS, TABLES, Result, Results, write_history
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solution.certify import Certificate, certified
-from rmesh_nlp.solution.solution import Solution, versions
-from rmesh_nlp.solution.step import Step
-from rmesh_nlp.solution.theorem41 import error_terms
+from rmesh_nlp.solving.certify import Certificate, certified
+from rmesh_nlp.solving.solution import Solution, versions
+from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.theorem41 import error_terms
 
 OnStep = Callable[[Step], None]
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from rmesh_nlp.solution.registry import GROUP, Solve, accepted, available, find
-from rmesh_nlp.solution.safely import safely
-from rmesh_nlp.solution.starts import with_starts
+from rmesh_nlp.solving.registry import GROUP, Solve, accepted, available, find
+from rmesh_nlp.solving.safely import safely
+from rmesh_nlp.solving.starts import with_starts
 
 __all__ = ["GROUP", "Solve", "accepted", "available", "load"]
 

@@ -1,4 +1,4 @@
 """Guaranteed bounds of the least energy by fields in equilibrium.
 
-:func:`rmesh_nlp.solution.certify.certify` bounds the error of a solution with them.
+:func:`rmesh_nlp.solving.certify.certify` bounds the error of a solution with them.
 """

@@ -23,7 +23,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.style import look, new_figure, save
-from rmesh_nlp.solution.load_path import PathStep, load_path
+from rmesh_nlp.solving.load_path import PathStep, load_path
 
 SUCCESS, NO_SUCCESS = 0, 1
 

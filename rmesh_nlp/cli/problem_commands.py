@@ -39,9 +39,9 @@ from rmesh_nlp.report.before_after import PICTURES, write_pictures
 from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.problem_picture import draw_problem
 from rmesh_nlp.report.states import Drawable
-from rmesh_nlp.solution.advice import advise as advice
-from rmesh_nlp.solution.interrupts import deferred
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.advice import advise as advice
+from rmesh_nlp.solving.interrupts import deferred
+from rmesh_nlp.solving.step import Step
 from rmesh_nlp.study.study_file import is_study
 
 SUCCESS = 0

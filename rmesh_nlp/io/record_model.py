@@ -12,7 +12,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import safe_name
 
 Record = dict[str, Any]
-"""One solve as plain JSON values, see :meth:`rmesh_nlp.solution.solution.Solution.record`."""
+"""One solve as plain JSON values, see :meth:`rmesh_nlp.solving.solution.Solution.record`."""
 
 LONGEST_LINE = 10_000_000
 """Characters that a record may have."""

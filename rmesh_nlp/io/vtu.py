@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.coefficients import on_points
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 
 @dataclass(frozen=True)

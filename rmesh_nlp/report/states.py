@@ -15,7 +15,7 @@ from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.io.kept_problem import KeptSolution
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.report.foundations import Foundation, foundations
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 Drawable = Solution | KeptSolution
 """What pictures of a relocation are drawn from: a solution, or one that was read back."""

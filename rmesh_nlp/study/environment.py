@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.solution.solution import versions
+from rmesh_nlp.solving.solution import versions
 
 
 def environment() -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.energy_program import Relocation
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 OPTIONS = {
     "max_iter": 3000,

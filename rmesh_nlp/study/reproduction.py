@@ -15,7 +15,7 @@ from statistics import median
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.examples import EXAMPLES, PAPER
 from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.frozen_friction import least_energy
 
 MET, PASSED, NOT_MET = "met", "passed", "cannot be met"

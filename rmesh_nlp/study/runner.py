@@ -20,7 +20,7 @@ from rmesh_nlp.campaign import run as campaign
 from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.io.record_model import REQUIRED
 from rmesh_nlp.io.results import Record, Results, to_json
-from rmesh_nlp.solution.solution import versions
+from rmesh_nlp.solving.solution import versions
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.problems import build
 

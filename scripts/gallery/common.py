@@ -17,7 +17,7 @@ from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 AGREEMENT = 1e-4
 """Largest relative difference of energy between joint and nested."""

@@ -24,7 +24,7 @@ from formulations import fixed
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.meshes.shapes import half_disc
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Relative
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 RADIUS, YOUNG, POISSON = 1.0, 1000.0, 0.3
 PUSH = 0.02

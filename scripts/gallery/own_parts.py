@@ -25,7 +25,7 @@ from formulations import joint
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.report.before_after import write_pictures
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 STEEL = 'law = "plane-strain"\nyoung = 210000.0\npoisson = 0.3'
 """In MPa."""

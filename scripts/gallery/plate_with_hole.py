@@ -13,7 +13,7 @@ from common import Case, command_line, energy_above, run
 from formulations import fixed
 from rmesh_nlp.meshes.shapes import plate_with_hole
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain
-from rmesh_nlp.solution.starts import refine
+from rmesh_nlp.solving.starts import refine
 
 
 def problem(n: int) -> ContactProblem:

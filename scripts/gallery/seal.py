@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 import rmesh_nlp as rm
 from rmesh_nlp.meshes import named
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 OBJECTIVE = "boundary(seal, 1.2*(y + uy) - y)"
 """Leak less the material that is saved."""

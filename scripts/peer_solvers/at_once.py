@@ -17,7 +17,7 @@ from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.optimize.solver import IPOPT_OPTIONS, Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.energy_program import relocation
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 SILENT = {"ipopt": {"print_level": 0, "sb": "yes"}, "print_time": False}
 

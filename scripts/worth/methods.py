@@ -20,7 +20,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.refining import locally_refined
 from rmesh_nlp.programs.hr import hr
 from rmesh_nlp.programs.refinement import marked
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 
 def row(case: Case, method: str, size: str, problem: ContactProblem, seconds: float, **more: Any) -> Row:

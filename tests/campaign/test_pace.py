@@ -5,7 +5,7 @@ import math
 import pytest
 
 from rmesh_nlp.campaign.pace import TOLERANCE, Pace
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.step import Step
 
 
 def steps(count: int, factor: float) -> Pace:

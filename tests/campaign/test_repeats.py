@@ -12,7 +12,7 @@ from rmesh_nlp.campaign.cases import make_cases
 from rmesh_nlp.campaign.repeats import TIMES, joined
 from rmesh_nlp.campaign.run import run, solve
 from rmesh_nlp.io.results import Results, read_results
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 def test_times_are_medians_with_their_range() -> None:

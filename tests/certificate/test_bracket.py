@@ -34,7 +34,7 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     Traction,
 )
-from rmesh_nlp.solution.certify import certify
+from rmesh_nlp.solving.certify import certify
 
 TURNED = Frame(np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, -2.0]))
 

@@ -11,8 +11,8 @@ import pytest
 from matplotlib import image
 
 from rmesh_nlp.cli import app as cli
-from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.solution import Solution
 
 BLOCK = """
 [mesh]

@@ -10,7 +10,7 @@ from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, Functional
 import rmesh_nlp as rm
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.problem import Motion
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.programs.acceptance import _continuous, accepted
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.cascade_settings import CascadeSettings
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.step import Step
 
 
 @pytest.mark.slow

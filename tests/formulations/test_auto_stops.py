@@ -21,8 +21,8 @@ from rmesh_nlp.programs import cascade as of_cascade
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.stationary import finished
-from rmesh_nlp.solution import referee as of_referee
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving import referee as of_referee
+from rmesh_nlp.solving.step import Step
 
 
 def test_a_time_limit_keeps_the_best_mesh() -> None:

@@ -18,9 +18,9 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import Motion
-from rmesh_nlp.solution.clock import Clock
-from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.clock import Clock
+from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.step import Step
 
 STRATEGIES = [fixed, nested, joint, mpcc]
 COMMON = {"settings", "tolerance", "max_iterations", "time_limit_s", "start", "seed", "on_step", "objective"}

@@ -18,8 +18,8 @@ from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.solution import Solution
 
 SMALL: dict[str, Any] = {"6.1": 4, "6.2": (6, 4), "6.3": (6, 4)}
 

@@ -23,7 +23,7 @@ from rmesh_nlp.problem import (
     NO_CONTACT,
     signed_areas,
 )
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 SEEDS = st.integers(0, 10**6)
 FEW = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -19,8 +19,8 @@ from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain, signed_areas
-from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.solution import Solution
 
 # Bounds on the final energy from the initial grid, with the paper's settings: what prototypes of
 # joint and nested reached.

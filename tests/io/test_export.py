@@ -22,8 +22,8 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
-from rmesh_nlp.solution.solution import Solution, Step
-from rmesh_nlp.solution.starts import prolong, refine
+from rmesh_nlp.solving.solution import Solution, Step
+from rmesh_nlp.solving.starts import prolong, refine
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.io.export import Series, element_table, gaps, node_table, write_mesh
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.step import Step
 
 
 def grouped(path: Path) -> dict[str, set[frozenset[tuple[float, ...]]]]:

@@ -10,7 +10,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.newton import Evaluation, minimise
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.curvature import Curvature
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 PROBLEMS = {
     "6.1": EXAMPLES["6.1"],

@@ -39,7 +39,7 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.reduced import ReducedObjective
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 Make = Callable[[], ContactProblem]
 
@@ -318,7 +318,7 @@ def test_a_point_load_pins_its_node_and_does_its_work() -> None:
 
 def test_a_point_load_is_not_certified() -> None:
     from rmesh_nlp.certificate.conditions import NotCertifiableError
-    from rmesh_nlp.solution.certify import certify
+    from rmesh_nlp.solving.certify import certify
 
     problem = replace(punch_held_by_symmetry(), dirichlet=("left",))
     with pytest.raises(NotCertifiableError, match="point load"):

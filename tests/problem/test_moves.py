@@ -23,7 +23,7 @@ from rmesh_nlp.problem import (
     Relative,
 )
 from rmesh_nlp.problem.summary import BY_BARRIER
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 def problem(motion: Motion, **changes: object) -> ContactProblem:

@@ -12,7 +12,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem, ExactSolution
 from rmesh_nlp.programs.reduced import ReducedObjective
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 def with_exact(problem: ContactProblem) -> ContactProblem:

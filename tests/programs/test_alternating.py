@@ -8,8 +8,8 @@ import pytest
 from formulations import joint
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.programs.alternating import alternated, alternating
-from rmesh_nlp.solution.history import Recorder
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.history import Recorder
+from rmesh_nlp.solving.referee import Referee
 
 
 def test_alternating_moves_are_red_and_black_on_a_structured_grid() -> None:

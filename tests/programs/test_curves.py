@@ -15,8 +15,8 @@ from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.levels import coarsened
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.solution.solution import Solution
-from rmesh_nlp.solution.verification import verify_gradient
+from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.verification import verify_gradient
 
 ARC = Circle((0.0, 1.0), 1.0)
 

@@ -8,7 +8,7 @@ from support.problems import sloped_block
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 def taylor_rates(problem: ContactProblem, seed: int) -> np.ndarray:

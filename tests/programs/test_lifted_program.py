@@ -13,7 +13,7 @@ from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.programs.curved_program import with_hessian
 from rmesh_nlp.programs.lifted_program import STIFF, lifted
 from rmesh_nlp.programs.reduced_program import ReducedProgram, reduced_nlp
-from rmesh_nlp.solution.referee import STATIONARY, Referee
+from rmesh_nlp.solving.referee import STATIONARY, Referee
 
 PROBLEMS = {
     "6.1, areas": lambda: EXAMPLES["6.1"](3, 0.9),

@@ -10,7 +10,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.programs.objective_curvature import ObjectiveCurvature
 from rmesh_nlp.programs.reduced import ReducedObjective
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from rmesh_nlp.discretisation.validity import ROUNDING, least_angles
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.programs.recombination import Recombination
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 def random_unknowns(referee: Referee, seed: int) -> np.ndarray:

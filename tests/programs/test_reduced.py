@@ -10,7 +10,7 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.programs.outer_function import outer_function
 from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
 from rmesh_nlp.programs.secant_curvature import SecantCurvature
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 def boxed(kind: str) -> ContactProblem:

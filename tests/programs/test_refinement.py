@@ -25,7 +25,7 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.problem.refining import locally_refined, refined
 from rmesh_nlp.programs.hr import EFFECTIVITY, hr, reference_as_given
 from rmesh_nlp.programs.refinement import edge_gains, marked, residual_indicators
-from rmesh_nlp.solution.advice import advise, recommended
+from rmesh_nlp.solving.advice import advise, recommended
 
 
 def example(n: int = 8) -> ContactProblem:

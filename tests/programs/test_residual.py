@@ -11,7 +11,7 @@ import pytest
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 @pytest.mark.slow

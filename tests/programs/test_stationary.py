@@ -8,7 +8,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.stationary import finished
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from rmesh_nlp.optimize.smooth_constraints import Wall
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.programs.validity import Validity
-from rmesh_nlp.solution.referee import STATIONARY, Referee
+from rmesh_nlp.solving.referee import STATIONARY, Referee
 
 LARGE_BOXES = {
     # a rule of high degree: with the midpoint rule the gain is one of the rule

@@ -18,7 +18,7 @@ from rmesh_nlp.report.before_after import pictures
 from rmesh_nlp.report.foundations import displaced, magnification
 from rmesh_nlp.report.grids import grid_figure
 from rmesh_nlp.report.page import Page
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 BELOW = 0.002
 """Gap of the lowest node of the block."""

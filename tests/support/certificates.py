@@ -10,7 +10,7 @@ from skfem import MeshTri
 from rmesh_nlp.certificate.field import Guess
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.certify import contact_solution
+from rmesh_nlp.solving.certify import contact_solution
 
 
 def distorted(mesh: MeshTri, amount: float, seed: int) -> MeshTri:

@@ -8,7 +8,7 @@ from functools import cache
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 Size = int | tuple[int, int] | None
 

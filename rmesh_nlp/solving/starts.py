@@ -18,8 +18,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.refining import refined
-from rmesh_nlp.solution.registry import accepted
-from rmesh_nlp.solution.solution import Solution, interrupted
+from rmesh_nlp.solving.registry import accepted
+from rmesh_nlp.solving.solution import Solution, interrupted
 
 Solve = Callable[..., Solution]
 

@@ -15,7 +15,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 Solve = Callable[..., Solution]
 

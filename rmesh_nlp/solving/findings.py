@@ -19,7 +19,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.outer_function import Reduced
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 ACCURATE = 20
 """Degree of the rule by which other objectives than the energy are assessed."""

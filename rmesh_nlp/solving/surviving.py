@@ -23,8 +23,8 @@ from rmesh_nlp.problem.refining import refined
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.outer_function import has_certificate
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.solution.findings import objective_value
-from rmesh_nlp.solution.solution import Solution, interrupted
+from rmesh_nlp.solving.findings import objective_value
+from rmesh_nlp.solving.solution import Solution, interrupted
 
 SMALL = 0.5
 """Surviving share below which a record warns."""

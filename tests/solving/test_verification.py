@@ -12,7 +12,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.solution.verification import TaylorTest, verify_gradient
+from rmesh_nlp.solving.verification import TaylorTest, verify_gradient
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.regularisation import gain_estimate, regularised, weights
-from rmesh_nlp.solution.clock import solving
-from rmesh_nlp.solution.solution import Solution, counted
+from rmesh_nlp.solving.clock import solving
+from rmesh_nlp.solving.solution import Solution, counted
 
 ESTIMATE_SOLVES = 2
 """Contact solves of the estimate that the weights are relative to."""

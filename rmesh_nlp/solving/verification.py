@@ -16,7 +16,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.outer_function import Reduced, outer_function
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 LEAST_ORDER = 1.9
 """What counts as second order; 1.9 is also what cashocs and dolfin-adjoint ask for."""

@@ -13,9 +13,9 @@ from formulations import joint
 from rmesh_nlp.campaign.progress import summary as one_line
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.solution.solution import Solution, _gain, counted
-from rmesh_nlp.solution.step import Step
-from rmesh_nlp.solution.step import plain as as_plain
+from rmesh_nlp.solving.solution import Solution, _gain, counted
+from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.step import plain as as_plain
 
 
 @pytest.fixture(scope="module")

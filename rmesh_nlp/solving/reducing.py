@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rmesh_nlp.assessment.error_reduction import error_reduction
 from rmesh_nlp.assessment.quantities import Quantities, worse
-from rmesh_nlp.solution.solution import Solution, interrupted
+from rmesh_nlp.solving.solution import Solution, interrupted
 
 
 def with_error_reduction(solution: Solution) -> Solution:

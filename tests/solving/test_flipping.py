@@ -9,8 +9,8 @@ import pytest
 from formulations import fixed
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solution.flipping import _judged_as_a_whole
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.flipping import _judged_as_a_whole
+from rmesh_nlp.solving.solution import Solution
 
 
 @pytest.fixture(scope="module")

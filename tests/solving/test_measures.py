@@ -12,7 +12,7 @@ from formulations import fixed, joint
 from rmesh_nlp.assessment.verdict import Measured, Verdict, verdict
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.referee import Referee
 
 
 @pytest.mark.parametrize(

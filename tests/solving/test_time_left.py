@@ -6,8 +6,8 @@ import pytest
 
 from formulations import nested
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.solution.step import Step
-from rmesh_nlp.solution.time_left import Falling
+from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.time_left import Falling
 
 
 def test_a_geometric_sequence_ends_where_it_meets_its_target() -> None:

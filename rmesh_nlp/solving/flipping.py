@@ -14,8 +14,8 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.energy_flips import Round, flips_and_moves, mean_around
 from rmesh_nlp.programs.regularisation import gain_estimate
-from rmesh_nlp.solution.clock import solving
-from rmesh_nlp.solution.solution import Given, Solution, counted
+from rmesh_nlp.solving.clock import solving
+from rmesh_nlp.solving.solution import Given, Solution, counted
 
 
 def check_flips(problem: ContactProblem) -> None:

@@ -17,8 +17,8 @@ from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import Field, constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.findings import ACCURATE
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.findings import ACCURATE
+from rmesh_nlp.solving.solution import Solution
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status, success_in_words
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.multipliers import Multipliers
-from rmesh_nlp.solution import plotting
-from rmesh_nlp.solution.step import Step, plain
+from rmesh_nlp.solving import plotting
+from rmesh_nlp.solving.step import Step, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,7 +76,7 @@ class Solution:
     history : tuple of Step
     iterations, contact_solves : int
     build_time_s, solve_time_s, audit_time_s : float
-        Wall time by the one clock of all strategies (:mod:`rmesh_nlp.solution.clock`).
+        Wall time by the one clock of all strategies (:mod:`rmesh_nlp.solving.clock`).
     contact_time_s : float
         One cold contact solve on the initial mesh with its assembly, the unit of cost.
     start : str

@@ -7,7 +7,7 @@ from support.sliding import sliding_block
 
 from formulations import fixed, joint, mpcc
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.solution.theorem41 import error_terms, error_terms_on
+from rmesh_nlp.solving.theorem41 import error_terms, error_terms_on
 
 
 @pytest.mark.slow

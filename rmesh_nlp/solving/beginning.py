@@ -9,9 +9,9 @@ import numpy as np
 
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.registry import accepted, available, find
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.registry import accepted, available, find
+from rmesh_nlp.solving.solution import Solution
 
 Start = str | Array | Solution | None
 """Node positions (2, nodes), "given", the name of a strategy, a Solution; None for the usual start."""

@@ -21,10 +21,10 @@ from rmesh_nlp.assessment.verdict import ROUNDING
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.registry import accepted
-from rmesh_nlp.solution.solution import Solution, counted
-from rmesh_nlp.solution.surviving import with_surviving_gain
+from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.registry import accepted
+from rmesh_nlp.solving.solution import Solution, counted
+from rmesh_nlp.solving.surviving import with_surviving_gain
 
 SAFE_DEGREE = 20
 """Degree of the rule of the second solve."""

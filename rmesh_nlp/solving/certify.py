@@ -20,7 +20,7 @@ from rmesh_nlp.display import figure
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.solution import Solution
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from formulations import fixed, joint
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Relative
-from rmesh_nlp.solution.load_path import contact_force, load_path
+from rmesh_nlp.solving.load_path import contact_force, load_path
 
 LAW = PlaneStrain(1.15e4, 0.83e4)
 

@@ -7,9 +7,9 @@ from functools import wraps
 from typing import Any, ParamSpec
 
 from rmesh_nlp.settings import check_limits
-from rmesh_nlp.solution.flipping import solve_with_flips
-from rmesh_nlp.solution.regularised import solve_regularised
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.flipping import solve_with_flips
+from rmesh_nlp.solving.regularised import solve_regularised
+from rmesh_nlp.solving.solution import Solution
 
 P = ParamSpec("P")
 

@@ -16,9 +16,9 @@ from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.outer_function import Reduced
 from rmesh_nlp.programs.outer_solvers import StoppedError
-from rmesh_nlp.solution.referee import OnStep, Referee
-from rmesh_nlp.solution.solution import Solution
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.referee import OnStep, Referee
+from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.step import Step
 
 NAN = float("nan")
 

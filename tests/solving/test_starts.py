@@ -15,8 +15,8 @@ from formulations import fixed
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
-from rmesh_nlp.solution.solution import Solution
-from rmesh_nlp.solution.starts import MultiStart, multilevel, multistart, prolong, refine, with_starts
+from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.starts import MultiStart, multilevel, multistart, prolong, refine, with_starts
 
 
 @pytest.fixture(scope="module")

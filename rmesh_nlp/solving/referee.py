@@ -30,8 +30,8 @@ from rmesh_nlp.programs.multipliers import multipliers
 from rmesh_nlp.programs.outer_function import Reduced, outer_function
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.residual import OuterResidual, size_of
-from rmesh_nlp.solution.clock import Clock, timed
-from rmesh_nlp.solution.findings import (
+from rmesh_nlp.solving.clock import Clock, timed
+from rmesh_nlp.solving.findings import (
     decrease_of,
     first_fault,
     nodal_stress,
@@ -40,9 +40,9 @@ from rmesh_nlp.solution.findings import (
     without_solution,
     zones,
 )
-from rmesh_nlp.solution.interrupts import deferred
-from rmesh_nlp.solution.solution import Solution, interrupted
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.interrupts import deferred
+from rmesh_nlp.solving.solution import Solution, interrupted
+from rmesh_nlp.solving.step import Step
 
 OnStep = Callable[[Step], None]
 """Called after each iteration of a strategy, for progress."""

@@ -5,7 +5,7 @@ A package offers a strategy by one line in its ``pyproject.toml``::
     [project.entry-points."rmesh_nlp.formulations"]
     mine = "my_package.my_module:solve"
 
-where ``solve(problem, ...)`` returns a :class:`rmesh_nlp.solution.solution.Solution`.
+where ``solve(problem, ...)`` returns a :class:`rmesh_nlp.solving.solution.Solution`.
 """
 
 from __future__ import annotations

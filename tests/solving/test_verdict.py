@@ -19,9 +19,9 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, ProblemError
-from rmesh_nlp.solution import referee as refereeing
-from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.solution import interrupted
+from rmesh_nlp.solving import referee as refereeing
+from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.solution import interrupted
 
 
 def with_audit(**changes: Any) -> Measured:

@@ -15,8 +15,8 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.programs.reduced import ReducedPoint
-from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.solution import Solution
 
 
 @pytest.fixture(scope="module")
