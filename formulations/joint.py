@@ -6,17 +6,16 @@ Outer and inner objective are the same energy, so the bilevel problem collapses 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from formulations.joint_finish import Finish, finished
-from rmesh_nlp.assessment.verdict import LIMITS
+from formulations.nested import Nested
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.optimize.status import Status
@@ -24,14 +23,23 @@ from rmesh_nlp.optimize.units import Seen, Units
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.alternating import alternated
 from rmesh_nlp.programs.energy_program import Relocation, relocation
+from rmesh_nlp.programs.interior import ROUNDING
 from rmesh_nlp.programs.reduced import ReducedPoint
-from rmesh_nlp.settings import Count, Limit, Positive, Settings
-from rmesh_nlp.solving.beginning import Start, beginning
-from rmesh_nlp.solving.composed import composed
-from rmesh_nlp.solving.history import TIME_LIMIT_S, Recorder
-from rmesh_nlp.solving.referee import STATIONARY, OnStep, Referee
-from rmesh_nlp.solving.regularised import Regularisation
-from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.settings import Count, Positive
+from rmesh_nlp.solving.formulation import Formulation
+from rmesh_nlp.solving.monitor import Monitor, Track
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer, Work
+
+MOST = 3000
+"""Ipopt's own limit of iterations."""
+
+NEAR = 1e-2
+"""First-order residual up to which the end of Ipopt is near a stationary point."""
+
+STEPS = 10
+"""Most Newton steps from there. Three problems of ``scripts/soak_truth.py`` (seeds 3039, 3133, 3277) take five,
+two and two."""
 
 ORDINARY = (1e-4, 1e4)
 """Sizes of displacements that Ipopt is given as they are; others are measured in the largest of them."""
@@ -52,13 +60,15 @@ _BARRIER: Mapping[str, Any] = {
 
 
 @dataclass(frozen=True)
-class JointSettings(Settings):
-    """Settings of ``joint``; docs/notes/speed.md has the benchmarks that chose them.
+class Joint(Formulation):
+    """Minimises the energy over node positions and displacement together, by Ipopt.
+
+    Where Ipopt stops close to a stationary point but not at one, Newton steps on the reduced energy follow.
+    The record then has their number as ``newton_steps``. docs/notes/speed.md has the benchmarks that chose
+    the settings.
 
     Attributes
     ----------
-    max_iterations : int
-        Of Ipopt.
     tol, acceptable_tol : float
         Ipopt's tolerances where boxes alone keep the elements valid, in units of `pull`. Many boxes are
         weakly active, and an interior point meets those only to the square root of its tolerance; where
@@ -82,7 +92,6 @@ class JointSettings(Settings):
         Further Ipopt options, which override all others.
     """
 
-    max_iterations: Limit = 3000
     tol: Positive = 1e-10
     acceptable_tol: Positive = 1e-7
     tol_areas: Positive = 1e-12
@@ -97,7 +106,7 @@ class JointSettings(Settings):
 
         ``distorted`` says that the objective has a distortion, which stands in the place of areas.
         """
-        common = {"max_iter": self.max_iterations, "obj_scaling_factor": 1 / unit}
+        common = {"max_iter": MOST, "obj_scaling_factor": 1 / unit}
         if areas:
             own = {
                 "nlp_scaling_method": "none",
@@ -112,6 +121,73 @@ class JointSettings(Settings):
         return {**common, **own, **self.ipopt}
 
 
+    def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        if not objective.collapses:
+            raise BadInputError(
+                f"joint minimises the energy only, or with terms in the positions, not {objective.text!r}: with "
+                "another outer objective the inner problem must stay a constraint; use mpcc or nested"
+            )
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        track = monitor.track(outer)
+        result = self.minimised(outer, q, track)
+        monitor.work += Work(kkt_factorisations=track.iterations)
+        monitor.check()
+        # it may leave the boxes by 2e-12
+        end = np.clip(result.x[: outer.n], -outer.bound, outer.bound)
+        status = Status.CONVERGED if result.converged else result.status
+        if not result.converged and not outer.is_valid(end):
+            return Outcome(outer, track.best(q), status)
+        if result.status is not Status.ITERATION_LIMIT:
+            last = self._finished(outer, end, monitor)
+            if last is not end:
+                return Outcome(outer, last, status, details={"newton_steps": monitor.track(outer).iterations})
+        return Outcome(outer, end, status, own=_own(outer, end, result), claimed=result.f)
+
+    def minimised(self, outer: Outer, q: Array, track: Track) -> NLPResult:
+        """The energy program from moves ``q`` and the contact solution there."""
+        contact, program = outer.energy(q), outer.relocation
+        distorted = program.objective.has_barrier
+        areas = program.n_valid > 0 or distorted
+        if not areas and outer.n >= self.fine:
+            q = alternated(program, q, contact.gradient, self.alternating, outer.is_valid)
+            unit = pull(contact.gradient)
+            contact = outer.energy(q)
+        else:
+            unit = half_energy(contact) if areas else pull(contact.gradient)
+        units = _units(program, contact)
+        with track.monitor.clock.during("build"):
+            nlp = program.nlp if units is None else units.program(program.nlp)
+            watch = track if units is None else Seen(units, track, track.see_multipliers)
+            solver = Solver(nlp, options=self.options(areas, unit, distorted), monitor=watch)
+        track.residual = outer.residual.of_program
+        begin = outer.energy.point(q, contact.equilibrium)
+        found = solver(begin) if units is None else units.result(solver(begin / units.x))
+        track.with_violations(found.history["inf_pr"])
+        return found
+
+    def _finished(self, outer: Outer, q: Array, monitor: Monitor) -> Array:
+        """Newton steps from where an interior point stopped, if a stationary point is near; else ``q`` itself.
+
+        Where boxes are weakly active an interior point meets them to the square root of its tolerance only,
+        and where many elements are at their least area rounding can hold its multipliers off the tolerance.
+        From there Newton's method on the reduced energy takes one to five steps, each an exact contact solve.
+        What they lead to is taken if its first-order residual is lower and its energy is not higher.
+        """
+        energy, measure = outer.energy, outer.residual
+        if not q.size or energy.relocation.objective.has_barrier or not outer.is_valid(q):
+            return q
+        residual, value = measure(energy(q)), energy(q).value
+        if not outer.tolerance < residual <= NEAR:
+            return q
+        found = Nested(max_iterations=STEPS).run(outer.near(), q, monitor)
+        if not (outer.is_valid(found.q) and energy.is_defined(found.q)):
+            return q
+        there = energy(found.q)
+        better = measure(there) < residual and there.value <= value + ROUNDING * abs(value)
+        return found.q if better else q
+
+
 def build(problem: ContactProblem) -> NLP:
     """The symbolic NLP in ``x = (q, u, s)``, see :mod:`rmesh_nlp.programs.energy_program`.
 
@@ -121,155 +197,17 @@ def build(problem: ContactProblem) -> NLP:
     return relocation(problem).nlp
 
 
-@composed
-def solve(
-    problem: ContactProblem,
-    *,
-    objective: str | Objective = "energy",
-    regularisation: Regularisation = None,
-    distortion: str = "shape-size",
-    flips: bool = False,
-    settings: JointSettings | Mapping[str, Any] | None = None,
-    tolerance: float = STATIONARY,
-    max_iterations: int | None = None,
-    time_limit_s: float = TIME_LIMIT_S,
-    start: Start = None,
-    seed: int | None = None,
-    on_step: OnStep | None = None,
-) -> Solution:
-    """Minimise the energy over node positions and displacement together, by Ipopt.
-
-    Where Ipopt stops close to a stationary point but not at one, Newton steps on the reduced energy follow;
-    the record then has their number as ``newton_steps``.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-    objective : str or Objective
-        The energy, or the energy and terms in the positions alone such as "energy + 0.01*quality": with any
-        other outer objective the levels do not collapse.
-    regularisation : float or sequence of float, optional
-        Weight of a distortion that is added to the energy, relative to the error of the energy on the mesh as
-        given, or a schedule of weights of which the last may be 0; 0.01 suits most problems without boxes.
-    distortion : str
-        "quality", "shape-size" or "elastic", see :mod:`rmesh_nlp.fem.distortion`.
-    flips : bool
-        Flip edges by energy between relocations, until neither gains; without boxes only.
-    settings : JointSettings or mapping, optional
-    tolerance : float
-        Largest first-order residual, measured by the referee, of a solution that is called converged.
-    max_iterations : int, optional
-        In place of that of the settings.
-    time_limit_s : float
-        After it, as after Ctrl-C, the best valid mesh so far is the solution.
-    start : positions (2, nodes), "given", name of a strategy, or Solution, optional
-        See :func:`rmesh_nlp.solving.beginning.beginning`.
-    seed : int, optional
-        Random start; by default the initial mesh.
-    on_step : callable, optional
-        Called after each Ipopt iteration.
-
-    Raises
-    ------
-    ValueError
-        If the levels do not collapse for the objective, or a setting or the start cannot be used.
-    """
-    outer = parse_objective(objective)
-    if not outer.collapses:
-        raise ValueError(
-            f"joint minimises the energy only, or with terms in the positions, not {outer.text!r}: with "
-            "another outer objective the inner problem must stay a constraint; use mpcc or nested"
-        )
-    chosen = JointSettings.of(settings)
-    if max_iterations is not None:
-        chosen = replace(chosen, max_iterations=max_iterations)
-    referee = Referee(problem, outer)
-    begin = beginning(referee, start, seed, time_limit_s=time_limit_s)
-    recorder = Recorder(referee, on_step, time_limit_s, is_energy=outer.is_energy)
-    result = recorder.run(lambda: minimise(referee, begin.q, recorder, chosen))
-    if result is None or recorder.stopped is not None:
-        q, claimed = recorder.best(referee.reduced, begin.q), None
-    else:
-        bound = referee.relocation.freedoms.bound
-        q, claimed = np.clip(result.x[: bound.size], -bound, bound), result.f  # it may leave them by 2e-12
-        if not result.converged and not referee.is_valid(q):  # elements may be inverted
-            q, claimed = recorder.best(referee.reduced, begin.q), None
-    said, steps = recorder.status(result), recorder.steps(result)
-    own = None if claimed is None or result is None else _own(referee, q, result)
-    factorisations = max(len(steps) - 1, 0)
-    finish = Finish(q, 0, 0)
-    if said not in LIMITS or said is Status.STALLED:
-        finish = finished(referee, q, factorisations, recorder, tolerance)
-        steps += recorder.steps()
-    if finish.q is not q:
-        claimed = own = None
-    return referee.judge(
-        "joint",
-        finish.q,
-        status=said,
-        tolerance=tolerance,
-        history=steps,
-        iterations=begin.iterations + factorisations + finish.iterations,
-        contact_solves=begin.contact_solves + 1 + finish.contact_solves,
-        objective=objective,
-        claimed_energy=claimed,
-        own=own,
-        start=begin.name,
-        seed=seed,
-        settings=chosen.changed(),
-        extra={
-            "kkt_factorisations": factorisations,
-            **({"newton_steps": finish.iterations} if finish.iterations else {}),
-            **_outer_values(referee, finish.q),
-        },
-    )
-
-
-def _outer_values(referee: Referee, q: Array) -> dict[str, float]:
-    """Record entries of the outer objective before and after; of a mesh that is not valid none."""
-    if not referee.is_valid(q):
-        return {}
-    start, end = referee.reduced(np.zeros(q.size)), referee.reduced(q)
-    return {"objective_initial": start.value, "objective_value": end.value}
-
-
-def _own(referee: Referee, q: Array, result: NLPResult) -> Equilibrium:
+def _own(outer: Outer, q: Array, result: NLPResult) -> Equilibrium:
     """The program's own displacement, and contact forces: the multipliers of its gaps and slips."""
-    rel = referee.relocation
+    rel = outer.relocation
     _, u, _ = rel.split(result.x)
     n, n_s = rel.n_contact, rel.friction_rows.size
     forces = -result.lam_g[: n + 2 * n_s]  # CasADi's multiplier of an active lower bound is negative
     tangential = np.zeros(n if n_s else 0)
     tangential[rel.friction_rows] = forces[n + n_s :] - forces[n : n + n_s]
     active = ActiveSet(forces[:n] > 0, np.sign(tangential).astype(np.int8))
-    system = referee.model.system(rel.nodes(q))
+    system = outer.contact.system(rel.nodes(q))
     return Equilibrium(u, system.energy(u), forces[:n], tangential, active, Status.CONVERGED, 0)
-
-
-def minimise(
-    referee: Referee, q: Array, recorder: Recorder, settings: JointSettings | None = None
-) -> NLPResult:
-    """Solve the energy program from moves ``q`` and the contact solution there."""
-    contact, relocation, settings = referee.reduced(q), referee.relocation, settings or JointSettings()
-    distorted = relocation.objective.has_barrier
-    areas = relocation.n_valid > 0 or distorted
-    if not areas and relocation.n_q >= settings.fine:
-        q = alternated(relocation, q, contact.gradient, settings.alternating, referee.is_valid)
-        unit = pull(contact.gradient)
-        contact = referee.reduced(q)
-    else:
-        unit = half_energy(contact) if areas else pull(contact.gradient)
-    units = _units(relocation, contact)
-    with referee.clock.during("build"):
-        nlp = relocation.nlp if units is None else units.program(relocation.nlp)
-        monitor = recorder if units is None else Seen(units, recorder, recorder.see_multipliers)
-        solver = Solver(nlp, options=settings.options(areas, unit, distorted), monitor=monitor)
-    recorder.residual = referee.residual(referee.reduced).of_program
-    begin = referee.reduced.point(q, contact.equilibrium)
-    try:
-        return solver(begin) if units is None else units.result(solver(begin / units.x))
-    finally:
-        recorder.residual = None  # it may go on to watch another program
 
 
 def _units(relocation: Relocation, contact: ReducedPoint) -> Units | None:

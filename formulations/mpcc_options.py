@@ -110,3 +110,30 @@ def ipopt_options(scaling: float, barrier: float, tight: float = TIGHT) -> dict[
             "acceptable_tol": 1e-7,
         },
     }
+
+
+AFTER: Mapping[str, Any] = {"t0": 1e-9, "t_final": 1e-9}
+"""Options after another program: only the relaxation at the final t, and the exact finish."""
+
+BARRIER_AFTER = 1e-10
+"""Ipopt's barrier at the end of the energy program: its tolerance there."""
+
+
+def after_energy(scaling: float) -> dict[str, Any]:
+    """Options from the minimiser of the energy program, or another formulation's, on.
+
+    With the objective scaled and the barrier left about where that program left them, each
+    slack times its multiplier is still the barrier: Ipopt goes on from there, as if it had been
+    given the multipliers.
+    """
+    ipopt = {
+        "tol": 1e-8,
+        "obj_scaling_factor": scaling,
+        "bound_mult_init_method": "mu-based",
+        "mu_strategy": "monotone",
+        "mu_init": BARRIER_AFTER,
+        **dict.fromkeys(PUSHES, 1e-13),
+    }
+    # many boxes are weakly active: an interior point meets those only to the root of its tolerance
+    exact = {**ipopt, "tol": 1e-11, "acceptable_tol": 1e-7}
+    return {**AFTER, "ipopt_relaxed": ipopt, "ipopt_exact": exact}

@@ -114,7 +114,9 @@ class Settings:
         for field in fields(self):
             value = getattr(self, field.name)
             if value != _default(field):
-                found[field.name] = value.changed() if isinstance(value, Settings) else _plain(value)
+                plain = value.changed() if isinstance(value, Settings) else _plain(value)
+                if plain != {}:
+                    found[field.name] = plain
         return found
 
 
@@ -161,12 +163,3 @@ def check_positive(**values: float | None) -> None:
     for name, value in values.items():
         if value is not None:
             Number().check(name, value)
-
-
-def check_limits(
-    *, tolerance: float | None = None, max_iterations: int | None = None, time_limit_s: float | None = None
-) -> None:
-    """Raise a BadInputError for what no strategy takes as the tolerance or a limit of its solve."""
-    check_positive(tolerance=tolerance, max_iterations=max_iterations, time_limit_s=time_limit_s)
-    if max_iterations is not None and max_iterations != int(max_iterations):
-        raise BadInputError(f"max_iterations must be a whole number, got {max_iterations!r}")

@@ -77,15 +77,18 @@ class Assessor:
             return self.initial
         return admissible(self.problem, nodes, start)
 
-    def audit(self, nodes: Array, found: Equilibrium, exact: Admissible) -> Audit:
-        """Residuals of a solution on a mesh; ``exact`` is that of :meth:`solve`."""
+    def audit(self, nodes: Array, found: Equilibrium, exact: Admissible, ratio: float | None = None) -> Audit:
+        """Residuals of a solution on a mesh; ``exact`` is that of :meth:`solve`.
+
+        ``ratio`` is the least area ratio, where it is relative to another mesh than that of the problem.
+        """
         system = self.model.system(nodes)
         state = found.u, found.normal_force, found.tangential_force
         return Audit(
             energy_audited=exact.energy,
             equilibrium_residual=equilibrium_residual(system, *state),
             complementarity_residual=law_residual(system, *state),
-            min_area_ratio=least_area_ratio(self.problem, nodes),
+            min_area_ratio=least_area_ratio(self.problem, nodes) if ratio is None else ratio,
             penetration=penetration(self.problem, nodes, self.model.displacement.values(found.u)),
         )
 

@@ -1,4 +1,4 @@
-"""Settings of the strategy nested."""
+"""Settings of the outer solvers of nested."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class NestedSettings(Settings):
     Attributes
     ----------
     max_iterations : int or None
-        Of the outer solver; by default 500, and 200 for newton and newton-pair.
+        Of the outer solver; by default 500, and 200 for newton.
     exact : int
         Number of moves up to which an interior point has the Hessian of an objective other than the energy, a
         dense matrix. That of the energy is sparse in moves and displacements together, for any number.
@@ -50,20 +50,11 @@ class NestedSettings(Settings):
         newton ends where the model predicts less than this part of the gain so far, stationary or not; by
         default only at a stationary point. On a plate of 4,462 nodes with boxes 20 iterations of 200 and
         more have 99.7 % of the gain, after which the residual falls slowly.
-    loose : float
-        The two descents of newton-pair end where the model predicts less than this part, stationary or
-        not.
-    alternating : float
-        Length of the alternating moves that one descent of newton-pair starts with, in boxes.
     large_moves : float
         newton with a distortion in the objective ends where the model predicts less than this part of the
         gain so far.
-    blocks : tuple of int
-        Nodes across the blocks that newton-pair recombines, one size after the other.
-    scipy_tol : float
-        Tolerance of the solvers of scipy.optimize.
     newton : NewtonSettings
-        Numbers of the descents of newton and newton-pair.
+        Numbers of the descents of newton.
     local_newton : LocalNewtonSettings
         Those of newton with a distortion in the objective.
     ipopt : mapping
@@ -82,11 +73,7 @@ class NestedSettings(Settings):
     boxed_curvature: Positive = 1e-2
     tight: Positive = 1e-4
     enough: Positive | None = None
-    loose: Positive = 1.5e-3
-    alternating: Positive = 0.1
     large_moves: Positive = 1e-15
-    blocks: tuple[Count, ...] = (16, 8)
-    scipy_tol: Positive = 1e-8
     newton: NewtonSettings = field(default_factory=NewtonSettings)
     local_newton: LocalNewtonSettings = field(default_factory=LocalNewtonSettings)
     ipopt: Mapping[str, Any] = field(default_factory=dict)

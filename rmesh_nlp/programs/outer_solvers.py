@@ -1,6 +1,6 @@
-"""Outer solvers of the nested strategy, by name.
+"""Outer solvers of the nested formulation, by name.
 
-All but "newton-pair" take any outer objective. "newton" and "ipopt" use the second derivative of the reduced
+They take any outer objective. "newton" and "ipopt" use the second derivative of the reduced
 energy, and that of any other objective by a second-order adjoint
 (:mod:`rmesh_nlp.programs.objective_curvature`), or for the bound of the error partly by secants
 (:mod:`rmesh_nlp.programs.secant_curvature`).
@@ -10,10 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.callbacks import Monitor
@@ -21,39 +19,17 @@ from rmesh_nlp.optimize.newton import Evaluation
 from rmesh_nlp.optimize.newton import minimise as newton
 from rmesh_nlp.optimize.newton_step import Model
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.programs.alternating import alternated
+from rmesh_nlp.optimize.stopping import StoppedError
 from rmesh_nlp.programs.curved_program import curvature_of
 from rmesh_nlp.programs.interior import LIMITED_MEMORY, OuterResult, interior
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.nested_settings import NestedSettings
-from rmesh_nlp.programs.recombination import Recombination
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.programs.reduced_program import ReducedProgram, reduced_nlp
-
-__all__ = [
-    "OUTER_SOLVERS",
-    "NestedSettings",
-    "OuterResult",
-    "OuterSolver",
-    "ReducedProgram",
-    "StoppedError",
-    "reduced_nlp",
-]
-
-NAN = float("nan")
+from rmesh_nlp.programs.reduced_program import ReducedProgram
 
 CONJUGATE_GRADIENTS = "projected Newton-CG"
 
-UNDEFINED = 1e8
-"""What the solvers of scipy are told where the objective, in units of its first value, is not defined: their
-line searches do not understand NaN or infinity."""
-
-
 OuterSolver = Callable[[ReducedProgram, Array, Monitor, NestedSettings], OuterResult]
-
-
-class StoppedError(Exception):
-    """The monitor asked a solver to stop that has no other way to be told."""
 
 
 def _ipopt(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
@@ -117,40 +93,6 @@ def _large_moves(
         on_step=monitor,
     )
     return OuterResult(result.x, result.status, result.iterations)
-
-
-def _newton_pair(
-    program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings
-) -> OuterResult:
-    """Newton-CG from alternating moves and from the start, the better blocks of both, and on from there."""
-    if not isinstance(program.function, ReducedEnergy):
-        raise ValueError("the outer solver newton-pair needs the energy as objective: choose newton")
-    descent = _Descent(program, monitor, settings)
-    relocation = descent.energy.relocation
-    here = descent.energy(start)
-    starts = (
-        alternated(relocation, start, here.gradient, settings.alternating, descent.is_valid),
-        start,
-    )
-    points = [
-        descent.energy(descent(q, stationary=np.inf, gain=settings.loose, reference=here.value).q)
-        for q in starts
-    ]
-    if points[1].value < points[0].value:
-        points.reverse()
-    x, other = (descent.energy.point(point.q, point.equilibrium) for point in points)
-    recombine = Recombination(relocation)
-    for number, across in enumerate(settings.blocks):
-        x = recombine(x, other, across, shift=number / len(settings.blocks))
-    q = x[: relocation.n_q]
-    if not descent.is_valid(q) or descent.energy(q).value > points[0].value:
-        q = points[0].q
-    if program.nlp.n_g and not descent.stopped:
-        end = interior(replace(program, warm=True), q, descent.report, settings)
-        return replace(
-            end, iterations=descent.iterations + end.iterations, method=f"newton, then {end.method}"
-        )
-    return descent(q, gain=settings.tight, reference=here.value)
 
 
 @dataclass(frozen=True)
@@ -235,59 +177,8 @@ class _Descent:
         )
 
 
-def _scipy(method: str) -> OuterSolver:
-    """An outer solver of scipy.optimize with our gradient."""
-
-    def run(program: ReducedProgram, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
-        nlp, function = program.nlp, program.function
-        constraints, scale = [], program.scale
-        if nlp.n_g:
-            if method == "L-BFGS-B":
-                raise ValueError(
-                    f"l-bfgs-b knows boxes only, but with these boxes {nlp.n_g} elements could be inverted: "
-                    "choose ipopt, slsqp or trust-constr, or a smaller delta"
-                )
-            constraints.append(
-                NonlinearConstraint(
-                    lambda q: program.areas(q, [])[0].full().ravel(),
-                    nlp.lbg,
-                    np.inf,
-                    jac=lambda q: program.areas(q, [])[1].full(),
-                )
-            )
-        count, limit = 0, settings.max_iterations or 500
-
-        def callback(q: Array, *_: Any) -> None:
-            nonlocal count
-            count += 1
-            if monitor(count, np.clip(q, nlp.lbx, nlp.ubx), NAN):
-                raise StoppedError
-
-        result = minimize(
-            lambda q: function(q).value / scale if function.is_defined(q) else UNDEFINED,
-            start,
-            jac=lambda q: function(q).gradient / scale if function.is_defined(q) else np.zeros(q.size),
-            method=method,
-            bounds=Bounds(nlp.lbx, nlp.ubx),
-            constraints=constraints,
-            callback=callback,
-            tol=settings.scipy_tol,
-            options={"maxiter": limit},
-        )
-        status = Status.CONVERGED if result.success else Status.STALLED
-        if count >= limit:
-            status = Status.ITERATION_LIMIT
-        return OuterResult(np.clip(result.x, nlp.lbx, nlp.ubx), status, count)
-
-    return run
-
-
 OUTER_SOLVERS: dict[str, OuterSolver] = {
     "ipopt": _ipopt,
     "newton": _newton,
     "newton-cg": _newton_cg,
-    "newton-pair": _newton_pair,
-    "slsqp": _scipy("SLSQP"),
-    "trust-constr": _scipy("trust-constr"),
-    "l-bfgs-b": _scipy("L-BFGS-B"),
 }

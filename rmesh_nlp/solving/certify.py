@@ -2,112 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, Protocol
 
 import numpy as np
+from skfem import MeshTri
 
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.assessment.error_reduction import by_certificate
 from rmesh_nlp.certificate.admissibility import GIVEN
 from rmesh_nlp.certificate.bracket import Bracket
 from rmesh_nlp.certificate.domain import same_domain
 from rmesh_nlp.certificate.field import Guess
 from rmesh_nlp.certificate.refined import refined_bracket
 from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.display import figure
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.certificate import Certificate
 
 
-@dataclass(frozen=True)
-class Certificate:
-    """Two-sided bounds of the least energy, and of the error of a solution.
-
-    Attributes
-    ----------
-    lower, upper : float
-        ``lower <= min J <= upper``, J the energy without any discretisation; ``upper`` is that of an
-        admissible displacement on the mesh of the solution, with the doubt of its quadrature, whose error is
-        bounded. On curved bodies both are of the polygon, and ``upper`` is the energy of the solution.
-    error_bound_initial, error_bound : float
-        Bounds of the error in the energy norm (twice the strain energy, its root) on the given
-        mesh and on the relocated one.
-    relative_initial, relative : float
-        The same over the energy norm of the computed displacement.
-    guaranteed_lower, guaranteed_upper : bool
-        Whether the bounds are bounds; else they are estimates, and so is that of the error.
-    guaranteed_initial : bool
-        Whether the bound of the error on the given mesh is one.
-    why : str
-        What stands in the way of a guarantee; empty if nothing does.
-    local, local_initial : (elements,) arrays
-        What each element adds to ``upper - lower`` on either mesh.
-    field : (2 or 3, elements) array
-        The flux or the stress xx, yy, xy in equilibrium, mean of each element, on the relocated mesh.
-    residual : float
-        Largest violation of static admissibility, relative to the largest force.
-    """
-
-    lower: float
-    upper: float
-    error_bound_initial: float
-    error_bound: float
-    relative_initial: float
-    relative: float
-    guaranteed_lower: bool
-    guaranteed_upper: bool
-    guaranteed_initial: bool
-    why: str
-    local: Array
-    local_initial: Array
-    field: Array
-    residual: float
-
-    def record(self) -> dict[str, Any]:
-        """The entries of a record."""
-        return {
-            "energy_lower_bound": self.lower,
-            "energy_upper_bound": self.upper,
-            "error_bound_initial": self.error_bound_initial,
-            "error_bound": self.error_bound,
-            "relative_error_bound_initial": self.relative_initial,
-            "relative_error_bound": self.relative,
-            "guaranteed_lower": self.guaranteed_lower,
-            "guaranteed_upper": self.guaranteed_upper,
-            "guaranteed_initial": self.guaranteed_initial,
-            "certificate_remark": self.why,
-        }
+class Solved(Protocol):
+    """What can be certified: a :class:`rmesh_nlp.solving.solution.Solution`."""
 
     @property
-    def is_disproved(self) -> bool:
-        """Whether the energy lies below a proven bound: then the displacement is not admissible."""
-        return self.guaranteed_lower and self.upper < self.lower
-
-    def of_reduction(self, found: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The record of an error reduction with these bounds, where they are guaranteed."""
-        proved = self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
-        before, after = (bound**2 / 2 for bound in (self.error_bound_initial, self.error_bound))
-        return by_certificate(found, before, after, proved)
-
+    def problem(self) -> ContactProblem: ...
     @property
-    def sentence(self) -> str:
-        """The result in words."""
-        if self.is_disproved:
-            return (
-                f"no error bound: the energy {figure(self.upper)} lies below the proven bound "
-                f"{figure(self.lower)}, so the displacement is not admissible"
-            )
-        guaranteed = self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
-        word = "at most" if guaranteed else "estimated at"
-        before, after = _percent(self.relative_initial), _percent(self.relative)
-        return f"error in the energy norm {word} {before} before, {after} after"
+    def mesh(self) -> MeshTri: ...
+    @property
+    def displacement(self) -> Array: ...
+    @property
+    def pressure(self) -> Array: ...
+    @property
+    def tangential_stress(self) -> Array: ...
+    @property
+    def status(self) -> Status: ...
+    @property
+    def initial_nodes(self) -> Array: ...
+    @property
+    def assessed(self) -> tuple[Admissible, Admissible] | None: ...
 
 
-def certify(solution: Solution, *, refinements: int | None = None) -> Certificate:
+def certify(solution: Solved, *, refinements: int | None = None) -> Certificate:
     """Bound the least energy and the error of a solution in the energy norm.
 
     The contact problem is solved once more on the given mesh, for the bound before the relocation. The
@@ -135,6 +71,7 @@ def certify(solution: Solution, *, refinements: int | None = None) -> Certificat
     after = refined_bracket(problem, nodes, guess, refinements)
     before = after
     moved = bool(np.any(nodes != problem.mesh.p))
+    is_given = np.array_equal(solution.initial_nodes, problem.mesh.p)
     if solution.assessed is not None and not problem.motion.curves:
         after = _with_upper(after, solution.assessed[1])
         if not moved:
@@ -142,7 +79,7 @@ def certify(solution: Solution, *, refinements: int | None = None) -> Certificat
     if moved:
         given = np.asarray(problem.mesh.p)
         before = refined_bracket(problem, given, contact_solution(ContactModel(problem), given), refinements)
-        if solution.assessed is not None and not problem.motion.curves and solution.given is None:
+        if solution.assessed is not None and not problem.motion.curves and is_given:
             before = _with_upper(before, solution.assessed[0])
     if not moved:
         return _certificate(after, after, after.why)
@@ -207,14 +144,10 @@ def error_bound(one: Bracket) -> float:
     return float(np.sqrt(2 * max(one.upper - one.lower, 0.0)))
 
 
-def certified(solution: Solution) -> tuple[dict[str, Any], Certificate | None]:
+def certified(solution: Solved) -> tuple[dict[str, Any], Certificate | None]:
     """The entries of a record, and the certificate; without one the remark in the record says why."""
     try:
         certificate = certify(solution)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return {"certificate_remark": f"no certificate: {' '.join(str(error).split())}"}, None
     return certificate.record(), certificate
-
-
-def _percent(part: float) -> str:
-    return f"{100 * part:.3g} %"

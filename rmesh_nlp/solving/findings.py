@@ -1,7 +1,8 @@
-"""What the referee finds out about a mesh and its contact solution, beside the audit itself."""
+"""What is found out about a mesh and its contact solution, beside the audit itself."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,12 @@ from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.outer_function import Reduced
+from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.programs.energy_flips import mean_around
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
-from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.outer import Outer
 
 ACCURATE = 20
 """Degree of the rule by which other objectives than the energy are assessed."""
@@ -34,8 +34,8 @@ def zones(problem: ContactProblem, state: Equilibrium) -> dict[str, int]:
     return {"sticking_nodes": int(rows.size) - sliding, "sliding_nodes": sliding}
 
 
-def residuals(system: ContactSystem, own: Equilibrium, exact: Equilibrium) -> dict[str, float]:
-    """Record entries: residuals of the strategy's own state, and of the referee's contact solve."""
+def own_residuals(system: ContactSystem, own: Equilibrium, exact: Equilibrium) -> dict[str, float]:
+    """Record entries: residuals of the formulation's own state, and of the exact contact solve."""
     return {
         f"{name}_{kind}_residual": measure(system, state.u, state.normal_force, state.tangential_force)
         for name, state in (("own", own), ("referee", exact))
@@ -63,37 +63,36 @@ def warnings_of(
 
 
 def decrease_of(
-    energy: ReducedEnergy,
-    function: Reduced,
-    objective: str | Objective,
-    q: Array,
-    before: tuple[float, Equilibrium],
-    after: tuple[float, Equilibrium],
+    begin: Outer, outer: Outer, q: Array, states: Sequence[tuple[float, Equilibrium]]
 ) -> tuple[float, float]:
     """Decrease of the minimised objective, measured by the assessment, and the objective's size.
 
     Parameters
     ----------
-    energy : ReducedEnergy
-    function : Reduced
-        The objective as a function of the moves; the energy itself, or another one.
-    objective : str or Objective
-    q : (n_q,) array
+    begin : Outer
+        Whose mesh as given it is compared with.
+    outer : Outer
+        What was minimised.
+    q : (n,) array
         The moves.
-    before, after : (float, Equilibrium)
-        The continuous energy on the mesh as given and at the moves, and the displacement.
+    states : two of (float, Equilibrium)
+        The continuous energy and the displacement, on the mesh as given and at the moves.
     """
-    zero = np.zeros(q.size)
-    if function is energy:
-        one = before[0] + energy.of_positions(zero)
-        two = after[0] + energy.of_positions(q)
-    elif isinstance(function, ReducedCertificate):  # by that rule already
-        one, two = function(zero).value, function(q).value
-    else:
-        outer = parse_objective(objective)
+    ends, function = ((begin, np.zeros(begin.n)), (outer, q)), outer.function
+    if begin is not outer and not isinstance(function, ReducedEnergy):
+        # edges were flipped: objectives other than the energy are compared by their own rule
+        one, two = begin.minimising(outer.objective).function(ends[0][1]).value, function(q).value
+    elif isinstance(function, ReducedEnergy):
         one, two = (
-            objective_value(energy, outer, moves, state)
-            for moves, state in ((zero, before[1]), (q, after[1]))
+            energy + (whose.energy.of_positions(moves) if begin is outer else 0.0)
+            for (energy, _), (whose, moves) in zip(states, ends, strict=True)
+        )
+    elif isinstance(function, ReducedCertificate):  # by that rule already
+        one, two = function(np.zeros(q.size)).value, function(q).value
+    else:
+        one, two = (
+            objective_value(whose.energy, outer.objective, moves, state)
+            for (_, state), (whose, moves) in zip(states, ends, strict=True)
         )
     return one - two, max(abs(one), abs(two))
 
@@ -119,22 +118,25 @@ def first_fault(*ends: Status) -> Status:
     return next((status for status in ends if status is not Status.CONVERGED), Status.CONVERGED)
 
 
-def without_solution(common: dict[str, Any], problem: ContactProblem, ratio: float, said: Status) -> Solution:
-    """A row for a mesh on which the contact problem cannot be solved."""
-    nan = float("nan")
-    n_nodes = problem.mesh.p.shape[1]
-    return Solution(
-        **common,
-        displacement=np.full((problem.components, n_nodes), nan),
-        pressure=np.full(n_nodes, nan),
-        tangential_stress=np.full(n_nodes, nan),
-        energy=nan,
-        audit=Audit(nan, nan, nan, ratio),
-        status=Status.INVALID_MESH,
-        valid=False,
-        improved=False,
-        success=False,
-        stationarity="",
-        stationarity_residual=nan,
-        solver_status=said,
-    )
+def unsolved(problem: ContactProblem, ratio: float) -> dict[str, Any]:
+    """Fields of the solution of a mesh on which the contact problem cannot be solved."""
+    nan, n_nodes = float("nan"), problem.mesh.p.shape[1]
+    return {
+        "displacement": np.full((problem.components, n_nodes), nan),
+        "pressure": np.full(n_nodes, nan),
+        "tangential_stress": np.full(n_nodes, nan),
+        "energy": nan,
+        "audit": Audit(nan, nan, nan, ratio),
+        "stationarity": "",
+        "stationarity_residual": nan,
+    }
+
+
+def given_areas(problem: ContactProblem, triangles: np.ndarray) -> np.ndarray:
+    """(elements,) areas in the mesh as given of triangles (3, elements), some of which it may not have."""
+    own = problem.triangles
+    areas = signed_areas(problem.mesh.p, own)
+    around = mean_around(own, areas, problem.mesh.p.shape[1])[triangles].mean(axis=0)
+    known = {tuple(t): a for t, a in zip(np.sort(own, axis=0).T.tolist(), areas, strict=True)}
+    sought = np.sort(triangles, axis=0).T.tolist()
+    return np.array([known.get(tuple(t), mean) for t, mean in zip(sought, around, strict=True)])

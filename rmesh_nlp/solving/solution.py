@@ -1,10 +1,9 @@
-"""What every strategy returns, and the record of it that tables and figures are made from."""
+"""What a solve returns, and the record of it that tables and figures are made from."""
 
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -17,29 +16,14 @@ from rmesh_nlp.assessment.verdict import Measured
 from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status, success_in_words
-from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.multipliers import Multipliers
 from rmesh_nlp.solving import plotting
+from rmesh_nlp.solving.certificate import Certificate
 from rmesh_nlp.solving.step import Step, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-
-@dataclass(frozen=True)
-class Given:
-    """What the mesh as given was, where ``problem`` of a solution has other edges.
-
-    Attributes
-    ----------
-    nodes : (2, nodes) array
-    areas : (elements,) array
-        Of the triangles of the solution; one that the mesh as given does not have counts as the mean
-        of the given ones around its vertices.
-    """
-
-    nodes: Array
-    areas: Array
 
 
 @dataclass(frozen=True)
@@ -90,14 +74,20 @@ class Solution:
         Of boxes, areas and angles; where they are large, position or connectivity is the limit.
     detail : str
         What the status leaves open, such as the degree of quadrature to take.
-    given : Given or None
-        The mesh as given, if edges were flipped: ``problem`` then is on the last mesh before the last moves.
+    initial_nodes : (2, nodes) array
+        Positions in the mesh as given. Where edges were flipped ``problem`` is on the last mesh before the
+        last moves, and not on that one.
+    initial_areas : (elements,) array
+        Areas in the mesh as given of the triangles of the solution; one that it does not have counts as the
+        mean of the given ones around its vertices.
     solver_status : Status or None
         How the solver says that it ended; ``status`` is the verdict on what it ended with.
     measured : Measured or None
         What the verdict rests on; None where the contact problem could not be solved.
     assessed : tuple of Admissible, optional
         The admissible displacements on the given and on the last mesh.
+    certificate : Certificate, optional
+        Bounds of the error, if they were asked for.
     """
 
     problem: ContactProblem
@@ -117,6 +107,8 @@ class Solution:
     success: bool
     stationarity: str
     stationarity_residual: float
+    initial_nodes: Array
+    initial_areas: Array
     history: tuple[Step, ...]
     iterations: int
     contact_solves: int
@@ -130,10 +122,10 @@ class Solution:
     extra: dict[str, Any] = field(default_factory=dict)
     multipliers: Multipliers | None = None
     detail: str = ""
-    given: Given | None = None
     solver_status: Status | None = None
     measured: Measured | None = field(default=None, repr=False)
     assessed: tuple[Admissible, Admissible] | None = field(default=None, repr=False)
+    certificate: Certificate | None = field(default=None, repr=False)
 
     @property
     def message(self) -> str:
@@ -149,18 +141,6 @@ class Solution:
     def gain_audited(self) -> float:
         """Decrease of the energy by the rule of the audit."""
         return self.energy_initial_audited - self.audit.energy_audited
-
-    @property
-    def initial_nodes(self) -> Array:
-        """(2, nodes) positions in the mesh as given."""
-        return np.asarray(self.problem.mesh.p) if self.given is None else self.given.nodes
-
-    @property
-    def initial_areas(self) -> Array:
-        """(elements,) areas in the mesh as given of the triangles of the solution."""
-        if self.given is None:
-            return signed_areas(self.problem.mesh.p, self.problem.triangles)
-        return self.given.areas
 
     @property
     def wall_time_s(self) -> float:
@@ -279,27 +259,6 @@ class Solution:
 def _gain(gain: float, initial: float) -> str:
     """A gain by itself and as a part of the initial value."""
     return figure(gain) + (f" ({100 * gain / abs(initial):.3g} %)" if initial else "")
-
-
-def interrupted(solution: Solution) -> Solution:
-    """A solution after which Ctrl-C ended the run; of one that is no success the message still says why."""
-    if solution.status is Status.INTERRUPTED:
-        return solution
-    why = "" if solution.success else f"That point is no success, {solution.status.value}: {solution.message}"
-    return replace(solution, status=Status.INTERRUPTED, detail=why)
-
-
-COUNTS = ("cold_contact_solves", "contact_factorisations", "kkt_factorisations")
-"""Entries of a record that count work, beside iterations and contact solves."""
-
-
-def counted(solutions: Sequence[Solution]) -> dict[str, int]:
-    """The sums of ``COUNTS`` over solutions, of those that all of them have."""
-    return {
-        name: sum(s.extra[name] for s in solutions)
-        for name in COUNTS
-        if all(name in s.extra for s in solutions)
-    }
 
 
 def versions() -> dict[str, str]:

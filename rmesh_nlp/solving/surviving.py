@@ -6,8 +6,9 @@ the error of the displacement alone. That error is smaller on uniform refinement
 
 from __future__ import annotations
 
-import time
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from skfem import MeshTri
@@ -16,7 +17,6 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.refining import refined
@@ -24,36 +24,31 @@ from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.outer_function import has_certificate
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.solving.findings import objective_value
-from rmesh_nlp.solving.solution import Solution, interrupted
+from rmesh_nlp.solving.judgement import Judgement
 
 SMALL = 0.5
 """Surviving share below which a record warns."""
 
 
-def with_surviving_gain(solution: Solution, outer: str | Objective) -> Solution:
-    """The solution with ``gain_surviving`` in its record; the time for that counts as audit.
+def surviving_gain(found: Judgement, warnings: Sequence[str]) -> dict[str, Any]:
+    """Record entries: ``gain_surviving``, and the warnings with one more where it is small.
 
-    Nothing is added for the energy, for errors against an exact solution and bounds of errors, which are true
+    None for the energy, for errors against an exact solution and bounds of errors, which are true
     by themselves, for terms in the positions alone, and where nothing was gained.
     """
-    objective = _of_displacement(parse_objective(outer))
-    if not solution.success or objective is None or not _is_relocated(solution):
-        return solution
-    began = time.perf_counter()
-    try:
-        share = _share(solution, objective)
-    except KeyboardInterrupt:  # the solution is there
-        return interrupted(solution)
-    extra = solution.extra
-    if share is not None:
-        extra = {**extra, "gain_surviving": share}
-        if share < SMALL:
-            message = (
-                f"only {max(share, 0):.0%} of the gain in {objective.text} is left on refined meshes: "
-                "the rest is an error of the discretisation"
-            )
-            extra["warnings"] = [*extra["warnings"], message]
-    return replace(solution, extra=extra, audit_time_s=solution.audit_time_s + time.perf_counter() - began)
+    objective = _of_displacement(found.outcome.outer.objective)
+    if not found.success or objective is None or not np.any(found.outcome.q):
+        return {}
+    share = _share(found, objective)
+    if share is None:
+        return {}
+    if share >= SMALL:
+        return {"gain_surviving": share}
+    message = (
+        f"only {max(share, 0):.0%} of the gain in {objective.text} is left on refined meshes: "
+        "the rest is an error of the discretisation"
+    )
+    return {"gain_surviving": share, "warnings": [*warnings, message]}
 
 
 def _of_displacement(objective: Objective) -> Objective | None:
@@ -64,17 +59,13 @@ def _of_displacement(objective: Objective) -> Objective | None:
     return Objective(terms) if terms else None
 
 
-def _is_relocated(solution: Solution) -> bool:
-    return not np.array_equal(solution.mesh.p, solution.initial_nodes)
-
-
-def _share(solution: Solution, objective: Objective) -> float | None:
-    problem = solution.problem
-    given = replace(solution.mesh, doflocs=solution.initial_nodes)
+def _share(found: Judgement, objective: Objective) -> float | None:
+    problem, mesh = found.outcome.outer.problem, found.fields["mesh"]
+    given = replace(mesh, doflocs=found.fields.get("initial_nodes", problem.mesh.p))
     values = []
     for finer in (False, True):
         pair = []
-        for mesh in (given, solution.mesh):
+        for mesh in (given, mesh):
             value = _value(problem, mesh, objective, finer)
             if value is None:
                 return None

@@ -1,0 +1,220 @@
+"""Large moves without boxes: the energy with a distortion, over a cascade of coarser meshes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.stopping import StoppedError
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.cascade import CascadeResult, cascade
+from rmesh_nlp.programs.cascade_settings import CascadeSettings
+from rmesh_nlp.programs.large_moves import LargeMoves
+from rmesh_nlp.programs.levels import COARSER
+from rmesh_nlp.programs.prolongation import prolonged
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.stationary import finished
+from rmesh_nlp.settings import Count, Limit, Positive
+from rmesh_nlp.solving.formulation import Formulation, Wrapper
+from rmesh_nlp.solving.monitor import Monitor, Track
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
+
+SPARE = 6
+"""Contact solves that one more iteration may take, steps that are refused included."""
+
+
+@dataclass(frozen=True)
+class Cascade(CascadeSettings, Formulation):
+    """Minimises the energy over the positions of all nodes, by a cascade of meshes; the start is the mesh as given."""
+
+    def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        if not objective.is_energy:
+            raise BadInputError(f"the cascade minimises the energy, not {objective.text!r}: use nested or mpcc")
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        levels = _Levels(outer, self, monitor)
+        details: dict[str, Any] = {
+            "outer": "newton",
+            "regularisation": self.regularisation,
+            "distortion": self.distortion,
+            "stationary_for": f"the energy with {self.distortion} weighted {self.regularisation:g} of "
+            "its estimated error",
+        }
+        try:
+            found = cascade(outer.problem, self, levels, monitor.is_over)
+        except (KeyboardInterrupt, StoppedError) as error:
+            said = monitor.stop(error)
+            return Outcome(outer, levels.best(outer), said, details=details)
+        details |= {"cascade": found.record(), "gain_estimate": found.gain_estimate, "said": _said(found)}
+        with monitor.clock.during("build"):
+            end = (
+                outer.minimising(found.objective)
+                if found.built is None
+                else Outer.around(found.built, outer.tolerance)
+            )
+        end = monitor.tracked(end)
+        q = found.q if end.is_valid(found.q) else np.zeros(end.n)
+        return Outcome(end, q, found.status, details=details)
+
+
+def _said(found: CascadeResult) -> tuple[str, ...]:
+    """What else there is to say of what was chosen."""
+    said = [f"of meshes of {', '.join(str(level.nodes) for level in found.levels)} nodes"]
+    parts = [f"{level.taken:g} on {level.nodes} nodes" for level in found.levels if level.taken < 1]
+    if parts:
+        said.append(
+            f"of a prolonged map a part was taken ({', '.join(parts)}), since more did not lower the energy"
+        )
+    return tuple(said)
+
+
+class _Levels:
+    """What listens to a cascade: :data:`rmesh_nlp.programs.cascade.OnMove`."""
+
+    def __init__(self, outer: Outer, settings: CascadeSettings, monitor: Monitor) -> None:
+        self._outer, self._settings, self._monitor = outer, settings, monitor
+        self._track: Track | None = None
+        self._began = 0.0
+        self._first = self._before = 0
+        self._moves: tuple[float, Array] | None = None
+        self._map: tuple[Array, NDArray[np.int64], Array] | None = None
+
+    def __call__(self, iteration: int, energy: ReducedEnergy, q: Array, value: float) -> bool:
+        """Note an iteration; whether to stop."""
+        track = self._track
+        if track is None or track.outer.energy is not energy:
+            self._began = time.perf_counter()
+            track = self._track = self._monitor.track(Outer.around(energy, self._outer.tolerance))
+            self._first = iteration
+        mesh = energy.relocation.problem.mesh
+        if mesh.p.shape[1] == self._outer.problem.mesh.p.shape[1]:
+            self._moves = value, np.array(q)
+        else:
+            self._map = mesh.p, energy.relocation.problem.triangles, energy.relocation.nodes(q) - mesh.p
+        given = track.outer.given.energy
+        done = iteration - self._first
+        left = self._seconds_left(int(mesh.p.shape[1]), done)
+        return track.exact(done, q, energy(q), energy_given=given, seconds_left=left)
+
+    def _seconds_left(self, nodes: int, done: int) -> float:
+        """A guess: every mesh to come takes its most iterations, at the seconds per node of this one."""
+        if done == 0:
+            return float("nan")
+        chosen, most = self._settings, self._outer.problem.mesh.p.shape[1]
+        rate = (time.perf_counter() - self._began) / (done * nodes)
+        limits = {True: chosen.iterations, False: chosen.brief_unnested}
+        left = max(limits[nodes <= chosen.thorough] - done, 0) * nodes
+        while nodes < most:
+            nodes = min(COARSER * nodes, most)
+            left += limits[nodes <= chosen.thorough and nodes < most] * nodes
+        return rate * left
+
+    def best(self, outer: Outer) -> Array:
+        """The last moves on the given mesh, which are the best; if it was not reached, the map so far."""
+        if self._moves is not None:
+            return self._moves[1]
+        if self._map is None:
+            return np.zeros(outer.n)
+        q = prolonged(*self._map, outer.discretisation)
+        while not outer.is_valid(q):
+            q = 0.5 * q
+        return q
+
+
+@dataclass(frozen=True)
+class Descent(Formulation):
+    """A few iterations of Newton-CG with local trust regions, for an energy with a distortion.
+
+    Attributes
+    ----------
+    end : float
+        It ends where the model predicts less than this part of ``gain``.
+    gain : float
+        What there is to gain at all.
+    iterations : int
+    """
+
+    end: Positive = 3e-4
+    gain: Positive = 1.0
+    iterations: Count = 10
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        track, energy = monitor.track(outer), outer.energy
+        found = LargeMoves(energy, approximate=True)(
+            q,
+            gain_tolerance=self.end,
+            reference=energy(q).value + self.gain,
+            max_iterations=self.iterations,
+            on_step=lambda iteration, x, _: track.exact(iteration, x, energy(x)),
+        )
+        monitor.check()
+        return Outcome(outer, found.x, found.status)
+
+
+@dataclass(frozen=True)
+class Polished(Wrapper):
+    """Goes on from the end of a formulation to a stationary point, on small meshes.
+
+    Attributes
+    ----------
+    nodes : int
+        Largest number of nodes of a mesh where it does.
+    finish : int
+        Limit of the iterations.
+    most : int
+        Contact solves of all together after which it does not.
+    """
+
+    nodes: Limit = CascadeSettings.stationary
+    finish: Count = CascadeSettings.finish
+    most: Count = CascadeSettings.most
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        found = monitor.run(self.inner, outer, q)
+        end, q = found.outer, found.q
+        small = 0 < q.size and end.problem.mesh.p.shape[1] <= self.nodes
+        if monitor.is_over() or not small or not end.objective.has_barrier or not end.is_valid(q):
+            return found
+        energy = end.energy
+        if end.residual(energy(q)) <= end.tolerance:
+            return found
+        began, before = time.process_time(), energy.contact_solves
+        last = before + max(self.most - monitor.spent.contact_solves - SPARE, 1)
+        track = monitor.track(end)
+        try:
+            more = finished(
+                energy,
+                q,
+                end.residual,
+                tolerance=end.tolerance,
+                reference=energy(q).value + found.details.get("gain_estimate", 0.0),
+                max_iterations=self.finish,
+                on_step=lambda i, x, _: track.exact(i, x, energy(x)) or energy.contact_solves >= last,
+            )
+            x, status = more.result.x, more.result.status
+        except (KeyboardInterrupt, StoppedError) as error:
+            status, x = monitor.stop(error), track.best(q)
+            return replace(found, q=x, status=status)
+        if status is Status.INTERRUPTED:
+            status = monitor.stopped or Status.ITERATION_LIMIT
+        figures = {
+            "iterations": more.result.iterations,
+            "products": more.result.products,
+            "contact_solves": energy.contact_solves - before,
+            "factorisations": more.factorisations,
+            "seconds": time.process_time() - began,
+        }
+        there = end.assessor.solve(end.nodes(x), energy(x).equilibrium.active)
+        if not (end.is_valid(x) and there.energy <= end.assessor.initial.energy):
+            return found
+        return replace(found, q=x, status=status, details={**found.details, "finish": figures})

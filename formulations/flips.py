@@ -1,0 +1,96 @@
+"""Edge flips by energy between relocations: the connectivity follows the solution as far as flips can."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.meshes.geometry import relocated_mesh
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.energy_flips import flips_and_moves
+from rmesh_nlp.programs.regularisation import gain_estimate
+from rmesh_nlp.solving.formulation import Wrapper
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer, Work
+
+SOLVES = 3
+"""Contact solves of a round of flips."""
+
+
+@dataclass(frozen=True)
+class Flips(Wrapper):
+    """Flips edges after a relocation and relocates again, until neither gains; without boxes only.
+
+    Attributes
+    ----------
+    flips : bool
+        Whether to flip at all.
+    then : Formulation, optional
+        What relocates after flips; by default what does before.
+    """
+
+    flips: bool = True
+    then: Any = None
+
+    def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        super().accepts(problem, objective)
+        if problem.motion.delta is not None:
+            raise BadInputError('flips need a problem without boxes: delta = "none"')
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        found = monitor.run(self.inner, outer, q)
+        if not self.flips or monitor.is_over() or not found.outer.is_valid(found.q):
+            return found
+        first, given = found, outer.problem
+
+        def relocate(flipped: ContactProblem) -> ContactProblem:
+            nonlocal found
+            if monitor.is_over():
+                return flipped
+            with monitor.clock.during("build"):
+                there = Outer(flipped, first.outer.objective, outer.tolerance)
+            found = monitor.run(_again(self), there, there.moves())
+            return _moved(found)
+
+        gain = first.details.get("gain_estimate") or gain_estimate(given).value
+        try:
+            last, rounds = flips_and_moves(_moved(first), gain, relocate, given=given, stop=monitor.is_over)
+        except KeyboardInterrupt as error:
+            monitor.stop(error)
+            return replace(found, details={**first.details, **found.details})
+        monitor.work += Work(SOLVES * len(rounds))
+        if rounds and not _same(_moved(found), last):
+            with monitor.clock.during("build"):
+                there = Outer(last, first.outer.objective, outer.tolerance)
+            found = Outcome(there, there.moves(), found.status)
+        before = {tuple(t) for t in np.sort(given.triangles, axis=0).T}
+        after = np.sort(found.outer.problem.triangles, axis=0).T
+        details = {
+            "flips": sum(one.flips for one in rounds),
+            "changed_triangles": sum(tuple(t) not in before for t in after),
+            "flip_rounds": [asdict(one) for one in rounds],
+        }
+        return replace(found, details={**first.details, **found.details, **details})
+
+
+def _again(flips: Flips) -> Any:
+    """What relocates after flips: of a schedule only its end, since the last weight is kept."""
+    if flips.then is not None:
+        return flips.then
+    inner = flips.inner
+    return inner.inner if hasattr(inner, "distortion") and hasattr(inner, "inner") else inner
+
+
+def _moved(found: Outcome) -> ContactProblem:
+    problem = found.outer.problem
+    return replace(problem, mesh=relocated_mesh(problem.mesh, found.outer.nodes(found.q)))
+
+
+def _same(one: ContactProblem, other: ContactProblem) -> bool:
+    return np.array_equal(one.mesh.p, other.mesh.p) and np.array_equal(one.mesh.t, other.mesh.t)

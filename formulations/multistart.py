@@ -1,0 +1,56 @@
+"""Several starts of one formulation: the best end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.settings import Count
+from rmesh_nlp.solving.formulation import Wrapper
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
+
+
+@dataclass(frozen=True)
+class MultiStart(Wrapper):
+    """Runs a formulation from the mesh as given and from random starts; the lowest end is the outcome.
+
+    Attributes
+    ----------
+    starts : int
+        How many random ones, with the seeds 1, 2, ...
+    """
+
+    starts: Count = 8
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        ends: list[tuple[float, Outcome]] = []
+        seeds: list[int | None] = [None, *range(1, self.starts + 1)]
+        for seed in seeds:
+            found = monitor.run(self.inner, outer, q if seed is None else outer.moves(seed=seed))
+            ends.append((_end(found), found))
+            if monitor.is_over():
+                break
+        values = [value for value, _ in ends]
+        known = [value for value in values if np.isfinite(value)]
+        best = ends[int(np.nanargmin(values))][1] if known else ends[0][1]
+        details = {
+            "start_seeds": seeds[: len(ends)],
+            "start_values": [value if np.isfinite(value) else None for value in values],
+            "start_spread": max(known) - min(known) if known else None,
+        }
+        return replace(best, details={**best.details, **details})
+
+
+def _end(found: Outcome) -> float:
+    """The objective at the end of a run, the energy as the continuous one; NaN of an invalid mesh."""
+    outer, q = found.outer, found.q
+    if not outer.is_valid(q):
+        return float("nan")
+    if not outer.objective.collapses:
+        return float(outer.function(q).value)
+    start = outer.energy(q).equilibrium.active
+    return outer.assessor.solve(outer.nodes(q), start).energy

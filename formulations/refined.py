@@ -1,0 +1,66 @@
+"""Several levels: optimise on the mesh as given, refine it uniformly, and go on from there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.settings import Count
+from rmesh_nlp.solving.formulation import Wrapper
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
+
+
+@dataclass(frozen=True)
+class Refined(Wrapper):
+    """Runs a formulation on each level from the moves of the one before; the finest is the outcome.
+
+    Boxes keep their widths in units of length. The energy before is that of the refined mesh without any
+    motion.
+
+    Attributes
+    ----------
+    levels : int
+        Uniform refinements.
+    """
+
+    levels: Count = 1
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        found, energies = monitor.run(self.inner, outer, q), []
+        for _ in range(self.levels):
+            energies.append(_continuous(found))
+            if monitor.is_over():
+                break
+            coarse = found.outer.problem
+            with monitor.clock.during("build"):
+                fine = Outer(refined(coarse), outer.objective, outer.tolerance)
+                start = fine.moves(prolong(coarse, found.outer.nodes(found.q), fine.problem))
+            found = monitor.run(self.inner, fine, start)
+        energies.append(_continuous(found))
+        return replace(found, details={**found.details, "level_energies": energies})
+
+
+def _continuous(found: Outcome) -> float:
+    outer, q = found.outer, found.q
+    if not outer.is_valid(q):
+        return float("nan")
+    return outer.assessor.solve(outer.nodes(q), outer.energy(q).equilibrium.active).energy
+
+
+def prolong(coarse: ContactProblem, nodes: Array, fine: ContactProblem) -> Array:
+    """Positions (2, nodes) of a refined mesh when its coarse nodes are at ``nodes``.
+
+    The motion is interpolated linearly: midpoints of edges move by the mean of their ends.
+    """
+    move = nodes - coarse.mesh.p
+    middle = move[:, coarse.mesh.facets].mean(axis=1)
+    shift = np.hstack([move, middle])
+    if shift.shape != fine.mesh.p.shape or not np.array_equal(fine.mesh.p[:, : move.shape[1]], coarse.mesh.p):
+        raise ValueError("the fine mesh is not the uniform refinement of the coarse one")
+    return np.asarray(fine.mesh.p + shift)

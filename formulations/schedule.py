@@ -1,0 +1,62 @@
+"""A regularisation: a schedule of weights of a distortion, each solved from where the last one ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.programs.regularisation import gain_estimate, regularised, weights
+from rmesh_nlp.solving.formulation import Wrapper
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
+
+
+@dataclass(frozen=True)
+class Schedule(Wrapper):
+    """Minimises the energy with a distortion in the place of area constraints.
+
+    Attributes
+    ----------
+    weights : float, str or tuple of float
+        Of the distortion, relative to the error of the energy on the mesh as given; the last may be 0. 0.01
+        suits most problems without boxes.
+    distortion : str
+        "quality", "shape-size" or "elastic", see :mod:`rmesh_nlp.fem.distortion`.
+    """
+
+    weights: float | str | tuple[float, ...] = (1.0, 0.1, 0.01)
+    distortion: str = "shape-size"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "weights", weights(self.weights))
+        regularised(1.0, 1.0, self.distortion)
+
+    def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        if not objective.is_energy:
+            raise BadInputError(
+                f"regularisation is relative to the error of the energy, not of {objective.text}: "
+                f"write the weight into the objective, such as {objective.text} + 0.01*{self.distortion}"
+            )
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        schedule = weights(self.weights)
+        gain = gain_estimate(outer.problem).value
+        for weight in schedule:
+            with monitor.clock.during("build"):
+                weighted = outer.minimising(regularised(gain, weight, self.distortion))
+            found = monitor.run(self.inner, weighted, q)
+            q = found.q
+            if monitor.is_over():
+                break
+        details = {
+            "regularisation": list(schedule) if len(schedule) > 1 else schedule[0],
+            "distortion": self.distortion,
+            "regularisation_weight": schedule[-1] * gain,
+            "gain_estimate": gain,
+        }
+        return replace(found, details={**found.details, **details})

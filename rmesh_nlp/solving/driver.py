@@ -1,0 +1,252 @@
+"""``solve``: the one driver of all formulations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from rmesh_nlp.assessment.error_reduction import error_reduction
+from rmesh_nlp.assessment.quantities import Quantities, worse
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.settings import check_positive
+from rmesh_nlp.solving.certify import certified
+from rmesh_nlp.solving.clock import timed
+from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper, composed
+from rmesh_nlp.solving.judgement import Judgement, judged
+from rmesh_nlp.solving.limits import TOLERANCE, Limits
+from rmesh_nlp.solving.monitor import Monitor, OnStep
+from rmesh_nlp.solving.outer import Outer, Work
+from rmesh_nlp.solving.safe import SAFE_DEGREE, again, better, damped, is_hollow
+from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.start import Start, beginning
+from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.surviving import surviving_gain
+
+
+def solve(
+    problem: ContactProblem,
+    formulation: str | Formulation | Chooser = "auto",
+    *,
+    objective: str | Objective = "energy",
+    start: Start = None,
+    seed: int | None = None,
+    tolerance: float = TOLERANCE,
+    limits: Limits | None = None,
+    on_step: OnStep | None = None,
+    certify: bool = False,
+    safely: bool = True,
+) -> Solution:
+    """Relocate the nodes of a problem and solve the contact problem there.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    formulation : str or Formulation
+        A name, or an object whose fields are its settings. ``auto`` chooses for the problem and says so in
+        the record; ``fixed`` moves no node, ``nested`` solves a contact problem per step, ``joint`` and
+        ``mpcc`` find positions and displacement at once.
+    objective : str or Objective
+        What is minimised: "energy", another one such as "error-l2 + 0.01*quality" or "mean(top, -uy)", see
+        :mod:`rmesh_nlp.fem.objective_text`, or an object of :mod:`rmesh_nlp.fem.quantities`.
+    start : positions (2, nodes), "given", name of a formulation, or Solution, optional
+        See :func:`rmesh_nlp.solving.start.beginning`.
+    seed : int, optional
+        Random start; by default the mesh as given.
+    tolerance : float
+        Largest measured first-order residual of a solution that is called converged.
+    limits : Limits, optional
+        After them, as after Ctrl-C, the best valid mesh so far is the solution.
+    on_step : callable, optional
+        Called with each step of the history.
+    certify : bool
+        Bound the error of the solution.
+    safely : bool
+        Solve once more with a safe discretisation where an error of the discretisation was exploited.
+
+    Returns
+    -------
+    Solution
+        Judged by what is measured on the problem; see ``status`` and ``success``.
+
+    Raises
+    ------
+    BadInputError
+        If there is no such formulation, or it does not take the problem, the objective or the start.
+    """
+    check_positive(tolerance=tolerance)
+    monitor, outer_objective = Monitor(limits, on_step), parse_objective(objective)
+    asked = composed(formulation, {}) if isinstance(formulation, str) else formulation
+    is_started = start is not None or seed is not None
+    chosen, stated, why = _chosen(asked, problem, outer_objective, is_started)
+    chosen.accepts(stated, outer_objective)
+    name = asked.name
+    first, begin, found, spent = _once(chosen, stated, outer_objective, start, seed, tolerance, monitor)
+    details: dict[str, Any] = {}
+    if safely and is_hollow(found):
+        safe = again(found) if monitor.stopped is None else None
+        said = f"{found.measured.costliest} was exploited" if found.measured else ""
+        if safe is not None:
+            other, _, second, spent = _once(
+                chosen, replace(safe, mesh=problem.mesh), outer_objective, start, seed, tolerance, monitor
+            )
+            if better(found, second) is second:
+                first, found = other, second
+            said += f", solved again with a rule of degree {SAFE_DEGREE} and gaps along edges"
+        if found.status is Status.EXPLOITED:
+            with monitor.clock.during("audit"):
+                found, part = monitor.to_its_end(lambda: damped(first, found))
+            said += f", and {part:g} of the way to the last mesh taken" if part < 1 else ""
+        details["safe"] = said
+    if why:
+        details |= {"chosen_by": name, "chosen": "; ".join((why, *found.details.get("said", ())))}
+    return _made(chosen, found, first, begin, monitor, spent, details, seed, certify, bool(why))
+
+
+def _chosen(
+    asked: Formulation | Chooser, problem: ContactProblem, objective: Objective, is_started: bool
+) -> tuple[Formulation, ContactProblem, str]:
+    """A formulation, the problem as it is to be solved, and why; without a reason if it was asked for."""
+    if isinstance(asked, Chooser):
+        choice = asked.choose(problem, objective, is_started=is_started)
+        return choice.formulation, choice.problem, choice.why
+    if isinstance(asked, Wrapper):
+        inner, stated, why = _chosen(asked.inner, problem, objective, is_started)
+        return (asked if inner is asked.inner else replace(asked, inner=inner)), stated, why
+    return asked, problem, ""
+
+
+def _once(
+    formulation: Formulation,
+    problem: ContactProblem,
+    objective: Objective,
+    start: Start,
+    seed: int | None,
+    tolerance: float,
+    monitor: Monitor,
+) -> tuple[Outer, str, Judgement, Work]:
+    """The outer problem, the name of the start, where the formulation ended, and the work until then."""
+    clock = monitor.clock
+    with clock.during("build"):
+        outer = Outer(problem, objective, tolerance)
+    with clock.during("audit"):
+        outer.knows(*timed(lambda: outer.contact.solve(np.asarray(problem.mesh.p))))
+    with clock.during("build"):
+        _ = outer.residual
+    clock.enter("solve")
+    begin = beginning(outer, start if formulation.relocates else None, seed if formulation.relocates else None, monitor)
+    outcome = monitor.run(formulation, begin.outer, begin.q)
+    spent = monitor.spent
+    if not formulation.relocates:
+        spent = replace(monitor.work, contact_solves=1, cold_contact_solves=1)
+    if monitor.stopped is not None:
+        outcome = replace(outcome, status=monitor.stopped)
+    with clock.during("audit"):
+        found = monitor.to_its_end(lambda: judged(outer, outcome, relocates=formulation.relocates))
+    return outer, begin.name, found, spent
+
+
+def _made(
+    formulation: Formulation,
+    found: Judgement,
+    first: Outer,
+    begin: str,
+    monitor: Monitor,
+    spent: Work,
+    details: dict[str, Any],
+    seed: int | None,
+    certify: bool,
+    reduces: bool,
+) -> Solution:
+    """The one place where a solution is made."""
+    status, success, valid = found.status, found.success, found.valid
+    extra = {**found.details, **details, **_counts(spent)}
+    extra.pop("said", None)
+    fields = dict(found.fields)
+    fields.setdefault("initial_nodes", np.asarray(fields["problem"].mesh.p))
+    if fields.get("initial_areas") is None:
+        fields["initial_areas"] = signed_areas(fields["problem"].mesh.p, fields["problem"].triangles)
+    certificate = None
+    with monitor.clock.during("audit"):
+        try:
+            if monitor.stopped is None and reduces:
+                extra |= _reduction(found, extra, spent)
+            if monitor.stopped is None:
+                extra |= surviving_gain(found, extra["warnings"])
+        except KeyboardInterrupt:  # the solution is there
+            monitor.stopped = Status.INTERRUPTED
+        if certify and monitor.stopped is not Status.INTERRUPTED:
+            entries, certificate = certified(SimpleNamespace(**fields, status=status, assessed=found.assessed))
+            extra |= entries
+            if certificate is not None and certificate.is_disproved:
+                status, success, valid = Status.INACCURATE, False, False
+            elif certificate is not None and "error_reduction" in extra:
+                extra["error_reduction"] = certificate.of_reduction(extra["error_reduction"])
+    if monitor.stopped is Status.INTERRUPTED and status is not Status.INTERRUPTED:
+        if not success:
+            fields["detail"] = f"That point is no success, {status.value}: {status.message}"
+        status = Status.INTERRUPTED
+    history = _ending(monitor, found)
+    return Solution(
+        **fields,
+        formulation=formulation.name,
+        status=status,
+        valid=valid,
+        improved=found.improved,
+        success=success,
+        history=history,
+        iterations=monitor.iterations,
+        contact_solves=spent.contact_solves,
+        contact_time_s=first.contact_seconds,
+        build_time_s=monitor.clock.seconds("build"),
+        solve_time_s=monitor.clock.seconds("solve"),
+        audit_time_s=monitor.clock.seconds("audit"),
+        start=begin,
+        settings=formulation.changed(),
+        seed=seed,
+        extra=extra,
+        measured=found.measured,
+        assessed=found.assessed,
+        certificate=certificate,
+    )
+
+
+def _counts(spent: Work) -> dict[str, int]:
+    """Record entries of work, those that were counted at all."""
+    return {name: count for name, count in vars(spent).items() if name != "contact_solves" and count}
+
+
+def _reduction(found: Judgement, extra: dict[str, Any], spent: Work) -> dict[str, Any]:
+    """Record entries: by how much the error fell, and quantities on a refined mesh."""
+    if found.assessed is None:
+        return {}
+    reduction, refined = error_reduction(*found.assessed, spent.contact_solves)
+    entries: dict[str, Any] = {} if reduction is None else {"error_reduction": reduction.record()}
+    if refined is not None:
+        entries |= refined.entries("_refined")
+        before, after = (
+            Quantities(**{name: extra[name + suffix] for name in vars(refined)})
+            for suffix in ("_initial", "")
+        )
+        entries["warnings"] = [*extra["warnings"], *worse(before, after, refined)]
+    return entries
+
+
+def _ending(monitor: Monitor, found: Judgement) -> tuple[Step, ...]:
+    """The history, with the measured residual in its last step if that is where the solve ended.
+
+    Where each step of an all-at-once solver would need an adjoint to know it, the history has this one only.
+    """
+    *steps, last = monitor.steps or [None]
+    if last is None:
+        return ()
+    q, at = found.outcome.q, monitor.last_moves
+    size = np.max(np.abs(q), initial=0.0)
+    if np.isnan(last.dual_residual) and at is not None and at.size == q.size and np.allclose(at, q, rtol=0.0, atol=1e-8 * size):
+        last = replace(last, dual_residual=found.fields["stationarity_residual"])
+    return (*steps, last)

@@ -1,0 +1,204 @@
+"""What a formulation is, and the installed ones by name.
+
+A formulation is a frozen dataclass whose fields are its settings, with one method::
+
+    @dataclass(frozen=True)
+    class Mine(Formulation):
+        step: Positive = 0.1
+
+        def run(self, outer, q, monitor):
+            track = monitor.track(outer)
+            while not track.exact(iteration, q):     # True once a limit or Ctrl-C ends the solve
+                ...
+            return Outcome(outer, q, Status.CONVERGED)
+
+A package offers it by one line in its ``pyproject.toml``::
+
+    [project.entry-points."rmesh_nlp.formulations"]
+    mine = "my_package.my_module:Mine"
+
+The entry may also be a function that chooses for a problem, ``(problem, objective) -> Choice``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, ClassVar
+
+from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.settings import Settings
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
+
+GROUP = "rmesh_nlp.formulations"
+WRAPPERS = "rmesh_nlp.wrappers"
+"""Entry points of formulations that take one, by the option of the command line that asks for them."""
+
+
+INSIDE_OUT = ("regularisation", "flips", "levels", "starts")
+"""Which of these options is meant of what: of several starts each one takes the whole schedule of weights."""
+
+
+@dataclass(frozen=True)
+class Formulation(Settings, ABC):
+    """One way to place the nodes."""
+
+    relocates: ClassVar[bool] = True
+    """Whether nodes move at all; if not, there is nothing to be stationary in."""
+
+    def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        """Raise if it does not take a problem or an objective.
+
+        Raises
+        ------
+        BadInputError
+        """
+
+    @abstractmethod
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        """Minimise from moves ``q`` (n,).
+
+        Every program that it solves reports its iterates to ``monitor.track(outer)``. What a limit or Ctrl-C
+        ends needs no care: the best valid moves that were reported are the outcome then.
+        """
+
+    @property
+    def name(self) -> str:
+        """What the record calls it: that of its entry point."""
+        return name_of(type(self))
+
+
+@dataclass(frozen=True)
+class Wrapper(Formulation):
+    """A formulation that takes one.
+
+    Attributes
+    ----------
+    inner : Formulation or Chooser
+        What is chosen takes the place of a chooser before it runs.
+    """
+
+    inner: Any
+
+    def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        self.inner.accepts(problem, objective)
+
+    @property
+    def name(self) -> str:
+        return str(self.inner.name)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen for a problem.
+
+    Attributes
+    ----------
+    formulation : Formulation
+    problem : ContactProblem
+        Perhaps with other rules than the one that was given.
+    why : str
+    """
+
+    formulation: Formulation
+    problem: ContactProblem
+    why: str
+
+
+@dataclass(frozen=True)
+class Chooser(Settings, ABC):
+    """What chooses a formulation for a problem; its fields are what may be asked of the choice."""
+
+    @property
+    def name(self) -> str:
+        """That of its entry point."""
+        return name_of(type(self))
+
+    @abstractmethod
+    def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
+        """A formulation, and the reason for it.
+
+        Parameters
+        ----------
+        problem : ContactProblem
+        objective : Objective
+        is_started : bool
+            Whether a start is given that must not be left for another one.
+        """
+
+
+def available() -> dict[str, EntryPoint]:
+    """Installed formulations by name; nothing is imported yet."""
+    return {entry.name: entry for entry in entry_points(group=GROUP)}
+
+
+def wrappers() -> dict[str, EntryPoint]:
+    """Installed formulations that take one, by the option that asks for them."""
+    return {entry.name: entry for entry in entry_points(group=WRAPPERS)}
+
+
+def find(name: str, group: Callable[[], Mapping[str, EntryPoint]] = available) -> Any:
+    """The class or the choosing function of a name.
+
+    Raises
+    ------
+    BadInputError
+        If no formulation has this name, or it cannot be imported.
+    """
+    found = group()
+    if name not in found:
+        raise unknown("formulation", name, found)
+    try:
+        return found[name].load()
+    except (ImportError, AttributeError) as error:
+        raise BadInputError(
+            f"formulation {name!r} cannot be loaded from {found[name].value}: {error}"
+        ) from error
+
+
+def name_of(kind: type[Any]) -> str:
+    """The name of an entry point of a class; that of the class where it has none."""
+    value = f"{kind.__module__}:{kind.__qualname__}"
+    names = [name for name, entry in available().items() if entry.value == value]
+    return names[0] if names else kind.__name__.lower()
+
+
+def composed(name: str, options: Mapping[str, Any]) -> Formulation | Chooser:
+    """A formulation by name with settings, within those that other options ask for.
+
+    Parameters
+    ----------
+    name : str
+    options : mapping
+        Fields of the formulation, by themselves or in a mapping ``settings``, and names of ``WRAPPERS``, each
+        with what it is to do.
+
+    Raises
+    ------
+    BadInputError
+        If the formulation does not take an option.
+    """
+    kind = find(name)
+    if isinstance(kind, (Formulation, Chooser)):
+        kind = type(kind)
+    if not (isinstance(kind, type) and issubclass(kind, (Formulation, Chooser))):
+        raise BadInputError(f"formulation {name!r} is {kind!r}, not a class of formulations")
+    known = {field.name for field in fields(kind)}
+    asked = {key: value for key, value in options.items() if key != "settings" and value not in (None, 0, False)}
+    own = {**(options.get("settings") or {}), **{key: value for key, value in asked.items() if key in known}}
+    around = {key: value for key, value in asked.items() if key not in known}
+    for key in around:
+        if key not in wrappers():
+            said = f"the formulation {name!r} takes no {key}, got {key}={around[key]!r}"
+            raise BadInputError(f"{said}; it takes {', '.join(sorted(known)) or 'none'}")
+    made: Formulation | Chooser = kind().having(own)
+    for key in sorted(around, key=lambda key: INSIDE_OUT.index(key) if key in INSIDE_OUT else len(INSIDE_OUT)):
+        made = find(key, wrappers)(made, around[key])
+    return made

@@ -1,0 +1,214 @@
+"""One assessment of where a formulation ended, from which its solution is made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rmesh_nlp.assessment.admissible import Admissible
+from rmesh_nlp.assessment.quantities import Quantities, quantities
+from rmesh_nlp.assessment.verdict import Measured, verdict
+from rmesh_nlp.contact.system import Equilibrium
+from rmesh_nlp.discretisation.validity import area_ratios
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.contact_terms import nodal_weights
+from rmesh_nlp.meshes.geometry import relocated_mesh
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.programs.multipliers import multipliers
+from rmesh_nlp.programs.residual import size_of
+from rmesh_nlp.solving.findings import (
+    decrease_of,
+    first_fault,
+    given_areas,
+    nodal_stress,
+    own_residuals,
+    unsolved,
+    warnings_of,
+    zones,
+)
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
+
+ENERGY_AGREEMENT = 1e-6
+"""Largest relative difference between a formulation's energy and that of the exact contact solve."""
+
+PROVED = ("S", "B")
+"""Labels of an MPCC that prove first-order optimality where strict complementarity fails, and with it the
+gradient of an objective other than the energy."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What was measured of an outcome.
+
+    Attributes
+    ----------
+    outcome : Outcome
+    status : Status
+        The verdict.
+    valid, improved, success : bool
+    measured : Measured or None
+        What the verdict rests on; None where the contact problem could not be solved.
+    assessed : tuple of Admissible, optional
+        The admissible displacements on the given and on the last mesh.
+    fields : mapping
+        Fields of :class:`rmesh_nlp.solving.solution.Solution`.
+    details : mapping
+        Entries of the record.
+    """
+
+    outcome: Outcome
+    status: Status
+    valid: bool
+    improved: bool
+    success: bool
+    measured: Measured | None
+    assessed: tuple[Admissible, Admissible] | None
+    fields: Mapping[str, Any]
+    details: Mapping[str, Any]
+
+
+def judged(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Judgement:
+    """Assess where a formulation ended.
+
+    Parameters
+    ----------
+    first : Outer
+        The outer problem that was given, on whose mesh everything is compared.
+    outcome : Outcome
+        Its outer problem may have other edges, another rule or another weight.
+    relocates : bool
+        Whether the formulation moves nodes at all.
+    """
+    outer, q = outcome.outer, outcome.q
+    problem, nodes = outer.problem, outer.nodes(q)
+    # what it begins from: by the same rules, on the mesh as given
+    begin = outer if problem.mesh is first.problem.mesh or _same_mesh(first.problem, problem) else first
+    areas = given_areas(first.problem, problem.triangles) if begin is not outer else None
+    ratio = float(np.min(signed_areas(nodes, problem.triangles) / areas if areas is not None else area_ratios(problem, nodes)))
+    start = begin.assessor.initial
+    common: dict[str, Any] = {
+        "problem": problem,
+        "objective": str(outer.objective),
+        "mesh": relocated_mesh(problem.mesh, nodes),
+        "energy_initial": begin.given.energy,
+        "energy_initial_audited": start.energy,
+        "solver_status": outcome.status,
+    }
+    if begin is not outer:
+        common |= {"initial_nodes": np.array(first.problem.mesh.p), "initial_areas": areas}
+    if not ratio > 0:
+        status = Status.INVALID_MESH
+        fields = {**common, **unsolved(problem, ratio)}
+        return Judgement(outcome, status, False, False, False, None, None, fields, dict(outcome.details))
+    exact = outer.energy(q)
+    after = outer.assessor.solve(nodes, exact.equilibrium.active)
+    found = outcome.own if outcome.decides and outcome.own is not None else exact.equilibrium
+    audit = outer.assessor.audit(nodes, found, after, ratio)
+    function = outer.function
+    point = exact if function is outer.energy else function.of(exact)
+    residual = outer.residual(point)
+    states = tuple(
+        (one.energy, one.state if one.problem is whose.problem else own)
+        for one, whose, own in ((start, begin, begin.given), (after, outer, exact.equilibrium))
+    )
+    decrease, size = decrease_of(begin, outer, q, states)
+    if function is outer.energy and size_of(point) > 0:
+        size = max(size, size_of(point))
+    claimed, expected = outcome.claimed, exact.value
+    if outcome.decides:
+        claimed, expected = found.energy, exact.equilibrium.energy
+    corrections = outer.assessor.corrections(nodes, found, after)
+    proved = outcome.label in PROVED and bool(np.any(point.weak))
+    measured = Measured(
+        audit=audit,
+        contact=first_fault(begin.given.status, start.status, exact.equilibrium.status, after.status),
+        consistent=claimed is None
+        or abs(claimed - expected) <= ENERGY_AGREEMENT * size_of(exact)
+        or size_of(exact) == 0,
+        gain=begin.given.energy - found.energy,
+        gain_audited=start.energy - after.energy,
+        decrease=decrease,
+        size=size,
+        is_energy=function is outer.energy,
+        stationary=residual <= outer.tolerance or proved or not relocates,
+        corrections={
+            name: value - begin.assessor.initial_corrections[name] for name, value in corrections.items()
+        },
+    )
+    end = verdict(outcome.status, measured)
+    label = outcome.label
+    if label is None:
+        label = "KKT" if residual <= outer.tolerance else ""
+    weights = nodal_weights(problem, nodes)
+    details: dict[str, Any] = {
+        "tolerance": outer.tolerance,
+        **own_residuals(outer.contact.system(nodes), outcome.own or found, exact.equilibrium),
+        **zones(problem, exact.equilibrium),
+        "exploits": measured.exploits or None,
+        **_quantities(begin, outer, nodes, found),
+        "warnings": warnings_of(outer.contact, begin.given, _accurate_load(outer), nodes, found),
+    }
+    details["objective_value"] = point.value
+    if begin is outer:
+        details["objective_initial"] = function(np.zeros(outer.n)).value
+    if problem.motion.curves:
+        was = signed_areas(first.problem.mesh.p, first.problem.triangles).sum()
+        details["domain_area_change"] = signed_areas(nodes, problem.triangles).sum() / was - 1
+    fields = {
+        **common,
+        "displacement": outer.contact.displacement.values(found.u),
+        "pressure": nodal_stress(outer.contact, found.normal_force, weights),
+        "tangential_stress": nodal_stress(outer.contact, found.tangential_force, weights),
+        "energy": found.energy,
+        "audit": audit,
+        "stationarity": label,
+        "stationarity_residual": residual,
+        "multipliers": multipliers(outer.energy, q, point.gradient),
+        "detail": EXPLOITED[measured.exploits] if end.status is Status.EXPLOITED else "",
+    }
+    return Judgement(
+        outcome,
+        end.status,
+        end.valid,
+        end.improved,
+        end.success,
+        measured,
+        (start, after),
+        fields,
+        {**outcome.details, **details},
+    )
+
+
+def _same_mesh(one: ContactProblem, other: ContactProblem) -> bool:
+    return np.array_equal(one.mesh.p, other.mesh.p) and np.array_equal(one.mesh.t, other.mesh.t)
+
+
+def _quantities(begin: Outer, outer: Outer, nodes: Array, found: Equilibrium) -> dict[str, float]:
+    """Record entries: pressure, resultant and contact before and after."""
+    given, entries = np.asarray(begin.problem.mesh.p), {}
+    for suffix, whose, where, state in (("_initial", begin, given, begin.given), ("", outer, nodes, found)):
+        here: Quantities | None = quantities(whose.problem, where, whose.contact.system(where), state)
+        if here is not None:
+            entries.update(here.entries(suffix))
+    return entries
+
+
+def _accurate_load(outer: Outer) -> Array | None:
+    """Nodal loads on the mesh as given, by an accurate rule; None if it had to be refined."""
+    start = outer.assessor.initial
+    return start.system.load if start.problem is outer.problem else None
+
+
+EXPLOITED = {
+    "quadrature": "The rule for the loads is too coarse: take a higher degree.",
+    "penetration": "Between its nodes the contact boundary passes into the foundation: take gap = 'edge'.",
+    "friction": "The friction bound varies within edges.",
+    "geometry": "The edges along a curve have grown.",
+    "": "",
+}
+"""What the message of an exploited solution adds."""

@@ -1,0 +1,289 @@
+"""The only place that knows time, limits, Ctrl-C, history and callbacks.
+
+A formulation reports every iterate to a :class:`Track`, one for each program that it runs, and is stopped by
+it. What was reached until then is kept here, so that no formulation has to look after it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc import Iterate
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.stopping import StoppedError
+from rmesh_nlp.programs.reduced import ReducedPoint
+from rmesh_nlp.solving.clock import Clock
+from rmesh_nlp.solving.interrupts import deferred
+from rmesh_nlp.solving.limits import Limits
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer, Work
+from rmesh_nlp.solving.step import Step
+
+if TYPE_CHECKING:
+    from rmesh_nlp.solving.formulation import Formulation
+
+NAN = float("nan")
+
+KEPT = 10
+"""Last iterates of an all-at-once solver among which a valid mesh is looked for."""
+
+OnStep = Callable[[Step], object]
+"""Called after each iteration, for progress."""
+
+T = TypeVar("T")
+
+
+class Monitor:
+    """Watches one solve.
+
+    Parameters
+    ----------
+    limits : Limits, optional
+    on_step : callable, optional
+        Called with each step.
+
+    Attributes
+    ----------
+    clock : Clock
+        Runs from the making of the monitor on.
+    steps : list of Step
+        The history, over all programs of the solve.
+    stopped : Status or None
+        INTERRUPTED, TIME_LIMIT or ITERATION_LIMIT, once the solve was stopped from outside.
+    work : Work
+        What formulations have spent beside the contact solves of the outer problems that they track.
+    last_moves : array or None
+        Of the last step.
+    """
+
+    def __init__(self, limits: Limits | None = None, on_step: OnStep | None = None) -> None:
+        self.clock = Clock()
+        self.limits, self.on_step = limits or Limits(), on_step
+        self.steps: list[Step] = []
+        self.stopped: Status | None = None
+        self.work = Work()
+        self.last_moves: Array | None = None
+        self._tracked: list[Outer] = []
+        self._track: Track | None = None
+
+    @property
+    def remaining(self) -> float:
+        """Seconds that are left, not negative."""
+        return max(0.0, self.limits.seconds - self.clock.elapsed)
+
+    @property
+    def iterations(self) -> int:
+        """Number of the last iteration, over all programs."""
+        return self.steps[-1].iteration if self.steps else 0
+
+    @property
+    def iterations_left(self) -> int | None:
+        """Up to the limit; None without one."""
+        most = self.limits.iterations
+        return None if most is None else max(most - self.iterations, 0)
+
+    @property
+    def spent(self) -> Work:
+        """All work so far."""
+        total = self.work
+        for outer in self._tracked:
+            total = total + outer.spent
+        return total
+
+    def is_over(self) -> bool:
+        """Whether the solve was stopped, or a limit is reached."""
+        if self.stopped is None:
+            most = self.limits.iterations
+            if self.remaining == 0.0:
+                self.stopped = Status.TIME_LIMIT
+            elif most is not None and self.steps and self.iterations >= most:
+                self.stopped = Status.ITERATION_LIMIT
+        return self.stopped is not None
+
+    def check(self) -> None:
+        """End what runs if the solve is over.
+
+        Raises
+        ------
+        StoppedError
+            Caught by :meth:`run`.
+        """
+        if self.is_over():
+            raise StoppedError
+
+    def track(self, outer: Outer, unit: float = 1.0) -> Track:
+        """What the iterates of one program are reported to.
+
+        Parameters
+        ----------
+        outer : Outer
+            Whose moves are the leading unknowns of the program.
+        unit : float
+            Value of the objective where the program's is one.
+        """
+        self._track = Track(self, self.tracked(outer), unit)
+        return self._track
+
+    def tracked(self, outer: Outer) -> Outer:
+        """Count the contact solves of an outer problem from now on; returns it."""
+        if all(outer.energy is not one.energy for one in self._tracked):
+            self._tracked.append(outer)
+        return outer
+
+    def note(self, step: Step, q: Array | None = None) -> bool:
+        """Add a step to the history; whether the solve is over."""
+        if self.steps and step.iteration == self.steps[-1].iteration and step.t == self.steps[-1].t:
+            return self.is_over()  # the start of a program is where the last one ended
+        self.steps.append(step)
+        self.last_moves = None if q is None else np.array(q)
+        if self.on_step is not None:
+            self.on_step(step if q is None else replace(step, q=np.array(q)))
+        return self.is_over()
+
+    def run(self, formulation: Formulation, outer: Outer, q: Array) -> Outcome:
+        """Where a formulation ends, also if Ctrl-C or a limit ends it: with the best valid moves so far."""
+        self._track = None
+        try:
+            return formulation.run(outer, q, self)
+        except (KeyboardInterrupt, StoppedError) as error:
+            said = self.stop(error)
+        if self._track is None:
+            return Outcome(outer, q, said)
+        last = self._track
+        return Outcome(last.outer, last.best(q if last.outer.n == q.size else np.zeros(last.outer.n)), said)
+
+    def stop(self, error: BaseException) -> Status:
+        """Note what ended a formulation: Ctrl-C, or a limit."""
+        if isinstance(error, KeyboardInterrupt):
+            self.stopped = Status.INTERRUPTED
+        self.stopped = self.stopped or Status.TIME_LIMIT
+        return self.stopped
+
+    def to_its_end(self, work: Callable[[], T]) -> T:
+        """The result of ``work``, which Ctrl-C does not end: what follows it is."""
+        with deferred() as pressed:
+            result = work()
+        if pressed():
+            self.stopped = Status.INTERRUPTED
+        return result
+
+
+class Track:
+    """The iterates of one program; called as the monitor of an NLP solver it is one.
+
+    Attributes
+    ----------
+    residual : callable or None
+        ``(x, lam_g) ->`` first-order residual of the outer problem at an iterate, for a program whose
+        multipliers give it.
+    state_residual : callable or None
+        ``x ->`` the same at an iterate of a homotopy, whose unknowns hold the forces.
+    """
+
+    def __init__(self, monitor: Monitor, outer: Outer, unit: float = 1.0) -> None:
+        self.monitor, self.outer, self._unit = monitor, outer, unit
+        self._before, self._first = monitor.iterations, len(monitor.steps)
+        self.residual: Callable[[Array, Array], float] | None = None
+        self.state_residual: Callable[[Array], float] | None = None
+        self._lam_g: Array | None = None
+        self._recent: deque[Array] = deque(maxlen=KEPT)
+        self._best: tuple[float, Array] | None = None
+
+    @property
+    def iterations(self) -> int:
+        """Of this program."""
+        return self.monitor.iterations - self._before
+
+    def see_multipliers(self, lam_g: Array) -> None:
+        """Multipliers of the iterate that comes next."""
+        self._lam_g = lam_g
+
+    def __call__(self, iteration: int, x: Array, f: float) -> bool:
+        """An iterate of an NLP without complementarity: its relaxation parameter is infinite."""
+        known = self.residual is not None and self._lam_g is not None
+        residual = self.residual(x, self._lam_g) if known else NAN  # type: ignore[misc, arg-type]
+        return self._approximate(iteration, x, f, t=math.inf, dual_residual=residual)
+
+    def iterate(self, one: Iterate) -> None:
+        """An iterate of a homotopy."""
+        self._approximate(
+            one.iteration,
+            one.x,
+            one.objective,
+            t=one.t,
+            dual_residual=NAN if self.state_residual is None else self.state_residual(one.x),
+            primal_residual=one.constraint_violation,
+            product=one.product,
+            biactive=one.biactive,
+        )
+
+    def exact(self, iteration: int, q: Array, point: ReducedPoint | None = None, **known: float) -> bool:
+        """Moves with their contact solution; whether the solve is over.
+
+        Parameters
+        ----------
+        iteration : int
+            Of this program.
+        q : (n,) array
+        point : ReducedPoint, optional
+            The outer objective there; evaluated if it is not given.
+        known
+            Further fields of the step.
+        """
+        point = self.outer.function(q) if point is None else point
+        if np.isfinite(point.value) and (self._best is None or point.value < self._best[0]):
+            if self.outer.is_valid(q):
+                self._best = point.value, np.array(q)
+        residual = self.outer.residual(point)
+        step = Step(
+            iteration=self._before + iteration,
+            energy=point.equilibrium.energy,
+            t=0.0,
+            primal_residual=0.0,
+            dual_residual=residual,
+            contact_solves=self.monitor.spent.contact_solves,
+            seconds=self.monitor.clock.elapsed,
+            objective=point.value,
+            stationarity=residual,
+            **known,
+        )
+        return self.monitor.note(step, q)
+
+    def _approximate(self, iteration: int, x: Array, f: float, **known: float) -> bool:
+        q, value = x[: self.outer.n], f * self._unit
+        self._recent.append(np.array(q))
+        step = Step(
+            iteration=self._before + iteration,
+            energy=value if self.outer.objective.is_energy else NAN,
+            primal_residual=known.pop("primal_residual", NAN),
+            contact_solves=0,
+            seconds=self.monitor.clock.elapsed,
+            objective=value,
+            **known,  # type: ignore[arg-type]
+        )
+        return self.monitor.note(step, q)
+
+    def with_violations(self, violations: list[float]) -> None:
+        """Fill in what an NLP solver tells of its iterates when it has ended."""
+        steps = self.monitor.steps
+        for number, violation in zip(range(self._first, len(steps)), violations, strict=False):
+            steps[number] = replace(steps[number], primal_residual=violation)
+
+    def best(self, start: Array) -> Array:
+        """The best moves that give a valid mesh: at worst those it started with."""
+        if self._best is not None:
+            return self._best[1]
+        bound = self.outer.bound
+        for q in reversed(self._recent):
+            inside = np.clip(q, -bound, bound)
+            if np.all(np.isfinite(inside)) and self.outer.is_valid(inside):
+                function = self.outer.function
+                return inside if function(inside).value < function(start).value else start
+        return start

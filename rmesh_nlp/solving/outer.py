@@ -1,0 +1,190 @@
+"""An outer problem: everything that a formulation may use of it."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rmesh_nlp.assessment.assessor import Assessor
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.system import Equilibrium
+from rmesh_nlp.discretisation import Discretisation, discretise
+from rmesh_nlp.discretisation.validity import is_valid
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.objectives import ENERGY
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.checks import check_unknowns
+from rmesh_nlp.programs.energy_program import Relocation, relocation
+from rmesh_nlp.programs.outer_function import Reduced, outer_function
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.residual import OuterResidual
+from rmesh_nlp.solving.limits import TOLERANCE
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is counted of a solve.
+
+    Attributes
+    ----------
+    contact_solves, cold_contact_solves : int
+        All, and those without the active set of a neighbour.
+    contact_factorisations : int
+        Of the stiffness.
+    kkt_factorisations : int
+        Of all-at-once programs.
+    """
+
+    contact_solves: int = 0
+    cold_contact_solves: int = 0
+    contact_factorisations: int = 0
+    kkt_factorisations: int = 0
+
+    def __add__(self, other: Work) -> Work:
+        return Work(*(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
+
+
+class Outer:
+    """``min F(X, u)`` over node positions X, where u solves the contact problem there.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    objective : str or Objective
+    tolerance : float
+        Largest first-order residual of a stationary point.
+
+    Attributes
+    ----------
+    discretisation : Discretisation
+    contact : ContactModel
+        Contact solves by the problem's own rule.
+    relocation : Relocation
+        The program in moves, displacements and slips: of the objective where the two levels collapse for it,
+        else of the energy.
+    energy : ReducedEnergy
+        The objective of ``relocation`` as a function of the moves.
+    contact_seconds : float
+        Wall time of a contact solve on the mesh as given, from nothing: the unit of cost.
+    is_near : bool
+        Whether the start is likely to be close to a minimiser.
+    """
+
+    def __init__(
+        self, problem: ContactProblem, objective: str | Objective = "energy", tolerance: float = TOLERANCE
+    ) -> None:
+        check_unknowns(problem)
+        self.problem, self.tolerance, self.is_near = problem, tolerance, False
+        self.contact_seconds = float("nan")
+        self.discretisation: Discretisation = discretise(problem)
+        self.contact = ContactModel(self.discretisation)
+        self._minimise(parse_objective(objective))
+
+    def _minimise(self, objective: Objective) -> None:
+        self.objective = objective
+        self.relocation: Relocation = relocation(
+            self.discretisation, objective if objective.collapses else ENERGY
+        )
+        self.energy = ReducedEnergy(self.relocation, self.contact)
+
+    @classmethod
+    def around(cls, energy: ReducedEnergy, tolerance: float = TOLERANCE) -> Outer:
+        """The outer problem of an energy that is stated already."""
+        outer = cls.__new__(cls)
+        outer.problem, outer.tolerance, outer.is_near = energy.relocation.problem, tolerance, False
+        outer.contact_seconds = float("nan")
+        outer.discretisation, outer.contact = energy.relocation.discretisation, energy.model
+        outer.objective, outer.relocation, outer.energy = energy.relocation.objective, energy.relocation, energy
+        return outer
+
+    def minimising(self, objective: Objective) -> Outer:
+        """The same with another objective."""
+        other = copy.copy(self)
+        for name in ("function", "residual"):
+            other.__dict__.pop(name, None)
+        other._minimise(objective)
+        if "given" in self.__dict__:
+            other.energy.knows(self.given)
+        return other
+
+    def near(self) -> Outer:
+        """The same from a start that is likely to be close to a minimiser."""
+        other = copy.copy(self)
+        other.is_near = True
+        return other
+
+    @cached_property
+    def given(self) -> Equilibrium:
+        """The contact solution on the mesh as given."""
+        found = self.contact.solve(np.asarray(self.problem.mesh.p))
+        self.energy.knows(found)
+        return found
+
+    def knows(self, given: Equilibrium, seconds: float) -> None:
+        """Take over the contact solution on the mesh as given, and the time that it takes: the unit of cost."""
+        self.given, self.contact_seconds = given, seconds
+        self.energy.knows(given)
+
+    @cached_property
+    def function(self) -> Reduced:
+        """The objective as a function of the moves, each value an exact contact solve."""
+        return self.energy if self.objective.collapses else outer_function(self.energy, self.objective)
+
+    @cached_property
+    def residual(self) -> OuterResidual:
+        """The first-order residual, relative to that on the mesh as given."""
+        system = self.contact.system(self.problem.mesh.p)
+        given = self.energy.at(np.zeros(self.n), system, self.given)
+        function = self.function
+        return OuterResidual(self.energy, given if isinstance(function, ReducedEnergy) else function.of(given))
+
+    @cached_property
+    def assessor(self) -> Assessor:
+        """Measures meshes against the continuous problem."""
+        return Assessor(self.contact, self.given)
+
+    @property
+    def n(self) -> int:
+        """Number of moves."""
+        return self.relocation.n_q
+
+    @property
+    def bound(self) -> Array:
+        """(n,) half-widths of the boxes, infinite where there is none."""
+        return self.relocation.freedoms.bound
+
+    @property
+    def spent(self) -> Work:
+        """Contact solves so far."""
+        return Work(self.energy.contact_solves, self.energy.cold_solves, self.energy.factorisations)
+
+    def nodes(self, q: Array) -> Array:
+        """(2, nodes) positions at moves ``q``."""
+        return self.relocation.nodes(q)
+
+    def is_valid(self, q: Array) -> bool:
+        """Whether all elements are valid at moves ``q``, see :mod:`rmesh_nlp.discretisation.validity`."""
+        return is_valid(self.problem, self.nodes(q), by_barrier=self.relocation.objective.has_barrier)
+
+    def moves(self, positions: Array | None = None, seed: int | None = None) -> Array:
+        """Moves to start from: none, those to ``positions`` (2, nodes), or drawn from the boxes with a seed.
+
+        Positions are cut to the boxes. Without boxes a draw moves nodes by up to their shortest edge. Moves
+        that break element validity are halved until they do not.
+        """
+        if positions is not None:
+            q = np.clip(self.relocation.freedoms.q_of(positions), -self.bound, self.bound)
+        elif seed is not None:
+            q = np.random.default_rng(seed).uniform(-1, 1, self.n)
+        else:
+            return np.zeros(self.n)
+        # close to positions that were asked for, a draw may shrink faster
+        factor = 0.5 if positions is None else 0.95
+        while not self.is_valid(q):
+            q = factor * q
+        return q
