@@ -7,6 +7,7 @@ objective are asked for, ``joint`` or ``nested`` is run, the latter with Newton-
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -56,6 +57,14 @@ class Auto(Chooser):
     regularisation: Any = None
     flips: bool = False
 
+    def having(self, given: Mapping[str, Any]) -> Auto:
+        """With other values of fields, and of those of ``cascade`` by their own names."""
+        own = {key: value for key, value in given.items() if key in vars(self)}
+        more = {key: value for key, value in given.items() if key not in own}
+        if more:
+            own["cascade"] = self.cascade.having(more)
+        return super().having(own)
+
     def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
         along = with_edge_gaps(problem)
         formulation, why = self._chosen(along, objective, is_started)
@@ -75,9 +84,9 @@ class Auto(Chooser):
                 return Nested(enough=enough_for(moves)), why
             return self._around(Joint()), "joint: nodes have boxes"
         if motion.min_angle > 0:
-            inner = Confirmed(Schedule(Joint(), self.regularisation or SCHEDULE))
+            held = Confirmed(Schedule(Joint(), self.regularisation or SCHEDULE))
             why = "joint, regularised: a least angle is asked for, which must hold as a constraint"
-            return (Flips(inner) if self.flips else inner), why
+            return (Flips(held) if self.flips else held), why
         chosen = self._weighted()
         if is_started:
             inner = Schedule(Nested(), chosen.regularisation, chosen.distortion)

@@ -72,6 +72,14 @@ class AllAtOnce(Formulation):
             raise unknown("relaxation", self.relaxation, RELAXATIONS)
         Options(**{**OPTIONS, **self.options})
 
+    def having(self, given: Mapping[str, Any]) -> AllAtOnce:
+        """With other values of fields, and of ``options`` by their own names."""
+        own = {key: value for key, value in given.items() if key in vars(self)}
+        more = {key: value for key, value in given.items() if key not in own}
+        if more:
+            own["options"] = {**self.options, **own.get("options", {}), **more}
+        return super().having(own)
+
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         scaling = pull(outer.energy(q).gradient)
         is_energy = outer.objective.is_energy

@@ -50,7 +50,8 @@ _NAMES = {
     "compare": "rmesh_nlp.api.comparison",
     "objective": "rmesh_nlp.fem.objective_text",
     "solve": "rmesh_nlp.api.solving",
-    "strategies": "rmesh_nlp.api.solving",
+    "formulations": "rmesh_nlp.api.solving",
+    "Limits": "rmesh_nlp.solving.limits",
     "verify_gradient": "rmesh_nlp.solving.verification",
     # looking at results
     "plot": "rmesh_nlp.api.pictures",

@@ -6,8 +6,9 @@ from rmesh_nlp.api.comparison import compare as compare
 from rmesh_nlp.api.files import read_problem as read_problem
 from rmesh_nlp.api.files import read_records as read_records
 from rmesh_nlp.api.pictures import plot as plot
+from rmesh_nlp.api.solving import formulations as formulations
 from rmesh_nlp.api.solving import solve as solve
-from rmesh_nlp.api.solving import strategies as strategies
+from rmesh_nlp.solving.limits import Limits as Limits
 from rmesh_nlp.examples import EXAMPLES as EXAMPLES
 from rmesh_nlp.fem import objective_text
 from rmesh_nlp.fem import quantities as quantities

@@ -36,7 +36,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from formulations import joint, mpcc, nested
+from support.formulations import joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem

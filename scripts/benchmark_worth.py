@@ -37,7 +37,7 @@ from worth.goals import goals, on_page, table  # noqa: E402
 from worth.picture import picture  # noqa: E402
 from worth.rows import Row, Store  # noqa: E402
 
-from formulations import auto  # noqa: E402
+from support.formulations import auto  # noqa: E402
 from rmesh_nlp.programs.refinement import residual_indicators  # noqa: E402
 
 ALL = ("uniform", "oracle", "residual", "boxes", "large", "flips", "hr")

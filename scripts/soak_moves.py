@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 from skfem import MeshTri
 
-from formulations import auto, joint, nested
+from support.formulations import auto, joint, nested
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.meshes.curves import Circle

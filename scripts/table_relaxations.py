@@ -18,7 +18,7 @@ from typing import Any
 
 import pandas as pd
 
-from formulations import joint, mpcc
+from support.formulations import joint, mpcc
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 import rmesh_nlp
-from formulations import fixed
+from support.formulations import fixed
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli import work

@@ -8,13 +8,13 @@ from typing import Any
 
 import pandas as pd
 
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.campaign.run import solve
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Record
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.tables import frame, markdown
+from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.solution import Solution
 
 COLUMNS = (
@@ -106,7 +106,7 @@ def compare(
         raise BadInputError(f"formulations is a list of names, got the text {formulations!r}")
     if len(set(formulations)) < len(formulations):
         raise BadInputError(f"a strategy is named twice in {list(formulations)}")
-    taken = {name: strategies.accepted(strategies.load(name), options) for name in formulations}
+    taken = {name: accepted(name, options) for name in formulations}
     for option in options:
         if not any(option in names for names in taken.values()):
             raise BadInputError(f"{option}: not an option of {', '.join(formulations)}")

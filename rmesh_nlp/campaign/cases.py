@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.file_cases import SUFFIX, own_problems, refinements
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.examples import EXAMPLES, Delta, Size
@@ -18,6 +17,8 @@ from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS
+from rmesh_nlp.solving.formulation import find
+from rmesh_nlp.solving.options import accepted
 
 FLAGS = {"time_limit_s": "--time-limit", "max_iterations": "--max-iterations", "tolerance": "--tolerance"}
 """Limits: who does not heed one is finite without it. Their names on the command line."""
@@ -122,7 +123,7 @@ def make_cases(
     chosen = [strategy_options(text) for text in formulations]
     for _, own_options in chosen:
         _check_options(own_options)
-    taken = {name: strategies.accepted(strategies.load(name), options) for name, _ in chosen}
+    taken = {name: accepted(name, options) for name, _ in chosen}
     for option in options:
         if option not in FLAGS and not any(option in names for names in taken.values()):
             raise BadInputError(f"--{option} {options[option]}: not an option of {', '.join(formulations)}")
@@ -160,13 +161,13 @@ def strategy_options(text: str) -> tuple[str, dict[str, Any]]:
         If an option has no value, or the strategy does not take it.
     """
     name, *parts = text.split(":")
-    solve = strategies.load(name)
+    find(name)
     found: dict[str, Any] = {}
     for part in parts:
         key, given, value = part.partition("=")
         if not given or not value:
             raise BadInputError(f"{text!r}: an option is written name=value, got {part!r}")
-        if key not in strategies.accepted(solve, [key]):
+        if key not in accepted(name, [key]):
             raise BadInputError(f"{text!r}: {name} takes no option {key!r}")
         found[key] = int(value) if value.isdecimal() else value
     return name, found

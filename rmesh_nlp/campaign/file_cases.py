@@ -8,7 +8,7 @@ from pathlib import Path
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.starts import refine
+from rmesh_nlp.problem.refining import refined
 
 SUFFIX = ".toml"
 
@@ -47,5 +47,5 @@ def refinements(problem: ContactProblem, count: int | None = None) -> Iterator[C
         nodes = problem.mesh.p.shape[1] + problem.mesh.facets.shape[1]
         if count is None and nodes > LARGEST:
             return
-        problem = refine(problem)
+        problem = refined(problem)
         yield problem

@@ -13,7 +13,7 @@ from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.campaign.pace import Pace
 from rmesh_nlp.io.results import Record
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.solving.history import TIME_LIMIT_S
+from rmesh_nlp.solving.limits import Limits
 from rmesh_nlp.solving.step import Step
 
 EVERY_S = 10.0
@@ -66,7 +66,7 @@ class CampaignProgress:
         """A solve begins."""
         self._name = f"{case.problem.name} {case.formulation}"
         limit = None if case.options.keys() & {"starts", "levels"} else case.options.get("time_limit_s")
-        self._pace, self._said = Pace(limit or TIME_LIMIT_S), time.monotonic()
+        self._pace, self._said = Pace(limit or Limits.seconds), time.monotonic()
         self._bar.update(self._task, description=self._name)
 
     def step(self, step: Step) -> None:

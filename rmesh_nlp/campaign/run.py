@@ -8,7 +8,6 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.campaign.repeats import joined
 from rmesh_nlp.campaign.trace import Trace
@@ -18,7 +17,8 @@ from rmesh_nlp.io.files import remove_leftovers, write_whole
 from rmesh_nlp.io.record_model import REQUIRED, Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, RECORDS, TABLES, Result, Results, write_history
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solving.certify import Certificate, certified
+from rmesh_nlp.solving.formulation import find
+from rmesh_nlp.solving.options import solve_by_options
 from rmesh_nlp.solving.solution import Solution, versions
 from rmesh_nlp.solving.step import Step
 from rmesh_nlp.solving.theorem41 import error_terms
@@ -32,7 +32,7 @@ class Outcome:
 
     record: Record
     solution: Solution | None
-    certificate: Certificate | None = None
+    history: tuple[Step, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,13 @@ def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
 
 
 def _solve(case: Case, on_step: OnStep | None) -> Outcome:
-    function = strategies.load(case.formulation)
+    find(case.formulation)
     trace = Trace(on_step) if case.trace else None
-    watch = dict.fromkeys(strategies.accepted(function, ("on_step",)), trace or on_step)
     began = time.perf_counter()
     try:
-        solution = function(case.problem, **case.options, **watch)
+        solution = solve_by_options(
+            case.problem, case.formulation, case.options, on_step=trace or on_step, certify=case.certify
+        )
         record = {**case.identity, "message": solution.status.message, **solution.record(), "key": case.key}
         terms = error_terms(solution) if solution.audit.min_area_ratio > 0 else None
         record.update({} if terms is None else terms.entries())
@@ -84,20 +85,11 @@ def _solve(case: Case, on_step: OnStep | None) -> Outcome:
         return Outcome(_failure(case, "refused", error, time.perf_counter() - began), None)
     except Exception as error:
         return Outcome(_failure(case, "failed", error, time.perf_counter() - began), None)
+    history = solution.history
     if trace is not None and record["status"] != INTERRUPTED:
         with suppress(ValueError, ArithmeticError, RuntimeError):  # a solve that ended stays what it is
-            solution = trace.measured(solution)
-    if not case.certify:
-        return Outcome(record, solution)
-    bounds, certificate = certified(solution)
-    if certificate is not None and certificate.is_disproved:
-        solution = replace(solution, status=Status.INACCURATE, valid=False, success=False)
-        bounds |= {"status": solution.status.value, "valid": False, "success": False}
-    elif certificate is not None and "error_reduction" in solution.extra:
-        found = certificate.of_reduction(solution.extra["error_reduction"])
-        solution = replace(solution, extra={**solution.extra, "error_reduction": found})
-        bounds |= {"error_reduction": found}
-    return Outcome({**record, **bounds}, solution, certificate)
+            history = trace.measured(solution)
+    return Outcome(record, solution, history)
 
 
 def _failure(case: Case, status: str, error: Exception, seconds: float) -> Record:
@@ -211,9 +203,9 @@ def save(outcome: Outcome, places: Result) -> None:
         places.vtu.unlink(missing_ok=True)
         places.history.unlink(missing_ok=True)
         return
-    certificate = outcome.certificate
-    write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu", certificate))
-    rows = [{name: row[name] for name in HISTORY_FIELDS} for row in solution.history_rows()]
+    write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu", solution.certificate))
+    steps = [step.row() for step in outcome.history]
+    rows = [{name: row[name] for name in HISTORY_FIELDS} for row in steps]
     write_whole(places.history, lambda path: write_history(path, rows))
 
 

@@ -1,7 +1,7 @@
-"""The first-order residual of the outer problem along a solve, by one measure for all strategies.
+"""The first-order residual of the outer problem along a solve, by one measure for all formulations.
 
 Solvers report residuals of programs of their own, in units of their own. Here the moves of each step are
-kept, and once the solve has ended the referee's residual is measured at them, off the strategy's clock.
+kept, and once the solve has ended the residual is measured at them, off the strategy's clock.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import signed_areas
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.step import Step
 
@@ -41,28 +41,27 @@ class Trace:
         if self._on_step is not None:
             self._on_step(step)
 
-    def measured(self, solution: Solution) -> Solution:
-        """The solution with ``stationarity`` in its history, where a strategy has not filled it in itself."""
-        if not self._moves or solution.given is not None or "regularisation" in solution.extra:
-            return solution  # flipped edges, or several programs one after the other
-        referee = Referee(solution.problem, solution.objective)
-        free = referee.relocation.freedoms
+    def measured(self, solution: Solution) -> tuple[Step, ...]:
+        """The history with ``stationarity``, where a formulation has not filled it in itself."""
+        if not self._moves or "flips" in solution.extra or "regularisation" in solution.extra:
+            return solution.history  # flipped edges, or several programs one after the other
+        outer = Outer(solution.problem, solution.objective)
+        free = outer.relocation.freedoms
         moves = {i: q for i, q in self._moves.items() if q.size == free.n and np.all(np.isfinite(q))}
         if not moves:
-            return solution
-        function = referee.function(solution.objective)
-        residual = referee.residual(function)
+            return solution.history
+        function = outer.function
+        residual = outer.residual
         found: dict[int, float] = {}
         for iteration in _spread(sorted(moves)):
             q = np.clip(moves[iteration], -free.bound, free.bound)
-            areas = signed_areas(referee.relocation.nodes(q), solution.problem.triangles)
+            areas = signed_areas(outer.nodes(q), solution.problem.triangles)
             if np.min(areas) > 0 and function.is_defined(q):
                 found[iteration] = residual(function(q))
-        history = tuple(
+        return tuple(
             replace(step, stationarity=found.get(step.iteration, step.stationarity))
             for step in solution.history
         )
-        return replace(solution, history=history)
 
 
 def _spread(iterations: list[int]) -> list[int]:

@@ -90,8 +90,8 @@ def does_not_apply(record: Record) -> bool:
 def say_certificate(outcome: campaign.Outcome) -> None:
     """Print what a certificate says of the error, or why there is none."""
     remark = outcome.record.get("certificate_remark")
-    if outcome.certificate is not None:
-        found = outcome.certificate
+    if outcome.solution is not None and outcome.solution.certificate is not None:
+        found = outcome.solution.certificate
         print(f"{found.sentence}; least energy between {found.lower:.7g} and {found.upper:.7g}")
     if remark:
         print(f"note: {remark}")

@@ -106,8 +106,7 @@ Outer = Annotated[
     typer.Option(
         "--outer",
         metavar="NAME",
-        help="Outer solver of nested: newton (default), newton-cg, newton-pair, ipopt, slsqp, trust-constr "
-        "or l-bfgs-b.",
+        help="Outer solver of nested: newton (default), newton-cg or ipopt.",
     ),
 ]
 TimeLimit = Annotated[

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import inspect
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.ticker import MaxNLocator
 
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
@@ -23,6 +22,8 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.style import look, new_figure, save
+from rmesh_nlp.solving.driver import solve
+from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.load_path import PathStep, load_path
 
 SUCCESS, NO_SUCCESS = 0, 1
@@ -39,8 +40,7 @@ def path(file: Path, formulation: str | None, out: Path | None) -> int:
         raise BadInputError(f"{file}: has no table [path]: move = [dx, dy], steps = 5")
     problem = build(table, file)
     name = formulation or table.solve.formulation
-    solve = strategies.load(name)
-    if plan.relocate == "each" and "start" not in inspect.signature(solve).parameters:
+    if plan.relocate == "each" and not accepted(name, ["start"]):
         raise BadInputError(f"{file}: the formulation {name!r} takes no start: choose relocate = 'once'")
     folder = Path("results") / f"{safe_name(problem.name)}-path" if out is None else out
     frames = [f"step-{number:03d}.vtu" for number in range(1, plan.steps + 1)]
@@ -53,10 +53,10 @@ def path(file: Path, formulation: str | None, out: Path | None) -> int:
                 problem,
                 plan.move,
                 plan.steps,
-                solve,
+                partial(solve, formulation=name),
                 obstacle=plan.contact - 1,
                 relocate=plan.relocate,
-                hold=strategies.load("fixed"),
+                hold=partial(solve, formulation="fixed"),
             )
             for step in steps:
                 done.append(step)

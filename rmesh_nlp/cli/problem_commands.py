@@ -11,7 +11,6 @@ import numpy as np
 from rich.console import Console
 
 from rmesh_nlp.campaign import run as campaign
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import FLAGS, Case
 from rmesh_nlp.campaign.progress import CampaignProgress
 from rmesh_nlp.cli.commands import exit_code, read_quietly, say_certificate
@@ -41,6 +40,8 @@ from rmesh_nlp.report.problem_picture import draw_problem
 from rmesh_nlp.report.states import Drawable
 from rmesh_nlp.solving.advice import advise as advice
 from rmesh_nlp.solving.interrupts import deferred
+from rmesh_nlp.solving.formulation import find
+from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.step import Step
 from rmesh_nlp.study.study_file import is_study
 
@@ -246,7 +247,7 @@ def _plan(path: Path, formulation: str | None, options: Mapping[str, Any]) -> tu
     plan = read_table(path).solve
     name = formulation or plan.formulation
     try:
-        function = strategies.load(name)
+        find(name)
     except BadInputError as error:
         raise BadInputError(str(error) if formulation else f"{path}: solve.formulation: {error}") from error
     wanted = plan.model_dump(exclude={"formulation", "certify"})
@@ -259,7 +260,7 @@ def _plan(path: Path, formulation: str | None, options: Mapping[str, Any]) -> tu
     # the defaults need not be known to every strategy, what was asked for must be
     default = {"objective": "energy", "starts": 0, "levels": 0, "flips": False}
     asked = {key for key, value in wanted.items() if value != default.get(key)}
-    taken = strategies.accepted(function, asked)
+    taken = accepted(name, asked)
     asked -= set(FLAGS) - taken  # a limit of what is finite anyway is none
     refused = asked - taken
     if refused:

@@ -21,7 +21,7 @@ from rmesh_nlp.io.vtu import fields_of, point_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
-from rmesh_nlp.solving.certify import Certificate
+from rmesh_nlp.solving.certificate import Certificate
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.step import Step
 

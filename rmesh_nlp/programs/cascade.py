@@ -31,6 +31,7 @@ from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.stopping import StoppedError
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.rigid import rigid_motions
 from rmesh_nlp.programs.acceptance import accepted
@@ -38,7 +39,6 @@ from rmesh_nlp.programs.cascade_settings import CascadeSettings, Schedules
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.levels import coarsened
-from rmesh_nlp.programs.outer_solvers import StoppedError
 from rmesh_nlp.programs.prolongation import prolonged
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import gain_estimate, regularised

@@ -242,9 +242,9 @@ def _ending(monitor: Monitor, found: Judgement) -> tuple[Step, ...]:
 
     Where each step of an all-at-once solver would need an adjoint to know it, the history has this one only.
     """
-    *steps, last = monitor.steps or [None]
-    if last is None:
+    if not monitor.steps:
         return ()
+    *steps, last = monitor.steps
     q, at = found.outcome.q, monitor.last_moves
     size = np.max(np.abs(q), initial=0.0)
     if np.isnan(last.dual_residual) and at is not None and at.size == q.size and np.allclose(at, q, rtol=0.0, atol=1e-8 * size):

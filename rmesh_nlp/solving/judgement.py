@@ -19,6 +19,7 @@ from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.programs.multipliers import multipliers
+from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.residual import size_of
 from rmesh_nlp.solving.findings import (
     decrease_of,
@@ -110,7 +111,7 @@ def judged(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Judgeme
     found = outcome.own if outcome.decides and outcome.own is not None else exact.equilibrium
     audit = outer.assessor.audit(nodes, found, after, ratio)
     function = outer.function
-    point = exact if function is outer.energy else function.of(exact)
+    point = exact if isinstance(function, ReducedEnergy) else function.of(exact)
     residual = outer.residual(point)
     states = tuple(
         (one.energy, one.state if one.problem is whose.problem else own)

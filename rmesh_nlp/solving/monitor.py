@@ -252,7 +252,7 @@ class Track:
             seconds=self.monitor.clock.elapsed,
             objective=point.value,
             stationarity=residual,
-            **known,
+            **known,  # type: ignore[arg-type]
         )
         return self.monitor.note(step, q)
 

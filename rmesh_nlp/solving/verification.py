@@ -16,7 +16,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.outer_function import Reduced, outer_function
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 LEAST_ORDER = 1.9
 """What counts as second order; 1.9 is also what cashocs and dolfin-adjoint ask for."""
@@ -109,17 +109,17 @@ def verify_gradient(
     ValueError
         If the objective is unknown or does not suit the problem, or no node may move.
     """
-    referee = Referee(problem)
-    outer = parse_objective(objective)
-    function: Reduced = referee.reduced
-    if not outer.is_energy:
-        function = outer_function(referee.reduced, outer)
-    n = referee.relocation.n_q
+    outer = Outer(problem)
+    asked = parse_objective(objective)
+    function: Reduced = outer.energy
+    if not asked.is_energy:
+        function = outer_function(outer.energy, asked)
+    n = outer.n
     if n == 0:
         raise ValueError(f"no node of {problem.name!r} may move: there is no gradient to test")
     rng = np.random.default_rng(seed)
-    q, direction = INSIDE * referee.start(int(rng.integers(2**31))), rng.uniform(-1, 1, n)
-    while not referee.is_valid(q + FIRST_STEP * direction):
+    q, direction = INSIDE * outer.moves(seed=int(rng.integers(2**31))), rng.uniform(-1, 1, n)
+    while not outer.is_valid(q + FIRST_STEP * direction):
         direction /= 2
     here = function(q)
     slope = float(here.gradient @ direction)
@@ -130,4 +130,4 @@ def verify_gradient(
     with np.errstate(divide="ignore", invalid="ignore"):
         orders = np.log2(remainders[:-1] / remainders[1:])
     orders[~(known[:-1] & known[1:])] = np.nan
-    return TaylorTest(str(outer), here.value, slope, steps, remainders, orders)
+    return TaylorTest(str(asked), here.value, slope, steps, remainders, orders)

@@ -10,7 +10,7 @@ import numpy as np
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.energy_program import Relocation
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 OPTIONS = {
     "max_iter": 3000,
@@ -29,12 +29,12 @@ def least_energy(problem: ContactProblem, seed: int | None = None) -> float:
     NaN if none is found. Only for contact along a straight horizontal boundary and a constant
     friction bound, as in 6.3.
     """
-    referee = Referee(problem)
-    program = referee.relocation
+    outer = Outer(problem)
+    program = outer.relocation
     nlp = program.nlp.extended(f=_difference(problem, program))
-    q = referee.start(seed)
+    q = outer.moves(seed=seed)
     solver = Solver(nlp, options=OPTIONS)
-    result = solver(referee.reduced.point(q, referee.reduced(q).equilibrium))
+    result = solver(outer.energy.point(q, outer.energy(q).equilibrium))
     return result.f if result.converged else float("nan")
 
 

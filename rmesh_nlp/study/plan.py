@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from rmesh_nlp import __version__
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.io.problem_file import load_problem, read_table
+from rmesh_nlp.solving.formulation import find
+from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.study.schema import StudyTable
 
 Problem = dict[str, Any]
@@ -116,16 +117,16 @@ def _strategies(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[
     for strategy, table in study.strategies.items():
         formulation = table.formulation or strategy
         try:
-            function = strategies.load(formulation)
+            find(formulation)
         except BadInputError as error:
             raise BadInputError(f"{path}: strategies.{strategy}: {error}") from error
-        given = _checked(table.keywords, function, f"{path}: strategies.{strategy}", formulation)
+        given = _checked(table.keywords, f"{path}: strategies.{strategy}", formulation)
         limits = {"time_limit_s": study.limits.time}
         if study.limits.iterations is not None:
             limits["max_iterations"] = study.limits.iterations
-        taken = strategies.accepted(function, limits)
+        taken = accepted(formulation, limits)
         given = {**{name: value for name, value in limits.items() if name in taken}, **given}
-        varied = strategies.accepted(function, ("objective", "seed"))
+        varied = accepted(formulation, ("objective", "seed"))
         seen = set()
         for objective in study.objectives:
             for seed in study.seeds:
@@ -141,9 +142,9 @@ def _strategies(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[
 
 
 def _checked(
-    keywords: Mapping[str, Any], function: strategies.Solve, where: str, formulation: str
+    keywords: Mapping[str, Any], where: str, formulation: str
 ) -> dict[str, Any]:
-    taken = strategies.accepted(function, keywords)
+    taken = accepted(formulation, keywords)
     for name, value in keywords.items():
         if name not in taken:
             raise BadInputError(f"{where}.{name} = {value!r}: not an option of {formulation}")

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.examples import EXAMPLES, PAPER
 from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
+from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.frozen_friction import least_energy
 
@@ -74,7 +74,7 @@ def reproduce(*, quick: bool = False, say: Say = lambda text: None) -> list[Stat
 
 def _given(example: str) -> list[Statement]:
     paper = PAPER[example]
-    solution = strategies.load("fixed")(EXAMPLES[example]())
+    solution = solve(EXAMPLES[example](), "fixed")
     met = truncated(solution.energy) == truncated(paper.energy_initial)
     how = f"contact solve on the given mesh, {solution.status.value}"
     found = [
@@ -100,13 +100,12 @@ def _descents(example: str, factor: float, starts: int, say: Say, *, nested: boo
     """Energies by where they come from: strategies from the given mesh, then ``joint`` from seeds."""
     dx, dy = PAPER[example].delta
     problem = EXAMPLES[example](delta=(factor * dx, factor * dy))
-    solve = strategies.load("joint")
-    energies = {"joint": _energy(solve(problem))}
+    energies = {"joint": _energy(solve(problem, "joint"))}
     if nested:
-        energies["nested"] = _energy(strategies.load("nested")(problem))
+        energies["nested"] = _energy(solve(problem, "nested"))
     for seed in range(1, starts + 1):
         say(f"{example}: boxes times {factor:g}, random start {seed} of {starts}")
-        energies[f"seed {seed}"] = _energy(solve(problem, seed=seed))
+        energies[f"seed {seed}"] = _energy(solve(problem, "joint", seed=seed))
     return energies
 
 

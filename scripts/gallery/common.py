@@ -11,7 +11,7 @@ import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
 
-from formulations import fixed, joint, nested
+from support.formulations import fixed, joint, nested
 from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective_text import parse_objective

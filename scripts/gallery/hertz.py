@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from common import Case, command_line, energy_above, run
 
-from formulations import fixed
+from support.formulations import fixed
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.meshes.shapes import half_disc
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Relative

@@ -21,7 +21,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from formulations import joint
+from support.formulations import joint
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.report.before_after import write_pictures

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from common import Case, command_line, energy_above, run
 
-from formulations import fixed
+from support.formulations import fixed
 from rmesh_nlp.meshes.shapes import plate_with_hole
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain
 from rmesh_nlp.solving.starts import refine

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from common import Case, command_line, energy_above, run
 
-from formulations import fixed
+from support.formulations import fixed
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (

@@ -9,7 +9,7 @@ import numpy as np
 from peer_solvers.case import Case, Finish, OutOfTimeError
 from scipy.optimize import Bounds, minimize
 
-from formulations import nested
+from support.formulations import nested
 from rmesh_nlp.contact.model import solve
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array

@@ -12,7 +12,7 @@ import numpy as np
 from worth.cases import RULE, Case
 from worth.rows import Row
 
-from formulations import auto, fixed, nested
+from support.formulations import auto, fixed, nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.examples import EXAMPLES

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations import mpcc
+from support.formulations import mpcc
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.reference import reference_solution, with_reference
 

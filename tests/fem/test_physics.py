@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from formulations import fixed, joint, mpcc, nested
+from support.formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.problems import no_boxes
 
-from formulations import auto, auto_cascade, nested
+from support.formulations import auto, auto_cascade, nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.problems import no_boxes
 
-from formulations import auto, auto_cascade
+from support.formulations import auto, auto_cascade
 from formulations.auto_watch import Watch
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.freedoms import freedoms

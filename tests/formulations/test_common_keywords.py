@@ -12,7 +12,7 @@ import pytest
 from support.problems import no_boxes
 from support.solved import example, solved
 
-from formulations import auto, fixed, joint, mpcc, nested
+from support.formulations import auto, fixed, joint, mpcc, nested
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from formulations import joint
+from support.formulations import joint
 from rmesh_nlp.examples import EXAMPLES, Size
 
 LOOSE = {"tol": 1e-3}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.solved import example, solved
 
-from formulations import joint, mpcc, mpcc_start, nested
+from support.formulations import joint, mpcc, mpcc_start, nested
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.validity import least_area_ratio
 from rmesh_nlp.examples import EXAMPLES

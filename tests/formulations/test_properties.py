@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from formulations import joint, nested
+from support.formulations import joint, nested
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.validity import least_angles

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.solved import example, solved
 
-from formulations import fixed, joint, mpcc, nested
+from support.formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem

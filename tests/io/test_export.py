@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from formulations import fixed, joint, nested
+from support.formulations import fixed, joint, nested
 from rmesh_nlp.io.export import Series, write_solution
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.shapes import rectangle

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from formulations import fixed
+from support.formulations import fixed
 from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.io.export import Series, element_table, gaps, node_table, write_mesh
 from rmesh_nlp.meshes import read_mesh

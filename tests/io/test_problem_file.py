@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.problem_files import BROKEN, SCALAR, VALID, Edit
 
-from formulations import fixed, joint
+from support.formulations import fixed, joint
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli import problem_commands
 from rmesh_nlp.expressions import Expression

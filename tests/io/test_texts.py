@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.problem_files import VALID
 
-from formulations import fixed, mpcc
+from support.formulations import fixed, mpcc
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.expressions import Expression

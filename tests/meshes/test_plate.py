@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from formulations import joint
+from support.formulations import joint
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain
 

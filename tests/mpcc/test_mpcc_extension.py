@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from formulations import joint, mpcc
+from support.formulations import joint, mpcc
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import MPCC, solve
 from rmesh_nlp.optimize.nlp import Derivatives

@@ -5,7 +5,7 @@ import pytest
 from support.problems import sloped_block
 from support.quadratics import quadratic
 
-from formulations import nested
+from support.formulations import nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.newton import Evaluation, minimise
 from rmesh_nlp.optimize.status import Status

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.quadratics import Matrix, quadratic
 
-from formulations import nested
+from support.formulations import nested
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.local_newton import descend

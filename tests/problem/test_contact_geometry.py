@@ -17,7 +17,7 @@ from support.contact_geometry import (
     punch_held_by_symmetry,
 )
 
-from formulations import fixed, joint, mpcc, nested
+from support.formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations import joint, nested
+from support.formulations import joint, nested
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.discretisation.validity import least_angles

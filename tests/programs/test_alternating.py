@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from formulations import joint
+from support.formulations import joint
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.programs.alternating import alternated, alternating
 from rmesh_nlp.solving.history import Recorder

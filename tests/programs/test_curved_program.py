@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from formulations import nested
+from support.formulations import nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.curved_program import dense, with_hessian

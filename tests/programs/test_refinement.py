@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations import auto
+from support.formulations import auto
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError

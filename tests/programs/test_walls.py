@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 from support.quadratics import quadratic
 
-from formulations import joint, nested
+from support.formulations import joint, nested
 from rmesh_nlp.discretisation.validity import ROUNDING, least_angles
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.newton import minimise

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from formulations import fixed
+from support.formulations import fixed
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.flipping import _judged_as_a_whole

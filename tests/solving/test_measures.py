@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.verdicts import GOOD
 
-from formulations import fixed, joint
+from support.formulations import fixed, joint
 from rmesh_nlp.assessment.verdict import Measured, Verdict, verdict
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from formulations import fixed, joint
+from support.formulations import fixed, joint
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations import fixed
+from support.formulations import fixed
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative

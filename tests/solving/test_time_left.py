@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from formulations import nested
+from support.formulations import nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.solving.step import Step
 from rmesh_nlp.solving.time_left import Falling

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.verdicts import GOOD
 
-from formulations import fixed
+from support.formulations import fixed
 from rmesh_nlp.assessment.assessor import EXPLOITS, Audit, equilibrium_residual, law_residual
 from rmesh_nlp.assessment.verdict import FAILURES, Measured, verdict
 from rmesh_nlp.contact.sensitivity import weakly_active

@@ -6,7 +6,7 @@ from pathlib import Path
 
 BAD = """
 import os, time
-from formulations import fixed
+from support.formulations import fixed
 
 def hang(problem):
     while True:

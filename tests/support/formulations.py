@@ -1,0 +1,32 @@
+"""Formulations by name, solved once as they are: without the second solve that follows an exploited end."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import Any
+
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.options import solve_by_options
+from rmesh_nlp.solving.solution import Solution
+
+
+@dataclass(frozen=True)
+class Named:
+    """A formulation of this package; other names are those of its module."""
+
+    name: str
+
+    def solve(self, problem: ContactProblem, *, on_step: Any = None, certify: bool = False, **options: Any) -> Solution:
+        """Solve with the options of the command line."""
+        return solve_by_options(problem, self.name, options, on_step=on_step, certify=certify, safely=False)
+
+    @property
+    def __name__(self) -> str:
+        return self.name
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(importlib.import_module(f"formulations.{self.name}"), name)
+
+
+auto, fixed, joint, mpcc, nested = (Named(name) for name in ("auto", "fixed", "joint", "mpcc", "nested"))
