@@ -12,7 +12,7 @@ from rmesh_nlp.campaign.cases import make_cases
 from rmesh_nlp.campaign.repeats import TIMES, joined
 from rmesh_nlp.campaign.run import run, solve
 from rmesh_nlp.io.results import Results, read_results
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 def test_times_are_medians_with_their_range() -> None:
@@ -53,9 +53,9 @@ def test_a_traced_solve_has_the_referees_residual_in_its_history(strategy: str, 
     assert known[0] == pytest.approx(1, rel=0.05)
     assert known[-1] <= 1e-5
     solution = outcome.solution
-    referee = Referee(solution.problem)
-    q = referee.relocation.freedoms.q_of(np.asarray(solution.mesh.p))
-    assert known[-1] == pytest.approx(referee.residual(referee.reduced)(referee.reduced(q)), abs=1e-5)
+    outer = Outer(solution.problem)
+    q = outer.relocation.freedoms.q_of(np.asarray(solution.mesh.p))
+    assert known[-1] == pytest.approx(outer.residual(outer.energy)(outer.energy(q)), abs=1e-5)
     list(run([case], Results(tmp_path)))
     (result,) = read_results(tmp_path)
     assert [step["stationarity"] for step in result.steps()] == pytest.approx(

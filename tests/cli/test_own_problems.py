@@ -11,7 +11,7 @@ import pytest
 from matplotlib import image
 
 from rmesh_nlp.cli import app as cli
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
 
 BLOCK = """
@@ -139,13 +139,13 @@ def test_ctrl_c_during_the_audit_keeps_the_solution(
     block: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored in the background
-    plain = Referee._judged
+    plain = Outer._judged
 
     def judged(*args: object, **options: object) -> Solution:
         os.kill(os.getpid(), signal.SIGINT)
         return plain(*args, **options)
 
-    monkeypatch.setattr(Referee, "_judged", judged)
+    monkeypatch.setattr(Outer, "_judged", judged)
     try:
         assert cli.run(["solve", str(block), "--out", "one"]) == 130
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -10,7 +10,7 @@ from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, Functional
 import rmesh_nlp as rm
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.problem import Motion
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 @pytest.fixture(scope="module")
@@ -19,9 +19,9 @@ def block() -> rm.ContactProblem:
 
 
 @pytest.fixture(scope="module")
-def referee(block: rm.ContactProblem) -> Referee:
+def outer(block: rm.ContactProblem) -> Outer:
     """What every strategy hands an objective to."""
-    return Referee(block)
+    return Outer(block)
 
 
 @pytest.fixture(scope="module")
@@ -156,9 +156,9 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("text", REFUSED)
-def test_what_is_wrong_is_said(referee: Referee, text: str) -> None:
+def test_what_is_wrong_is_said(outer: Outer, text: str) -> None:
     with pytest.raises(ValueError, match=REFUSED[text]):
-        referee.function(text)
+        outer.function(text)
 
 
 def test_objects_refuse_weights_of_no_sense() -> None:

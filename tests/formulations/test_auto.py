@@ -242,8 +242,8 @@ def test_ctrl_c_while_the_end_is_judged_is_heeded(monkeypatch: pytest.MonkeyPatc
         signal.raise_signal(signal.SIGINT)
         return judged(*given, **options)
 
-    judged = auto_cascade.Referee.judge
-    monkeypatch.setattr(auto_cascade.Referee, "judge", judge)
+    judged = auto_cascade.Outer.judge
+    monkeypatch.setattr(auto_cascade.Outer, "judge", judge)
     solution = auto.solve(no_boxes(EXAMPLES["6.1"](n=4)), flips=True)
     assert solution.status is Status.INTERRUPTED
     assert solution.valid

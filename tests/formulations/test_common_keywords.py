@@ -19,7 +19,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import Motion
 from rmesh_nlp.solving.clock import Clock
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.step import Step
 
 STRATEGIES = [fixed, nested, joint, mpcc]
@@ -129,9 +129,9 @@ def test_the_unit_of_cost_is_one_cold_contact_solve(monkeypatch: pytest.MonkeyPa
         return real(self, *arguments)
 
     monkeypatch.setattr(ContactModel, "solve", solve)
-    referee = Referee(SMALL)
-    q = np.zeros(referee.relocation.n_q)
-    solution = referee.judge(
+    outer = Outer(SMALL)
+    q = np.zeros(outer.relocation.n_q)
+    solution = outer.judge(
         "x", q, status=Status.CONVERGED, history=[], iterations=0, contact_solves=0, relocates=False
     )
     assert solution.contact_time_s == 2.0

@@ -18,7 +18,7 @@ from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
 
 SMALL: dict[str, Any] = {"6.1": 4, "6.2": (6, 4), "6.3": (6, 4)}
@@ -224,13 +224,13 @@ def area_at(problem: ContactProblem, q: np.ndarray) -> float:
 
 
 def test_only_on_fine_meshes_the_start_is_given_alternating_moves() -> None:
-    referee = Referee(coarse("6.1"))
-    given = mpcc_start.moves(None, None, referee, parse_objective("energy"), 60.0)
+    outer = Outer(coarse("6.1"))
+    given = mpcc_start.moves(None, None, outer, parse_objective("energy"), 60.0)
     fine = joint.JointSettings(fine=1, alternating=0.2)
-    assert mpcc_start.in_step(given, referee, None) is given
-    assert mpcc_start.in_step(given, referee, np.asarray(referee.problem.mesh.p), fine) is given
-    moved = mpcc_start.in_step(given, referee, None, fine)
-    bound = referee.relocation.freedoms.bound
+    assert mpcc_start.in_step(given, outer, None) is given
+    assert mpcc_start.in_step(given, outer, np.asarray(outer.problem.mesh.p), fine) is given
+    moved = mpcc_start.in_step(given, outer, None, fine)
+    bound = outer.relocation.freedoms.bound
     assert set(np.round(np.abs(moved.q), 12)) <= {0.0, *np.round(0.2 * bound, 12)}
     # in the one of both directions that goes downhill
-    assert referee.reduced(given.q).gradient @ (moved.q - given.q) < 0
+    assert outer.energy(given.q).gradient @ (moved.q - given.q) < 0

@@ -23,7 +23,7 @@ from rmesh_nlp.problem import (
     NO_CONTACT,
     signed_areas,
 )
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 SEEDS = st.integers(0, 10**6)
 FEW = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -72,9 +72,9 @@ def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
 @FEW
 @given(SEEDS)
 def test_contact_law_and_equilibrium_hold_on_any_moved_mesh(seed: int) -> None:
-    referee = Referee(random_problem(seed))
-    nodes = referee.relocation.nodes(referee.start(seed))
-    system, state = referee.model.system(nodes), referee.model.solve(nodes)
+    outer = Outer(random_problem(seed))
+    nodes = outer.relocation.nodes(outer.moves(seed=seed))
+    system, state = outer.contact.system(nodes), outer.contact.solve(nodes)
     assert state.status is Status.CONVERGED
     assert equilibrium_residual(system, state.u, state.normal_force, state.tangential_force) < 1e-9
     assert law_residual(system, state.u, state.normal_force, state.tangential_force) < 1e-9
@@ -84,13 +84,13 @@ def test_contact_law_and_equilibrium_hold_on_any_moved_mesh(seed: int) -> None:
 @FEW
 @given(SEEDS)
 def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
-    referee, rng = Referee(random_problem(seed)), np.random.default_rng(seed)
-    q = 0.5 * referee.start(seed)
+    outer, rng = Outer(random_problem(seed)), np.random.default_rng(seed)
+    q = 0.5 * outer.moves(seed=seed)
     d = rng.uniform(-1, 1, q.size)
-    here = referee.reduced(q)
+    here = outer.energy(q)
     steps = 1e-3 * 0.5 ** np.arange(4)
     rest = np.array(
-        [abs(referee.reduced(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]
+        [abs(outer.energy(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]
     )
     # at rounding there is no rate to see
     if rest[-1] > 1e-11 * max(1.0, abs(here.value)):
@@ -123,7 +123,7 @@ def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, st
 def test_random_starts_keep_areas_and_angles(seed: int, angle: float) -> None:
     problem = random_problem(seed)
     angle = min(angle, 0.9 * float(np.min(least_angles(problem.mesh.p, problem.triangles))))
-    referee = Referee(replace(problem, motion=replace(problem.motion, min_angle=angle), obstacle=NO_CONTACT))
-    nodes = referee.relocation.nodes(referee.start(seed))
+    outer = Outer(replace(problem, motion=replace(problem.motion, min_angle=angle), obstacle=NO_CONTACT))
+    nodes = outer.relocation.nodes(outer.moves(seed=seed))
     assert np.min(least_angles(nodes, problem.triangles)) >= angle
     assert np.any(nodes != problem.mesh.p)

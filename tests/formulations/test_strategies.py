@@ -19,7 +19,7 @@ from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain, signed_areas
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
 
 # Bounds on the final energy from the initial grid, with the paper's settings: what prototypes of
@@ -145,10 +145,10 @@ def test_a_solution_with_elements_at_their_bounds_is_a_start() -> None:
     problem = EXAMPLES["6.1"](4, 0.9)
     end = joint.solve(problem)
     assert end.audit.min_area_ratio == pytest.approx(problem.motion.min_area_fraction, abs=1e-9)
-    referee = Referee(problem)
-    q = referee.start(None, np.asarray(end.mesh.p))
-    np.testing.assert_allclose(referee.relocation.nodes(q), end.mesh.p, atol=1e-9)
-    assert not referee.is_valid(1.01 * q)
+    outer = Outer(problem)
+    q = outer.moves(np.asarray(end.mesh.p))
+    np.testing.assert_allclose(outer.relocation.nodes(q), end.mesh.p, atol=1e-9)
+    assert not outer.is_valid(1.01 * q)
 
 
 @pytest.mark.slow

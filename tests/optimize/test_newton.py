@@ -10,7 +10,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.newton import Evaluation, minimise
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.curvature import Curvature
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 PROBLEMS = {
     "6.1": EXAMPLES["6.1"],
@@ -22,12 +22,12 @@ PROBLEMS = {
 
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_hessian_products_are_differences_of_gradients(name: str) -> None:
-    referee = Referee(PROBLEMS[name]())
+    outer = Outer(PROBLEMS[name]())
     rng = np.random.default_rng(1)
-    q, d = 0.5 * rng.uniform(-1, 1, (2, referee.relocation.n_q))
-    hessian = Curvature(referee.reduced).at(referee.reduced(q))
+    q, d = 0.5 * rng.uniform(-1, 1, (2, outer.relocation.n_q))
+    hessian = Curvature(outer.energy).at(outer.energy(q))
     h = 1e-5
-    difference = referee.reduced(q + h * d).gradient - referee.reduced(q - h * d).gradient
+    difference = outer.energy(q + h * d).gradient - outer.energy(q - h * d).gradient
     product = hessian(d)
     # central differences of an exactly solved problem: h^2 and rounding over h
     np.testing.assert_allclose(difference / (2 * h), product, atol=1e-6 * np.max(np.abs(product)))

@@ -39,7 +39,7 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.reduced import ReducedObjective
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 Make = Callable[[], ContactProblem]
 
@@ -48,32 +48,32 @@ def rates(remainder: list[float]) -> np.ndarray:
     return np.log2(np.array(remainder[:-1]) / np.array(remainder[1:]))
 
 
-def away(referee: Referee, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def away(outer: Outer, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """A valid point away from the initial mesh, and a direction."""
     rng = np.random.default_rng(seed)
-    q = 0.4 * rng.uniform(-1, 1, referee.relocation.n_q)
+    q = 0.4 * rng.uniform(-1, 1, outer.relocation.n_q)
     return q, rng.uniform(-1, 1, q.size)
 
 
 @pytest.mark.parametrize("make", GEOMETRIES)
 def test_the_energy_gradient_is_of_second_order(make: Make) -> None:
-    referee = Referee(make())
-    q, d = away(referee, 3)
-    here = referee.reduced(q)
+    outer = Outer(make())
+    q, d = away(outer, 3)
+    here = outer.energy(q)
     steps = 1e-2 * 0.5 ** np.arange(5)
-    left = [abs(referee.reduced(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]
+    left = [abs(outer.energy(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]
     assert rates(left)[-1] >= 1.9, rates(left)
 
 
 @pytest.mark.parametrize("make", GEOMETRIES)
 def test_the_curvature_is_the_derivative_of_the_gradient(make: Make) -> None:
-    referee = Referee(make())
-    q, d = away(referee, 5)
-    here = referee.reduced(q)
-    change = Curvature(referee.reduced).at(here)(d)
+    outer = Outer(make())
+    q, d = away(outer, 5)
+    here = outer.energy(q)
+    change = Curvature(outer.energy).at(here)(d)
     steps = 1e-3 * 0.5 ** np.arange(4)
     left = [
-        float(np.linalg.norm(referee.reduced(q + h * d).gradient - here.gradient - h * change)) for h in steps
+        float(np.linalg.norm(outer.energy(q + h * d).gradient - here.gradient - h * change)) for h in steps
     ]
     assert rates(left)[-1] >= 1.9, rates(left)
 
@@ -84,9 +84,9 @@ def test_the_curvature_is_the_derivative_of_the_gradient(make: Make) -> None:
 @pytest.mark.parametrize("objective", ["error-l2", "contact"])
 def test_the_adjoint_gradient_is_of_second_order(make: Make, objective: str) -> None:
     exact = ExactSolution(lambda x, y: ca.vertcat(-1e-3 * x * y, -1e-2 * x * x), 0.0)
-    referee = Referee(replace(make(), exact=exact))
-    function = ReducedObjective(referee.reduced, parse_objective(objective))
-    q, d = away(referee, 4)
+    outer = Outer(replace(make(), exact=exact))
+    function = ReducedObjective(outer.energy, parse_objective(objective))
+    q, d = away(outer, 4)
     here = function(q)
     steps = 1e-2 * 0.5 ** np.arange(5)
     left = [abs(function(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]

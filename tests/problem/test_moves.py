@@ -23,7 +23,7 @@ from rmesh_nlp.problem import (
     Relative,
 )
 from rmesh_nlp.problem.summary import BY_BARRIER
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 def problem(motion: Motion, **changes: object) -> ContactProblem:
@@ -161,7 +161,7 @@ def test_the_multiplier_of_a_box_is_the_rate_of_the_energy() -> None:
     solution = joint.solve(p)
     q = freedoms(p).q_of(solution.mesh.p)
     # the same q in wider boxes: moves that the boxes do not stop have no first-order effect
-    wider = Referee(replace(p, motion=Motion(delta + step))).reduced(q)
+    wider = Outer(replace(p, motion=Motion(delta + step))).reduced(q)
     assert solution.multipliers is not None
     assert np.sum(solution.multipliers.box > 0) > 10
     rate = (solution.energy - wider.value) / step

@@ -12,7 +12,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem, ExactSolution
 from rmesh_nlp.programs.reduced import ReducedObjective
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 def with_exact(problem: ContactProblem) -> ContactProblem:
@@ -55,10 +55,10 @@ QUICK = {
     ],
 )
 def test_adjoint_gradient_is_of_second_order(name: str, objective: str) -> None:
-    referee = Referee(PROBLEMS[name]())
-    function = ReducedObjective(referee.reduced, parse_objective(objective))
+    outer = Outer(PROBLEMS[name]())
+    function = ReducedObjective(outer.energy, parse_objective(objective))
     rng = np.random.default_rng(1)
-    q = 0.5 * rng.uniform(-1, 1, referee.relocation.n_q)
+    q = 0.5 * rng.uniform(-1, 1, outer.relocation.n_q)
     d = rng.uniform(-1, 1, q.size)
     here = function(q)
     assert not np.any(here.weak)
@@ -69,8 +69,8 @@ def test_adjoint_gradient_is_of_second_order(name: str, objective: str) -> None:
 
 
 def test_the_energy_gradient_is_the_adjoint_gradient_of_the_energy() -> None:
-    referee = Referee(EXAMPLES["6.3"]())
-    q = 0.5 * np.random.default_rng(2).uniform(-1, 1, referee.relocation.n_q)
-    envelope = referee.reduced(q).gradient
-    adjoint = ReducedObjective(referee.reduced, parse_objective("energy"))(q).gradient
+    outer = Outer(EXAMPLES["6.3"]())
+    q = 0.5 * np.random.default_rng(2).uniform(-1, 1, outer.relocation.n_q)
+    envelope = outer.energy(q).gradient
+    adjoint = ReducedObjective(outer.energy, parse_objective("energy"))(q).gradient
     np.testing.assert_allclose(adjoint, envelope, atol=1e-10 * np.max(np.abs(envelope)))

@@ -9,12 +9,12 @@ from support.formulations import joint
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.programs.alternating import alternated, alternating
 from rmesh_nlp.solving.history import Recorder
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 def test_alternating_moves_are_red_and_black_on_a_structured_grid() -> None:
     problem = EXAMPLES["6.1"](6)
-    relocation = Referee(problem).relocation
+    relocation = Outer(problem).relocation
     moves = relocation.nodes(alternating(relocation)) - problem.mesh.p
     i, j = np.rint(6 * problem.mesh.p).astype(int)
     free = np.all(moves != 0, axis=0)
@@ -24,22 +24,22 @@ def test_alternating_moves_are_red_and_black_on_a_structured_grid() -> None:
 
 
 def test_they_go_downhill_from_any_start() -> None:
-    referee = Referee(EXAMPLES["6.1"](8))
-    for q in (np.zeros(referee.relocation.n_q), referee.start(seed=3)):
-        gradient = referee.reduced(q).gradient
-        moved = alternated(referee.relocation, q, gradient, 0.1, referee.is_valid)
+    outer = Outer(EXAMPLES["6.1"](8))
+    for q in (np.zeros(outer.relocation.n_q), outer.moves(seed=3)):
+        gradient = outer.energy(q).gradient
+        moved = alternated(outer.relocation, q, gradient, 0.1, outer.is_valid)
         inside = np.abs(moved) < 1
         np.testing.assert_allclose(np.abs(moved - q)[inside], 0.1)
         assert gradient @ (moved - q) < 0
 
 
 def test_they_are_halved_until_the_mesh_is_valid() -> None:
-    referee = Referee(EXAMPLES["6.3"]((12, 6)))
-    q = np.zeros(referee.relocation.n_q)
-    gradient = referee.reduced(q).gradient
-    assert not referee.is_valid(alternating(referee.relocation))
-    moved = alternated(referee.relocation, q, gradient, 1.0, referee.is_valid)
-    assert referee.is_valid(moved)
+    outer = Outer(EXAMPLES["6.3"]((12, 6)))
+    q = np.zeros(outer.relocation.n_q)
+    gradient = outer.energy(q).gradient
+    assert not outer.is_valid(alternating(outer.relocation))
+    moved = alternated(outer.relocation, q, gradient, 1.0, outer.is_valid)
+    assert outer.is_valid(moved)
     assert np.max(np.abs(moved)) in (0.5, 0.25, 0.125)
 
 
@@ -47,10 +47,10 @@ def test_they_are_halved_until_the_mesh_is_valid() -> None:
     ("fine", "name", "added"), [(100, "6.1", True), (1000, "6.1", False), (10, "6.3", False)]
 )
 def test_joint_starts_with_them_on_fine_meshes_without_area_constraints(fine, name, added) -> None:
-    referee = Referee(EXAMPLES[name]({"6.1": 8, "6.3": (12, 6)}[name]))
-    n_q = referee.relocation.n_q
+    outer = Outer(EXAMPLES[name]({"6.1": 8, "6.3": (12, 6)}[name]))
+    n_q = outer.relocation.n_q
     first: list[np.ndarray] = []
-    recorder = Recorder(referee, lambda step: first.append(step.q))
-    joint.minimise(referee, np.zeros(n_q), recorder, joint.JointSettings(fine=fine, max_iterations=0))
-    alternate = alternating(referee.relocation)
+    recorder = Recorder(outer, lambda step: first.append(step.q))
+    joint.minimise(outer, np.zeros(n_q), recorder, joint.JointSettings(fine=fine, max_iterations=0))
+    alternate = alternating(outer.relocation)
     assert (np.max(np.abs(alternate * first[0])) > 0.2) == added

@@ -8,7 +8,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.curved_program import dense, with_hessian
 from rmesh_nlp.programs.reduced_program import ReducedProgram, reduced_nlp
-from rmesh_nlp.solving.referee import STATIONARY, Referee
+from rmesh_nlp.solving.outer import Outer
 
 PROBLEMS = {
     "6.1 with areas": (lambda: EXAMPLES["6.1"](3, 0.9), "energy"),
@@ -18,10 +18,10 @@ PROBLEMS = {
 
 
 def program_of(problem: ContactProblem, objective: str) -> ReducedProgram:
-    referee = Referee(problem, objective)
-    function = referee.function(objective)
-    residual = referee.residual(function)
-    return with_hessian(reduced_nlp(referee.relocation, function, referee.is_valid, residual, STATIONARY))
+    outer = Outer(problem, objective)
+    function = outer.function(objective)
+    residual = outer.residual(function)
+    return with_hessian(reduced_nlp(outer.relocation, function, outer.is_valid, residual, STATIONARY))
 
 
 @pytest.mark.parametrize("name", PROBLEMS)

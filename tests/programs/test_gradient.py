@@ -8,18 +8,18 @@ from support.problems import sloped_block
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 def taylor_rates(problem: ContactProblem, seed: int) -> np.ndarray:
     """Orders of ``L(q + h d) - L(q) - h L'(q) d`` for halved h at a random admissible q."""
-    referee = Referee(problem)
+    outer = Outer(problem)
     rng = np.random.default_rng(seed)
-    q = 0.6 * rng.uniform(-1, 1, referee.relocation.n_q)
+    q = 0.6 * rng.uniform(-1, 1, outer.relocation.n_q)
     d = rng.uniform(-1, 1, q.size)
-    here = referee.reduced(q)
+    here = outer.energy(q)
     steps = 1e-2 * 0.5 ** np.arange(5)
-    remainder = [abs(referee.reduced(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]
+    remainder = [abs(outer.energy(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]
     return np.log2(np.array(remainder[:-1]) / np.array(remainder[1:]))
 
 
@@ -39,13 +39,13 @@ def test_gradient_with_a_moving_sloped_contact_boundary(seed: int) -> None:
 def test_weights_that_do_not_move_would_be_noticed() -> None:
     # the derivative of omega_i is a visible part of the gradient of 6.3
     problem = EXAMPLES["6.3"]()
-    referee = Referee(problem)
-    moving = referee.reduced(np.zeros(referee.relocation.n_q)).gradient
+    outer = Outer(problem)
+    moving = outer.energy(np.zeros(outer.relocation.n_q)).gradient
     smooth = replace(problem, obstacle=replace(problem.obstacle, friction=1e-12))
-    point = Referee(smooth).reduced
+    point = Outer(smooth).reduced
     (still,) = point._gradient(
-        referee.reduced.point(np.zeros(moving.size), referee.initial),
-        referee.initial.normal_force,
-        referee.initial.tangential_force,
+        outer.energy.point(np.zeros(moving.size), outer.given),
+        outer.given.normal_force,
+        outer.given.tangential_force,
     )
     assert np.max(np.abs(moving - still)) > 0.1 * np.max(np.abs(moving))

@@ -13,7 +13,7 @@ from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.programs.curved_program import with_hessian
 from rmesh_nlp.programs.lifted_program import STIFF, lifted
 from rmesh_nlp.programs.reduced_program import ReducedProgram, reduced_nlp
-from rmesh_nlp.solving.referee import STATIONARY, Referee
+from rmesh_nlp.solving.outer import Outer
 
 PROBLEMS = {
     "6.1, areas": lambda: EXAMPLES["6.1"](3, 0.9),
@@ -41,9 +41,9 @@ def test_newton_converges_with_gaps_along_edges(friction: float) -> None:
 
 
 def program_of(problem: ContactProblem, objective: str = "energy") -> ReducedProgram:
-    referee = Referee(problem, objective)
-    function = referee.function(objective)
-    return reduced_nlp(referee.relocation, function, referee.is_valid, referee.residual(function), STATIONARY)
+    outer = Outer(problem, objective)
+    function = outer.function(objective)
+    return reduced_nlp(outer.relocation, function, outer.is_valid, outer.residual(function), STATIONARY)
 
 
 def whole(upper: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.programs.objective_curvature import ObjectiveCurvature
 from rmesh_nlp.programs.reduced import ReducedObjective
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 @pytest.mark.parametrize(
@@ -18,11 +18,11 @@ from rmesh_nlp.solving.referee import Referee
     [("6.1", 4, "error-l2"), ("6.3", (6, 4), "energy + 0.1*quality"), ("6.3", (6, 4), "energy")],
 )
 def test_products_are_derivatives_of_the_gradient(name: str, size: int, objective: str) -> None:
-    referee, outer, rng = Referee(EXAMPLES[name](size)), parse_objective(objective), np.random.default_rng(1)
-    function = ReducedObjective(referee.reduced, outer)
-    q = 0.3 * rng.uniform(-1, 1, referee.relocation.n_q)
+    outer, outer, rng = Outer(EXAMPLES[name](size)), parse_objective(objective), np.random.default_rng(1)
+    function = ReducedObjective(outer.energy, outer)
+    q = 0.3 * rng.uniform(-1, 1, outer.relocation.n_q)
     d = rng.uniform(-1, 1, q.size)
-    hessian = ObjectiveCurvature(referee.reduced, outer).at(function(q))
+    hessian = ObjectiveCurvature(outer.energy, outer).at(function(q))
     np.testing.assert_allclose(hessian.gradient, function(q).gradient, atol=1e-12)
     # central differences are wrong by the square of their step
     errors = []

@@ -10,7 +10,7 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 @pytest.fixture(scope="module")
@@ -21,22 +21,22 @@ def problem() -> ContactProblem:
 def test_the_solution_on_the_given_mesh_is_counted_when_it_is_first_asked_for(
     problem: ContactProblem,
 ) -> None:
-    referee = Referee(problem)
-    reduced, q = referee.reduced, np.zeros(referee.relocation.n_q)
+    outer = Outer(problem)
+    reduced, q = outer.energy, np.zeros(outer.relocation.n_q)
     assert (reduced.contact_solves, reduced.cold_solves, reduced.factorisations) == (0, 0, 0)
     for _ in range(2):
-        assert reduced(q).equilibrium.energy == referee.initial.energy
+        assert reduced(q).equilibrium.energy == outer.given.energy
         assert (reduced.contact_solves, reduced.cold_solves) == (1, 1)
-        assert reduced.factorisations == referee.initial.iterations
+        assert reduced.factorisations == outer.given.iterations
         reduced._last = None
     reduced(q + 0.1)
     assert (reduced.contact_solves, reduced.cold_solves) == (2, 1)
 
 
 def test_solves_are_counted_and_the_last_point_is_remembered(problem: ContactProblem) -> None:
-    referee = Referee(problem)
-    reduced = ReducedEnergy(referee.relocation)
-    q = np.random.default_rng(0).uniform(-0.3, 0.3, referee.relocation.n_q)
+    outer = Outer(problem)
+    reduced = ReducedEnergy(outer.relocation)
+    q = np.random.default_rng(0).uniform(-0.3, 0.3, outer.relocation.n_q)
     counts = lambda: (reduced.contact_solves, reduced.cold_solves)  # noqa: E731
     first = reduced(q)
     assert counts() == (1, 1)
@@ -46,15 +46,15 @@ def test_solves_are_counted_and_the_last_point_is_remembered(problem: ContactPro
     second = reduced(0.5 * q)
     assert counts() == (2, 1)
     assert reduced.factorisations == first.equilibrium.iterations + second.equilibrium.iterations
-    cold = ContactModel(discretise(problem)).solve(referee.relocation.nodes(0.5 * q))
+    cold = ContactModel(discretise(problem)).solve(outer.relocation.nodes(0.5 * q))
     assert second.value == pytest.approx(cold.energy, rel=1e-10)
     np.testing.assert_array_equal(second.weak, np.zeros(problem.contact_nodes.size, dtype=bool))
 
 
 def test_terms_in_the_positions_are_added_and_undefined_where_an_element_is_inverted() -> None:
-    plain, mixed = (Referee(EXAMPLES["6.1"](3), text) for text in ("energy", "energy + 0.5*quality"))
+    plain, mixed = (Outer(EXAMPLES["6.1"](3), text) for text in ("energy", "energy + 0.5*quality"))
     q = np.random.default_rng(0).uniform(-0.5, 0.5, plain.relocation.n_q)
-    quality = Referee(EXAMPLES["6.1"](3), "energy + 1*quality")
+    quality = Outer(EXAMPLES["6.1"](3), "energy + 1*quality")
     weight = mixed.reduced.of_positions(q)
     assert weight == pytest.approx(0.5 * quality.reduced.of_positions(q))
     assert mixed.reduced(q).value == pytest.approx(plain.reduced(q).value + weight)

@@ -19,7 +19,7 @@ from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.programs.outer_function import outer_function
 from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
 from rmesh_nlp.programs.secant_curvature import SecantCurvature
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 def boxed(kind: str) -> ContactProblem:
@@ -69,11 +69,11 @@ def test_others_refuse_and_fixed_tells_the_value():
 @pytest.mark.slow
 def test_secants_hold_at_the_points_of_the_descent():
     """After a step the approximation maps it to the change of the gradient, up to what is known exactly."""
-    referee = Referee(boxed("scalar"))
-    function = outer_function(referee.reduced, parse_objective("certificate"))
+    outer = Outer(boxed("scalar"))
+    function = outer_function(outer.energy, parse_objective("certificate"))
     assert isinstance(function, ReducedCertificate)
     curvature = SecantCurvature(function)
-    q = np.zeros(referee.relocation.n_q)
+    q = np.zeros(outer.relocation.n_q)
     step = 1e-4 * np.random.default_rng(0).uniform(-1, 1, q.size)
     one = function(q)
     curvature.at(one)

@@ -11,15 +11,15 @@ import pytest
 from support.formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 @pytest.mark.slow
 def test_it_is_one_on_the_given_mesh_of_any_fineness() -> None:
     for n in (3, 6, 12):
-        referee = Referee(EXAMPLES["6.1"](n))
-        point = referee.reduced(np.zeros(referee.relocation.n_q))
-        assert referee.residual(referee.reduced)(point) == pytest.approx(1.0)
+        outer = Outer(EXAMPLES["6.1"](n))
+        point = outer.energy(np.zeros(outer.relocation.n_q))
+        assert outer.residual(outer.energy)(point) == pytest.approx(1.0)
 
 
 def test_history_and_record_agree_with_active_areas() -> None:

@@ -8,7 +8,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.stationary import finished
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 @pytest.mark.slow
@@ -17,8 +17,8 @@ def test_the_way_from_a_cascade_to_a_stationary_point(name: str, size: int | tup
     problem = EXAMPLES[name](n=size)
     problem = replace(problem, motion=replace(problem.motion, delta=None), quadrature=6)
     start = cascade(problem)
-    referee = Referee(problem, start.energy.relocation.objective)
-    residual = referee.residual(referee.reduced)
+    outer = Outer(problem, start.energy.relocation.objective)
+    residual = outer.residual(outer.energy)
     before = start.energy(start.q).value
     end = finished(
         start.energy,
@@ -46,7 +46,7 @@ def test_a_limit_of_iterations_is_said() -> None:
     end = finished(
         start.energy,
         np.zeros(start.q.size),
-        Referee(problem, start.energy.relocation.objective).residual(start.energy),
+        Outer(problem, start.energy.relocation.objective).residual(start.energy),
         tolerance=1e-6,
         reference=start.energy(np.zeros(start.q.size)).value + start.gain_estimate,
         max_iterations=1,

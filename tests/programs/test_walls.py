@@ -16,7 +16,7 @@ from rmesh_nlp.optimize.smooth_constraints import Wall
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.programs.validity import Validity
-from rmesh_nlp.solving.referee import STATIONARY, Referee
+from rmesh_nlp.solving.outer import Outer
 
 LARGE_BOXES = {
     # a rule of high degree: with the midpoint rule the gain is one of the rule
@@ -126,7 +126,7 @@ def with_angles() -> ContactProblem:
 
 @pytest.mark.parametrize("make", [LARGE_BOXES["6.2, boxes of 0.9 edges"], with_angles])
 def test_validity_rows_have_their_derivatives(make) -> None:
-    relocation = Referee(make()).relocation
+    relocation = Outer(make()).relocation
     validity = Validity(relocation)
     rng = np.random.default_rng(2)
     q, d = 0.2 * rng.uniform(-1, 1, (2, relocation.n_q))
@@ -139,13 +139,13 @@ def test_validity_rows_have_their_derivatives(make) -> None:
 
 
 def test_inverted_elements_come_back_to_their_floor() -> None:
-    referee = Referee(LARGE_BOXES["6.2, boxes of 0.9 edges"]())
-    validity, n = Validity(referee.relocation), referee.relocation.n_q
+    outer = Outer(LARGE_BOXES["6.2, boxes of 0.9 edges"]())
+    validity, n = Validity(outer.relocation), outer.relocation.n_q
     q = 0.6 * np.random.default_rng(0).uniform(-1, 1, n)
-    assert not referee.is_valid(q)
+    assert not outer.is_valid(q)
     back = validity.back(q, validity.at(np.zeros(n)), -np.ones(n), np.ones(n), np.ones(n))
     assert back is not None
-    assert referee.is_valid(back)
+    assert outer.is_valid(back)
     assert np.max(np.abs(back)) <= 1
     assert np.array_equal(validity.back(back, validity.at(back), -np.ones(n), np.ones(n), np.ones(n)), back)
 

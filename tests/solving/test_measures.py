@@ -12,7 +12,7 @@ from support.formulations import fixed, joint
 from rmesh_nlp.assessment.verdict import Measured, Verdict, verdict
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 @pytest.mark.parametrize(
@@ -66,8 +66,8 @@ def test_gains_are_differences_to_the_given_mesh_by_one_rule_each() -> None:
 
 
 def test_a_mesh_that_cannot_be_solved_on_is_neither_valid_nor_improved() -> None:
-    referee = Referee(EXAMPLES["6.1"](3))
-    q = np.full(referee.relocation.n_q, 10.0)
-    solution = referee.judge("joint", q, status=Status.CONVERGED, history=[], iterations=0, contact_solves=0)
+    outer = Outer(EXAMPLES["6.1"](3))
+    q = np.full(outer.relocation.n_q, 10.0)
+    solution = outer.judge("joint", q, status=Status.CONVERGED, history=[], iterations=0, contact_solves=0)
     assert solution.status is Status.INVALID_MESH
     assert (solution.valid, solution.improved, solution.success) == (False, False, False)

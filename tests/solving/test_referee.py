@@ -15,7 +15,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.programs.reduced import ReducedPoint
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
 
 
@@ -25,28 +25,28 @@ def problem() -> ContactProblem:
 
 
 @pytest.fixture(scope="module")
-def referee(problem: ContactProblem) -> Referee:
-    return Referee(problem)
+def outer(problem: ContactProblem) -> Outer:
+    return Outer(problem)
 
 
 class TestStart:
-    def test_without_a_seed_nothing_moves(self, referee: Referee) -> None:
-        np.testing.assert_array_equal(referee.start(None), np.zeros(referee.relocation.n_q))
+    def test_without_a_seed_nothing_moves(self, outer: Outer) -> None:
+        np.testing.assert_array_equal(outer.moves(), np.zeros(outer.relocation.n_q))
 
     @pytest.mark.parametrize("seed", [0, 3])
-    def test_a_seed_draws_uniformly_from_the_boxes(self, referee: Referee, seed: int) -> None:
-        drawn = np.random.default_rng(seed).uniform(-1, 1, referee.relocation.n_q)
-        np.testing.assert_array_equal(referee.start(seed), drawn)
+    def test_a_seed_draws_uniformly_from_the_boxes(self, outer: Outer, seed: int) -> None:
+        drawn = np.random.default_rng(seed).uniform(-1, 1, outer.relocation.n_q)
+        np.testing.assert_array_equal(outer.moves(seed=seed), drawn)
 
-    def test_positions_are_met_and_cut_to_the_boxes(self, problem: ContactProblem, referee: Referee) -> None:
-        free = referee.relocation.freedoms
+    def test_positions_are_met_and_cut_to_the_boxes(self, problem: ContactProblem, outer: Outer) -> None:
+        free = outer.relocation.freedoms
         q = np.random.default_rng(1).uniform(-1.5, 1.5, free.n)
-        start = referee.start(7, free.positions.values(q))  # a seed has then no effect
+        start = outer.start(7, free.positions.values(q))  # a seed has then no effect
         np.testing.assert_allclose(start, np.clip(q, -1, 1), atol=1e-12)
         np.testing.assert_allclose(free.bound, 1)
 
     def test_moves_that_invert_elements_are_shortened(self) -> None:
-        wide = Referee(ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(2.0)))
+        wide = Outer(ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(2.0)))
         drawn = np.random.default_rng(5).uniform(-1, 1, wide.relocation.n_q)
         start = wide.start(5)
         factor = np.max(np.abs(start)) / np.max(np.abs(drawn))
@@ -62,29 +62,29 @@ class TestStart:
         assert factor <= part < 1
 
 
-def test_a_function_is_stated_once_for_each_objective(referee: Referee, monkeypatch: Any) -> None:
-    assert referee.function("energy") is referee.reduced
-    first = referee.function("mean(top, -uy)")
-    assert referee.function("mean(top, -uy)") is first
-    other = referee.function("mean(top, -ux)")
+def test_a_function_is_stated_once_for_each_objective(outer: Outer, monkeypatch: Any) -> None:
+    assert outer.function("energy") is outer.energy
+    first = outer.function("mean(top, -uy)")
+    assert outer.function("mean(top, -uy)") is first
+    other = outer.function("mean(top, -ux)")
     assert other is not first
     assert str(first.objective) == "mean(top, -uy)"
     assert str(other.objective) == "mean(top, -ux)"
-    mixed = Referee(referee.problem, "energy + 0.1*quality")
+    mixed = Outer(outer.problem, "energy + 0.1*quality")
     assert mixed.function("energy + 0.1*quality") is mixed.reduced
     assert mixed.function("energy") is not mixed.reduced
 
 
-def judged(referee: Referee, q: np.ndarray, **changes: Any) -> Solution:
+def judged(outer: Outer, q: np.ndarray, **changes: Any) -> Solution:
     common: dict[str, Any] = {"status": Status.CONVERGED, "history": [], "iterations": 4, "contact_solves": 2}
-    return referee.judge("mine", q, **(common | changes))
+    return outer.judge("mine", q, **(common | changes))
 
 
 def test_zones_and_counts_of_a_record(problem: ContactProblem) -> None:
-    referee = Referee(problem)
-    n = referee.relocation.n_q
-    record = judged(referee, np.zeros(n)).record()
-    sliding = np.count_nonzero(referee.initial.active.sliding[problem.friction_rows])
+    outer = Outer(problem)
+    n = outer.relocation.n_q
+    record = judged(outer, np.zeros(n)).record()
+    sliding = np.count_nonzero(outer.given.active.sliding[problem.friction_rows])
     assert (record["sliding_nodes"], record["sticking_nodes"]) == (
         sliding,
         problem.friction_rows.size - sliding,
@@ -92,24 +92,24 @@ def test_zones_and_counts_of_a_record(problem: ContactProblem) -> None:
     assert record["sliding_nodes"] > 0
     assert record["referee_equilibrium_residual"] < 1e-9
     assert record["own_equilibrium_residual"] == record["referee_equilibrium_residual"]
-    still = judged(referee, np.zeros(n), relocates=False).record()
+    still = judged(outer, np.zeros(n), relocates=False).record()
     assert still["cold_contact_solves"] == 1
-    assert still["contact_factorisations"] == referee.initial.iterations
-    smooth = Referee(EXAMPLES["6.2"]((4, 2)))
+    assert still["contact_factorisations"] == outer.given.iterations
+    smooth = Outer(EXAMPLES["6.2"]((4, 2)))
     assert "sliding_nodes" not in judged(smooth, np.zeros(smooth.relocation.n_q)).record()
 
 
 def test_own_residuals_are_those_of_the_strategy_s_state(problem: ContactProblem) -> None:
-    referee = Referee(problem)
-    q = np.zeros(referee.relocation.n_q)
-    state = referee.reduced(q).equilibrium
+    outer = Outer(problem)
+    q = np.zeros(outer.relocation.n_q)
+    state = outer.energy(q).equilibrium
     off = replace(state, u=1.01 * state.u)
-    record = judged(referee, q, own=off).record()
+    record = judged(outer, q, own=off).record()
     assert record["own_equilibrium_residual"] > 1e-3 > 1e-9 > record["referee_equilibrium_residual"]
     assert record["energy"] == pytest.approx(state.energy, rel=1e-12)
-    taken = judged(referee, q, equilibrium=off)
+    taken = judged(outer, q, equilibrium=off)
     assert taken.status is Status.INACCURATE
-    np.testing.assert_allclose(taken.displacement, referee.model.displacement.values(off.u))
+    np.testing.assert_allclose(taken.displacement, outer.contact.displacement.values(off.u))
 
 
 def test_pressures_carry_the_weight_of_the_block() -> None:
@@ -130,10 +130,10 @@ def test_rounding_is_relative_to_parts_of_the_energy_that_cancel() -> None:
     """Weight and lift: the strain energy is larger than their sum."""
     sides = (rm.Dirichlet("top", (0.0, 0.1)), rm.Dirichlet("bottom", (0.0, 0.0)))
     lifted = ContactProblem(rectangle(3, 2), PlaneStrain(0.3, 0.4, (0.0, -2.0)), sides, motion=Motion(0.05))
-    referee = Referee(lifted)
-    system, state = referee.model.system(lifted.mesh.p), referee.initial
+    outer = Outer(lifted)
+    system, state = outer.contact.system(lifted.mesh.p), outer.given
     strain = 0.5 * float(state.u @ (system.stiffness @ state.u))
-    found = judged(referee, np.zeros(referee.relocation.n_q))
+    found = judged(outer, np.zeros(outer.relocation.n_q))
     assert 0 < strain < 1
     assert abs(state.energy) < 0.2 * strain
     assert found.measured is not None
@@ -144,8 +144,8 @@ def test_a_point_where_an_element_is_too_small_is_not_valid() -> None:
     problem = ContactProblem(
         rectangle(2, 2), Laplace(1.0), ("left",), motion=Motion(2.0, min_area_fraction=0.2)
     )
-    referee, p = Referee(problem), problem.mesh.p
-    free = referee.relocation.freedoms
+    outer, p = Outer(problem), problem.mesh.p
+    free = outer.relocation.freedoms
 
     def at(height: float) -> np.ndarray:
         """The middle node moved along the side x = 1/2: the areas beside it shrink in proportion."""
@@ -153,12 +153,12 @@ def test_a_point_where_an_element_is_too_small_is_not_valid() -> None:
         nodes[1, np.argmin(np.abs(p - 0.5).sum(axis=0))] = height
         return free.q_of(nodes)
 
-    assert referee.is_valid(at(0.5))
+    assert outer.is_valid(at(0.5))
     ratios = {h: rm_area(problem, free.positions.values(at(h))) for h in np.linspace(0.5, 0.99, 30)}
     for h, ratio in ratios.items():
-        assert referee.is_valid(at(h)) == (ratio >= 0.2 - 1e-9), (h, ratio)
+        assert outer.is_valid(at(h)) == (ratio >= 0.2 - 1e-9), (h, ratio)
     assert min(ratios.values()) < 0.2 < max(ratios.values())
-    barrier = Referee(problem, "energy + 0.1*quality")
+    barrier = Outer(problem, "energy + 0.1*quality")
     for h, ratio in ratios.items():
         assert barrier.is_valid(at(h)) == (ratio > 0)
 
@@ -177,9 +177,9 @@ def test_a_label_proves_stationarity_where_some_node_is_weak(
     problem: ContactProblem, label: str | None, weak: tuple[bool, bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The mesh as given is not stationary by its residual."""
-    referee = Referee(problem)
+    outer = Outer(problem)
     monkeypatch.setattr(ReducedPoint, "weak", property(lambda point: np.array(weak)))
-    found = judged(referee, np.zeros(referee.relocation.n_q), stationarity=label)
+    found = judged(outer, np.zeros(outer.relocation.n_q), stationarity=label)
     proved = label in ("S", "B") and any(weak)
     assert found.status is (Status.CONVERGED if proved else Status.NOT_STATIONARY)
     assert found.stationarity == (label or "")
@@ -192,9 +192,9 @@ def test_a_distortion_counts_in_what_has_improved(
     """Moves that lower the energy distort the elements: whether that is better depends on the weight."""
     lower = joint.solve(problem)
     objective = f"energy + {weight}*quality"
-    referee = Referee(problem, objective)
-    q = referee.start(None, lower.mesh.p)
-    judged = referee.judge(
+    outer = Outer(problem, objective)
+    q = outer.moves(lower.mesh.p)
+    judged = outer.judge(
         "moved", q, status=Status.CONVERGED, tolerance=1e-6, history=(), iterations=0, contact_solves=1,
         objective=objective,
     )  # fmt: skip

@@ -19,8 +19,8 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, ProblemError
-from rmesh_nlp.solving import referee as refereeing
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving import outer as refereeing
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import interrupted
 
 
@@ -187,21 +187,21 @@ def test_a_contact_solve_that_failed_anywhere_is_a_fault(monkeypatch: pytest.Mon
     """Also one of the audit, or on the given mesh: a gain is a difference of four of them."""
     problem = EXAMPLES["6.2"]((4, 2))
     for number in range(2):
-        referee = Referee(problem)
-        found, calls = referee.assessor.initial, []
+        outer = Outer(problem)
+        found, calls = outer.assessor.initial, []
 
         def failing(nodes, start=None, found=found, calls=calls, number=number):
             calls.append(nodes)
             sick = replace(found.state, status=Status.CYCLED)
             return replace(found, state=sick) if len(calls) == number + 1 else found
 
-        monkeypatch.setattr(referee.assessor, "solve", failing)
+        monkeypatch.setattr(outer.assessor, "solve", failing)
         if number == 1:
-            referee.assessor.__dict__["initial"] = failing(None)
+            outer.assessor.__dict__["initial"] = failing(None)
         common: dict[str, Any] = {"status": Status.CONVERGED, "history": [], "iterations": 0}
-        found = referee.judge("x", np.zeros(referee.relocation.n_q), contact_solves=1, **common)
+        found = outer.judge("x", np.zeros(outer.relocation.n_q), contact_solves=1, **common)
         assert (found.status, found.valid, found.success) == (Status.CYCLED, False, False)
-    sick = Referee(problem)
+    sick = Outer(problem)
     sick.initial = replace(sick.initial, status=Status.ITERATION_LIMIT)
     found = sick.judge("x", np.zeros(sick.relocation.n_q), contact_solves=1, **common)
     assert (found.status, found.success) == (Status.ITERATION_LIMIT, False)
@@ -219,18 +219,18 @@ def test_ctrl_c_after_a_solve_does_not_hide_a_fault() -> None:
 
 
 def test_a_worse_mesh_does_not_hide_ctrl_c() -> None:
-    referee = Referee(EXAMPLES["6.2"]((4, 2)))
-    uphill = np.sign(referee.reduced(np.zeros(referee.relocation.n_q)).gradient)
-    q = 0.5 * uphill * referee.relocation.freedoms.bound
-    found = referee.judge("x", q, status=Status.INTERRUPTED, history=[], iterations=0, contact_solves=0)
+    outer = Outer(EXAMPLES["6.2"]((4, 2)))
+    uphill = np.sign(outer.energy(np.zeros(outer.relocation.n_q)).gradient)
+    q = 0.5 * uphill * outer.relocation.freedoms.bound
+    found = outer.judge("x", q, status=Status.INTERRUPTED, history=[], iterations=0, contact_solves=0)
     assert (found.status, found.success, found.improved) == (Status.INTERRUPTED, False, False)
     assert "no success, worse" in found.message
 
 
 def test_residuals_measure_force_and_friction_law() -> None:
     problem = EXAMPLES["6.3"]((6, 3))
-    referee = Referee(problem)
-    system, state = referee.model.system(problem.mesh.p), referee.initial
+    outer = Outer(problem)
+    system, state = outer.contact.system(problem.mesh.p), outer.given
     sound = system, state.u, state.normal_force
     assert equilibrium_residual(*sound, state.tangential_force) < 1e-12
     assert law_residual(*sound, state.tangential_force) < 1e-10
@@ -249,12 +249,12 @@ def test_residuals_measure_force_and_friction_law() -> None:
 
 def test_a_claimed_energy_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = EXAMPLES["6.2"]((4, 2))
-    referee = Referee(problem)
-    point = referee.reduced(np.zeros(referee.relocation.n_q))
+    outer = Outer(problem)
+    point = outer.energy(np.zeros(outer.relocation.n_q))
     common: dict[str, Any] = {"history": [], "iterations": 0, "contact_solves": 1}
     common["status"] = Status.CONVERGED
-    wrong = referee.judge("x", point.q, claimed_energy=point.value * (1 + 1e-5), **common)
-    right = referee.judge("x", point.q, claimed_energy=point.value * (1 + 1e-8), **common)
+    wrong = outer.judge("x", point.q, claimed_energy=point.value * (1 + 1e-5), **common)
+    right = outer.judge("x", point.q, claimed_energy=point.value * (1 + 1e-8), **common)
     assert wrong.status is Status.INACCURATE
     assert not wrong.success
     assert right.success
@@ -264,11 +264,11 @@ def test_a_claimed_energy_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_where_strict_complementarity_fails_is_seen() -> None:
     # without load nothing moves: at gap zero neither gap nor force is positive
     problem = ContactProblem(rectangle(2, 2), Laplace(0.0), ("left",), Obstacle("right", (1.0,), 0.0))
-    referee = Referee(problem)
-    system = referee.model.system(problem.mesh.p)
-    assert np.all(weakly_active(system, referee.initial))
+    outer = Outer(problem)
+    system = outer.contact.system(problem.mesh.p)
+    assert np.all(weakly_active(system, outer.given))
     apart = replace(problem, obstacle=Obstacle("right", (1.0,), 0.1), law=Laplace(1.0))
-    other = Referee(apart)
+    other = Outer(apart)
     assert not np.any(weakly_active(other.model.system(apart.mesh.p), other.initial))
 
 
