@@ -229,6 +229,15 @@ def test_without_its_oscillation_term_a_bound_would_be_wrong(monkeypatch):
     assert bracket_of(problem).lower > fine.upper
 
 
+def test_a_load_that_varies_within_elements_works_on_what_the_field_does_there():
+    """Without the product of oscillation and variation the bound would be above the least energy."""
+    sides = ("left", "right", "top", "bottom")
+    source = Laplace(lambda x, y: ca.sin(2 * ca.pi * x) * ca.sin(2 * ca.pi * y))
+    found = bracket_of(ContactProblem(rectangle(3, 3), source, sides))
+    assert found.guaranteed_lower
+    assert found.lower <= -1 / (64 * np.pi**2) <= found.upper  # an eigenfunction
+
+
 def test_korn_constant_is_that_of_the_literature_and_not_too_small():
     """Rayleigh quotients of polynomials without mean rotation stay below the constant."""
     skeleton = skeleton_of(block(), distorted(block().mesh, 0.3, 4).p)
