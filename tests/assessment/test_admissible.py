@@ -187,3 +187,13 @@ def _fan(rim: np.ndarray) -> object:
     triangles = np.array([(i, i + 1, n) for i in range(n - 1)])
     sides = {"arc": np.array([(i, i + 1) for i in range(n - 1)]), "top": np.array([(0, n), (n, n - 1)])}
     return from_arrays(points, triangles, sides)
+
+
+@pytest.mark.parametrize(("height", "status"), [(-0.3, Status.CONVERGED), (-0.4, Status.INACCURATE)])
+def test_where_normals_turn_along_an_edge_nothing_passes_or_it_is_said(height: float, status: Status) -> None:
+    """A disc smaller than an edge, over which the body is dragged: stand-offs must be raised."""
+    disc = Obstacle.circle("bottom", (1.1, height), 0.3)
+    problem = ContactProblem(rectangle(2, 1, x=(0, 2)), LAW, (Dirichlet("top", (-0.3, -0.05)),), disc)
+    found = admissible(problem)
+    assert found.status is status
+    assert (deepest(found) < 1e-9) is (status is Status.CONVERGED)

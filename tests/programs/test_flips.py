@@ -19,7 +19,13 @@ from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.io.export import cell_data, point_data
 from rmesh_nlp.meshes.decimation import shape_quality
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
-from rmesh_nlp.programs.energy_flips import ElementEnergies, flip_edges, mean_around, shapes_as_given
+from rmesh_nlp.programs.energy_flips import (
+    ElementEnergies,
+    flip_edges,
+    flips_and_moves,
+    mean_around,
+    shapes_as_given,
+)
 from rmesh_nlp.programs.regularisation import gain_estimate
 
 
@@ -114,6 +120,21 @@ def test_flips_keep_the_least_angle_and_area_of_the_motion() -> None:
     own = {tuple(t) for t in np.sort(problem.triangles, axis=0).T.tolist()}
     new = [tuple(t) not in own for t in np.sort(large.triangles, axis=0).T.tolist()]
     assert ratio[new].min() >= 0.9
+
+
+def test_a_relocation_that_raises_the_energy_is_not_kept() -> None:
+    problem = crooked()
+
+    def worse(flipped: ContactProblem) -> ContactProblem:
+        nodes = np.array(flipped.mesh.p)
+        nodes[:, flipped.mesh.interior_nodes()] += 0.02
+        return replace(flipped, mesh=replace(flipped.mesh, doflocs=nodes))
+
+    before = ContactModel(problem).solve(problem.mesh.p).energy
+    last, rounds = flips_and_moves(problem, 1e-3, worse, given=problem, rounds=1)
+    assert rounds[0].flipped < before
+    assert rounds[0].relocated == rounds[0].flipped
+    np.testing.assert_array_equal(last.mesh.p, problem.mesh.p)
 
 
 def test_a_flipped_mesh_is_compared_with_the_mesh_as_given() -> None:
