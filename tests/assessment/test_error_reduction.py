@@ -135,6 +135,17 @@ def test_quantities_by_hand() -> None:
     assert vars(values) == pytest.approx({"peak_pressure": 3.0, "resultant": 6.0, "contact_length": 2.0})
 
 
+def test_the_resultant_is_what_holds_the_body_friction_included() -> None:
+    problem = EXAMPLES["6.3"]((6, 4))
+    found = admissible(problem)
+    values = quantities(problem, found.body.nodes, found.system, found.state)
+    held = found.system.stiffness @ found.state.u - found.system.load  # the foundation is the rest
+    pressed, rubbed = (float(np.sum(rows @ held)) for rows in (found.system.normals, found.system.tangents))
+    assert abs(rubbed) > 0.1 * pressed
+    assert values is not None
+    assert values.resultant == pytest.approx(np.hypot(pressed, rubbed))
+
+
 def test_a_quantity_that_is_farther_from_its_limit_is_said() -> None:
     before, refined_values = Quantities(3.0, 6.0, 2.0), Quantities(3.1, 6.0, 2.0)
     assert worse(before, Quantities(3.19, 6.0, 2.0), refined_values) == []

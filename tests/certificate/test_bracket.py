@@ -122,6 +122,39 @@ def test_a_curved_foundation_leaves_the_lower_bound_alone():
     assert bracket_of(block(obstacle=hollow)).guaranteed_upper
 
 
+def test_a_gap_is_not_called_safe_for_what_lies_between_the_points_where_it_is_looked_at():
+    """It touches zero at two neighbouring points of an edge, and is negative amid them."""
+    valley = Obstacle("bottom", (0.0, 1.0), lambda x, y: (3 * x - 16.5 / 32) ** 2 - 1 / 64**2)
+    problem = block(obstacle=valley)
+    found = bracket(problem, problem.mesh.p, guess_on(problem, np.zeros(problem.mesh.p.shape)))
+    assert not found.guaranteed_upper
+
+
+def test_friction_of_the_field_is_nowhere_above_its_bound():
+    bound = lambda x, y: 0.2 + 5 * (x - 1 / 6) ** 2  # noqa: E731
+    problem = block(obstacle=Obstacle("bottom", (0.0, 1.0), friction=bound))
+    skeleton = skeleton_of(problem, problem.mesh.p)
+    conditions = conditions_of(problem, skeleton)
+    ends = skeleton.nodes[0, skeleton.ends[:, conditions.contact]]
+    for s in np.linspace(0, 1, 33):
+        linear, x = ((1 - s) * part[0] + s * part[1] for part in (conditions.friction, ends))
+        assert np.all(linear <= bound(x, 0.0) + 1e-12)
+    assert np.max(conditions.friction) > 1
+
+
+def test_bounds_scale_with_moduli_and_loads():
+    def of(unit: float) -> Bracket:
+        load = (lambda x, y: unit * ca.sin(9 * x), lambda x, y: -unit * x * y)
+        tractions = (Traction("top", (0.0, -0.5 * unit)),)
+        return bracket_of(
+            block(law=PlaneStrain(10.0 * unit, 8.0 * unit, load), tractions=tractions, obstacle=())
+        )
+
+    one, large = of(1.0), of(100.0)
+    assert large.lower == pytest.approx(100 * one.lower, rel=1e-8)
+    assert large.upper == pytest.approx(100 * one.upper, rel=1e-8)
+
+
 def test_curved_given_displacements_leave_the_lower_bound_alone():
     bent = Dirichlet("left", (0.0, lambda x, y: 0.1 * y**2))
     found = bracket_of(block(dirichlet=(bent,), obstacle=Obstacle("bottom", (0.0, 1.0), 1.0)))
@@ -133,6 +166,8 @@ def test_a_load_that_jumps_inside_elements_is_flagged():
     jump = PlaneStrain(10.0, 8.0, (0.0, lambda x, y: ca.if_else(x + 0.3 * y > 0.77, -3.0, 0.0)))
     found = bracket_of(block(law=jump))
     assert not found.guaranteed_lower
+    # what the rules disagree by is between the bounds, beside what the elements add
+    assert found.upper - found.lower > np.sum(found.local) + 1e-5
     assert "quadrature" in " ".join(found.why)
 
 

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.problems import sloped_block
 
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.programs.multipliers import multipliers
 from rmesh_nlp.solution.referee import Referee
 
 
@@ -65,3 +67,28 @@ def test_a_larger_tolerance_is_met_earlier(name: str, size: int | tuple[int, int
     assert loose.status is tight.status is Status.CONVERGED
     assert loose.iterations < tight.iterations
     assert tight.stationarity_residual <= 1e-7 < loose.stationarity_residual <= 1e-2
+
+
+def test_a_pull_of_elements_that_have_room_is_no_equilibrium() -> None:
+    room = 1e-5
+    given = EXAMPLES["6.2"]((4, 2), 0.6)
+    problem = replace(given, motion=replace(given.motion, min_area_fraction=1 - room))
+    referee = Referee(problem)
+    residual, q = referee.residual(referee.reduced), np.zeros(referee.relocation.n_q)
+    rows = referee.reduced.validity.at(q)
+    # a gradient that multipliers of the elements explain as a whole
+    pull = residual.unit * rows.jacobian.T @ np.ones(rows.slack.size)
+    assert residual.at(q, np.asarray(pull)) == pytest.approx(room)
+    assert residual.at(q, np.zeros(q.size)) == 0
+
+
+def test_the_multiplier_of_a_box_on_a_slope_is_the_rate_at_its_narrower_side() -> None:
+    problem = sloped_block()  # boxes of 0.1 by 0.05 over slopes of 1 and 4 %: x is the side that stops nodes
+    referee = Referee(problem)
+    index, q = referee.relocation.freedoms.positions.index, np.zeros(referee.relocation.n_q)
+    node = next(n for n in problem.contact_nodes if index[0, n] == index[1, n] >= 0)
+    move = index[0, node]
+    q[move], gradient = 1.0, np.where(np.arange(q.size) == move, -3.0, 0.0)
+    found = multipliers(referee.reduced, q, gradient).box
+    assert found[node] == pytest.approx(3.0 / 0.1)
+    assert np.count_nonzero(found) == 1

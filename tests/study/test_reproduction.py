@@ -10,13 +10,26 @@ from rmesh_nlp.cli import app as cli
 from rmesh_nlp.examples import EXAMPLES, PAPER
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.report.reproduction_page import markdown
-from rmesh_nlp.study import frozen_friction
+from rmesh_nlp.study import frozen_friction, reproduction
 from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, Statement, reproduce
 
 
 @pytest.fixture(scope="module")
 def statements() -> list[Statement]:
     return reproduce(quick=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict"), [(0.0, MET), (-1e-3, PASSED), (1e-3, NOT_MET)], ids=["met", "passed", "not met"]
+)
+def test_a_final_energy_is_compared_with_the_printed_one(
+    change: float, verdict: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends = {name: paper.energy_final - 1e-5 + change for name, paper in PAPER.items()}
+    monkeypatch.setattr(reproduction, "_descents", lambda example, *_, **__: {"joint": ends[example]})
+    monkeypatch.setattr(reproduction, "least_energy", lambda *_: ends["6.3"])
+    found = [one.verdict for one in reproduce(quick=True) if "final" in one.what]
+    assert set(found) == {verdict}
 
 
 @pytest.mark.slow
