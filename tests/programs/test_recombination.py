@@ -38,9 +38,7 @@ def test_the_energy_never_rises_and_every_unknown_comes_from_one_of_the_two(name
 
 
 def test_elements_stay_valid_where_boxes_are_large() -> None:
-    referee = Referee(
-        EXAMPLES["6.1"](4, 0.25)
-    )  # the lower energy of some blocks is that of inverted elements
+    referee = Referee(EXAMPLES["6.1"](4, 0.25))  # blocks gain by inverted elements
     relocation = referee.relocation
     x, other = random_unknowns(referee, 3), random_unknowns(referee, 4)
     mixed = Recombination(relocation)(x, other, 2, shift=0.0)
