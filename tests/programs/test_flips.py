@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.problems import no_boxes
 
-from formulations import auto, nested
+from formulations import auto
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.validity import least_angles
@@ -79,16 +79,6 @@ def test_flips_gain_beyond_relocation_and_refer_to_the_mesh_as_given() -> None:
     # pinned nodes are where they were
     top = problem.boundary_nodes(("top",))
     np.testing.assert_allclose(flipped.mesh.p[:, top], problem.mesh.p[:, top], atol=1e-14)
-
-
-@pytest.mark.slow
-def test_any_strategy_flips() -> None:
-    problem = replace(EXAMPLES["6.1"](n=4), motion=Motion(None), quadrature=4)
-    options = {"regularisation": 0.1, "outer": "newton"}
-    plain, flipped = (nested.solve(problem, flips=f, **options) for f in (False, True))
-    assert flipped.audit.energy_audited < plain.audit.energy_audited
-    assert flipped.record()["flips"] > 0
-    assert flipped.energy_initial == plain.energy_initial
 
 
 def test_flips_need_a_problem_without_boxes() -> None:

@@ -146,15 +146,6 @@ def test_the_interval_holds_where_the_solution_is_singular(flips: bool) -> None:
     assert claimed["factor"] > 0.75 * before / after
 
 
-@pytest.mark.slow
-def test_advice() -> None:
-    advice = advise(example(16))
-    assert advice.relocation is not None
-    assert advice.relocation.factor > 3
-    assert advice.rate == pytest.approx(1.0, abs=0.1)
-    assert advice.recommendation.startswith("relocate")
-
-
 def test_advice_on_a_parabola_knows_its_error_and_trusts_the_least_factor(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -11,14 +11,12 @@ from support.problems import sloped_block
 
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.multipliers import multipliers
 from rmesh_nlp.solution.referee import Referee
 
 
-@pytest.mark.slow
-def test_it_is_one_on_the_given_mesh_of_any_fineness() -> None:
-    for n in (3, 6, 12):
+def test_relative_residual_is_one_on_given_mesh() -> None:
+    for n in (3, 6):
         referee = Referee(EXAMPLES["6.1"](n))
         point = referee.reduced(np.zeros(referee.relocation.n_q))
         assert referee.residual(referee.reduced)(point) == pytest.approx(1.0)
@@ -56,17 +54,6 @@ def test_an_objective_of_errors_has_one() -> None:
     assert solution.stationarity_residual < 1e-2
     given = fixed.solve(EXAMPLES["6.1"](3), objective="error-l2")
     assert given.stationarity_residual == pytest.approx(1.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "size"), [("6.1", 5), ("6.2", (6, 4))], ids=["boxes", "boxes and areas"])
-def test_a_larger_tolerance_is_met_earlier(name: str, size: int | tuple[int, int]) -> None:
-    problem = EXAMPLES[name](size)
-    loose = nested.solve(problem, outer="newton", tolerance=1e-2, settings={"tight": 1.0})
-    tight = nested.solve(problem, outer="newton", tolerance=1e-7)
-    assert loose.status is tight.status is Status.CONVERGED
-    assert loose.iterations < tight.iterations
-    assert tight.stationarity_residual <= 1e-7 < loose.stationarity_residual <= 1e-2
 
 
 def test_a_pull_of_elements_that_have_room_is_no_equilibrium() -> None:
