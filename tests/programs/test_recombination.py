@@ -38,9 +38,9 @@ def test_the_energy_never_rises_and_every_unknown_comes_from_one_of_the_two(name
 
 
 def test_elements_stay_valid_where_boxes_are_large() -> None:
-    referee = Referee(EXAMPLES["6.1"](8, 0.2))
+    referee = Referee(EXAMPLES["6.1"](4, 0.25))  # blocks gain by inverted elements
     relocation = referee.relocation
-    x, other = random_unknowns(referee, 1), random_unknowns(referee, 2)
+    x, other = random_unknowns(referee, 3), random_unknowns(referee, 4)
     mixed = Recombination(relocation)(x, other, 2, shift=0.0)
     problem = referee.problem
     ratio = signed_areas(relocation.nodes(mixed[: relocation.n_q]), problem.triangles) / signed_areas(
