@@ -10,7 +10,6 @@ from support.problems import sloped_block
 
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
 from rmesh_nlp.contact import model as equilibrium
-from rmesh_nlp.contact.first_guess import predicted_set
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem
 from rmesh_nlp.examples import EXAMPLES
@@ -162,22 +161,6 @@ def test_the_iteration_limit_is_reported() -> None:
     n = system.offset.size
     far_off = ActiveSet(np.ones(n, dtype=bool), np.zeros(0, dtype=np.int8))
     assert equilibrium.solve(system, far_off, max_iterations=2).status is Status.ITERATION_LIMIT
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "size"), [("6.1", 32), ("6.2", (64, 18)), ("6.3", (48, 24))])
-def test_the_dual_problem_leaves_at_most_eight_changes_of_the_active_set(name, size) -> None:
-    problem = EXAMPLES[name](size)
-    system = ContactModel(problem).system(problem.mesh.p)
-    cold = equilibrium.solve(system, predicted_set(system))
-    at_first = ActiveSet(system.offset <= 0, np.zeros(system.slip_bound.size, dtype=np.int8))
-    plain = equilibrium.solve(system, at_first)
-    assert cold.iterations <= 8
-    assert cold.iterations < plain.iterations
-    assert equilibrium.solve(system).iterations <= 8
-    assert cold.energy == pytest.approx(plain.energy, rel=1e-10)
-    np.testing.assert_array_equal(cold.active.touching, plain.active.touching)
-    np.testing.assert_array_equal(cold.active.sliding, plain.active.sliding)
 
 
 def test_turned_problem_has_the_same_energy_and_forces() -> None:

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.contact_geometry import LAW, block_between_two_foundations
+from support.curved import disc
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.fem.edge_gaps import POWER, SAMPLES, with_edge_gaps
+from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, Traction
@@ -110,6 +112,19 @@ def test_energies_fall_to_the_limit_from_above(obstacle: Obstacle) -> None:
     # both tend to the same, the error and the difference by a factor of about four
     difference = np.subtract(energies["edge"], energies["node"])
     assert np.all(difference[:-1] / difference[1:] > 3)
+
+
+def test_contact_of_a_curved_body_is_where_its_true_curve_touches() -> None:
+    """Between its nodes an arc bulges beyond the chords, towards a flat foundation."""
+    pressed = (Dirichlet("axis", (0.0, None)), Dirichlet("top", (None, -0.2)))
+    body = disc({"arc": Circle((0.0, 1.0), 1.0)})
+    problem = replace(body, obstacle=Obstacle.graph("arc", 0.0), dirichlet=pressed)
+    model, nodes = ContactModel(problem), np.asarray(problem.mesh.p)
+    state = model.solve(nodes)
+    assert np.sum(state.active.touching) >= 2
+    assert penetration(problem, nodes, model.displacement.values(state.u)) < 1e-12
+    at_nodes = ContactModel(replace(problem, motion=Motion(None))).solve(nodes)
+    assert penetration(problem, nodes, model.displacement.values(at_nodes.u)) > 1e-5
 
 
 def test_bad_gaps_are_refused() -> None:

@@ -2,18 +2,20 @@
 
 import math
 import signal
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 from support.problems import no_boxes
 
-from support.formulations import auto, auto_cascade, nested
+from formulations import auto, auto_cascade, fixed, joint, nested
+from formulations.auto_rules import agrees
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
@@ -26,10 +28,11 @@ from rmesh_nlp.problem import (
     Traction,
     signed_areas,
 )
-from rmesh_nlp.programs.acceptance import _continuous, accepted
-from rmesh_nlp.programs.cascade import cascade
-from rmesh_nlp.programs.cascade_settings import CascadeSettings
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.programs.cascade import CascadeResult, cascade
+from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.stationary import Finish, finished
+from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solution.step import Step
 
 
 @pytest.mark.slow
@@ -57,14 +60,6 @@ def test_large_moves_of_example_61_and_what_the_record_says_of_them() -> None:
     assert np.all(signed_areas(solution.mesh.p, problem.triangles) > 0)
 
 
-@pytest.mark.slow
-def test_what_a_prolonged_map_is_worth_before_any_iteration() -> None:
-    problem = replace(no_boxes(EXAMPLES["6.1"](n=32)), quadrature=6)
-    finest = cascade(problem, CascadeSettings(brief=1)).levels[-1]
-    given = ContactModel(problem).solve(problem.mesh.p).energy
-    assert given - finest.prolonged > 0.6 * (given - problem.exact.energy)
-
-
 @pytest.mark.parametrize(
     ("motion", "chosen"),
     [
@@ -78,7 +73,6 @@ def test_joint_is_chosen_where_constraints_must_hold(motion: Motion, chosen: str
     assert solution.record()["chosen"].startswith(chosen)
 
 
-@pytest.mark.slow
 def test_other_objectives_and_meshes_that_cannot_move() -> None:
     problem = EXAMPLES["6.1"](n=3)
     assert auto.solve(problem, objective="error-l2").record()["chosen"].startswith("nested")
@@ -88,31 +82,31 @@ def test_other_objectives_and_meshes_that_cannot_move() -> None:
     assert still.record()["chosen"] == "nested: no node can move"
 
 
-@pytest.mark.slow
 def test_a_seed_starts_elsewhere_without_a_cascade() -> None:
-    row = auto.solve(no_boxes(EXAMPLES["6.1"](n=4)), seed=1).record()
+    row = auto.solve(no_boxes(EXAMPLES["6.1"](n=3)), seed=1).record()
     assert row["start"] == "random"
     assert row["gain_audited"] > 0
 
 
-@pytest.mark.slow
 def test_the_rule_is_raised_until_the_audit_confirms_the_gain() -> None:
     source = Laplace(lambda x, y: 200 * ca.sin(17 * x) * ca.cos(19 * y))
-    problem = ContactProblem(rectangle(8, 8), source, ("left", "right"), motion=Motion(None))
-    row = auto.solve(problem).record()
+    problem = ContactProblem(rectangle(5, 5), source, ("left", "right"), motion=Motion(None))
+    row = auto.solve(problem, settings={"iterations": 6, "stationary": 1}).record()
     assert row["rules"][0] == 6
     assert row["rules"][-1] == row["quadrature"]
     assert row["gain_audited"] > 0
     assert abs(row["gain"] - row["gain_audited"]) <= 0.01 * row["gain_audited"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 5, 8])
-def test_random_problems_without_boxes_improve(seed: int) -> None:
-    row = auto.solve(no_boxes(random_problem(seed))).record()
-    assert row["gain_audited"] > 0
-    assert row["min_area_ratio"] > 0
-    assert row["contact_solves"] <= 200
+@pytest.mark.parametrize(("wrong", "confirmed"), [(0.009, True), (0.011, False), (-0.011, False)])
+def test_a_rule_is_confirmed_that_changes_the_gain_by_one_per_cent_at_most(
+    wrong: float, confirmed: bool
+) -> None:
+    solution = fixed.solve(EXAMPLES["6.2"]((4, 2)))
+    corrections = {**solution.measured.corrections, "quadrature": wrong * 3.0}
+    measured = replace(solution.measured, corrections=corrections)
+    gained = solution.audit.energy_audited + 3.0
+    assert agrees(replace(solution, measured=measured, energy_initial_audited=gained)) is confirmed
 
 
 @pytest.mark.parametrize("bad", [{"regularisation": 0}, {"distortion": "oval"}, {"brief": 0}, {"speed": 1}])
@@ -121,17 +115,46 @@ def test_bad_settings_are_refused(bad: dict) -> None:
         auto.solve(no_boxes(EXAMPLES["6.1"](n=4)), settings=bad)
 
 
-@pytest.mark.slow
-def test_many_moves_in_boxes_are_made_by_newton(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = EXAMPLES["6.1"](n=8)
-    by_joint = auto.solve(problem).record()
-    monkeypatch.setattr(auto, "MANY", 50)
-    row = auto.solve(problem).record()
-    assert (by_joint["formulation"], row["formulation"], row["outer"]) == ("joint", "nested", "newton")
-    assert "moves are many" in row["chosen"]
-    assert row["success"]
-    assert row["gain_audited"] >= 0.95 * by_joint["gain_audited"]
-    assert row["iterations"] < nested.solve(problem, outer="newton").iterations
+@pytest.mark.parametrize(("n", "chosen"), [(8, "joint"), (33, "nested")])
+def test_many_moves_in_boxes_are_made_by_newton(n: int, chosen: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On 1,156 nodes: the time of ``joint`` grows like the square of their number."""
+    calls: list[tuple[str, str]] = []
+
+    def solver(name: str) -> Callable[..., Solution]:
+        def solve(problem: ContactProblem, **options: Any) -> Solution:
+            calls.append((name, options.get("outer", "")))
+            return fixed.solve(EXAMPLES["6.1"](n=2))
+
+        return solve
+
+    for module in (joint, nested):
+        monkeypatch.setattr(module, "solve", solver(module.__name__.split(".")[-1]))
+    problem = ContactProblem(rectangle(n, n), Laplace(1.0), ("left", "right"), motion=Motion(0.001))
+    auto.solve(problem)
+    assert calls == [(chosen, "newton" if chosen == "nested" else "")]
+
+
+@pytest.mark.parametrize("limit", [None, 4])
+def test_a_worse_end_is_never_kept(limit: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither that of the way to a stationary point nor, where a limit stops it, that of the cascade."""
+
+    def worse(energy: ReducedEnergy, q: np.ndarray) -> np.ndarray:
+        return 0.02 * np.sign(energy(np.zeros(q.size)).gradient)
+
+    def spoilt_way(energy: ReducedEnergy, q: np.ndarray, *given: Any, **options: Any) -> Finish:
+        found = finished(energy, q, *given, **options)
+        return replace(found, result=replace(found.result, x=worse(energy, q)))
+
+    def spoilt_cascade(*given: Any) -> CascadeResult:
+        found = cascade(*given)
+        return found if limit is None else replace(found, q=worse(found.energy, found.q))
+
+    monkeypatch.setattr(auto_cascade, "finished", spoilt_way)
+    monkeypatch.setattr(auto_cascade, "cascade", spoilt_cascade)
+    problem = replace(no_boxes(EXAMPLES["6.1"](n=3)), quadrature=6)
+    solution = auto.solve(problem, max_iterations=limit, settings={"iterations": 8, "finish": 2})
+    assert solution.success
+    assert solution.gain_audited > 0 if limit is None else solution.gain_audited == 0
 
 
 def over_a_parabola(n: int) -> ContactProblem:
@@ -147,63 +170,22 @@ def over_a_parabola(n: int) -> ContactProblem:
 
 
 @pytest.mark.slow
-def test_a_coarse_map_that_gains_by_penetration_is_not_taken_whole() -> None:
-    problem = over_a_parabola(12)
-    result = cascade(problem, CascadeSettings(brief=1, iterations=10))
-    coarse, fine = result.levels[0], result.levels[-1]
-    given = ContactModel(problem).solve(problem.mesh.p).energy
-    # the coarse map gains on its own mesh, and the gap holds at its nodes only
-    assert coarse.energy < given
-    assert fine.taken < 1
-    assert fine.energy <= given
-
-
-@pytest.mark.slow
-def test_a_part_of_a_map_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(auto, "with_edge_gaps", lambda problem: problem)
-    few = {"brief": 1, "iterations": 10, "stationary": 1}
-    row = auto.solve(over_a_parabola(12), settings=few).record()
-    assert "of a prolonged map a part was taken" in row["chosen"]
-
-
-@pytest.mark.slow
 def test_over_a_curved_foundation_gaps_hold_along_edges_and_gains_are_true() -> None:
-    problem = over_a_parabola(6)
+    problem = over_a_parabola(3)
     solution = auto.solve(problem, settings={"iterations": 20, "finish": 20})
     row = solution.record()
     assert row["success"]
     assert "gaps along edges" in row["chosen"]
     assert row["penetration"] < 1e-12
     # below the energy of a much finer mesh with gaps at nodes, which is too low, no true gain can lead
-    finer = ContactModel(over_a_parabola(24))
+    finer = ContactModel(over_a_parabola(12))
     assert finer.solve(finer.problem.mesh.p).energy < row["energy_audited"]
     assert row["energy_audited"] < row["energy_initial_audited"]
 
 
 @pytest.mark.slow
-def test_a_map_is_halved_until_it_lowers_the_energy() -> None:
-    problem = replace(no_boxes(EXAMPLES["6.1"](n=4)), quadrature=6)
-    energy = cascade(problem).energy
-    zero = np.zeros(energy.relocation.n_q)
-    downhill = -energy(zero).gradient
-    scale = 1e-3 / np.max(np.abs(downhill))
-    whole, part = accepted(energy, scale * downhill)
-    assert part == 1
-    np.testing.assert_array_equal(whole, scale * downhill)
-    assert accepted(energy, -scale * downhill)[1] == 0
-    np.testing.assert_array_equal(accepted(energy, -scale * downhill)[0], zero)
-    far = scale * downhill
-    while _continuous(energy, far) < _continuous(energy, zero):
-        far = 1.5 * far
-    taken, part = accepted(energy, far)
-    assert 0 < part < 1
-    np.testing.assert_array_equal(taken, part * far)
-    assert _continuous(energy, taken) < _continuous(energy, zero)
-
-
-@pytest.mark.slow
 def test_ctrl_c_between_flips_keeps_the_flipped_mesh() -> None:
-    problem = no_boxes(EXAMPLES["6.1"](n=6))
+    problem = no_boxes(EXAMPLES["6.1"](n=3))
     rounds: list[Step] = []
 
     def press(step: Step) -> None:
@@ -222,7 +204,7 @@ def test_ctrl_c_between_flips_keeps_the_flipped_mesh() -> None:
 
 @pytest.mark.slow
 def test_a_second_ctrl_c_between_flips_keeps_the_mesh_before_them() -> None:
-    problem = no_boxes(EXAMPLES["6.1"](n=6))
+    problem = no_boxes(EXAMPLES["6.1"](n=3))
 
     def press(step: Step) -> None:
         if math.isnan(step.energy_given):
@@ -236,15 +218,14 @@ def test_a_second_ctrl_c_between_flips_keeps_the_mesh_before_them() -> None:
     assert solution.record()["gain_audited"] > 0
 
 
-@pytest.mark.slow
 def test_ctrl_c_while_the_end_is_judged_is_heeded(monkeypatch: pytest.MonkeyPatch) -> None:
     def judge(*given, **options):
         signal.raise_signal(signal.SIGINT)
         return judged(*given, **options)
 
-    judged = auto_cascade.Outer.judge
-    monkeypatch.setattr(auto_cascade.Outer, "judge", judge)
-    solution = auto.solve(no_boxes(EXAMPLES["6.1"](n=4)), flips=True)
+    judged = auto_cascade.Referee.judge
+    monkeypatch.setattr(auto_cascade.Referee, "judge", judge)
+    solution = auto.solve(no_boxes(EXAMPLES["6.1"](n=3)), flips=True)
     assert solution.status is Status.INTERRUPTED
     assert solution.valid
     assert solution.record()["gain_audited"] > 0

@@ -44,7 +44,6 @@ def test_nothing_more_is_stated_once_the_time_is_up(monkeypatch: pytest.MonkeyPa
     assert len(stated) == 1  # that of the audit
 
 
-@pytest.mark.slow
 def test_a_cascade_that_is_late_prolongs_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
     stated = []
     monkeypatch.setattr(of_cascade, "relocation", lambda *a: stated.append(a) or relocation(*a))
@@ -60,14 +59,13 @@ def test_a_cascade_that_is_late_prolongs_what_it_has(monkeypatch: pytest.MonkeyP
     assert energies[1] < energies[0]
 
 
-@pytest.mark.slow
 def test_a_time_limit_on_the_way_to_a_stationary_point_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def late(*given, **options):
         monkeypatch.setattr(Watch, "seconds", property(lambda _: 1e6))
         return finished(*given, **options)
 
     monkeypatch.setattr(auto_cascade, "finished", late)
-    row = auto.solve(no_boxes(EXAMPLES["6.1"](n=4))).record()
+    row = auto.solve(no_boxes(EXAMPLES["6.1"](n=3))).record()
     assert row["status"] == "time_limit"
     assert row["valid"]
     assert row["gain_audited"] > 0
@@ -99,9 +97,8 @@ def test_ctrl_c_on_a_coarse_mesh_keeps_the_map_that_there_is() -> None:
     assert solution.record()["gain_audited"] > 0
 
 
-@pytest.mark.slow
 def test_ctrl_c_on_the_way_to_a_stationary_point_keeps_the_best_mesh() -> None:
-    problem = no_boxes(EXAMPLES["6.1"](n=8))
+    problem = no_boxes(EXAMPLES["6.1"](n=3))
     # the steps of that way are the ones of which no limit of iterations is known
     press = Interrupting(lambda step: step.iteration > 5 and not math.isfinite(step.seconds_left))
     solution = auto.solve(problem, on_step=press)
@@ -115,7 +112,7 @@ def test_ctrl_c_on_the_way_to_a_stationary_point_keeps_the_best_mesh() -> None:
 
 @pytest.mark.slow
 def test_the_way_to_a_stationary_point_keeps_to_its_contact_solves() -> None:
-    problem = replace(no_boxes(EXAMPLES["6.1"](n=5)), quadrature=8)
+    problem = replace(no_boxes(EXAMPLES["6.1"](n=3)), quadrature=8)
     free = auto.solve(problem, tolerance=1e-15)  # a tolerance that is not met
     most = free.contact_solves - 1
     held = auto.solve(problem, tolerance=1e-15, settings={"most": most})

@@ -181,15 +181,6 @@ def test_starts_are_positions_names_and_solutions(strategy: Any) -> None:
         strategy.solve(SMALL, start=np.zeros((2, 3)))
 
 
-def test_settings_are_checked_and_recorded() -> None:
-    solution = joint.solve(SMALL, settings={"tol": 1e-8}, max_iterations=500)
-    assert solution.record()["settings"] == {"tol": 1e-8, "max_iterations": 500}
-    with pytest.raises(BadInputError, match="unknown setting 'tl': did you mean tol"):
-        joint.solve(SMALL, settings={"tl": 1.0})
-    with pytest.raises(BadInputError, match="tol must be positive"):
-        joint.solve(SMALL, settings={"tol": -1.0})
-
-
 @pytest.mark.parametrize(
     ("strategy", "settings"),
     [
@@ -218,8 +209,3 @@ def test_one_contact_node_and_no_load_are_solved(strategy: Any) -> None:
     unloaded = strategy.solve(replace(SMALL, tractions=()))
     assert unloaded.status is Status.CONVERGED
     assert unloaded.success
-
-
-def test_a_nested_solver_that_stops_early_is_not_converged() -> None:
-    solution = nested.solve(SMALL, outer="ipopt", max_iterations=1)
-    assert solution.status is Status.ITERATION_LIMIT

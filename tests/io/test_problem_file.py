@@ -9,7 +9,6 @@ from support.problem_files import BROKEN, SCALAR, VALID, Edit
 
 from support.formulations import fixed, joint
 from rmesh_nlp.cli import app as cli
-from rmesh_nlp.cli import problem_commands
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import ProblemFileError, load_problem
 from rmesh_nlp.meshes import read_mesh
@@ -180,16 +179,6 @@ def test_the_command_line_reads_problem_files(tmp_path: Path, capsys: pytest.Cap
         f"rmesh: error: {path}: mesh.nx = 0: expected a whole number from 1 to 10000",
         f"rmesh: error: --n 8 is for the examples: write it into {path}",
     ]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("plan", "key"), [("starts = 2", "start_spread"), ("levels = 1", "level_energies")])
-def test_starts_and_levels_of_a_file(tmp_path: Path, plan: str, key: str) -> None:
-    text = VALID.replace('formulation = "joint"', f'formulation = "joint"\n{plan}')
-    assert problem_commands.solve(write(tmp_path, text), None, {}, tmp_path / "out") == 0
-    record = json.loads((tmp_path / "out" / "record.json").read_text())
-    assert record[key] is not None
-    assert record["triangles"] == (48 if "starts" in plan else 4 * 48)
 
 
 @pytest.mark.slow

@@ -191,3 +191,6 @@ def test_a_map_is_prolonged_exactly_on_a_uniform_refinement_and_validly_on_any_m
     there = unrelated.nodes(prolonged(coarse.mesh.p, coarse.triangles, move, unrelated))
     assert np.all(signed_areas(there, other.triangles) > 0)
     assert np.max(np.abs(there - other.mesh.p)) > 0.3 * np.max(np.abs(move))
+    boxed = relocation(replace(refined(coarse), motion=Motion(0.01)))
+    short = prolonged(coarse.mesh.p, coarse.triangles, move, boxed)
+    assert np.max(np.abs(short)) == 1.0  # a box: the move itself is wider

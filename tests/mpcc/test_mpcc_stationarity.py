@@ -8,7 +8,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, classify, solve
+from rmesh_nlp.mpcc import MPCC, Options, classify, solve
+from rmesh_nlp.mpcc.classify import judge
+from rmesh_nlp.mpcc.linearisation import linearisation
+from rmesh_nlp.mpcc.programs import Programs
 
 x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")
 
@@ -31,6 +34,17 @@ def test_each_label_at_a_corner_with_unique_multipliers(c, d, label, b_stationar
     found = classify(MPCC(ca.vertcat(x, y), c * x + d * y, None, x, y), [0, 0])
     assert (found.stationarity, found.b_stationary) == (label, b_stationary)
     assert list(found.biactive) == [0]
+
+
+@pytest.mark.parametrize(("c", "d", "label"), [(1, 1, "S"), (1, -1, "W"), (-1, 1, "W"), (-1, -1, "C")])
+def test_multipliers_that_a_solver_offers_prove_s_only_with_both_signs(c, d, label):
+    options = Options()
+    programs = Programs(MPCC(ca.vertcat(x, y), c * x + d * y, None, x, y), options)
+    lifted = programs.lifted
+    z = lifted.start(np.zeros(2), np.zeros(0))
+    lin = linearisation(lifted, z, np.ones(1), options.activity, options.corner)
+    offered = np.zeros(lifted.nlp.n_g), -lin.gradient
+    assert judge(lifted, lin, options.stationarity, offered).label.name == label
 
 
 def test_a_free_unknown_with_slope_has_no_multipliers():

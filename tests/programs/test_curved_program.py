@@ -68,25 +68,6 @@ def test_area_constraints_are_met_at_a_stationary_point(outer: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
-def test_ipopt_ends_at_a_stationary_point_of_the_examples(name: str) -> None:
-    solution = nested.solve(EXAMPLES[name](), outer="ipopt")
-    assert solution.status.value == "converged"
-    assert solution.stationarity_residual <= STATIONARY
-
-
-@pytest.mark.slow
-def test_a_limited_memory_descent_is_finished_by_newton() -> None:
-    solution = nested.solve(EXAMPLES["6.1"](4), objective="error-l2", outer="ipopt", settings={"exact": 1})
-    assert solution.record()["outer_method"] == "interior point with limited memory, then newton"
-    assert solution.record()["settings"] == {"exact": 1}
-    assert solution.status.value == "converged"
-    numbers = [step.iteration for step in solution.history]
-    assert numbers == sorted(numbers)
-    assert solution.iterations == numbers[-1]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("outer", ["newton", "ipopt"])
 def test_a_start_at_a_minimiser_ends_there_and_never_higher(outer: str) -> None:
     problem = EXAMPLES["6.2"]((6, 3), (1.0, 0.5))

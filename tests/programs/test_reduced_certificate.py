@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 import formulations.fixed
@@ -14,12 +13,7 @@ import formulations.nested
 import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem, Motion
-from rmesh_nlp.programs.outer_function import outer_function
-from rmesh_nlp.programs.reduced_certificate import ReducedCertificate
-from rmesh_nlp.programs.secant_curvature import SecantCurvature
-from rmesh_nlp.solving.outer import Outer
 
 
 def boxed(kind: str) -> ContactProblem:
@@ -64,23 +58,3 @@ def test_others_refuse_and_fixed_tells_the_value():
         formulations.nested.solve(elastic, objective="certificate")
     found = formulations.fixed.solve(problem, objective="certificate")
     assert found.extra["objective_value"] > 0
-
-
-@pytest.mark.slow
-def test_secants_hold_at_the_points_of_the_descent():
-    """After a step the approximation maps it to the change of the gradient, up to what is known exactly."""
-    outer = Outer(boxed("scalar"))
-    function = outer_function(outer.energy, parse_objective("certificate"))
-    assert isinstance(function, ReducedCertificate)
-    curvature = SecantCurvature(function)
-    q = np.zeros(outer.relocation.n_q)
-    step = 1e-4 * np.random.default_rng(0).uniform(-1, 1, q.size)
-    one = function(q)
-    curvature.at(one)
-    two = function(q + step)
-    found = curvature.at(two)
-    change = two.gradient - one.gradient
-    error = np.max(np.abs(found(step) - change))
-    without = np.max(np.abs(replace(found, rest=lambda d: 0 * d)(step) - change))
-    assert error < 0.2 * without
-    assert without < 0.5 * np.max(np.abs(change))  # most of it is known exactly

@@ -1,12 +1,14 @@
 """Local refinement, its indicators, hr, and what a relocation is said to be worth."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from support.formulations import auto
-from rmesh_nlp.assessment.admissible import admissible
+from formulations import auto
+from rmesh_nlp.assessment.admissible import Admissible, admissible
+from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
@@ -25,7 +27,8 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.problem.refining import locally_refined, refined
 from rmesh_nlp.programs.hr import EFFECTIVITY, hr, reference_as_given
 from rmesh_nlp.programs.refinement import edge_gains, marked, residual_indicators
-from rmesh_nlp.solving.advice import advise, recommended
+from rmesh_nlp.solution import advice as advising
+from rmesh_nlp.solution.advice import advise, recommended
 
 
 def example(n: int = 8) -> ContactProblem:
@@ -143,17 +146,22 @@ def test_the_interval_holds_where_the_solution_is_singular(flips: bool) -> None:
     assert claimed["factor"] > 0.75 * before / after
 
 
-@pytest.mark.slow
-def test_advice() -> None:
-    advice = advise(example(16))
-    assert advice.relocation is not None
-    assert advice.relocation.factor > 3
-    assert advice.rate == pytest.approx(1.0, abs=0.1)
-    assert advice.recommendation.startswith("relocate")
-    parabola = ContactProblem(rectangle(6, 6), Laplace(1.0), ("left", "right"), motion=Motion(None))
-    advice = advise(parabola)
-    assert advice.error == pytest.approx(1 / (24 * 36), rel=1e-6)
-    assert advice.recommendation.startswith("relocate")
+def test_advice_on_a_parabola_knows_its_error_and_trusts_the_least_factor(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    claimed: list[ErrorReduction] = []
+
+    def reduction(before: Admissible, *given: Any) -> tuple[ErrorReduction, None]:
+        claimed.append(ErrorReduction((0.1, 0.1), (0.05, 0.09), 1.1, 2.0, "refinement", 16, 3))
+        return claimed[-1], None
+
+    problem = ContactProblem(rectangle(3, 3), Laplace(1.0), ("left", "right"), motion=Motion(None))
+    monkeypatch.setattr(advising, "error_reduction", reduction)
+    advice = advise(problem, {"iterations": 2})
+    assert advice.error == pytest.approx(1 / (24 * 9), rel=1e-6)
+    assert advice.rate == pytest.approx(1.0, rel=1e-6)
+    assert advice.relocation is claimed[-1]
+    assert advice.recommendation.startswith("refine uniformly")  # 1.1 is sure, 2.0 is not
 
 
 @pytest.mark.slow

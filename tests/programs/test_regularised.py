@@ -8,7 +8,9 @@ from support.problems import sloped_block
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.distortion import DISTORTIONS
+from rmesh_nlp.fem.assembly import element_values
+from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
+from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
 from rmesh_nlp.programs.curvature import Curvature
@@ -73,6 +75,17 @@ def test_a_distortion_is_zero_at_first_grows_without_bound_and_ends_where_an_ele
     assert np.all(np.diff(values) > 0)
     assert values[-1] > 1e4
     assert np.isnan(energy.of_positions(1.01 * high * d))
+
+
+def test_distortions_of_a_stretched_mesh_by_hand() -> None:
+    problem = PROBLEMS["6.1"]()
+    a, b = 2.0, 0.25  # along x and y: |A|^2 = a^2 + b^2, det A = a b
+    stretched = constant_field(problem.mesh.p * np.array([[a], [b]]))
+    shape, size = (a**2 + b**2) / (2 * a * b) - 1, (a * b + 1 / (a * b) - 2) / 2
+    elastic = (a**2 + b**2 + a**-2 + b**-2) / 4 - 1
+    for name, value in {"quality": shape, "shape-size": shape + size, "elastic": elastic}.items():
+        (found,) = element_values([distortion_group(problem, stretched, name)])(np.zeros(0))
+        assert found.sum() == pytest.approx(value)
 
 
 def test_the_distortion_stands_in_the_place_of_area_constraints_but_not_of_angles() -> None:

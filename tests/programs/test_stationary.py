@@ -36,20 +36,3 @@ def test_the_way_from_a_cascade_to_a_stationary_point(name: str, size: int | tup
     matrix = np.column_stack([hessian(e) for e in np.eye(end.result.x.size)])
     eigenvalues = np.linalg.eigvalsh((matrix + matrix.T) / 2)
     assert eigenvalues.min() > -1e-6 * eigenvalues.max()
-
-
-@pytest.mark.slow
-def test_a_limit_of_iterations_is_said() -> None:
-    problem = EXAMPLES["6.1"](n=5)
-    problem = replace(problem, motion=replace(problem.motion, delta=None), quadrature=6)
-    start = cascade(problem)
-    end = finished(
-        start.energy,
-        np.zeros(start.q.size),
-        Outer(problem, start.energy.relocation.objective).residual(start.energy),
-        tolerance=1e-6,
-        reference=start.energy(np.zeros(start.q.size)).value + start.gain_estimate,
-        max_iterations=1,
-    )
-    assert end.result.status is Status.ITERATION_LIMIT
-    assert end.residual > 1e-6

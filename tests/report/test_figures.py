@@ -122,20 +122,6 @@ def test_mpcc_begins_at_the_initial_energy(results: list[Result]) -> None:
     assert found.energy[-1] == pytest.approx(result.record["energy"], abs=1e-8)
 
 
-@pytest.mark.slow
-def test_without_fixed_the_given_grid_is_left_out(results: list[Result]) -> None:
-    joint = [r for r in results if r.record["formulation"] == "joint" and r.record["example"] == "6.1"]
-    drawn = figures(joint, "6.1")
-    assert [axis.get_title() for axis in drawn["6.1-4-joint-grid"].axes][:1] == ["relocated by joint"]
-
-
-@pytest.mark.slow
-def test_a_failed_solve_is_not_drawn(results: list[Result]) -> None:
-    failed = Result({**results[0].record, "energy": None, "success": False}, Path("none"), Path("none"))
-    (block,) = blocks([failed.record])
-    assert dict(block_figures(block, [failed])) == {}
-
-
 @pytest.mark.parametrize(
     "names", [["nested", "joint", "mpcc"], [f"nested, mean(load, -uy), seed {k}" for k in range(7)]]
 )

@@ -26,7 +26,6 @@ def block(obstacle: Obstacle) -> ContactProblem:
     )
 
 
-@pytest.mark.slow
 def test_a_flat_plate_compresses_in_proportion() -> None:
     problem = block(Obstacle.line("top", (0, 1), (0, -1)))
     steps = list(load_path(problem, (0.0, -0.02), 4, joint.solve, relocate="never", hold=fixed.solve))

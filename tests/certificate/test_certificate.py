@@ -1,0 +1,80 @@
+"""What a certificate says: bounds of the error that hold, and a guarantee only where both bounds have one."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from formulations import fixed
+from rmesh_nlp.certificate import bracket as bracketing
+from rmesh_nlp.certificate.bracket import Bracket
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Laplace
+from rmesh_nlp.solution import certify as certifying
+from rmesh_nlp.solution.certify import certify
+from rmesh_nlp.solution.solution import Solution
+
+SIDES = ("left", "right", "top", "bottom")
+TORSION = -0.5 * 0.0351442538  # least energy of -laplace u = 1 on the unit square: the series for its torsion
+CLAIM = {"source": "refinement", "text": "", "nodes": 9, "contact_solves": 3} | {
+    "error_initial": (0.2, 0.4),
+    "error": (0.1, 0.3),
+    "factor": 1.3,
+    "factor_upper": 3.0,
+}
+
+
+def membrane() -> Solution:
+    return fixed.solve(ContactProblem(rectangle(3, 3), Laplace(1.0), SIDES))
+
+
+def test_the_error_bound_is_one_and_close_where_the_error_is_known() -> None:
+    solution = membrane()
+    error = np.sqrt(2 * (solution.energy - TORSION))  # without contact the norm of the error is exactly this
+    found = certify(solution)
+    assert error <= found.error_bound <= 1.05 * error
+    assert found.relative == pytest.approx(found.error_bound / np.sqrt(-2 * solution.energy))
+
+
+@pytest.mark.parametrize("known", list(itertools.product([True, False], repeat=3)))
+def test_a_guarantee_needs_both_bounds_on_both_meshes(
+    known: tuple[bool, bool, bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``known``: the lower bound, which serves both meshes, and the upper ones before and after."""
+    lower, before, after = known
+    solution, none = membrane(), np.zeros(0)
+    nodes = np.array(solution.mesh.p)
+    nodes[:, solution.mesh.interior_nodes()] += 0.01
+    moved = replace(solution, mesh=replace(solution.mesh, doflocs=nodes), assessed=None)
+
+    def bounds(_: ContactProblem, where: np.ndarray, *__: object) -> Bracket:
+        is_moved = bool(np.any(where != solution.mesh.p))
+        upper, known_upper = (0.02, after) if is_moved else (0.18, before)
+        return Bracket(-0.02, upper, lower, known_upper, (), none, none, 1.0, 0.0)
+
+    monkeypatch.setattr(certifying, "refined_bracket", bounds)
+    found = certify(moved)
+    assert (found.guaranteed_lower, found.guaranteed_upper) == (lower, after)
+    assert found.guaranteed_initial is (lower and before)
+    assert ("at most" in found.sentence) is all(known)
+    claim = found.of_reduction(CLAIM)
+    assert (claim["source"] == "certified") is all(known)
+    if all(known):  # energies 0.2 and 0.04 above the lower bound
+        assert claim["factor"] == pytest.approx(5.0)
+        assert claim["error_initial"] == pytest.approx((0.16, 0.2))
+        assert claim["error"] == pytest.approx((0.0, 0.04))
+
+
+@pytest.mark.parametrize("residual", [1e-6, float("nan")])
+def test_a_field_out_of_equilibrium_proves_nothing(residual: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    build = bracketing.equilibrated_flux
+    monkeypatch.setattr(
+        bracketing, "equilibrated_flux", lambda *given: replace(build(*given), residual=residual)
+    )
+    found = certify(membrane())
+    assert not found.guaranteed_lower
+    assert "out of equilibrium" in found.why
+    assert "estimated" in found.sentence
