@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.problems import no_boxes
 
-from formulations import auto, auto_cascade, fixed, joint, nested
+from support.formulations import auto, auto_cascade, fixed, joint, nested
 from formulations.auto_rules import agrees
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError
@@ -31,8 +31,8 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.programs.cascade import CascadeResult, cascade
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.stationary import Finish, finished
-from rmesh_nlp.solution.solution import Solution
-from rmesh_nlp.solution.step import Step
+from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.step import Step
 
 
 @pytest.mark.slow
@@ -223,8 +223,8 @@ def test_ctrl_c_while_the_end_is_judged_is_heeded(monkeypatch: pytest.MonkeyPatc
         signal.raise_signal(signal.SIGINT)
         return judged(*given, **options)
 
-    judged = auto_cascade.Referee.judge
-    monkeypatch.setattr(auto_cascade.Referee, "judge", judge)
+    judged = auto_cascade.Outer.judge
+    monkeypatch.setattr(auto_cascade.Outer, "judge", judge)
     solution = auto.solve(no_boxes(EXAMPLES["6.1"](n=3)), flips=True)
     assert solution.status is Status.INTERRUPTED
     assert solution.valid

@@ -21,7 +21,7 @@ from rmesh_nlp.programs import cascade as of_cascade
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.stationary import finished
-from rmesh_nlp.solving import referee as of_referee
+from rmesh_nlp.solving import outer as of_referee
 from rmesh_nlp.solving.step import Step
 
 

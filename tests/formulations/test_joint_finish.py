@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations import joint
+from support.formulations import joint
 from formulations.joint_finish import finished
 from rmesh_nlp.examples import EXAMPLES, Size
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS, OuterResult
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.solution.history import Recorder
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.history import Recorder
+from rmesh_nlp.solving.outer import Outer
 
 LOOSE = {"tol": 1e-3}
 """Ipopt then stops near a stationary point, not at one."""
@@ -43,13 +43,13 @@ def test_a_stationary_end_of_ipopt_is_left_as_it_is() -> None:
 
 @pytest.mark.parametrize("rise", [0.0, 1e-6])
 def test_newton_steps_to_a_higher_energy_are_not_taken(rise: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    referee = Referee(EXAMPLES["6.1"](3))
-    begin = np.zeros(referee.relocation.n_q)
-    end, energies = begin + 1e-3, referee.reduced
+    outer = Outer(EXAMPLES["6.1"](3))
+    begin = np.zeros(outer.relocation.n_q)
+    end, energies = begin + 1e-3, outer.energy
     higher = replace(energies(begin), q=end, value=energies(begin).value * (1 - rise))
     near = {begin.tobytes(): 5e-3, end.tobytes(): 1e-9}
-    monkeypatch.setattr(Referee, "residual", lambda *_: lambda point: near[point.q.tobytes()])
+    monkeypatch.setattr(Outer, "residual", lambda *_: lambda point: near[point.q.tobytes()])
     monkeypatch.setattr(ReducedEnergy, "__call__", lambda self, q: higher if np.any(q) else self._last)
     monkeypatch.setitem(OUTER_SOLVERS, "newton", lambda *_: OuterResult(end, Status.CONVERGED, 1))
-    found = finished(referee, begin, 0, Recorder(referee, None, 60.0), 1e-6)
+    found = finished(outer, begin, 0, Recorder(outer, None, 60.0), 1e-6)
     np.testing.assert_array_equal(found.q, begin if rise else end)

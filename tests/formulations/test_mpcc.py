@@ -18,7 +18,7 @@ from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 SMALL: dict[str, Any] = {"6.1": 4, "6.2": (6, 4), "6.3": (6, 4)}
 

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations import fixed, joint, mpcc, nested
+from support.formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.programs.regularisation import gain_estimate
-from rmesh_nlp.solution.regularised import solve_regularised
-from rmesh_nlp.solution.solution import COUNTS, Solution
+from rmesh_nlp.solving.regularised import solve_regularised
+from rmesh_nlp.solving.solution import COUNTS, Solution
 
 
 def problem(n: int = 4, **motion: float) -> ContactProblem:

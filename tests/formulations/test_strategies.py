@@ -29,8 +29,8 @@ from rmesh_nlp.problem import (
     Traction,
     signed_areas,
 )
-from rmesh_nlp.solution.referee import Referee
-from rmesh_nlp.solution.solution import Solution
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.solution import Solution
 
 # Bounds on the final energy from the initial grid, with the paper's settings: what prototypes of
 # joint and nested reached.

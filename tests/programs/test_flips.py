@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.problems import no_boxes
 
-from formulations import auto
+from support.formulations import auto
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.validity import least_angles

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations import auto
+from support.formulations import auto
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.contact.model import ContactModel
@@ -27,8 +27,8 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.problem.refining import locally_refined, refined
 from rmesh_nlp.programs.hr import EFFECTIVITY, hr, reference_as_given
 from rmesh_nlp.programs.refinement import edge_gains, marked, residual_indicators
-from rmesh_nlp.solution import advice as advising
-from rmesh_nlp.solution.advice import advise, recommended
+from rmesh_nlp.solving import advice as advising
+from rmesh_nlp.solving.advice import advise, recommended
 
 
 def example(n: int = 8) -> ContactProblem:

@@ -12,14 +12,14 @@ from support.problems import sloped_block
 from support.formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.programs.multipliers import multipliers
-from rmesh_nlp.solution.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 
 def test_relative_residual_is_one_on_given_mesh() -> None:
     for n in (3, 6):
-        referee = Referee(EXAMPLES["6.1"](n))
-        point = referee.reduced(np.zeros(referee.relocation.n_q))
-        assert referee.residual(referee.reduced)(point) == pytest.approx(1.0)
+        outer = Outer(EXAMPLES["6.1"](n))
+        point = outer.energy(np.zeros(outer.relocation.n_q))
+        assert outer.residual(point) == pytest.approx(1.0)
 
 
 def test_history_and_record_agree_with_active_areas() -> None:
@@ -60,9 +60,9 @@ def test_a_pull_of_elements_that_have_room_is_no_equilibrium() -> None:
     room = 1e-5
     given = EXAMPLES["6.2"]((4, 2), 0.6)
     problem = replace(given, motion=replace(given.motion, min_area_fraction=1 - room))
-    referee = Referee(problem)
-    residual, q = referee.residual(referee.reduced), np.zeros(referee.relocation.n_q)
-    rows = referee.reduced.validity.at(q)
+    outer = Outer(problem)
+    residual, q = outer.residual, np.zeros(outer.relocation.n_q)
+    rows = outer.energy.validity.at(q)
     # a gradient that multipliers of the elements explain as a whole
     pull = residual.unit * rows.jacobian.T @ np.ones(rows.slack.size)
     assert residual.at(q, np.asarray(pull)) == pytest.approx(room)
@@ -71,11 +71,11 @@ def test_a_pull_of_elements_that_have_room_is_no_equilibrium() -> None:
 
 def test_the_multiplier_of_a_box_on_a_slope_is_the_rate_at_its_narrower_side() -> None:
     problem = sloped_block()  # boxes of 0.1 by 0.05 over slopes of 1 and 4 %: x is the side that stops nodes
-    referee = Referee(problem)
-    index, q = referee.relocation.freedoms.positions.index, np.zeros(referee.relocation.n_q)
+    outer = Outer(problem)
+    index, q = outer.relocation.freedoms.positions.index, np.zeros(outer.relocation.n_q)
     node = next(n for n in problem.contact_nodes if index[0, n] == index[1, n] >= 0)
     move = index[0, node]
     q[move], gradient = 1.0, np.where(np.arange(q.size) == move, -3.0, 0.0)
-    found = multipliers(referee.reduced, q, gradient).box
+    found = multipliers(outer.energy, q, gradient).box
     assert found[node] == pytest.approx(3.0 / 0.1)
     assert np.count_nonzero(found) == 1

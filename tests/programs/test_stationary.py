@@ -18,7 +18,7 @@ def test_the_way_from_a_cascade_to_a_stationary_point(name: str, size: int | tup
     problem = replace(problem, motion=replace(problem.motion, delta=None), quadrature=6)
     start = cascade(problem)
     outer = Outer(problem, start.energy.relocation.objective)
-    residual = outer.residual(outer.energy)
+    residual = outer.residual
     before = start.energy(start.q).value
     end = finished(
         start.energy,

@@ -1,4 +1,4 @@
-"""Theorem 4.1 of a solution, and a strategy's own residuals beside the referee's."""
+"""Theorem 4.1 of a solution, and a strategy's own residuals beside the outer's."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def test_without_an_exact_solution_there_are_no_terms() -> None:
 def test_own_residuals_are_those_of_the_strategy_s_own_forces(strategy) -> None:
     record = strategy.solve(EXAMPLES["6.3"]((6, 4))).record()
     for kind in ("equilibrium", "complementarity"):
-        own, referee = record[f"own_{kind}_residual"], record[f"referee_{kind}_residual"]
+        own, outer = record[f"own_{kind}_residual"], record[f"referee_{kind}_residual"]
         # an interior point is right to its tolerance, a contact solve to rounding: not one number twice
         assert 0 <= own <= 1e-6
-        assert 0 <= referee <= 1e-9
+        assert 0 <= outer <= 1e-9
     assert record["own_equilibrium_residual"] != record["referee_equilibrium_residual"]
