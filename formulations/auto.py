@@ -74,7 +74,9 @@ class Auto(Chooser):
             why += "; gaps along edges: a foundation is curved"
         return Choice(formulation, along, why)
 
-    def _chosen(self, problem: ContactProblem, objective: Objective, is_started: bool) -> tuple[Formulation, str]:
+    def _chosen(
+        self, problem: ContactProblem, objective: Objective, is_started: bool
+    ) -> tuple[Formulation, str]:
         motion, moves = problem.motion, freedoms(problem).n
         if not objective.is_energy:
             return self._around(Nested()), "nested: the objective is not the energy"
@@ -99,7 +101,7 @@ class Auto(Chooser):
         found: Formulation = Polished(Confirmed(chosen, short), **polish)
         if self.flips:
             found = Polished(Flips(found, then=replace(short, iterations=chosen.brief)), **polish)
-        return found, "nested, newton: large moves without boxes over a cascade"
+        return found, "cascade: large moves without boxes"
 
     def _around(self, formulation: Formulation) -> Formulation:
         if self.regularisation is not None:

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.stopping import StoppedError
 from rmesh_nlp.problem import ContactProblem
@@ -39,7 +38,9 @@ class Cascade(CascadeSettings, Formulation):
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         if not objective.is_energy:
-            raise BadInputError(f"the cascade minimises the energy, not {objective.text!r}: use nested or mpcc")
+            raise BadInputError(
+                f"the cascade minimises the energy, not {objective.text!r}: use nested or mpcc"
+            )
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         levels = _Levels(outer, self, monitor)
@@ -69,7 +70,7 @@ class Cascade(CascadeSettings, Formulation):
 
 def _said(found: CascadeResult) -> tuple[str, ...]:
     """What else there is to say of what was chosen."""
-    said = [f"of meshes of {', '.join(str(level.nodes) for level in found.levels)} nodes"]
+    said = [f"over meshes of {', '.join(str(level.nodes) for level in found.levels)} nodes"]
     parts = [f"{level.taken:g} on {level.nodes} nodes" for level in found.levels if level.taken < 1]
     if parts:
         said.append(
@@ -182,7 +183,7 @@ class Polished(Wrapper):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         found = monitor.run(self.inner, outer, q)
         end, q = found.outer, found.q
-        small = 0 < q.size and end.problem.mesh.p.shape[1] <= self.nodes
+        small = q.size > 0 and end.problem.mesh.p.shape[1] <= self.nodes
         if monitor.is_over() or not small or not end.objective.has_barrier or not end.is_valid(q):
             return found
         energy = end.energy

@@ -120,7 +120,6 @@ class Joint(Formulation):
             own = {**_BARRIER, "tol": self.tol, "acceptable_tol": self.acceptable_tol}
         return {**common, **own, **self.ipopt}
 
-
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         if not objective.collapses:
             raise BadInputError(

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.programs.nested_settings import NestedSettings
 from rmesh_nlp.programs.interior import OuterResult
+from rmesh_nlp.programs.nested_settings import NestedSettings
 from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS
 from rmesh_nlp.programs.reduced_program import reduced_nlp
 from rmesh_nlp.solving.formulation import Formulation

@@ -12,7 +12,7 @@ from rmesh_nlp.problem.refining import refined
 from rmesh_nlp.settings import Count
 from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
-from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outcome import Outcome, continuous_energy
 from rmesh_nlp.solving.outer import Outer
 
 
@@ -34,7 +34,7 @@ class Refined(Wrapper):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         found, energies = monitor.run(self.inner, outer, q), []
         for _ in range(self.levels):
-            energies.append(_continuous(found))
+            energies.append(continuous_energy(found))
             if monitor.is_over():
                 break
             coarse = found.outer.problem
@@ -42,15 +42,8 @@ class Refined(Wrapper):
                 fine = Outer(refined(coarse), outer.objective, outer.tolerance)
                 start = fine.moves(prolong(coarse, found.outer.nodes(found.q), fine.problem))
             found = monitor.run(self.inner, fine, start)
-        energies.append(_continuous(found))
+        energies.append(continuous_energy(found))
         return replace(found, details={**found.details, "level_energies": energies})
-
-
-def _continuous(found: Outcome) -> float:
-    outer, q = found.outer, found.q
-    if not outer.is_valid(q):
-        return float("nan")
-    return outer.assessor.solve(outer.nodes(q), outer.energy(q).equilibrium.active).energy
 
 
 def prolong(coarse: ContactProblem, nodes: Array, fine: ContactProblem) -> Array:

@@ -82,5 +82,7 @@ def solve(
             settings = {"time_limit_s": limits.seconds, "max_iterations": limits.iterations, **settings}
         return solve_by_options(problem, formulation, {**settings, **asked}, **common)
     if settings:
-        raise TypeError(f"settings are fields of the formulation: {type(formulation).__name__}({next(iter(settings))}=...)")
+        raise TypeError(
+            f"settings are fields of the formulation: {type(formulation).__name__}({next(iter(settings))}=...)"
+        )
     return driver.solve(problem, formulation, limits=limits, **asked, **common)

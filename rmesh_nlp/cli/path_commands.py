@@ -23,8 +23,8 @@ from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.style import look, new_figure, save
 from rmesh_nlp.solving.driver import solve
-from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.load_path import PathStep, load_path
+from rmesh_nlp.solving.options import accepted
 
 SUCCESS, NO_SUCCESS = 0, 1
 

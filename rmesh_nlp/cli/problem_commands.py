@@ -39,8 +39,8 @@ from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.problem_picture import draw_problem
 from rmesh_nlp.report.states import Drawable
 from rmesh_nlp.solving.advice import advise as advice
-from rmesh_nlp.solving.interrupts import deferred
 from rmesh_nlp.solving.formulation import find
+from rmesh_nlp.solving.interrupts import deferred
 from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.step import Step
 from rmesh_nlp.study.study_file import is_study

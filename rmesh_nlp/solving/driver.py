@@ -139,7 +139,9 @@ def _once(
     with clock.during("build"):
         _ = outer.residual
     clock.enter("solve")
-    begin = beginning(outer, start if formulation.relocates else None, seed if formulation.relocates else None, monitor)
+    begin = beginning(
+        outer, start if formulation.relocates else None, seed if formulation.relocates else None, monitor
+    )
     outcome = monitor.run(formulation, begin.outer, begin.q)
     spent = monitor.spent
     if not formulation.relocates:
@@ -167,6 +169,8 @@ def _made(
     status, success, valid = found.status, found.success, found.valid
     extra = {**found.details, **details, **_counts(spent)}
     extra.pop("said", None)
+    if monitor.limits.changed():
+        extra["limits"] = monitor.limits.changed()
     fields = dict(found.fields)
     fields.setdefault("initial_nodes", np.asarray(fields["problem"].mesh.p))
     if fields.get("initial_areas") is None:
@@ -181,7 +185,9 @@ def _made(
         except KeyboardInterrupt:  # the solution is there
             monitor.stopped = Status.INTERRUPTED
         if certify and monitor.stopped is not Status.INTERRUPTED:
-            entries, certificate = certified(SimpleNamespace(**fields, status=status, assessed=found.assessed))
+            entries, certificate = certified(
+                SimpleNamespace(**fields, status=status, assessed=found.assessed)
+            )
             extra |= entries
             if certificate is not None and certificate.is_disproved:
                 status, success, valid = Status.INACCURATE, False, False
@@ -247,6 +253,11 @@ def _ending(monitor: Monitor, found: Judgement) -> tuple[Step, ...]:
     *steps, last = monitor.steps
     q, at = found.outcome.q, monitor.last_moves
     size = np.max(np.abs(q), initial=0.0)
-    if np.isnan(last.dual_residual) and at is not None and at.size == q.size and np.allclose(at, q, rtol=0.0, atol=1e-8 * size):
+    if (
+        np.isnan(last.dual_residual)
+        and at is not None
+        and at.size == q.size
+        and np.allclose(at, q, rtol=0.0, atol=1e-8 * size)
+    ):
         last = replace(last, dual_residual=found.fields["stationarity_residual"])
     return (*steps, last)

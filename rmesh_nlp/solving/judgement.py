@@ -90,7 +90,13 @@ def judged(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Judgeme
     # what it begins from: by the same rules, on the mesh as given
     begin = outer if problem.mesh is first.problem.mesh or _same_mesh(first.problem, problem) else first
     areas = given_areas(first.problem, problem.triangles) if begin is not outer else None
-    ratio = float(np.min(signed_areas(nodes, problem.triangles) / areas if areas is not None else area_ratios(problem, nodes)))
+    ratio = float(
+        np.min(
+            signed_areas(nodes, problem.triangles) / areas
+            if areas is not None
+            else area_ratios(problem, nodes)
+        )
+    )
     start = begin.assessor.initial
     common: dict[str, Any] = {
         "problem": problem,

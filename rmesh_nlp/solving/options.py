@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import fields
 from typing import Any
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.formulation import Formulation, composed, find, wrappers
@@ -37,6 +38,8 @@ def solve_by_options(
         If the formulation does not take an option.
     """
     rest = {key: value for key, value in options.items() if value is not None}
+    if rest.get("starts") and (rest.get("levels") or "seed" in rest):
+        raise BadInputError("starts cannot be combined with levels or a seed")
     limits = Limits(**{name: rest.pop(key) for key, name in LIMITS.items() if key in rest})
     asked = {key: rest.pop(key) for key in ASKED if key in rest}
     made = composed(formulation, rest)

@@ -45,3 +45,11 @@ class Outcome:
     claimed: float | None = None
     label: str | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
+
+
+def continuous_energy(found: Outcome) -> float:
+    """The energy of the continuous problem at the end of a run; NaN of an invalid mesh."""
+    outer, q = found.outer, found.q
+    if not outer.is_valid(q):
+        return float("nan")
+    return outer.assessor.solve(outer.nodes(q), outer.energy(q).equilibrium.active).energy

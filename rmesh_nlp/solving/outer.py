@@ -99,7 +99,11 @@ class Outer:
         outer.problem, outer.tolerance, outer.is_near = energy.relocation.problem, tolerance, False
         outer.contact_seconds = float("nan")
         outer.discretisation, outer.contact = energy.relocation.discretisation, energy.model
-        outer.objective, outer.relocation, outer.energy = energy.relocation.objective, energy.relocation, energy
+        outer.objective, outer.relocation, outer.energy = (
+            energy.relocation.objective,
+            energy.relocation,
+            energy,
+        )
         return outer
 
     def minimising(self, objective: Objective) -> Outer:
@@ -141,7 +145,9 @@ class Outer:
         system = self.contact.system(self.problem.mesh.p)
         given = self.energy.at(np.zeros(self.n), system, self.given)
         function = self.function
-        return OuterResidual(self.energy, given if isinstance(function, ReducedEnergy) else function.of(given))
+        return OuterResidual(
+            self.energy, given if isinstance(function, ReducedEnergy) else function.of(given)
+        )
 
     @cached_property
     def assessor(self) -> Assessor:

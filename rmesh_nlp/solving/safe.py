@@ -85,5 +85,3 @@ def again(first: Judgement) -> ContactProblem | None:
     problem = first.outcome.outer.problem
     safe = safe_discretisation(problem)
     return None if safe is problem else safe
-
-

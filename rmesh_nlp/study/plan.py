@@ -141,9 +141,7 @@ def _strategies(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[
                     yield strategy, formulation, options
 
 
-def _checked(
-    keywords: Mapping[str, Any], where: str, formulation: str
-) -> dict[str, Any]:
+def _checked(keywords: Mapping[str, Any], where: str, formulation: str) -> dict[str, Any]:
     taken = accepted(formulation, keywords)
     for name, value in keywords.items():
         if name not in taken:
