@@ -2,7 +2,7 @@
 
 A problem without boxes is solved over a cascade of coarser meshes (:mod:`formulations.cascade`), with a
 quadrature rule that is raised until the assessment confirms the gain. Where boxes, a least angle or another
-objective are asked for, ``joint`` or ``nested`` is run, the latter with Newton-CG where many nodes have boxes.
+objective are asked for, ``joint`` or ``nested`` is run, the latter where many nodes have boxes.
 """
 
 from __future__ import annotations

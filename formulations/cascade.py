@@ -34,7 +34,7 @@ SPARE = 6
 
 @dataclass(frozen=True)
 class Cascade(CascadeSettings, Formulation):
-    """Minimises the energy over the positions of all nodes, by a cascade of meshes; the start is the mesh as given."""
+    """Minimises the energy over the positions of all nodes, by a cascade of meshes, from the given mesh."""
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         if not objective.is_energy:

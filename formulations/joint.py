@@ -38,8 +38,7 @@ NEAR = 1e-2
 """First-order residual up to which the end of Ipopt is near a stationary point."""
 
 STEPS = 10
-"""Most Newton steps from there. Three problems of ``scripts/soak_truth.py`` (seeds 3039, 3133, 3277) take five,
-two and two."""
+"""Most Newton steps from there. Three random problems (seeds 3039, 3133 and 3277) take five, two and two."""
 
 ORDINARY = (1e-4, 1e4)
 """Sizes of displacements that Ipopt is given as they are; others are measured in the largest of them."""
@@ -123,8 +122,8 @@ class Joint(Formulation):
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         if not objective.collapses:
             raise BadInputError(
-                f"joint minimises the energy only, or with terms in the positions, not {objective.text!r}: with "
-                "another outer objective the inner problem must stay a constraint; use mpcc or nested"
+                f"joint minimises the energy only, or with terms in the positions, not {objective.text!r}: "
+                "with another outer objective the inner problem must stay a constraint; use mpcc or nested"
             )
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
@@ -166,7 +165,7 @@ class Joint(Formulation):
         return found
 
     def _finished(self, outer: Outer, q: Array, monitor: Monitor) -> Array:
-        """Newton steps from where an interior point stopped, if a stationary point is near; else ``q`` itself.
+        """Newton steps from where an interior point stopped, if a stationary point is near; else ``q``.
 
         Where boxes are weakly active an interior point meets them to the square root of its tolerance only,
         and where many elements are at their least area rounding can hold its multipliers off the tolerance.

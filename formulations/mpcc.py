@@ -49,8 +49,8 @@ def build(problem: ContactProblem, objective: str | Objective = "energy") -> MPC
 class AllAtOnce(Formulation):
     """Solves the MPCC by a homotopy of relaxations, and an exact finish.
 
-    From a start that is close to a minimiser, the end of another formulation, only the last relaxation and the
-    exact finish follow, which certify that end as a solution of the MPCC, or leave it.
+    From a start that is close to a minimiser, the end of another formulation, only the last relaxation and
+    the exact finish follow, which certify that end as a solution of the MPCC, or leave it.
 
     Attributes
     ----------

@@ -28,8 +28,8 @@ class Nested(NestedSettings, Formulation):
     """Minimises an outer objective with exact contact solves inside.
 
     The energy needs no adjoint; other objectives get one with the active set held, which is their gradient
-    wherever strict complementarity holds. The contact nodes where it fails at the end are listed in the record
-    as ``biactive_nodes``: they are what may have stopped it.
+    wherever strict complementarity holds. The contact nodes where it fails at the end are listed in the
+    record as ``biactive_nodes``: they are what may have stopped it.
 
     Attributes
     ----------

@@ -59,8 +59,9 @@ def solve(
     certify : bool
         Bound the error of the solution: ``solution.certificate``.
     settings
-        Settings of a formulation that is named, and of what takes one, as on the command line: ``flips=True``,
-        ``starts=8``. ``time_limit_s`` and ``max_iterations``, the limits of 0.1, still work and warn.
+        Settings of a formulation that is named, and of what takes one, as on the command line:
+        ``flips=True``, ``starts=8``. ``time_limit_s`` and ``max_iterations``, the limits of 0.1, still work
+        and warn.
 
     Returns
     -------
@@ -82,7 +83,6 @@ def solve(
             settings = {"time_limit_s": limits.seconds, "max_iterations": limits.iterations, **settings}
         return solve_by_options(problem, formulation, {**settings, **asked}, **common)
     if settings:
-        raise TypeError(
-            f"settings are fields of the formulation: {type(formulation).__name__}({next(iter(settings))}=...)"
-        )
+        example = f"{type(formulation).__name__}({next(iter(settings))}=...)"
+        raise TypeError(f"settings are fields of the formulation: {example}")
     return driver.solve(problem, formulation, limits=limits, **asked, **common)

@@ -23,24 +23,16 @@ from rmesh_nlp.solving.certificate import Certificate
 
 
 class Solved(Protocol):
-    """What can be certified: a :class:`rmesh_nlp.solving.solution.Solution`."""
+    """What can be certified: a :class:`rmesh_nlp.solving.solution.Solution`, or its fields."""
 
-    @property
-    def problem(self) -> ContactProblem: ...
-    @property
-    def mesh(self) -> MeshTri: ...
-    @property
-    def displacement(self) -> Array: ...
-    @property
-    def pressure(self) -> Array: ...
-    @property
-    def tangential_stress(self) -> Array: ...
-    @property
-    def status(self) -> Status: ...
-    @property
-    def initial_nodes(self) -> Array: ...
-    @property
-    def assessed(self) -> tuple[Admissible, Admissible] | None: ...
+    problem: ContactProblem
+    mesh: MeshTri
+    displacement: Array
+    pressure: Array
+    tangential_stress: Array
+    status: Status
+    initial_nodes: Array
+    assessed: tuple[Admissible, Admissible] | None
 
 
 def certify(solution: Solved, *, refinements: int | None = None) -> Certificate:

@@ -88,10 +88,12 @@ class Wrapper(Formulation):
     inner: Any
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        """As what it takes does."""
         self.inner.accepts(problem, objective)
 
     @property
     def name(self) -> str:
+        """That of what it takes."""
         return str(self.inner.name)
 
 

@@ -238,9 +238,9 @@ class Track:
             Further fields of the step.
         """
         point = self.outer.function(q) if point is None else point
-        if np.isfinite(point.value) and (self._best is None or point.value < self._best[0]):
-            if self.outer.is_valid(q):
-                self._best = point.value, np.array(q)
+        lower = self._best is None or point.value < self._best[0]
+        if lower and np.isfinite(point.value) and self.outer.is_valid(q):
+            self._best = point.value, np.array(q)
         residual = self.outer.residual(point)
         step = Step(
             iteration=self._before + iteration,

@@ -130,7 +130,7 @@ class Outer:
         return found
 
     def knows(self, given: Equilibrium, seconds: float) -> None:
-        """Take over the contact solution on the mesh as given, and the time that it takes: the unit of cost."""
+        """Take over the contact solution on the mesh as given, and its time, the unit of cost."""
         self.given, self.contact_seconds = given, seconds
         self.energy.knows(given)
 

@@ -54,7 +54,7 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
     Raises
     ------
     BadInputError
-        If there is no such formulation, it does not take the problem, or positions are not (2, nodes) numbers.
+        If there is no such formulation, it does not take the problem, or positions are not (2, nodes).
     """
     if start is None:
         return Beginning(outer, outer.moves(seed=seed), GIVEN if seed is None else "random")

@@ -65,8 +65,8 @@ def _share(found: Judgement, objective: Objective) -> float | None:
     values = []
     for finer in (False, True):
         pair = []
-        for mesh in (given, mesh):
-            value = _value(problem, mesh, objective, finer)
+        for one in (given, mesh):
+            value = _value(problem, one, objective, finer)
             if value is None:
                 return None
             pair.append(value)

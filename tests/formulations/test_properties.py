@@ -89,9 +89,7 @@ def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
     d = rng.uniform(-1, 1, q.size)
     here = outer.energy(q)
     steps = 1e-3 * 0.5 ** np.arange(4)
-    rest = np.array(
-        [abs(outer.energy(q + h * d).value - here.value - h * here.gradient @ d) for h in steps]
-    )
+    rest = np.array([abs(outer.energy(q + h * d).value - here.value - h * here.gradient @ d) for h in steps])
     # at rounding there is no rate to see
     if rest[-1] > 1e-11 * max(1.0, abs(here.value)):
         assert np.log2(rest[0] / rest[-1]) / 3 >= 1.9

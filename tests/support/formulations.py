@@ -17,7 +17,9 @@ class Named:
 
     name: str
 
-    def solve(self, problem: ContactProblem, *, on_step: Any = None, certify: bool = False, **options: Any) -> Solution:
+    def solve(
+        self, problem: ContactProblem, *, on_step: Any = None, certify: bool = False, **options: Any
+    ) -> Solution:
         """Solve with the options of the command line."""
         return solve_by_options(problem, self.name, options, on_step=on_step, certify=certify, safely=False)
 
