@@ -1,8 +1,8 @@
 """
-Compare strategies for a paper
+Compare formulations for a paper
 ==============================
 
-Which strategy relocates best, and what does it cost? All of them solve one problem, are judged by
+Which formulation relocates best, and what does it cost? All of them solve one problem, are judged by
 the same referee, and end in one table.
 """
 
@@ -20,7 +20,7 @@ comparison
 
 # %%
 # Audited energies are those of the contact problem solved once more with a rule of degree 20:
-# strategies are compared by them. The whole records are in ``comparison.frame()``, the tables of
+# formulations are compared by them. The whole records are in ``comparison.frame()``, the tables of
 # ``rmesh compare`` in ``comparison.markdown()``.
 
 best = comparison.best

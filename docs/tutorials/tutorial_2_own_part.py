@@ -46,9 +46,9 @@ rm.plot(before, after, what="pressure")
 # %%
 # One uniform refinement is the other way to a better solution. What does it give?
 
-from rmesh_nlp.solving.starts import refine
+from rmesh_nlp.problem.refining import refined as finer
 
-refined = rm.solve(refine(problem), "fixed")
+refined = rm.solve(finer(problem), "fixed")
 print(f"relocated, {mesh.p.shape[1]} nodes: lower by {before.energy - after.energy:.3g}")
 print(f"refined, {refined.mesh.p.shape[1]} nodes: lower by {before.energy - refined.energy:.3g}")
 

@@ -93,7 +93,7 @@ from rmesh_nlp.contact.setup_warnings import setup_warnings
 print([warning.message for warning in setup_warnings(problem)])
 
 # %%
-# Before and after. No strategy needs to be named: ``rmesh solve plate.toml`` does the same, and draws.
+# Before and after. No formulation needs to be named: ``rmesh solve plate.toml`` does the same, and draws.
 
 before = rm.solve(problem, "fixed")
 after = rm.solve(problem)
@@ -111,9 +111,9 @@ rm.plot(before, after, what="pressure")
 # %%
 # Is it worth it? One uniform refinement is the price to beat: ``rmesh compare plate.toml`` prints both.
 
-from rmesh_nlp.solving.starts import refine
+from rmesh_nlp.problem.refining import refined as finer
 
-refined = rm.solve(refine(problem), "fixed")
+refined = rm.solve(finer(problem), "fixed")
 print(f"relocated, {problem.mesh.p.shape[1]} nodes: lower by {before.energy - after.energy:.3g}")
 print(f"refined, {refined.mesh.p.shape[1]} nodes: lower by {before.energy - refined.energy:.3g}")
 
