@@ -21,6 +21,7 @@ from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.levels import COARSER
 from rmesh_nlp.programs.prolongation import prolonged
 from rmesh_nlp.programs.reduced import ReducedEnergy
+from rmesh_nlp.programs.regularisation import gain_estimate
 from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.settings import Count, Limit, Positive
 from rmesh_nlp.solving.formulation import Formulation, Wrapper
@@ -139,14 +140,11 @@ class Descent(Formulation):
     Attributes
     ----------
     end : float
-        It ends where the model predicts less than this part of ``gain``.
-    gain : float
-        What there is to gain at all.
+        It ends where the model predicts less than this part of what there is to gain.
     iterations : int
     """
 
     end: Positive = 3e-4
-    gain: Positive = 1.0
     iterations: Count = 10
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
@@ -154,7 +152,7 @@ class Descent(Formulation):
         found = LargeMoves(energy, approximate=True)(
             q,
             gain_tolerance=self.end,
-            reference=energy(q).value + self.gain,
+            reference=energy(q).value + gain_estimate(outer.problem).value,
             max_iterations=self.iterations,
             on_step=lambda iteration, x, _: track.exact(iteration, x, energy(x)),
         )

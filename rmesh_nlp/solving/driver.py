@@ -131,7 +131,7 @@ def _once(
     monitor: Monitor,
 ) -> tuple[Outer, str, Judgement, Work]:
     """The outer problem, the name of the start, where the formulation ended, and the work until then."""
-    clock = monitor.clock
+    clock, monitor.mesh = monitor.clock, problem.mesh
     with clock.during("build"):
         outer = Outer(problem, objective, tolerance)
     with clock.during("audit"):
@@ -181,7 +181,7 @@ def _made(
             if monitor.stopped is None and reduces:
                 extra |= _reduction(found, extra, spent)
             if monitor.stopped is None:
-                extra |= surviving_gain(found, extra["warnings"])
+                extra |= surviving_gain(found, extra.get("warnings", ()))
         except KeyboardInterrupt:  # the solution is there
             monitor.stopped = Status.INTERRUPTED
         if certify and monitor.stopped is not Status.INTERRUPTED:
@@ -214,7 +214,7 @@ def _made(
         audit_time_s=monitor.clock.seconds("audit"),
         start=begin,
         settings=formulation.changed(),
-        seed=seed,
+        seed=seed if formulation.relocates else None,
         extra=extra,
         measured=found.measured,
         assessed=found.assessed,

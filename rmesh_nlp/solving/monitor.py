@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
+from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc import Iterate
@@ -61,6 +62,8 @@ class Monitor:
         What formulations have spent beside the contact solves of the outer problems that they track.
     last_moves : array or None
         Of the last step.
+    mesh : skfem.MeshTri or None
+        The mesh as given. Moves of another one are not shown to ``on_step``.
     """
 
     def __init__(self, limits: Limits | None = None, on_step: OnStep | None = None) -> None:
@@ -70,6 +73,7 @@ class Monitor:
         self.stopped: Status | None = None
         self.work = Work()
         self.last_moves: Array | None = None
+        self.mesh: MeshTri | None = None
         self._tracked: list[Outer] = []
         self._track: Track | None = None
 
@@ -137,19 +141,26 @@ class Monitor:
             self._tracked.append(outer)
         return outer
 
-    def note(self, step: Step, q: Array | None = None) -> bool:
-        """Add a step to the history; whether the solve is over."""
+    def is_given(self, mesh: MeshTri) -> bool:
+        """Whether a mesh is the given one."""
+        given = self.mesh
+        return given is None or (np.array_equal(mesh.p, given.p) and np.array_equal(mesh.t, given.t))
+
+    def note(self, step: Step, q: Array | None = None, *, shown: bool = True) -> bool:
+        """Add a step at moves ``q`` to the history, ``shown`` to ``on_step``; whether the solve is over."""
         if self.steps and step.iteration == self.steps[-1].iteration and step.t == self.steps[-1].t:
             return self.is_over()  # the start of a program is where the last one ended
         self.steps.append(step)
         self.last_moves = None if q is None else np.array(q)
         if self.on_step is not None:
-            self.on_step(step if q is None else replace(step, q=np.array(q)))
+            self.on_step(replace(step, q=np.array(q)) if q is not None and shown else step)
         return self.is_over()
 
     def run(self, formulation: Formulation, outer: Outer, q: Array) -> Outcome:
         """Where a formulation ends, also if Ctrl-C or a limit ends it: with the best valid moves so far."""
         self._track = None
+        if self.stopped is not None:
+            return Outcome(outer, q, self.stopped)
         try:
             return formulation.run(outer, q, self)
         except (KeyboardInterrupt, StoppedError) as error:
@@ -193,6 +204,7 @@ class Track:
         self.residual: Callable[[Array, Array], float] | None = None
         self.state_residual: Callable[[Array], float] | None = None
         self._lam_g: Array | None = None
+        self._shown = monitor.is_given(outer.problem.mesh)
         self._recent: deque[Array] = deque(maxlen=KEPT)
         self._best: tuple[float, Array] | None = None
 
@@ -254,7 +266,7 @@ class Track:
             stationarity=residual,
             **known,  # type: ignore[arg-type]
         )
-        return self.monitor.note(step, q)
+        return self.monitor.note(step, q, shown=self._shown)
 
     def _approximate(self, iteration: int, x: Array, f: float, **known: float) -> bool:
         q, value = x[: self.outer.n], f * self._unit
@@ -268,7 +280,7 @@ class Track:
             objective=value,
             **known,  # type: ignore[arg-type]
         )
-        return self.monitor.note(step, q)
+        return self.monitor.note(step, q, shown=self._shown)
 
     def with_violations(self, violations: list[float]) -> None:
         """Fill in what an NLP solver tells of its iterates when it has ended."""
