@@ -32,9 +32,9 @@ class Refined(Wrapper):
     levels: Count = 1
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        found, energies = monitor.run(self.inner, outer, q), []
+        found = monitor.run(self.inner, outer, q)
+        energies = [continuous_energy(found)]
         for _ in range(self.levels):
-            energies.append(continuous_energy(found))
             if monitor.is_over():
                 break
             coarse = found.outer.problem
@@ -42,7 +42,7 @@ class Refined(Wrapper):
                 fine = Outer(refined(coarse), outer.objective, outer.tolerance)
                 start = fine.moves(prolong(coarse, found.outer.nodes(found.q), fine.problem))
             found = monitor.run(self.inner, fine, start)
-        energies.append(continuous_energy(found))
+            energies.append(continuous_energy(found))
         return replace(found, details={**found.details, "level_energies": energies})
 
 

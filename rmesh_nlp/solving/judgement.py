@@ -87,8 +87,8 @@ def judged(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Judgeme
     """
     outer, q = outcome.outer, outcome.q
     problem, nodes = outer.problem, outer.nodes(q)
-    # what it begins from: by the same rules, on the mesh as given
-    begin = outer if problem.mesh is first.problem.mesh or _same_mesh(first.problem, problem) else first
+    # what it begins from, by the same rules
+    begin = outer if _is_comparable(first.problem, problem) else first
     areas = given_areas(first.problem, problem.triangles) if begin is not outer else None
     ratio = float(
         np.min(
@@ -191,8 +191,15 @@ def judged(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Judgeme
     )
 
 
-def _same_mesh(one: ContactProblem, other: ContactProblem) -> bool:
-    return np.array_equal(one.mesh.p, other.mesh.p) and np.array_equal(one.mesh.t, other.mesh.t)
+def _is_comparable(given: ContactProblem, last: ContactProblem) -> bool:
+    """Whether an end is compared with its own mesh before any motion.
+
+    That is the given one, or a refinement. With other edges it is one that was relocated already.
+    """
+    one, other = given.mesh, last.mesh
+    if one is other or one.p.shape != other.p.shape:
+        return True
+    return np.array_equal(one.p, other.p) and np.array_equal(one.t, other.t)
 
 
 def _quantities(begin: Outer, outer: Outer, nodes: Array, found: Equilibrium) -> dict[str, float]:

@@ -48,8 +48,9 @@ class Outcome:
 
 
 def continuous_energy(found: Outcome) -> float:
-    """The energy of the continuous problem at the end of a run; NaN of an invalid mesh."""
+    """The energy of the continuous problem at the end of a run; NaN of an invalid or unsolved mesh."""
     outer, q = found.outer, found.q
     if not outer.is_valid(q):
         return float("nan")
-    return outer.assessor.solve(outer.nodes(q), outer.energy(q).equilibrium.active).energy
+    there = outer.assessor.solve(outer.nodes(q), outer.energy(q).equilibrium.active)
+    return there.energy if there.status is Status.CONVERGED else float("nan")
