@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 from support.certificates import distorted, guess_on
+from support.formulations import fixed, joint
 
-import formulations.fixed
-import formulations.joint
 from rmesh_nlp.certificate import bracket as module
 from rmesh_nlp.certificate.bracket import Bracket, bracket, edge_residual
 from rmesh_nlp.certificate.conditions import NotCertifiableError, conditions_of
@@ -46,7 +45,7 @@ def bracket_of(problem: ContactProblem) -> Bracket:
 @pytest.mark.parametrize("n", [4, pytest.param(8, marks=pytest.mark.slow)])
 def test_exact_energy_of_61_is_inside_before_and_after(n):
     problem = EXAMPLES["6.1"](n)
-    for strategy in (formulations.fixed, formulations.joint):
+    for strategy in (fixed, joint):
         found = certify(strategy.solve(problem))
         assert found.guaranteed_lower
         assert found.guaranteed_upper
@@ -280,7 +279,7 @@ def test_korn_constant_is_that_of_the_literature_and_not_too_small():
 def test_a_changed_domain_keeps_its_own_bounds():
     mesh = rectangle(4, 2, x=(0, 2))
     problem = block(mesh=mesh, motion=Motion((0.05, 0.05), free=("right",)))
-    found = certify(formulations.joint.solve(problem))
+    found = certify(joint.solve(problem))
     assert found.guaranteed_lower
     assert found.lower <= found.upper
 

@@ -16,8 +16,8 @@ from support.contact_geometry import (
     block_sliding_on_a_circle,
     punch_held_by_symmetry,
 )
-
 from support.formulations import fixed, joint, mpcc, nested
+
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from support.formulations import joint, nested
+
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.discretisation.validity import least_angles
@@ -161,7 +161,7 @@ def test_the_multiplier_of_a_box_is_the_rate_of_the_energy() -> None:
     solution = joint.solve(p)
     q = freedoms(p).q_of(solution.mesh.p)
     # the same q in wider boxes: moves that the boxes do not stop have no first-order effect
-    wider = Outer(replace(p, motion=Motion(delta + step))).reduced(q)
+    wider = Outer(replace(p, motion=Motion(delta + step))).energy(q)
     assert solution.multipliers is not None
     assert np.sum(solution.multipliers.box > 0) > 10
     rate = (solution.energy - wider.value) / step

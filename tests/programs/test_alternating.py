@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from support.formulations import joint
+from formulations.joint import Joint
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.programs.alternating import alternated, alternating
-from rmesh_nlp.solving.history import Recorder
+from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 
 
@@ -48,9 +48,8 @@ def test_they_are_halved_until_the_mesh_is_valid() -> None:
 )
 def test_joint_starts_with_them_on_fine_meshes_without_area_constraints(fine, name, added) -> None:
     outer = Outer(EXAMPLES[name]({"6.1": 8, "6.3": (12, 6)}[name]))
-    n_q = outer.relocation.n_q
     first: list[np.ndarray] = []
-    recorder = Recorder(outer, lambda step: first.append(step.q))
-    joint.minimise(outer, np.zeros(n_q), recorder, joint.JointSettings(fine=fine, max_iterations=0))
+    monitor = Monitor(on_step=lambda step: first.append(step.q))
+    Joint(fine=fine, ipopt={"max_iter": 0}).minimised(outer, np.zeros(outer.n), monitor.track(outer))
     alternate = alternating(outer.relocation)
     assert (np.max(np.abs(alternate * first[0])) > 0.2) == added

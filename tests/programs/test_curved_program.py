@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from support.formulations import nested
+
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.curved_program import dense, with_hessian
@@ -19,9 +19,9 @@ PROBLEMS = {
 
 def program_of(problem: ContactProblem, objective: str) -> ReducedProgram:
     outer = Outer(problem, objective)
-    function = outer.function(objective)
-    residual = outer.residual(function)
-    return with_hessian(reduced_nlp(outer.relocation, function, outer.is_valid, residual, STATIONARY))
+    return with_hessian(
+        reduced_nlp(outer.relocation, outer.function, outer.is_valid, outer.residual, outer.tolerance)
+    )
 
 
 @pytest.mark.parametrize("name", PROBLEMS)

@@ -2,8 +2,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from support.curved import CURVES, HOLE, disc, plate, spline_of_the_hole
-
 from support.formulations import auto, joint, mpcc, nested
+
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.fem.objective_text import parse_objective

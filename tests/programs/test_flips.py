@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.formulations import auto
 from support.problems import no_boxes
 
-from support.formulations import auto
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.validity import least_angles

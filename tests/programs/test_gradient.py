@@ -42,7 +42,7 @@ def test_weights_that_do_not_move_would_be_noticed() -> None:
     outer = Outer(problem)
     moving = outer.energy(np.zeros(outer.relocation.n_q)).gradient
     smooth = replace(problem, obstacle=replace(problem.obstacle, friction=1e-12))
-    point = Outer(smooth).reduced
+    point = Outer(smooth).energy
     (still,) = point._gradient(
         outer.energy.point(np.zeros(moving.size), outer.given),
         outer.given.normal_force,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from support.formulations import nested
+
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.programs.objective_curvature import ObjectiveCurvature
@@ -18,11 +18,11 @@ from rmesh_nlp.solving.outer import Outer
     [("6.1", 4, "error-l2"), ("6.3", (6, 4), "energy + 0.1*quality"), ("6.3", (6, 4), "energy")],
 )
 def test_products_are_derivatives_of_the_gradient(name: str, size: int, objective: str) -> None:
-    outer, outer, rng = Outer(EXAMPLES[name](size)), parse_objective(objective), np.random.default_rng(1)
-    function = ReducedObjective(outer.energy, outer)
+    outer, wanted, rng = Outer(EXAMPLES[name](size)), parse_objective(objective), np.random.default_rng(1)
+    function = ReducedObjective(outer.energy, wanted)
     q = 0.3 * rng.uniform(-1, 1, outer.relocation.n_q)
     d = rng.uniform(-1, 1, q.size)
-    hessian = ObjectiveCurvature(outer.energy, outer).at(function(q))
+    hessian = ObjectiveCurvature(outer.energy, wanted).at(function(q))
     np.testing.assert_allclose(hessian.gradient, function(q).gradient, atol=1e-12)
     # central differences are wrong by the square of their step
     errors = []
@@ -41,10 +41,3 @@ def test_newton_takes_a_true_error_and_needs_few_contact_solves() -> None:
     assert before - after >= 0.95 * (before - ipopt.record()["objective_value"])
     assert newton.stationarity == "KKT"
     assert newton.contact_solves < ipopt.contact_solves
-
-
-def test_newton_is_the_default_and_the_pair_is_for_the_energy() -> None:
-    problem = EXAMPLES["6.1"](4)
-    assert nested.solve(problem).record()["outer"] == "newton"
-    with pytest.raises(ValueError, match="newton-pair needs the energy"):
-        nested.solve(problem, objective="error-l2", outer="newton-pair")

@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from support.formulations import fixed, joint, mpcc, nested
 
-import formulations.fixed
-import formulations.joint
-import formulations.mpcc
-import formulations.nested
 import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
@@ -32,9 +29,9 @@ def test_the_gradient_is_right(kind, objective):
 @pytest.mark.parametrize("kind", ["scalar", "membrane"])
 def test_nested_lowers_the_bound_from_the_given_mesh_and_from_that_of_least_energy(kind):
     problem = boxed(kind)
-    by_energy = formulations.nested.solve(problem)
+    by_energy = nested.solve(problem)
     for start in (None, by_energy):
-        found = formulations.nested.solve(problem, objective="certificate", start=start)
+        found = nested.solve(problem, objective="certificate", start=start)
         assert found.success
         assert found.extra["objective_value"] < found.extra["objective_initial"]
         certificate = rm.certify(found)
@@ -50,11 +47,11 @@ def test_nested_lowers_the_bound_from_the_given_mesh_and_from_that_of_least_ener
 @pytest.mark.slow
 def test_others_refuse_and_fixed_tells_the_value():
     problem = boxed("scalar")
-    for strategy in (formulations.joint, formulations.mpcc):
+    for strategy in (joint, mpcc):
         with pytest.raises(ValueError, match="certificate"):
             strategy.solve(problem, objective="certificate")
     elastic = EXAMPLES["6.3"]((4, 2))
     with pytest.raises(ValueError, match="scalar"):
-        formulations.nested.solve(elastic, objective="certificate")
-    found = formulations.fixed.solve(problem, objective="certificate")
+        nested.solve(elastic, objective="certificate")
+    found = fixed.solve(problem, objective="certificate")
     assert found.extra["objective_value"] > 0

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from support.formulations import auto
+
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.contact.model import ContactModel

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.formulations import fixed, joint, mpcc, nested
 from support.problems import sloped_block
 
-from support.formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.programs.multipliers import multipliers
 from rmesh_nlp.solving.outer import Outer

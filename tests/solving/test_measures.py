@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.endings import Ends, ended
+from support.formulations import fixed, joint
 from support.verdicts import GOOD
 
-from support.formulations import fixed, joint
 from rmesh_nlp.assessment.verdict import Measured, Verdict, verdict
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solving.driver import solve
+from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 
 
@@ -67,7 +70,9 @@ def test_gains_are_differences_to_the_given_mesh_by_one_rule_each() -> None:
 
 def test_a_mesh_that_cannot_be_solved_on_is_neither_valid_nor_improved() -> None:
     outer = Outer(EXAMPLES["6.1"](3))
-    q = np.full(outer.relocation.n_q, 10.0)
-    solution = outer.judge("joint", q, status=Status.CONVERGED, history=[], iterations=0, contact_solves=0)
-    assert solution.status is Status.INVALID_MESH
-    assert (solution.valid, solution.improved, solution.success) == (False, False, False)
+    found = ended(outer, np.full(outer.n, 10.0))
+    assert found.status is Status.INVALID_MESH
+    assert (found.valid, found.improved, found.success) == (False, False, False)
+    solution = solve(outer.problem, Ends(lambda here, *_: Outcome(here, found.outcome.q, Status.CONVERGED)))
+    assert (solution.status, solution.success) == (Status.INVALID_MESH, False)
+    assert solution.record()["energy"] is None

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
+from support.endings import ended
+from support.formulations import fixed, joint
 
 import rmesh_nlp as rm
-from support.formulations import fixed, joint
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.programs.reduced import ReducedPoint
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.solution import Solution
 
 
 @pytest.fixture(scope="module")
@@ -41,49 +41,42 @@ class TestStart:
     def test_positions_are_met_and_cut_to_the_boxes(self, problem: ContactProblem, outer: Outer) -> None:
         free = outer.relocation.freedoms
         q = np.random.default_rng(1).uniform(-1.5, 1.5, free.n)
-        start = outer.start(7, free.positions.values(q))  # a seed has then no effect
+        start = outer.moves(free.positions.values(q), 7)  # a seed has then no effect
         np.testing.assert_allclose(start, np.clip(q, -1, 1), atol=1e-12)
         np.testing.assert_allclose(free.bound, 1)
 
     def test_moves_that_invert_elements_are_shortened(self) -> None:
         wide = Outer(ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(2.0)))
         drawn = np.random.default_rng(5).uniform(-1, 1, wide.relocation.n_q)
-        start = wide.start(5)
+        start = wide.moves(seed=5)
         factor = np.max(np.abs(start)) / np.max(np.abs(drawn))
         np.testing.assert_allclose(start, factor * drawn)
         assert np.log2(factor) == round(np.log2(factor)) < 0
         assert wide.is_valid(start)
         assert not wide.is_valid(2 * start)
         free = wide.relocation.freedoms
-        nearer = wide.start(None, free.positions.values(drawn))
+        nearer = wide.moves(free.positions.values(drawn))
         part = np.max(np.abs(nearer)) / np.max(np.abs(drawn))
         assert wide.is_valid(nearer)
         assert not wide.is_valid(nearer / 0.95)
         assert factor <= part < 1
 
 
-def test_a_function_is_stated_once_for_each_objective(outer: Outer, monkeypatch: Any) -> None:
-    assert outer.function("energy") is outer.energy
-    first = outer.function("mean(top, -uy)")
-    assert outer.function("mean(top, -uy)") is first
-    other = outer.function("mean(top, -ux)")
-    assert other is not first
-    assert str(first.objective) == "mean(top, -uy)"
-    assert str(other.objective) == "mean(top, -ux)"
-    mixed = Outer(outer.problem, "energy + 0.1*quality")
-    assert mixed.function("energy + 0.1*quality") is mixed.reduced
-    assert mixed.function("energy") is not mixed.reduced
-
-
-def judged(outer: Outer, q: np.ndarray, **changes: Any) -> Solution:
-    common: dict[str, Any] = {"status": Status.CONVERGED, "history": [], "iterations": 4, "contact_solves": 2}
-    return outer.judge("mine", q, **(common | changes))
+def test_an_objective_is_built_once_and_shares_the_contact_model(outer: Outer) -> None:
+    assert outer.function is outer.energy
+    other = outer.minimising(parse_objective("mean(top, -uy)"))
+    assert other.function is other.function is not other.energy
+    assert str(other.function.objective) == "mean(top, -uy)"
+    assert outer.function is outer.energy
+    mixed = outer.minimising(parse_objective("energy + 0.1*quality"))
+    assert mixed.function is mixed.energy is not outer.energy
+    assert mixed.contact is other.contact is outer.contact
 
 
 def test_zones_and_counts_of_a_record(problem: ContactProblem) -> None:
     outer = Outer(problem)
     n = outer.relocation.n_q
-    record = judged(outer, np.zeros(n)).record()
+    record = ended(outer, np.zeros(n)).details
     sliding = np.count_nonzero(outer.given.active.sliding[problem.friction_rows])
     assert (record["sliding_nodes"], record["sticking_nodes"]) == (
         sliding,
@@ -92,11 +85,11 @@ def test_zones_and_counts_of_a_record(problem: ContactProblem) -> None:
     assert record["sliding_nodes"] > 0
     assert record["referee_equilibrium_residual"] < 1e-9
     assert record["own_equilibrium_residual"] == record["referee_equilibrium_residual"]
-    still = judged(outer, np.zeros(n), relocates=False).record()
+    still = fixed.solve(problem).record()
     assert still["cold_contact_solves"] == 1
     assert still["contact_factorisations"] == outer.given.iterations
     smooth = Outer(EXAMPLES["6.2"]((4, 2)))
-    assert "sliding_nodes" not in judged(smooth, np.zeros(smooth.relocation.n_q)).record()
+    assert "sliding_nodes" not in ended(smooth, np.zeros(smooth.n)).details
 
 
 def test_own_residuals_are_those_of_the_strategy_s_state(problem: ContactProblem) -> None:
@@ -104,12 +97,13 @@ def test_own_residuals_are_those_of_the_strategy_s_state(problem: ContactProblem
     q = np.zeros(outer.relocation.n_q)
     state = outer.energy(q).equilibrium
     off = replace(state, u=1.01 * state.u)
-    record = judged(outer, q, own=off).record()
+    found = ended(outer, q, own=off)
+    record = found.details
     assert record["own_equilibrium_residual"] > 1e-3 > 1e-9 > record["referee_equilibrium_residual"]
-    assert record["energy"] == pytest.approx(state.energy, rel=1e-12)
-    taken = judged(outer, q, equilibrium=off)
+    assert found.fields["energy"] == pytest.approx(state.energy, rel=1e-12)
+    taken = ended(outer, q, own=off, decides=True)
     assert taken.status is Status.INACCURATE
-    np.testing.assert_allclose(taken.displacement, outer.contact.displacement.values(off.u))
+    np.testing.assert_allclose(taken.fields["displacement"], outer.contact.displacement.values(off.u))
 
 
 def test_pressures_carry_the_weight_of_the_block() -> None:
@@ -133,7 +127,7 @@ def test_rounding_is_relative_to_parts_of_the_energy_that_cancel() -> None:
     outer = Outer(lifted)
     system, state = outer.contact.system(lifted.mesh.p), outer.given
     strain = 0.5 * float(state.u @ (system.stiffness @ state.u))
-    found = judged(outer, np.zeros(outer.relocation.n_q))
+    found = ended(outer, np.zeros(outer.n))
     assert 0 < strain < 1
     assert abs(state.energy) < 0.2 * strain
     assert found.measured is not None
@@ -179,10 +173,10 @@ def test_a_label_proves_stationarity_where_some_node_is_weak(
     """The mesh as given is not stationary by its residual."""
     outer = Outer(problem)
     monkeypatch.setattr(ReducedPoint, "weak", property(lambda point: np.array(weak)))
-    found = judged(outer, np.zeros(outer.relocation.n_q), stationarity=label)
+    found = ended(outer, np.zeros(outer.n), label=label)
     proved = label in ("S", "B") and any(weak)
     assert found.status is (Status.CONVERGED if proved else Status.NOT_STATIONARY)
-    assert found.stationarity == (label or "")
+    assert found.fields["stationarity"] == (label or "")
 
 
 @pytest.mark.parametrize(("weight", "improved"), [(1e-9, True), (1e6, False)])
@@ -191,12 +185,8 @@ def test_a_distortion_counts_in_what_has_improved(
 ) -> None:
     """Moves that lower the energy distort the elements: whether that is better depends on the weight."""
     lower = joint.solve(problem)
-    objective = f"energy + {weight}*quality"
-    outer = Outer(problem, objective)
-    q = outer.moves(lower.mesh.p)
-    judged = outer.judge(
-        "moved", q, status=Status.CONVERGED, tolerance=1e-6, history=(), iterations=0, contact_solves=1,
-        objective=objective,
-    )  # fmt: skip
-    assert judged.audit.energy_audited < judged.energy_initial_audited
-    assert judged.success == improved
+    outer = Outer(problem, f"energy + {weight}*quality")
+    found = ended(outer, outer.moves(lower.mesh.p))
+    assert found.measured is not None
+    assert found.measured.gain_audited > 0
+    assert found.success == improved

@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from support.formulations import joint
+
 from rmesh_nlp.campaign.progress import summary as one_line
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.solving.solution import Solution, _gain, counted
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outer import Outer, Work
+from rmesh_nlp.solving.solution import Solution, _gain
 from rmesh_nlp.solving.step import Step
 from rmesh_nlp.solving.step import plain as as_plain
 
@@ -79,11 +81,14 @@ class TestRecord:
         assert (first["iteration"], first["energy"], first["dual_residual"]) == (3, -1.0, None)
         assert (first["objective"], first["product"], first["biactive"], first["stationarity"]) == (None,) * 4
 
-    def test_work_is_summed_where_all_counted_it(self) -> None:
-        one = SimpleNamespace(extra={"cold_contact_solves": 1, "contact_factorisations": 5})
-        two = SimpleNamespace(extra={"cold_contact_solves": 2, "kkt_factorisations": 7})
-        assert counted([one, two]) == {"cold_contact_solves": 3}  # type: ignore[list-item]
-        assert counted([one]) == one.extra  # type: ignore[list-item]
+    def test_work_is_summed_over_all_outer_problems(self) -> None:
+        assert Work(1, 1, 5) + Work(2, 2, 0, 7) == Work(3, 3, 5, 7)
+        monitor, outer = Monitor(), Outer(EXAMPLES["6.2"]((4, 2)))
+        monitor.work += Work(kkt_factorisations=7)
+        for other in (outer, outer.near(), Outer(outer.problem)):  # a start that is near is no other problem
+            monitor.tracked(other).energy(np.zeros(outer.n))
+        assert monitor.spent.contact_solves == outer.energy.contact_solves + 1
+        assert monitor.spent.kkt_factorisations == 7
 
     @pytest.mark.parametrize(
         ("value", "plain"),

@@ -3,8 +3,8 @@
 import math
 
 import pytest
-
 from support.formulations import nested
+
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.solving.step import Step
 from rmesh_nlp.solving.time_left import Falling

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
 from typing import Any
 
@@ -9,19 +10,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.endings import Ends, ended
 from support.verdicts import GOOD
 
-from support.formulations import fixed
 from rmesh_nlp.assessment.assessor import EXPLOITS, Audit, equilibrium_residual, law_residual
 from rmesh_nlp.assessment.verdict import FAILURES, Measured, verdict
 from rmesh_nlp.contact.sensitivity import weakly_active
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, ProblemError
-from rmesh_nlp.solving import outer as refereeing
+from rmesh_nlp.solving import driver, judgement, limits
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.solution import interrupted
 
 
 def with_audit(**changes: Any) -> Measured:
@@ -185,46 +188,45 @@ def test_no_verdict_contradicts_itself(said: Status, measured: Measured) -> None
 
 def test_a_contact_solve_that_failed_anywhere_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also one of the audit, or on the given mesh: a gain is a difference of four of them."""
-    problem = EXAMPLES["6.2"]((4, 2))
     for number in range(2):
-        outer = Outer(problem)
-        found, calls = outer.assessor.initial, []
-
-        def failing(nodes, start=None, found=found, calls=calls, number=number):
-            calls.append(nodes)
-            sick = replace(found.state, status=Status.CYCLED)
-            return replace(found, state=sick) if len(calls) == number + 1 else found
-
-        monkeypatch.setattr(outer.assessor, "solve", failing)
-        if number == 1:
-            outer.assessor.__dict__["initial"] = failing(None)
-        common: dict[str, Any] = {"status": Status.CONVERGED, "history": [], "iterations": 0}
-        found = outer.judge("x", np.zeros(outer.relocation.n_q), contact_solves=1, **common)
-        assert (found.status, found.valid, found.success) == (Status.CYCLED, False, False)
-    sick = Outer(problem)
-    sick.initial = replace(sick.initial, status=Status.ITERATION_LIMIT)
-    found = sick.judge("x", np.zeros(sick.relocation.n_q), contact_solves=1, **common)
-    assert (found.status, found.success) == (Status.ITERATION_LIMIT, False)
-    assert found.record()["solver_status"] == "converged"
+        outer = Outer(EXAMPLES["6.2"]((4, 2)))
+        found = outer.assessor.initial
+        sick = replace(found, state=replace(found.state, status=Status.CYCLED))
+        outer.assessor.__dict__["initial"] = (found, sick)[number]
+        monkeypatch.setattr(outer.assessor, "solve", lambda *_, end=(sick, found)[number]: end)
+        judged = ended(outer, np.zeros(outer.n))
+        assert (judged.status, judged.valid, judged.success) == (Status.CYCLED, False, False)
+    ill = Outer(EXAMPLES["6.2"]((4, 2)))
+    ill.knows(replace(ill.given, status=Status.ITERATION_LIMIT), 1.0)
+    judged = ended(ill, np.zeros(ill.n))
+    assert (judged.status, judged.success) == (Status.ITERATION_LIMIT, False)
+    assert judged.fields["solver_status"] is Status.CONVERGED
 
 
-def test_ctrl_c_after_a_solve_does_not_hide_a_fault() -> None:
-    good = fixed.solve(EXAMPLES["6.2"]((4, 2)))
-    stopped = interrupted(good)
-    assert (stopped.status, stopped.success) == (Status.INTERRUPTED, True)
-    assert stopped.message == Status.INTERRUPTED.message
-    bad = interrupted(replace(good, status=Status.WORSE, success=False, improved=False))
-    assert (bad.status, bad.success) == (Status.INTERRUPTED, False)
-    assert "no success, worse" in bad.message
+def pressed(*_: Any) -> Any:
+    signal.raise_signal(signal.SIGINT)
 
 
-def test_a_worse_mesh_does_not_hide_ctrl_c() -> None:
-    outer = Outer(EXAMPLES["6.2"]((4, 2)))
-    uphill = np.sign(outer.energy(np.zeros(outer.relocation.n_q)).gradient)
-    q = 0.5 * uphill * outer.relocation.freedoms.bound
-    found = outer.judge("x", q, status=Status.INTERRUPTED, history=[], iterations=0, contact_solves=0)
-    assert (found.status, found.success, found.improved) == (Status.INTERRUPTED, False, False)
-    assert "no success, worse" in found.message
+@pytest.mark.parametrize("sign", [0.0, 1.0])
+@pytest.mark.parametrize("when", ["during", "after"])
+def test_ctrl_c_hides_no_fault_and_no_fault_hides_it(
+    sign: float, when: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``during`` the solve, and ``after`` it, while its end is assessed; uphill the end is worse."""
+
+    def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        to = q + 0.5 * sign * np.sign(outer.energy(q).gradient) * outer.bound
+        if when == "during":
+            monitor.stop(KeyboardInterrupt())
+        else:
+            assess = driver.judged
+            monkeypatch.setattr(driver, "judged", lambda *a, **k: pressed() or assess(*a, **k))
+        return Outcome(outer, to, Status.CONVERGED)
+
+    found = driver.solve(EXAMPLES["6.2"]((4, 2)), Ends(end), safely=False)
+    assert (found.status, found.success, found.improved) == (Status.INTERRUPTED, sign == 0, sign == 0)
+    assert ("no success, worse" in found.message) == (sign > 0)
+    assert found.message.startswith(Status.INTERRUPTED.message)
 
 
 def test_residuals_measure_force_and_friction_law() -> None:
@@ -247,18 +249,12 @@ def test_residuals_measure_force_and_friction_law() -> None:
     assert law_residual(*sound, turned) > 1e-3
 
 
-def test_a_claimed_energy_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = EXAMPLES["6.2"]((4, 2))
-    outer = Outer(problem)
-    point = outer.energy(np.zeros(outer.relocation.n_q))
-    common: dict[str, Any] = {"history": [], "iterations": 0, "contact_solves": 1}
-    common["status"] = Status.CONVERGED
-    wrong = outer.judge("x", point.q, claimed_energy=point.value * (1 + 1e-5), **common)
-    right = outer.judge("x", point.q, claimed_energy=point.value * (1 + 1e-8), **common)
-    assert wrong.status is Status.INACCURATE
-    assert not wrong.success
-    assert right.success
-    assert right.status is Status.NOT_STATIONARY
+def test_a_claimed_energy_is_checked() -> None:
+    outer = Outer(EXAMPLES["6.2"]((4, 2)))
+    q, value = np.zeros(outer.n), outer.energy(np.zeros(outer.n)).value
+    wrong, right = (ended(outer, q, claimed=value * (1 + part)) for part in (1e-5, 1e-8))
+    assert (wrong.status, wrong.success) == (Status.INACCURATE, False)
+    assert (right.status, right.success) == (Status.NOT_STATIONARY, True)
 
 
 def test_where_strict_complementarity_fails_is_seen() -> None:
@@ -269,7 +265,7 @@ def test_where_strict_complementarity_fails_is_seen() -> None:
     assert np.all(weakly_active(system, outer.given))
     apart = replace(problem, obstacle=Obstacle("right", (1.0,), 0.1), law=Laplace(1.0))
     other = Outer(apart)
-    assert not np.any(weakly_active(other.model.system(apart.mesh.p), other.initial))
+    assert not np.any(weakly_active(other.contact.system(apart.mesh.p), other.given))
 
 
 @pytest.mark.parametrize(
@@ -290,5 +286,5 @@ def test_given_displacements_that_violate_a_gap_are_refused(law, dirichlet, obst
 
 
 def test_the_default_tolerance_is_what_docs_promise() -> None:
-    assert refereeing.STATIONARY == 1e-6
-    assert refereeing.ENERGY_AGREEMENT == 1e-6
+    assert limits.TOLERANCE == 1e-6
+    assert judgement.ENERGY_AGREEMENT == 1e-6

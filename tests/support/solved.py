@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.solution import Solution
 
 Size = int | tuple[int, int] | None
@@ -22,7 +22,7 @@ def example(name: str, size: Size = None, quadrature: int | None = None) -> Cont
 
 @cache
 def solved(
-    strategy: str, name: str, size: Size = None, quadrature: int | None = None, objective: str = "energy"
+    formulation: str, name: str, size: Size = None, quadrature: int | None = None, objective: str = "energy"
 ) -> Solution:
-    """The solution of :func:`example` by a strategy with its defaults, from the mesh as given."""
-    return strategies.available()[strategy].load()(example(name, size, quadrature), objective=objective)
+    """The solution of :func:`example` by a formulation with its defaults, from the mesh as given."""
+    return solve(example(name, size, quadrature), formulation, objective=objective, safely=False)

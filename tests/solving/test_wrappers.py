@@ -1,0 +1,262 @@
+"""Formulations that take one: what runs, from where, which end is the outcome, and what the record tells."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from support.endings import Ends
+
+from formulations.flips import Flips
+from formulations.multistart import MultiStart
+from formulations.refined import Refined, prolong
+from formulations.schedule import Schedule
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
+from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.programs.energy_flips import flip_edges
+from rmesh_nlp.programs.regularisation import gain_estimate, regularised
+from rmesh_nlp.solving.driver import solve
+from rmesh_nlp.solving.judgement import judged
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.options import solve_by_options
+from rmesh_nlp.solving.outcome import Outcome, continuous_energy
+from rmesh_nlp.solving.outer import Outer
+
+
+@pytest.fixture(scope="module")
+def problem() -> ContactProblem:
+    return ContactProblem(
+        rectangle(2, 2), Laplace(1.0), ("left",), Obstacle("right", (1.0,), 0.1), Motion(Relative(0.2))
+    )
+
+
+class Script:
+    """A formulation that ends at given parts of a descent, one after the other, and notes where it began."""
+
+    def __init__(self, *parts: float, stop: int = -1, tracks: bool = False) -> None:
+        self.parts, self.stop, self.tracks = list(parts), stop, tracks
+        self.begun: list[tuple[Outer, Array]] = []
+        self.ends: list[Outcome] = []
+
+    @property
+    def formulation(self) -> Ends:
+        return Ends(self)
+
+    def __call__(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        self.begun.append((outer, q))
+        if len(self.begun) == self.stop:
+            raise KeyboardInterrupt
+        slope = outer.energy(np.zeros(outer.n)).gradient
+        end = -self.parts.pop(0) * slope / np.max(np.abs(slope))
+        if self.tracks:
+            monitor.track(outer).exact(len(self.begun), end)
+        self.ends.append(Outcome(outer, end, Status.CONVERGED, details={"own": len(self.ends)}))
+        return self.ends[-1]
+
+
+class TestMultiStart:
+    """It ends at parts 0.1, 50 (which inverts elements), 0.4 and 0.2 of a descent."""
+
+    def made(
+        self, problem: ContactProblem, objective: str = "energy", **options: Any
+    ) -> tuple[Script, Outcome, Outer]:
+        script, outer = Script(0.1, 50.0, 0.4, 0.2, **options), Outer(problem, objective)
+        return script, Monitor().run(MultiStart(script.formulation, 3), outer, np.zeros(outer.n)), outer
+
+    def test_the_best_is_the_valid_end_of_least_continuous_energy(self, problem: ContactProblem) -> None:
+        script, found, outer = self.made(problem)
+        np.testing.assert_array_equal(found.q, script.ends[2].q)
+        for (_, begun), seed in zip(script.begun, (None, 1, 2, 3), strict=True):
+            np.testing.assert_array_equal(begun, outer.moves(seed=seed))
+        energies = [continuous_energy(end) for end in script.ends]
+        assert found.details == {
+            "own": 2,
+            "start_seeds": [None, 1, 2, 3],
+            "start_energies": [None if np.isnan(energy) else energy for energy in energies],
+            "start_spread": np.nanmax(energies) - np.nanmin(energies),
+        }
+        assert found.details["start_energies"][1] is None
+
+    def test_of_another_objective_the_best_has_its_least_value(self, problem: ContactProblem) -> None:
+        script, found, outer = self.made(problem, "body(-u)")
+        values = [outer.function(end.q).value for end in script.ends if outer.is_valid(end.q)]
+        assert found.details["start_values"] == [values[0], None, *values[1:]]
+        assert outer.function(found.q).value == min(values)
+        script, found, outer = self.made(problem, "body(u)")  # a descent of the energy raises this one
+        np.testing.assert_array_equal(found.q, script.ends[0].q)
+
+    def test_without_a_valid_end_it_is_the_first(self, problem: ContactProblem) -> None:
+        script, outer = Script(50.0, 60.0), Outer(problem)
+        found = Monitor().run(MultiStart(script.formulation, 1), outer, np.zeros(outer.n))
+        np.testing.assert_array_equal(found.q, script.ends[0].q)
+        assert (found.details["start_energies"], found.details["start_spread"]) == ([None, None], None)
+
+    def test_an_interrupted_start_is_the_last_and_is_said(self, problem: ContactProblem) -> None:
+        script = Script(0.3, 0.1, 0.1, stop=2)
+        solution = solve(problem, MultiStart(script.formulation, 5), safely=False)
+        assert len(script.begun) == 2
+        assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
+        assert solution.extra["start_seeds"] == [None, 1]
+        np.testing.assert_allclose(solution.mesh.p, script.ends[0].outer.nodes(script.ends[0].q))
+
+    @pytest.mark.parametrize("options", [{"starts": 2, "levels": 1}, {"starts": 2, "seed": 0}])
+    def test_what_does_not_go_together_is_refused(
+        self, problem: ContactProblem, options: dict[str, int]
+    ) -> None:
+        with pytest.raises(BadInputError, match="cannot be combined"):
+            solve_by_options(problem, "joint", options)
+
+
+class TestRefined:
+    def test_a_refined_mesh_moves_in_boxes_of_the_same_length(self, problem: ContactProblem) -> None:
+        fine = refined(problem)
+        assert fine.mesh.t.shape[1] == 4 * problem.mesh.t.shape[1]
+        meshes = [problem.mesh, fine.mesh]
+        edges = [np.linalg.norm(np.diff(m.p[:, m.facets], axis=1), axis=0).min() for m in meshes]
+        fractions = [p.motion.delta.fraction for p in (problem, fine)]
+        assert edges[1] * fractions[1] == pytest.approx(edges[0] * fractions[0], rel=1e-12)
+
+    def test_a_prolonged_motion_is_interpolated_linearly(self, problem: ContactProblem) -> None:
+        """An affine motion stays so; one node that moves takes the midpoints of its edges half of the way."""
+        fine, p = refined(problem), problem.mesh.p
+        affine = np.array([[1.1, 0.2], [-0.1, 0.9]])
+        np.testing.assert_allclose(prolong(problem, affine @ p, fine), affine @ fine.mesh.p, atol=1e-15)
+        moved = p.copy()
+        moved[:, 4] += (0.1, -0.2)
+        motion = prolong(problem, moved, fine) - fine.mesh.p
+        around = np.any(problem.mesh.facets == 4, axis=0)
+        np.testing.assert_allclose(motion[:, 4], (0.1, -0.2))
+        np.testing.assert_allclose(
+            motion[:, p.shape[1] :][:, around], [[0.05], [-0.1]] * np.ones(around.sum())
+        )
+        assert np.count_nonzero(motion) == 2 * (1 + around.sum())
+
+    def test_a_mesh_that_is_no_refinement_is_refused(self, problem: ContactProblem) -> None:
+        fine = refined(problem)
+        shifted = replace(fine, mesh=replace(fine.mesh, doflocs=fine.mesh.p + 1e-3))
+        for wrong in (problem, shifted, refined(fine)):
+            with pytest.raises(ValueError, match="not the uniform refinement"):
+                prolong(problem, problem.mesh.p, wrong)
+
+    def test_each_level_begins_where_the_one_before_ended(self, problem: ContactProblem) -> None:
+        script = Script(0.1, 0.2, 0.3)
+        solution = solve(problem, Refined(script.formulation, 2), safely=False)
+        assert [outer.problem.mesh.t.shape[1] for outer, _ in script.begun] == [8, 32, 128]
+        for before, (fine, q) in zip(script.ends, script.begun[1:], strict=False):
+            coarse = before.outer
+            wanted = prolong(coarse.problem, coarse.nodes(before.q), fine.problem)
+            np.testing.assert_allclose(fine.nodes(q), wanted, atol=1e-12)
+        assert solution.extra["level_energies"] == [continuous_energy(end) for end in script.ends]
+        # compared with the refined mesh before any motion
+        fine = refined(refined(problem))
+        assert solution.energy_initial == pytest.approx(Outer(fine).given.energy, rel=1e-12)
+        assert solution.record()["nodes"] == fine.mesh.p.shape[1]
+
+    def test_levels_end_where_one_is_interrupted(self, problem: ContactProblem) -> None:
+        script = Script(0.1, 0.2, stop=1)
+        solution = solve(problem, Refined(script.formulation, 3), safely=False)
+        assert len(script.begun) == len(solution.extra["level_energies"]) == 1
+        assert solution.status is Status.INTERRUPTED
+        with pytest.raises(BadInputError, match="levels must be positive and finite, got -1"):
+            Refined(script.formulation, -1)
+
+
+def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: ContactProblem) -> None:
+    free, steps = replace(problem, motion=Motion(None)), []
+    script = Script(0.01, 0.02, 0.03, tracks=True)
+    formulation = Schedule(script.formulation, (1.0, 0.1, 0.0))
+    solution = solve(free, formulation, safely=False, on_step=steps.append)
+    assert not np.any(script.begun[0][1])
+    for before, (_, q) in zip(script.ends, script.begun[1:], strict=False):
+        np.testing.assert_array_equal(q, before.q)
+    gain, texts = solution.extra["gain_estimate"], [outer.objective.text for outer, _ in script.begun]
+    wanted = [regularised(gain, weight, "shape-size").text for weight in (1.0, 0.1, 0.0)]
+    assert texts == wanted
+    assert wanted[-1] == solution.objective == "energy"
+    assert solution.iterations == steps[-1].iteration == 1 + 2 + 3
+    spent = sum(outer.energy.contact_solves for outer, _ in script.begun)
+    assert 6 <= solution.contact_solves <= spent
+
+
+@pytest.fixture(scope="module")
+def crooked() -> ContactProblem:
+    """Example 6.1 with shaken nodes, whose flips gain."""
+    outer = Outer(replace(EXAMPLES["6.1"](n=6), motion=Motion(None), quadrature=6))
+    nodes = outer.nodes(0.3 * np.random.default_rng(2).uniform(-1, 1, outer.n))
+    return replace(outer.problem, mesh=replace(outer.problem.mesh, doflocs=nodes))
+
+
+@pytest.fixture(scope="module")
+def ends(crooked: ContactProblem) -> tuple[Outer, Callable[[], Outer]]:
+    """The mesh as given, and the flipped one, whose energy is lower."""
+    flipped = flip_edges(crooked, gain_estimate(crooked).value).problem
+    nodes = np.array(flipped.mesh.p)
+    nodes[:, flipped.mesh.interior_nodes()] += 1e-4
+    return Outer(crooked), lambda: Outer(replace(flipped, mesh=replace(flipped.mesh, doflocs=nodes)))
+
+
+class TestFlips:
+    def test_edges_are_flipped_until_neither_flips_nor_moves_gain(self, crooked: ContactProblem) -> None:
+        first = Ends(lambda outer, q, _: Outcome(outer, q, Status.CONVERGED, details={"kept": 1}))
+        again = Script(*[0.001] * 9)
+        solution = solve(crooked, Flips(first, then=again.formulation), safely=False)
+        row = solution.record()
+        assert again.begun
+        assert row["kept"] == 1
+        assert row["flips"] == sum(one["flips"] for one in row["flip_rounds"]) > 0
+        assert row["changed_triangles"] > 0
+        np.testing.assert_array_equal(solution.initial_nodes, crooked.mesh.p)
+        assert solution.energy_initial == pytest.approx(Outer(crooked).given.energy, rel=1e-12)
+        assert solution.gain_audited > 0
+        assert solution.energy <= row["flip_rounds"][-1]["relocated"] + 1e-12
+
+    def test_after_flips_a_schedule_is_not_gone_through_again(self, crooked: ContactProblem) -> None:
+        script = Script(*[0.001] * 12)
+        solve(crooked, Flips(Schedule(script.formulation, (1.0, 0.01))), safely=False)
+        weights = [outer.objective.text for outer, _ in script.begun]
+        assert len(weights) > 2
+        assert set(weights[1:]) == {weights[1]} != {weights[0]}
+
+    def test_the_gain_is_that_of_all_rounds(self, ends: Any) -> None:
+        first, there = ends[0], ends[1]()
+        found = judged(first, Outcome(there, there.moves(), Status.CONVERGED))
+        gain = first.given.energy - there.given.energy
+        assert found.measured is not None
+        assert found.measured.gain == pytest.approx(gain, rel=1e-9)
+        assert found.measured.gain_audited == pytest.approx(
+            first.assessor.initial.energy - there.assessor.initial.energy, rel=1e-9
+        )
+        assert gain > 0
+        assert found.success
+
+    @pytest.mark.parametrize("higher", [False, True])
+    def test_the_audit_is_compared_over_all_rounds(self, ends: Any, higher: bool) -> None:
+        first, there = ends[0], ends[1]()
+        raised = first.assessor.initial.energy + (1e-3 if higher else -1e-6)
+        after = replace(there.assessor.initial, energy=raised)
+        there.assessor.solve = lambda *_: after
+        found = judged(first, Outcome(there, there.moves(), Status.STALLED))
+        assert (found.status is Status.EXPLOITED) == higher
+
+    def test_faults_of_the_last_mesh_stay_faults(self, ends: Any) -> None:
+        first, there = ends[0], ends[1]()
+        rough = replace(there.given, u=1.01 * there.given.u)
+        found = judged(first, Outcome(there, there.moves(), Status.CONVERGED, own=rough, decides=True))
+        assert (found.status, found.valid) == (Status.INACCURATE, False)
+        lower = Outer(first.problem)
+        lower.knows(replace(lower.given, energy=-5.0), 1.0)
+        lower.assessor.__dict__["initial"] = replace(lower.assessor.initial, energy=-5.0)
+        found = judged(lower, Outcome(there, there.moves(), Status.CONVERGED))
+        assert (found.status, found.valid, found.improved) == (Status.WORSE, True, False)
+
+    def test_boxes_are_refused(self, problem: ContactProblem) -> None:
+        with pytest.raises(BadInputError, match="boxes"):
+            solve(problem, Flips(Script().formulation))

@@ -1,0 +1,31 @@
+"""Formulations and outcomes that end where a test says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solving.formulation import Formulation
+from rmesh_nlp.solving.judgement import Judgement, judged
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
+
+
+@dataclass(frozen=True)
+class Ends(Formulation):
+    """Ends where ``end(outer, q, monitor)`` says."""
+
+    end: Any
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        return self.end(outer, q, monitor)
+
+
+def ended(
+    outer: Outer, q: Array, status: Status = Status.CONVERGED, *, relocates: bool = True, **fields: Any
+) -> Judgement:
+    """What is judged of an end at moves ``q``."""
+    return judged(outer, Outcome(outer, q, status, **fields), relocates=relocates)
