@@ -137,9 +137,10 @@ class Joint(Formulation):
         if not result.converged and not outer.is_valid(end):
             return Outcome(outer, track.best(q), status)
         if result.status is not Status.ITERATION_LIMIT:
+            before = monitor.iterations
             last = self._finished(outer, end, monitor)
             if last is not end:
-                return Outcome(outer, last, status, details={"newton_steps": monitor.track(outer).iterations})
+                return Outcome(outer, last, status, details={"newton_steps": monitor.iterations - before})
         return Outcome(outer, end, status, own=_own(outer, end, result), claimed=result.f)
 
     def minimised(self, outer: Outer, q: Array, track: Track) -> NLPResult:

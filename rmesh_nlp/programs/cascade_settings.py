@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.programs.regularisation import regularised, weights
 from rmesh_nlp.settings import Count, Limit, Positive, Settings
 
@@ -73,6 +74,9 @@ class CascadeSettings(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         regularised(1.0, self.regularisation, self.distortion)
+        kinds = (tuple, list)
+        if not (isinstance(self.schedules, kinds) and all(isinstance(one, kinds) for one in self.schedules)):
+            raise BadInputError(f"schedules must be lists of weights, got {self.schedules!r}")
         for schedule in self.schedules:
             weights((*schedule, self.regularisation), "a schedule of the cascade")
 

@@ -22,7 +22,7 @@ from rmesh_nlp.solving.judgement import Judgement, judged
 from rmesh_nlp.solving.limits import TOLERANCE, Limits
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.outer import Outer, Work
-from rmesh_nlp.solving.safe import SAFE_DEGREE, again, better, damped, is_hollow
+from rmesh_nlp.solving.safe import SAFE_DEGREE, again, back, better, damped, is_hollow
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.start import Start, beginning
 from rmesh_nlp.solving.step import Step
@@ -103,6 +103,9 @@ def solve(
                 found, part = monitor.to_its_end(lambda: damped(first, found))
             said += f", and {part:g} of the way to the last mesh taken" if part < 1 else ""
         details["safe"] = said
+    if monitor.stopped is not None and found.outcome.status is monitor.stopped and not found.success:
+        with monitor.clock.during("audit"):
+            found = monitor.to_its_end(lambda: back(first, found))
     if why:
         details |= {"chosen_by": name, "chosen": "; ".join((why, *found.details.get("said", ())))}
     return _made(chosen, found, first, begin, monitor, spent, details, seed, certify, bool(why))

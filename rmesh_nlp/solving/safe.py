@@ -80,6 +80,15 @@ def damped(first: Outer, found: Judgement) -> tuple[Judgement, float]:
     return judged(first, short), best
 
 
+def back(first: Outer, found: Judgement) -> Judgement:
+    """The mesh as given in the place of where a solve was stopped, if that is no success and this is."""
+    rest = replace(
+        found.outcome, outer=first, q=np.zeros(first.n), own=None, decides=False, claimed=None, label=None
+    )
+    given = judged(first, rest)
+    return given if given.success else found
+
+
 def again(first: Judgement) -> ContactProblem | None:
     """The problem to solve once more; None where that would change nothing."""
     problem = first.outcome.outer.problem
