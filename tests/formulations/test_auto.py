@@ -2,20 +2,26 @@
 
 import math
 import signal
-from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
+from support.formulations import auto
 from support.problems import no_boxes
 
-from support.formulations import auto, auto_cascade, fixed, joint, nested
-from formulations.auto_rules import agrees
+from formulations import cascade as of_cascade
+from formulations.auto import Auto
+from formulations.cascade import cascade, finished
+from formulations.confirmed import agrees
+from formulations.joint import Joint
+from formulations.nested import Nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
@@ -28,10 +34,11 @@ from rmesh_nlp.problem import (
     Traction,
     signed_areas,
 )
-from rmesh_nlp.programs.cascade import CascadeResult, cascade
+from rmesh_nlp.programs.cascade import CascadeResult
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.programs.stationary import Finish, finished
-from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.programs.stationary import Finish
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.step import Step
 
 
@@ -47,7 +54,7 @@ def test_large_moves_of_example_61_and_what_the_record_says_of_them() -> None:
     assert error[0] / error[1] > 5
     assert row["chosen_by"] == "auto"
     assert "81, 289 nodes" in row["chosen"]
-    assert (row["formulation"], row["outer"], row["quadrature"]) == ("nested", "newton", 6)
+    assert (row["formulation"], row["outer"], row["quadrature"]) == ("cascade", "newton", 6)
     assert [level["nodes"] for level in row["cascade"]] == [81, 289]
     assert row["cascade"][1]["energy"] < row["cascade"][1]["prolonged"] < row["energy_initial"]
     assert row["status"] == "converged"
@@ -102,11 +109,15 @@ def test_the_rule_is_raised_until_the_audit_confirms_the_gain() -> None:
 def test_a_rule_is_confirmed_that_changes_the_gain_by_one_per_cent_at_most(
     wrong: float, confirmed: bool
 ) -> None:
-    solution = fixed.solve(EXAMPLES["6.2"]((4, 2)))
-    corrections = {**solution.measured.corrections, "quadrature": wrong * 3.0}
-    measured = replace(solution.measured, corrections=corrections)
-    gained = solution.audit.energy_audited + 3.0
-    assert agrees(replace(solution, measured=measured, energy_initial_audited=gained)) is confirmed
+    outer = Outer(EXAMPLES["6.2"]((4, 2)))
+    ends = [SimpleNamespace(energy=energy) for energy in (-1.0, -4.0)]
+    outer.__dict__["assessor"] = SimpleNamespace(
+        initial=ends[0],
+        initial_corrections={"quadrature": 0.5},
+        solve=lambda *_: ends[1],
+        corrections=lambda *_: {"quadrature": 0.5 + wrong * 3.0},
+    )
+    assert agrees(Outcome(outer, np.full(outer.n, 0.1), Status.CONVERGED)) is confirmed
 
 
 @pytest.mark.parametrize("bad", [{"regularisation": 0}, {"distortion": "oval"}, {"brief": 0}, {"speed": 1}])
@@ -115,23 +126,13 @@ def test_bad_settings_are_refused(bad: dict) -> None:
         auto.solve(no_boxes(EXAMPLES["6.1"](n=4)), settings=bad)
 
 
-@pytest.mark.parametrize(("n", "chosen"), [(8, "joint"), (33, "nested")])
-def test_many_moves_in_boxes_are_made_by_newton(n: int, chosen: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("n", "chosen"), [(8, Joint), (33, Nested)])
+def test_many_moves_in_boxes_are_made_by_newton(n: int, chosen: type) -> None:
     """On 1,156 nodes: the time of ``joint`` grows like the square of their number."""
-    calls: list[tuple[str, str]] = []
-
-    def solver(name: str) -> Callable[..., Solution]:
-        def solve(problem: ContactProblem, **options: Any) -> Solution:
-            calls.append((name, options.get("outer", "")))
-            return fixed.solve(EXAMPLES["6.1"](n=2))
-
-        return solve
-
-    for module in (joint, nested):
-        monkeypatch.setattr(module, "solve", solver(module.__name__.split(".")[-1]))
     problem = ContactProblem(rectangle(n, n), Laplace(1.0), ("left", "right"), motion=Motion(0.001))
-    auto.solve(problem)
-    assert calls == [(chosen, "newton" if chosen == "nested" else "")]
+    choice = Auto().choose(problem, ENERGY)
+    assert type(choice.formulation) is chosen
+    assert choice.why.startswith(("joint", "nested, newton")[chosen is Nested])
 
 
 @pytest.mark.parametrize("limit", [None, 4])
@@ -149,8 +150,8 @@ def test_a_worse_end_is_never_kept(limit: int | None, monkeypatch: pytest.Monkey
         found = cascade(*given)
         return found if limit is None else replace(found, q=worse(found.energy, found.q))
 
-    monkeypatch.setattr(auto_cascade, "finished", spoilt_way)
-    monkeypatch.setattr(auto_cascade, "cascade", spoilt_cascade)
+    monkeypatch.setattr(of_cascade, "finished", spoilt_way)
+    monkeypatch.setattr(of_cascade, "cascade", spoilt_cascade)
     problem = replace(no_boxes(EXAMPLES["6.1"](n=3)), quadrature=6)
     solution = auto.solve(problem, max_iterations=limit, settings={"iterations": 8, "finish": 2})
     assert solution.success
@@ -216,20 +217,6 @@ def test_a_second_ctrl_c_between_flips_keeps_the_mesh_before_them() -> None:
     assert solution.valid
     assert "changed_triangles" not in solution.record()
     assert solution.record()["gain_audited"] > 0
-
-
-def test_ctrl_c_while_the_end_is_judged_is_heeded(monkeypatch: pytest.MonkeyPatch) -> None:
-    def judge(*given, **options):
-        signal.raise_signal(signal.SIGINT)
-        return judged(*given, **options)
-
-    judged = auto_cascade.Outer.judge
-    monkeypatch.setattr(auto_cascade.Outer, "judge", judge)
-    solution = auto.solve(no_boxes(EXAMPLES["6.1"](n=3)), flips=True)
-    assert solution.status is Status.INTERRUPTED
-    assert solution.valid
-    assert solution.record()["gain_audited"] > 0
-    assert "changed_triangles" not in solution.record()
 
 
 @pytest.mark.slow

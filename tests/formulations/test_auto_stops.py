@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.formulations import auto
 from support.problems import no_boxes
 
-from support.formulations import auto, auto_cascade
-from formulations.auto_watch import Watch
+from formulations import cascade as of_formulation
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.examples import EXAMPLES
@@ -21,7 +21,8 @@ from rmesh_nlp.programs import cascade as of_cascade
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.stationary import finished
-from rmesh_nlp.solving import outer as of_referee
+from rmesh_nlp.solving import outer as of_outer
+from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.step import Step
 
 
@@ -33,7 +34,7 @@ def test_a_time_limit_keeps_the_best_mesh() -> None:
 
 def test_nothing_more_is_stated_once_the_time_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
     stated = []
-    for module in (of_cascade, of_referee):
+    for module in (of_cascade, of_outer):
         monkeypatch.setattr(module, "relocation", lambda *a, make=relocation: stated.append(a) or make(*a))
     problem = no_boxes(EXAMPLES["6.1"](n=16))
     row = auto.solve(problem, time_limit_s=1e-9).record()
@@ -61,10 +62,10 @@ def test_a_cascade_that_is_late_prolongs_what_it_has(monkeypatch: pytest.MonkeyP
 
 def test_a_time_limit_on_the_way_to_a_stationary_point_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def late(*given, **options):
-        monkeypatch.setattr(Watch, "seconds", property(lambda _: 1e6))
+        monkeypatch.setattr(Monitor, "remaining", 0.0)
         return finished(*given, **options)
 
-    monkeypatch.setattr(auto_cascade, "finished", late)
+    monkeypatch.setattr(of_formulation, "finished", late)
     row = auto.solve(no_boxes(EXAMPLES["6.1"](n=3))).record()
     assert row["status"] == "time_limit"
     assert row["valid"]

@@ -7,13 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.formulations import joint, mpcc
 from support.solved import example, solved
 
-from support.formulations import joint, mpcc, mpcc_start, nested
+from formulations import mpcc as module
+from formulations.joint import Joint
+from formulations.mpcc_options import OPTIONS
+from formulations.nested import Nested
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.validity import least_area_ratio
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
@@ -51,7 +54,7 @@ def test_the_first_stage_begins_at_the_contact_solution_on_the_given_mesh(object
     seen: list[Any] = []
     solution = mpcc.solve(problem, objective=objective, on_step=seen.append)
     first, record = solution.history[0], solution.record()
-    assert first.t == mpcc.OPTIONS["t0"]
+    assert first.t == OPTIONS["t0"]
     # Ipopt pushes forces and gaps off their bounds, by a hundredth of their unit
     assert first.objective == pytest.approx(record["objective_initial"], rel=2e-2)
     np.testing.assert_allclose(seen[0].q, 0.0, atol=1e-5)
@@ -63,10 +66,10 @@ def test_no_other_program_is_solved(objective: str, monkeypatch: pytest.MonkeyPa
     def forbidden(*_: Any, **__: Any) -> None:
         raise AssertionError("another strategy was asked")
 
-    monkeypatch.setattr(joint, "minimise", forbidden)
-    monkeypatch.setattr(joint, "solve", forbidden)
-    monkeypatch.setattr(nested, "solve", forbidden)
-    monkeypatch.setattr(mpcc_start, "Solver", forbidden)
+    monkeypatch.setattr(Joint, "run", forbidden)
+    monkeypatch.setattr(Joint, "minimised", forbidden)
+    monkeypatch.setattr(Nested, "run", forbidden)
+    monkeypatch.setattr(module, "Solver", forbidden)
     solved: list[NLP] = []
     call = Solver.__call__
 
@@ -93,7 +96,7 @@ def test_no_other_program_is_solved(objective: str, monkeypatch: pytest.MonkeyPa
 def test_t_goes_down_in_the_history_and_products_follow() -> None:
     solution = solved("mpcc", "6.1", objective="error-l2")
     t = np.array([step.t for step in solution.history])
-    assert t[0] == mpcc.OPTIONS["t0"]
+    assert t[0] == OPTIONS["t0"]
     assert np.all(np.diff(t) <= 0)
     assert t[-1] == 0
     ends = np.append(np.flatnonzero(np.diff(t)), t.size - 1)
@@ -106,12 +109,13 @@ def test_t_goes_down_in_the_history_and_products_follow() -> None:
     assert [row["t"] for row in rows] == t.tolist()
 
 
-@pytest.mark.parametrize("start", ["joint", "nested", "without-complementarity"])
-def test_named_starts_are_solved_first_and_named(start: str) -> None:
-    solution = mpcc.solve(example("6.3", (4, 2)), start=start)
+@pytest.mark.parametrize("start", ["joint", "nested", None])
+def test_what_is_solved_first_is_named(start: str | None) -> None:
+    """Another formulation, or the same program without its complementarity."""
+    solution = mpcc.solve(example("6.3", (4, 2)), start=start, without_first=start is None)
     record = solution.record()
     assert record["success"]
-    assert record["start"] == start
+    assert record["start"] == start or record["settings"] == {"without_first": True}
     before = [step for step in solution.history if not 0 < step.t <= 1e-9]
     assert before[0].t == (0.0 if start == "nested" else np.inf)
     iterations = [step.iteration for step in solution.history]
@@ -129,7 +133,7 @@ def test_a_solution_and_positions_are_starts() -> None:
     np.testing.assert_allclose(again.mesh.p, end.mesh.p, atol=1e-4)
     moved = mpcc.solve(problem, start=np.asarray(end.mesh.p))
     assert moved.record()["start"] == "positions"
-    assert moved.history[0].t == mpcc.OPTIONS["t0"]
+    assert moved.history[0].t == OPTIONS["t0"]
 
 
 @pytest.mark.slow
@@ -150,7 +154,7 @@ def test_starts_that_do_not_fit_are_refused() -> None:
     problem = coarse("6.1")
     with pytest.raises(ValueError, match="unknown start 'zero': choose from"):
         mpcc.solve(problem, start="zero")
-    with pytest.raises(ValueError, match="start = 'joint' needs the energy"):
+    with pytest.raises(ValueError, match="joint minimises the energy only"):
         mpcc.solve(problem, start="joint", objective="error-l2")
     with pytest.raises(ValueError, match="the start has 25 nodes, the problem 49"):
         mpcc.solve(EXAMPLES["6.1"](6), start=joint.solve(problem))
@@ -191,14 +195,14 @@ def area_at(problem: ContactProblem, q: np.ndarray) -> float:
     return least_area_ratio(problem, discretise(problem).freedoms.positions.values(q))
 
 
-def test_only_on_fine_meshes_the_start_is_given_alternating_moves() -> None:
+def test_only_on_fine_meshes_the_start_is_given_alternating_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     outer = Outer(coarse("6.1"))
-    given = mpcc_start.moves(None, None, outer, parse_objective("energy"), 60.0)
-    fine = joint.JointSettings(fine=1, alternating=0.2)
-    assert mpcc_start.in_step(given, outer, None) is given
-    assert mpcc_start.in_step(given, outer, np.asarray(outer.problem.mesh.p), fine) is given
-    moved = mpcc_start.in_step(given, outer, None, fine)
-    bound = outer.relocation.freedoms.bound
-    assert set(np.round(np.abs(moved.q), 12)) <= {0.0, *np.round(0.2 * bound, 12)}
+    given, bound = outer.moves(), outer.bound
+    assert module._in_step(outer, given) is given
+    monkeypatch.setattr(module, "Joint", lambda: Joint(fine=1, alternating=0.2))
+    positions = np.full(outer.n, 0.1)
+    assert module._in_step(outer, positions) is positions
+    moved = module._in_step(outer, given)
+    assert set(np.round(np.abs(moved), 12)) <= {0.0, *np.round(0.2 * bound, 12)}
     # in the one of both directions that goes downhill
-    assert outer.energy(given.q).gradient @ (moved.q - given.q) < 0
+    assert outer.energy(given).gradient @ (moved - given) < 0

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-
 from support.formulations import joint, nested
+
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.validity import least_angles

@@ -7,8 +7,17 @@ from typing import Any
 import casadi as ca
 import pytest
 
-from formulations.fixed import FixedSettings
-from formulations.joint import JointSettings
+from formulations.auto import Auto
+from formulations.cascade import Cascade, Descent, Polished
+from formulations.confirmed import Confirmed
+from formulations.fixed import Fixed
+from formulations.flips import Flips
+from formulations.joint import Joint
+from formulations.mpcc import AllAtOnce
+from formulations.multistart import MultiStart
+from formulations.nested import Nested
+from formulations.refined import Refined
+from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.mpcc import MPCC, Options, solve
 from rmesh_nlp.optimize.newton_settings import (
@@ -21,21 +30,25 @@ from rmesh_nlp.optimize.newton_settings import (
 from rmesh_nlp.programs.cascade_settings import CascadeSettings
 from rmesh_nlp.programs.nested_settings import NestedSettings
 from rmesh_nlp.settings import Settings
+from rmesh_nlp.solving.limits import Limits
 from rmesh_nlp.vectorised import AssemblySettings
 
 NEWTON = (TrustRegionSettings, NewtonSettings, LocalNewtonSettings, StepSettings, ProjectionSettings)
-KINDS = (*NEWTON, NestedSettings, JointSettings, FixedSettings, CascadeSettings, AssemblySettings, Options)
+WRAPPERS = (Confirmed, Flips, MultiStart, Polished, Refined, Schedule)
+FORMULATIONS = (AllAtOnce, Auto, Descent, Fixed, Joint, Nested, *WRAPPERS)
+KINDS = (*NEWTON, *FORMULATIONS, NestedSettings, CascadeSettings, AssemblySettings, Options, Limits)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_field_is_documented(kind: type[Settings]) -> None:
     documented = " ".join(re.findall(r"^ *([\w, ]+) : ", kind.__doc__ or "", re.M)).replace(",", " ").split()
-    assert documented == list(vars(kind)["__annotations__"])
+    known = {field.name for field in fields(kind)}
+    assert documented == [name for name in vars(kind)["__annotations__"] if name in known]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_number_is_checked(kind: Any) -> None:
-    usual = kind()
+    usual = kind(Fixed()) if kind in WRAPPERS else kind()
     for one in fields(kind):
         default = getattr(usual, one.name)
         if isinstance(default, (int, float)) and not isinstance(default, bool):
@@ -51,15 +64,15 @@ def test_what_is_no_field_is_refused_with_the_nearest_one() -> None:
         solve(MPCC(*_pair()), [1.0, 1.0], cross=1.0)
 
 
-@pytest.mark.parametrize("blocks", [(), (4, 0), (2.5,), 8])
-def test_numbers_of_a_tuple_are_checked_one_by_one(blocks: Any) -> None:
-    with pytest.raises(BadInputError, match="blocks"):
-        NestedSettings(blocks=blocks)
+@pytest.mark.parametrize("schedules", [((1.0, -1.0),), ((1.0, "x"),), ((1.0, 0.0),), (1.0,), 8])
+def test_numbers_of_a_tuple_are_checked_one_by_one(schedules: Any) -> None:
+    with pytest.raises(BadInputError, match="schedule"):
+        Cascade(schedules=schedules)
 
 
 @pytest.mark.parametrize(
     ("kind", "given"),
-    [(JointSettings, {"ipopt": 3}), (Options, {"warm_duals": "yes"}), (CascadeSettings, {"distortion": 1})],
+    [(Joint, {"ipopt": 3}), (Options, {"warm_duals": "yes"}), (Cascade, {"distortion": 1})],
 )
 def test_what_is_no_number_is_checked_too(kind: type[Settings], given: dict[str, Any]) -> None:
     with pytest.raises(BadInputError, match=next(iter(given))):

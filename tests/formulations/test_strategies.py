@@ -10,10 +10,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from support.formulations import Named, fixed, joint, mpcc, nested
 from support.solved import example, solved
 
-from support.formulations import fixed, joint, mpcc, nested
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays
@@ -79,7 +78,7 @@ def test_the_unit_of_force_does_not_matter(name: str, strategy: str, factor: flo
         tractions=(replace(load, value=(factor * load.value[0], factor * load.value[1])),),
         obstacle=replace(problem.obstacle, friction=factor * problem.obstacle.friction),
     )
-    solution, usual = strategies.available()[strategy].load()(scaled), solved(strategy, name)
+    solution, usual = Named(strategy).solve(scaled), solved(strategy, name)
     check_record(solution)
     assert solution.stationarity == usual.stationarity
     # rounding differs, and with it which of several local minima newton finds
@@ -108,7 +107,7 @@ def test_fixed_is_the_baseline(name: str) -> None:
 def test_a_mesh_of_one_triangle_is_solved(strategy: str) -> None:
     """One unknown and no free node: load 1/6, stiffness 1/2. Then friction at one free node."""
     mesh = from_arrays([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], {"left": [[0, 2]], "bottom": [[0, 1]]})
-    solve = strategies.load(strategy)
+    solve = Named(strategy).solve
     assert solve(ContactProblem(mesh, Laplace(1.0), ("left",))).energy == pytest.approx(-1 / 36, rel=1e-9)
     block = PlaneStrain(1.0, 1.0, body_force=(0.1, -1.0))
     support = Obstacle("bottom", (0.0, 1.0), 0.1, friction=0.01)
@@ -161,28 +160,12 @@ def test_random_starts_are_repeatable_and_seeded() -> None:
     assert other.history[0].energy != one.history[0].energy
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("outer", [name for name in nested.OUTER_SOLVERS if name != "ipopt"])
-def test_other_outer_solvers_come_close(outer: str) -> None:
-    problem = EXAMPLES["6.1"](4)
-    reference = solved("nested", "6.1", 4).record()["gain"]
-    solution = nested.solve(problem, outer=outer)
-    # this coarse grid has several minima, which differ by less than a tenth of the gain
-    assert solution.record()["gain"] >= 0.9 * reference
-    assert solution.record()["outer"] == outer
-
-
 def test_the_quasi_newton_memory_is_not_forgotten() -> None:
     # with Ipopt's default the memory is dropped after two skipped updates: 500 iterations, no success
     problem = random_problem(6755)
     solution = nested.solve(problem)
     assert solution.success
     assert solution.energy == pytest.approx(nested.solve(problem, outer="newton").energy, rel=1e-6)
-
-
-def test_a_solver_without_constraints_refuses_large_boxes() -> None:
-    with pytest.raises(ValueError, match="l-bfgs-b knows boxes only"):
-        nested.solve(EXAMPLES["6.1"](4, 0.9), outer="l-bfgs-b")
 
 
 def test_steps_are_reported_as_they_come() -> None:

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from support.formulations import joint
+
 from rmesh_nlp.discretisation.validity import is_valid
 from rmesh_nlp.meshes import shapes
 from rmesh_nlp.optimize.units import Units

@@ -6,15 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.endings import Ends, ended
+from support.endings import ended
 from support.formulations import fixed, joint
 from support.verdicts import GOOD
 
 from rmesh_nlp.assessment.verdict import Measured, Verdict, verdict
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solving.driver import solve
-from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 
 
@@ -73,6 +71,3 @@ def test_a_mesh_that_cannot_be_solved_on_is_neither_valid_nor_improved() -> None
     found = ended(outer, np.full(outer.n, 10.0))
     assert found.status is Status.INVALID_MESH
     assert (found.valid, found.improved, found.success) == (False, False, False)
-    solution = solve(outer.problem, Ends(lambda here, *_: Outcome(here, found.outcome.q, Status.CONVERGED)))
-    assert (solution.status, solution.success) == (Status.INVALID_MESH, False)
-    assert solution.record()["energy"] is None

@@ -1,0 +1,143 @@
+"""The driver of all formulations, with one that a third party could have written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from support.endings import Ends
+
+from formulations.joint import Joint
+from formulations.multistart import MultiStart
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.settings import Count, Positive
+from rmesh_nlp.solving.driver import solve
+from rmesh_nlp.solving.formulation import Formulation
+from rmesh_nlp.solving.limits import Limits
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.step import Step
+
+
+@dataclass(frozen=True)
+class Alternating(Formulation):
+    """Minimises over u, then over X along its gradient at that u, in turn."""
+
+    step: Positive = 1.0
+    most: Count = 200
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        track, width = monitor.track(outer), self.step
+        for iteration in range(self.most):
+            here = outer.function(q)  # the displacement at these positions
+            if track.exact(iteration, q, here):
+                break
+            if outer.residual(here) <= outer.tolerance:
+                return Outcome(outer, q, Status.CONVERGED)
+            slope = here.gradient / np.max(np.abs(here.gradient))
+            to = np.clip(q - width * slope, -outer.bound, outer.bound)
+            lower = outer.is_valid(to) and outer.function(to).value < here.value
+            q, width = (to, 1.5 * width) if lower else (q, 0.5 * width)
+        return Outcome(outer, q, Status.ITERATION_LIMIT)
+
+
+@pytest.fixture(scope="module")
+def problem() -> ContactProblem:
+    return EXAMPLES["6.2"]((4, 2))
+
+
+def test_a_formulation_of_one_s_own_has_all_that_others_have(problem: ContactProblem) -> None:
+    seen: list[Step] = []
+    solution = solve(problem, Alternating(step=0.5), tolerance=1e-2, on_step=seen.append)
+    record = solution.record()
+    assert solution.status is Status.CONVERGED
+    assert solution.gain_audited > 0.9 * solve(problem, Joint()).gain_audited
+    assert (record["formulation"], record["settings"], record["start"]) == (
+        "alternating",
+        {"step": 0.5},
+        "given",
+    )
+    assert [step.iteration for step in seen] == list(range(solution.iterations + 1))
+    assert [step.iteration for step in solution.history] == [step.iteration for step in seen]
+    assert solution.history[-1].dual_residual == pytest.approx(solution.stationarity_residual)
+    np.testing.assert_array_equal(seen[0].q, 0.0)
+    assert all(step.q is None for step in solution.history)
+    assert np.all(np.diff([step.contact_solves for step in seen]) >= 0)
+    assert solution.contact_solves >= solution.iterations
+    assert min(solution.build_time_s, solution.solve_time_s, solution.audit_time_s) > 0
+
+
+@pytest.mark.parametrize(
+    ("limits", "status"),
+    [(Limits(iterations=3), Status.ITERATION_LIMIT), (Limits(seconds=1e-6), Status.TIME_LIMIT)],
+)
+@pytest.mark.parametrize("around", [lambda inner: inner, lambda inner: MultiStart(inner, 2)])
+def test_limits_hold_for_it_and_for_what_wraps_it(
+    problem: ContactProblem, limits: Limits, status: Status, around: Any
+) -> None:
+    solution = solve(problem, around(Alternating()), limits=limits)
+    assert (solution.status, solution.success) == (status, True)
+    assert solution.iterations == (limits.iterations or 0)
+    assert solution.record()["limits"] == limits.changed()
+    assert solution.gain_audited >= 0
+    assert (solution.gain_audited > 0) == (status is Status.ITERATION_LIMIT)
+
+
+def test_ctrl_c_in_a_callback_keeps_the_best_mesh(problem: ContactProblem) -> None:
+    seen: list[Step] = []
+
+    def press(step: Step) -> None:
+        seen.append(step)
+        if step.iteration == 4:
+            raise KeyboardInterrupt
+
+    solution = solve(problem, Alternating(), on_step=press)
+    assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
+    assert len(seen) == len(solution.history) == 5
+    assert solution.energy == pytest.approx(min(step.energy for step in seen), rel=1e-12)
+    assert solution.energy < solution.energy_initial
+
+
+@pytest.mark.parametrize("way", ["tracked", "raised"])
+def test_what_is_stopped_is_never_made_worse(problem: ContactProblem, way: str) -> None:
+    """A formulation that only goes uphill."""
+
+    def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        to = 0.5 * np.sign(outer.function(q).gradient) * outer.bound
+        monitor.track(outer).exact(0, to)
+        if way == "raised":
+            raise KeyboardInterrupt
+        return Outcome(outer, to, Status.CONVERGED)
+
+    stopped = solve(problem, Ends(end), limits=Limits(seconds=1e-6))
+    assert stopped.status in (Status.TIME_LIMIT, Status.INTERRUPTED)
+    assert stopped.success
+    np.testing.assert_array_equal(stopped.mesh.p, problem.mesh.p)
+    if way != "raised":  # what ends by itself is shown as it is
+        worse = solve(problem, Ends(end))
+        assert (worse.status, worse.success) == (Status.WORSE, False)
+
+
+def test_moves_are_shown_of_the_given_mesh_only(problem: ContactProblem) -> None:
+    seen: list[Step] = []
+    other = Outer(EXAMPLES["6.2"]((2, 2)))
+
+    def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        monitor.track(other).exact(0, other.moves())
+        monitor.track(outer).exact(1, q)
+        return Outcome(outer, q, Status.CONVERGED)
+
+    solve(problem, Ends(end), on_step=seen.append)
+    assert [step.q is None for step in seen] == [True, False]
+
+
+def test_an_invalid_end_is_reported_and_not_hidden(problem: ContactProblem) -> None:
+    solution = solve(problem, Ends(lambda outer, q, _: Outcome(outer, q + 50.0, Status.CONVERGED)))
+    assert (solution.status, solution.valid, solution.success) == (Status.INVALID_MESH, False, False)
+    assert solution.record()["energy"] is None
