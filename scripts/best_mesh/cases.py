@@ -13,10 +13,12 @@ import numpy as np
 import plate_with_hole
 import signorini
 import wedge
-from worth.reference import Reference, local_errors, reference
+from best_mesh.adaptive import Laplacian
+from best_mesh.reference import Reference, local_errors, reference
+from numpy.polynomial import Polynomial
 
 from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objectives import error_energy
@@ -42,8 +44,8 @@ class Case:
         Error of a mesh: of its energy, or half its square in the energy norm.
     local : callable
         (elements,) exact errors, for h-refinement with an oracle.
-    measure : str
-        What ``error`` is.
+    laplacian : Laplacian, optional
+        The same as scikit-fem has it, with its exact energy ``exact``.
     """
 
     name: str
@@ -51,7 +53,8 @@ class Case:
     problem: Callable[[int], ContactProblem]
     error: Callable[[ContactProblem], float]
     local: Callable[[ContactProblem], np.ndarray]
-    measure: str = "energy"
+    laplacian: Laplacian | None = None
+    exact: float = float("nan")
 
 
 def _free(problem: ContactProblem, motion: Motion | None = None) -> ContactProblem:
@@ -73,7 +76,11 @@ def exact_errors(problem: ContactProblem) -> np.ndarray:
 
 
 def _by_reference(
-    name: str, sizes: tuple[int, ...], make: Callable[[int], ContactProblem], exact: float | None = None
+    name: str,
+    sizes: tuple[int, ...],
+    make: Callable[[int], ContactProblem],
+    exact: float | None = None,
+    laplacian: Laplacian | None = None,
 ) -> Case:
     @cache
     def fine() -> Reference:
@@ -85,6 +92,8 @@ def _by_reference(
         make,
         lambda problem: energy(problem) - (fine().limit if exact is None else exact),
         lambda problem: local_errors(problem, fine()),
+        laplacian,
+        float("nan") if exact is None else exact,
     )
 
 
@@ -92,7 +101,7 @@ def _by_norm(name: str, sizes: tuple[int, ...], make: Callable[[int], ContactPro
     def norm(problem: ContactProblem) -> float:
         return float(exact_errors(problem).sum())
 
-    return Case(name, sizes, make, norm, exact_errors, "energy norm")
+    return Case(name, sizes, make, norm, exact_errors)
 
 
 def _times_refined(problem: ContactProblem, times: int) -> ContactProblem:
@@ -103,6 +112,18 @@ def _times_refined(problem: ContactProblem, times: int) -> ContactProblem:
 
 def _paper_61(n: int) -> ContactProblem:
     return _free(EXAMPLES["6.1"](n=n))
+
+
+def _source_61(x: np.ndarray) -> np.ndarray:
+    """-Laplace(u) of the exact solution (6.2), in closed form."""
+    y = Polynomial([0, 1])
+    halves = []
+    for factor, w in ((200 * y * (0.5 - y) ** 4, 2 * np.pi), (100 * (1 - y) * (0.5 - y) ** 4, np.pi / 2)):
+        halves.append((w**2 * factor(x[1]) - factor.deriv(2)(x[1])) * np.sin(w * x[0]))
+    return np.where(x[1] <= 0.5, *halves)
+
+
+LAPLACIAN_61 = Laplacian(_source_61, lambda x: (x[0] == 0) | (x[1] == 0) | (x[1] == 1), lambda x: x[0] == 1)
 
 
 def _error_61(problem: ContactProblem) -> float:
@@ -151,18 +172,19 @@ _PLATE, _HERTZ = _OfPolygon(5_000), _OfPolygon(6_000)
 CASES = {
     case.name: case
     for case in (
-        Case("6.1", (8, 16, 32, 64), _paper_61, _error_61, exact_errors),
+        Case("6.1", (8, 16, 32, 64, 128), _paper_61, _error_61, exact_errors, LAPLACIAN_61, EXACT_ENERGY_61),
         _by_reference(
             "L-shape",
             (0, 1, 2),
             lambda times: _times_refined(_free(l_shape.problem(6)), times),
             l_shape.EXACT_ENERGY,
+            Laplacian(lambda x: np.ones_like(x[0]), lambda x: np.ones(x.shape[1], dtype=bool)),
         ),
         _by_reference("6.3", (6, 12, 24), lambda n: _free(EXAMPLES["6.3"](n=(2 * n, n)))),
         _by_reference("wedge", (6, 12), lambda n: _free(wedge.problem(n))),
         _by_norm("free boundary", (8, 16, 32), lambda n: _free(free_boundary.problem(n))),
         Case("plate", (0, 1), _plate, _PLATE.energy, _PLATE.local),
-        Case("Hertz", (4, 8), _hertz, _HERTZ.norm, _HERTZ.local, "energy norm"),
+        Case("Hertz", (4, 8), _hertz, _HERTZ.norm, _HERTZ.local),
         _by_norm("Signorini", (10, 20), lambda n: _free(signorini.problem(n))),
     )
 }
