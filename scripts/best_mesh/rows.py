@@ -22,6 +22,9 @@ STYLES = {
 }
 """Colour (Okabe and Ito's, told apart by colour-blind readers), marker and line of each method."""
 
+MANY, NEAR = 6, 1e-3
+"""Meshes of a method from which on a table leaves some out; how far beyond its ends a curve is read."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -83,8 +86,8 @@ def of(rows: Iterable[Row], case: str, method: str) -> list[Row]:
 
 
 def at(x: Sequence[float], y: Sequence[float], value: float) -> float:
-    """The y that belongs to a value of x, log-log between neighbours and beyond the ends; x rises."""
-    if len(x) < 2:
+    """The y that belongs to a value of x, log-log between neighbours; NaN beyond the ends; x rises."""
+    if len(x) < 2 or not x[0] * (1 - NEAR) <= value <= x[-1] * (1 + NEAR):
         return float("nan")
     lx, ly = np.log(x), np.log(y)
     k = int(np.clip(np.searchsorted(lx, np.log(value)), 1, len(x) - 1))
@@ -99,8 +102,10 @@ def table(rows: Sequence[Row]) -> str:
         "| over h-adaptive's |",
         "|:--|:--|--:|--:|--:|--:|--:|--:|",
     ]
-    for case, method in dict.fromkeys((r.case, r.method) for r in rows):
+    cases = dict.fromkeys(r.case for r in rows)
+    for case, method in ((c, m) for c in cases for m in STYLES if of(rows, c, m)):
         own = of(rows, case, method)
+        own = own[:: -(1 + len(own) // MANY)][::-1]  # the last one always
         given, adaptive = of(rows, case, GIVEN), of(rows, case, ADAPTIVE)
         by_nodes = [
             [r.error / at([o.nodes for o in other], [o.error for o in other], r.nodes) for r in own]
@@ -113,8 +118,8 @@ def table(rows: Sequence[Row]) -> str:
         cells = [
             _figures([r.nodes for r in own], "d"),
             _figures([r.error for r in own], ".2g"),
-            "" if method == GIVEN else _figures(by_nodes[0], ".2f"),
-            "" if method == ADAPTIVE else _figures(by_nodes[1], ".2f"),
+            "" if method == GIVEN else _figures(by_nodes[0], ".2g"),
+            "" if method == ADAPTIVE else _figures(by_nodes[1], ".2g"),
             _figures([r.seconds for r in own], ".2g"),
             "" if method == ADAPTIVE else _figures(times, ".2g"),
         ]
@@ -123,7 +128,9 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def _figures(values: Sequence[float], form: str) -> str:
-    return ", ".join(format(v, form) for v in values) if np.all(np.isfinite(values)) else ""
+    if not np.any(np.isfinite(values)):
+        return ""
+    return ", ".join(format(v, form) if np.isfinite(v) else "-" for v in values)
 
 
 def picture(rows: Sequence[Row], case: str = "6.1") -> Figure:

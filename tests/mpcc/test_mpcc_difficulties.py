@@ -6,9 +6,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from mpcc_library.families import FAMILIES
 
 from rmesh_nlp.mpcc import MPCC, Options, classify, homotopy, solve
-from rmesh_nlp.mpcc.families import FAMILIES
 from rmesh_nlp.mpcc.finish import _tighten, finish
 from rmesh_nlp.mpcc.homotopy import _next
 from rmesh_nlp.mpcc.linearisation import linearisation

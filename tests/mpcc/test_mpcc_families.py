@@ -3,9 +3,9 @@
 import casadi as ca
 import numpy as np
 import pytest
+from mpcc_library.families import FAMILIES
 
 from rmesh_nlp.mpcc import solve
-from rmesh_nlp.mpcc.families import FAMILIES
 
 
 @pytest.mark.parametrize("name", FAMILIES)

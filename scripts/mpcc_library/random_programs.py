@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from mpcc_library.instance import Builder, Instance
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.families.instance import Builder, Instance
 
 
 def _positive(random: np.random.Generator, n: int, least: float) -> Array:

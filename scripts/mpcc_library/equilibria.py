@@ -1,36 +1,10 @@
-"""Equilibria of mechanics and economics below an optimiser."""
+"""Equilibria below an optimiser: firms, markets, travellers."""
 
 from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-
-from rmesh_nlp.mpcc.families.instance import Builder, Instance
-
-
-def obstacle_control(size: int, seed: int) -> Instance:
-    """Distributed control of a membrane over an obstacle on a ``size`` x ``size`` grid.
-
-    ``min 1/2 |y - y_d|^2 + alpha / 2 |u|^2``, ``-Laplace y = u + force``, ``0 <= force _|_ y - psi >= 0``. M.
-    Hintermueller and I. Kopacka, SIAM J. Optim. 20 (2009) 868-902.
-    """
-    random = np.random.default_rng([9, size, seed])
-    n, h = size * size, 1.0 / (size + 1)
-    X, Y = np.meshgrid(*[np.linspace(h, 1 - h, size)] * 2, indexing="ij")
-    a, c = random.uniform(1, 3, 2)
-    wanted = (np.sin(a * np.pi * X) * np.sin(c * np.pi * Y) + random.uniform(-0.3, 0.3)).ravel()
-    psi = -random.uniform(0.0, 0.3) * np.ones(n)
-    b = Builder()
-    y, u = b.unknown(n), b.unknown(n, -50.0, 50.0, 0.0)
-    force = b.unknown(n, 0.0, np.inf, 0.0)
-    grid = ca.reshape(y, size, size)
-    padded = ca.SX(size + 2, size + 2)
-    padded[1:-1, 1:-1] = grid
-    laplace = (4 * grid - padded[:-2, 1:-1] - padded[2:, 1:-1] - padded[1:-1, :-2] - padded[1:-1, 2:]) / h**2
-    b.constrain(ca.vec(laplace) - u - force)
-    b.pair(force, y - psi)
-    f = 0.5 * h**2 * ca.sumsqr(y - wanted) + 0.5 * 10.0 ** random.uniform(-4, -2) * h**2 * ca.sumsqr(u)
-    return b.done(f"obstacle-control-{size}-{seed}", f)
+from mpcc_library.instance import Builder, Instance
 
 
 def cournot(size: int, seed: int) -> Instance:
@@ -83,3 +57,27 @@ def tolls(size: int, seed: int) -> Instance:
         time[0] += 0.1 * shared**2
         b.pair(flow, time + toll - least)
     return b.done(f"tolls-{size}-{seed}", f)
+
+
+def markets(size: int, seed: int) -> Instance:
+    """Taxes of a leader on ``size`` markets in which three firms with capacities compete.
+
+    ``0 <= q_ij _|_ c_ij + tax_j + lam_i - price_j + s_j q_ij >= 0``, ``0 <= lam_i _|_ capacity_i - sum_j q_ij
+    >= 0``, linear prices ``a_j - s_j sum_i q_ij``. The leader wants revenue, and amounts near whole targets.
+    """
+    random = np.random.default_rng([36, size, seed])
+    firms = 3
+    b = Builder()
+    tax = b.unknown(size, -5.0, 20.0, 0.0)
+    q = b.unknown(firms * size, 0.0, np.inf, 0.0)
+    lam = b.unknown(firms, 0.0, np.inf, 0.0)
+    amount = ca.reshape(q, firms, size)
+    slope = random.integers(1, 4, size).astype(float)
+    price = random.integers(15, 40, size).astype(float) - slope * ca.sum1(amount).T
+    cost = random.integers(1, 12, (firms, size)).astype(float)
+    f = -ca.dot(tax, ca.sum1(amount).T) + ca.sumsqr(ca.sum1(amount).T - random.integers(0, 8, size))
+    for j in range(size):
+        own = amount[:, j]
+        b.pair(own, cost[:, j] + tax[j] + lam - price[j] + slope[j] * own)
+    b.pair(lam, random.integers(2 * size, 5 * size, firms) - ca.sum2(amount))
+    return b.done(f"markets-{size}-{seed}", f)

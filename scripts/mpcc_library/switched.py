@@ -9,27 +9,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-
-from rmesh_nlp.mpcc.families.instance import Builder, Instance
-
-
-def sliding(size: int, seed: int) -> Instance:
-    """``x' = -a sign(x) + u`` in Stewart's form, ``size`` steps: reach a target, with little effort."""
-    random = np.random.default_rng([4, size, seed])
-    h, a = 2.0 / size, random.uniform(0.5, 1.5)
-    start, target = random.uniform(-1, 1), random.uniform(-0.5, 0.5)
-    b = Builder()
-    x, f = ca.SX(start), ca.SX(0)
-    for _ in range(size):
-        u = b.unknown(1, -3.0, 3.0, 0.0)
-        after = b.unknown(1, -5.0, 5.0, start)
-        theta, mu = b.unknown(2, 0.0, 1.0, 0.5), b.unknown(1)
-        b.constrain(after - x - h * (u + a * theta[0] - a * theta[1]))
-        b.constrain(ca.sum1(theta) - 1)
-        b.pair(theta, ca.vertcat(after, -after) - mu)
-        f += h * (0.05 * u**2 + (after - target) ** 2)
-        x = after
-    return b.done(f"sliding-{size}-{seed}", f + 10 * (x - target) ** 2)
+from mpcc_library.instance import Builder, Instance
 
 
 def bouncing(size: int, seed: int) -> Instance:

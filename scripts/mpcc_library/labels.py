@@ -1,18 +1,14 @@
 """Stationarity labels and B-stationarity against brute force over the branches.
 
-    python scripts/check_mpcc_labels.py --problems 1000 --seed 0
-
 Two experiments with random problems. At random corners with linear data, the label of ``classify`` is
 compared with an enumeration of all sign patterns of the multipliers (S, M, C, W) and of all branches (B). And
 solutions of random QPECs by ``solve`` are put to the same test. The enumeration is dense, uses scipy's
-linprog alone, and shares no code with the solver. The exit code is 0 only if nothing disagrees.
+linprog alone, and shares no code with the solver.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import sys
 from collections import Counter
 from collections.abc import Sequence
 
@@ -133,27 +129,20 @@ def check_solution(seed: int, most: int) -> tuple[str, str]:
     return result.stationarity, f"QPEC {seed}: {'; '.join(faults)}" if faults else ""
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Check and count; 0 if nothing disagrees."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--problems", type=int, default=200, help="half corners, half solutions")
-    parser.add_argument("--pairs", type=int, default=10, help="most pairs of a QPEC; corners have at most 4")
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args(arguments)
+def labels_agree(problems: int, pairs: int = 10, seed: int = 0) -> bool:
+    """Check half as many corners and half as many solutions, print counts, and say whether all agree.
+
+    Corners have at most 4 pairs, QPECs at most ``pairs``.
+    """
     faults = []
     for name, check, most in (
-        ("random corners", check_corner, min(given.pairs, 4)),
-        ("solutions of QPECs", check_solution, given.pairs),
+        ("random corners", check_corner, min(pairs, 4)),
+        ("solutions of QPECs", check_solution, pairs),
     ):
-        seeds = range(given.seed, given.seed + given.problems // 2)
-        outcomes = [check(seed, most) for seed in seeds]
+        outcomes = [check(one, most) for one in range(seed, seed + problems // 2)]
         wrong = [fault for _, fault in outcomes if fault]
         faults += wrong
         counts = ", ".join(f"{n} {word}" for word, n in Counter(word for word, _ in outcomes).most_common())
         print(f"{name}: {len(outcomes)} ({counts}), {len(wrong)} disagree")
     print("\n".join(faults))
-    return 1 if faults else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return not faults
