@@ -8,8 +8,9 @@ ubx lbg ubg x0 target`` (CasADi expressions, bounds, a start, the best known val
 NOSBENCH's .json files, and folders of them, are read too. Every solve is a process of its own. What it ends
 with is judged by the problem's expressions, never by the solver's word: solved is a point whose constraint
 violation and products G H are at most 1e-6, lowest one whose objective is also within 1e-4, relative, of the
-least that any solver here found or that is known. Time is processor time of build and solve. MPECSS and
-pympcc are compared if they are installed (see benchmark_peers.py). Writes DIR/rows.jsonl and DIR/table.md.
+best known value or, where none is known, of the least that any solver here found. Time is processor time of
+build and solve. MPECSS and pympcc are compared if they are installed (see benchmark_peers.py). Writes
+DIR/rows.jsonl and DIR/table.md.
 """
 
 from __future__ import annotations
@@ -104,11 +105,10 @@ def solved(group: str, problem: Problem, solver: str, limit: float) -> Row:
 
 def table(rows: Sequence[Row]) -> str:
     """A line for each group and solver, in Markdown."""
-    least: dict[str, float] = {}
+    least = {row.problem: row.target for row in rows}
     for row in rows:
-        if row.violation <= SOLVED:
-            values = [least.get(row.problem, np.inf), row.f, row.target]
-            least[row.problem] = float(np.nanmin(values))
+        if not np.isfinite(row.target) and row.violation <= SOLVED:
+            least[row.problem] = float(np.nanmin([least[row.problem], row.f]))
     lines = [
         "| problems | solver | solved | lowest | iterations | time [s] | over ours |",
         "|:--|:--|--:|--:|--:|--:|--:|",

@@ -67,7 +67,12 @@ def solve(problem: Laplacian, mesh: MeshTri, element: Element, active: NDArray, 
         free = np.ones(basis.N, dtype=bool)
         free[zero] = free[contact[touching]] = False
         u = np.zeros(basis.N)
-        u[free] = splu(matrix[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A").solve(load[free])
+        u[free] = splu(
+            matrix[free][:, free].tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        ).solve(load[free])
         force = (matrix @ u - load)[contact]
         new = np.where(touching, force > 0, u[contact] < 0)
         if np.array_equal(new, touching):
