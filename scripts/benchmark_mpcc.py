@@ -1,7 +1,6 @@
 """The MPCC solver beside a plain Scholtes loop, MPECSS and pympcc: a collection and generated families.
 
-    python scripts/benchmark_mpcc.py mpcc_problems.py --families held-out --out results/mpcc
-    python scripts/benchmark_mpcc.py --labels 1000       labels against brute force over all branches
+    python scripts/benchmark_mpcc.py mpcc_problems.py --families all --out results/mpcc
 
 A collection is a Python file with ``names()`` and ``get(name)``; ``get`` returns a dict with ``x f g G H lbx
 ubx lbg ubg x0 target`` (CasADi expressions, bounds, a start, the best known value). AMPL .nl files and
@@ -29,7 +28,6 @@ import numpy as np
 from isolated import Failed, isolated
 from mpcc_library.collection import read_collection
 from mpcc_library.families import FAMILIES
-from mpcc_library.labels import labels_agree
 from mpcc_library.solvers import NEEDS, SOLVERS
 
 from rmesh_nlp.evaluation import Array
@@ -56,7 +54,7 @@ class Row:
 def problems(
     paths: Sequence[Path], families: Sequence[str], sizes: int, seeds: int
 ) -> Iterator[tuple[str, Problem]]:
-    """Problems of files and of generated families (all, chosen, held-out, or names), each with its group."""
+    """Problems of files and of generated families ("all", or names), each with its group."""
     for path in paths:
         if path.suffix == ".py":
             yield from ((path.stem, problem) for problem in read_collection(path))
@@ -65,14 +63,9 @@ def problems(
             sorted(p for p in path.rglob("*") if p.suffix.lower() in READERS) if path.is_dir() else [path]
         )
         yield from ((one.parent.name, read(one)) for one in inside)
-    groups = {
-        "all": list(FAMILIES),
-        "chosen": [name for name, family in FAMILIES.items() if family.chose_defaults],
-        "held-out": [name for name, family in FAMILIES.items() if not family.chose_defaults],
-    }
-    for name in [part for given in families for part in groups.get(given, [given])]:
+    for name in list(FAMILIES) if list(families) == ["all"] else families:
         if name not in FAMILIES:
-            raise ValueError(f"unknown family {name!r}; there are {', '.join([*groups, *FAMILIES])}")
+            raise ValueError(f"unknown family {name!r}; there are {', '.join(['all', *FAMILIES])}")
         for size in FAMILIES[name].sizes[:sizes]:
             for instance in (FAMILIES[name].make(size, seed) for seed in range(seeds)):
                 yield name, Problem(instance.name, instance.mpcc, instance.x0)
@@ -140,16 +133,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "paths", nargs="*", type=Path, metavar="FILE", help="collections, .nl, .json, folders"
     )
-    parser.add_argument("--families", help="generated problems: all, chosen, held-out, or names")
+    parser.add_argument("--families", help="generated problems: all, or names")
     parser.add_argument("--sizes", type=int, default=2, help="sizes of each family")
     parser.add_argument("--seeds", type=int, default=4, help="problems of each size")
     parser.add_argument("--solvers", nargs="+", choices=list(SOLVERS), default=list(SOLVERS))
     parser.add_argument("--limit", type=float, default=60.0, help="seconds for one solve")
-    parser.add_argument("--labels", type=int, metavar="N", help="check labels of N random problems instead")
     parser.add_argument("--out", type=Path, default=Path("results/mpcc"))
     given = parser.parse_args(arguments)
-    if given.labels:
-        return 0 if labels_agree(given.labels) else 1
     names = given.families.split(",") if given.families else []
     try:
         known = list(problems(given.paths, names, given.sizes, given.seeds))

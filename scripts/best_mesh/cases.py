@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import free_boundary
-import hertz
 import l_shape
 import numpy as np
-import plate_with_hole
 import signorini
 import wedge
 from best_mesh.adaptive import Laplacian
@@ -22,8 +20,7 @@ from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objectives import error_energy
-from rmesh_nlp.meshes.curves import Circle
-from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
+from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.problem.refining import refined
 
 RULE, JUDGE = 6, 10
@@ -57,8 +54,8 @@ class Case:
     exact: float = float("nan")
 
 
-def _free(problem: ContactProblem, motion: Motion | None = None) -> ContactProblem:
-    return replace(problem, motion=motion or Motion(None), quadrature=RULE)
+def _free(problem: ContactProblem) -> ContactProblem:
+    return replace(problem, motion=Motion(None), quadrature=RULE)
 
 
 def energy(problem: ContactProblem) -> float:
@@ -131,44 +128,6 @@ def _error_61(problem: ContactProblem) -> float:
     return energy(problem) - problem.exact.energy
 
 
-def _plate(times: int) -> ContactProblem:
-    motion = Motion(None, curves={"hole": Circle((5.0, 5.0), 2.5)})
-    return _times_refined(_free(plate_with_hole.problem(8), motion), times)
-
-
-class _OfPolygon:
-    """References of polygons that are seen: where nodes slide along a curve, each mesh is one of its own."""
-
-    def __init__(self, nodes: int) -> None:
-        self._nodes, self._known = nodes, dict[float, Reference]()
-
-    def __call__(self, problem: ContactProblem) -> Reference:
-        area = round(float(signed_areas(problem.mesh.p, problem.triangles).sum()), 10)
-        if area not in self._known:
-            self._known[area] = reference(problem, max(self._nodes, 4 * problem.mesh.p.shape[1]))
-        return self._known[area]
-
-    def energy(self, problem: ContactProblem) -> float:
-        """Error of the energy on the polygon of a mesh."""
-        return energy(problem) - self(problem).limit
-
-    def local(self, problem: ContactProblem) -> np.ndarray:
-        """(elements,) half the squared energy norm of the error."""
-        return local_errors(problem, self(problem))
-
-    def norm(self, problem: ContactProblem) -> float:
-        """Half the squared energy norm of the error."""
-        return float(self.local(problem).sum())
-
-
-def _hertz(n: int) -> ContactProblem:
-    # the arc is held, so that the polygon is that of the mesh as given
-    return _free(hertz.problem(n), Motion(None, pinned=("arc", "top")))
-
-
-_PLATE, _HERTZ = _OfPolygon(5_000), _OfPolygon(6_000)
-
-
 CASES = {
     case.name: case
     for case in (
@@ -183,8 +142,6 @@ CASES = {
         _by_reference("6.3", (6, 12, 24), lambda n: _free(EXAMPLES["6.3"](n=(2 * n, n)))),
         _by_reference("wedge", (6, 12), lambda n: _free(wedge.problem(n))),
         _by_norm("free boundary", (8, 16, 32), lambda n: _free(free_boundary.problem(n))),
-        Case("plate", (0, 1), _plate, _PLATE.energy, _PLATE.local),
-        Case("Hertz", (4, 8), _hertz, _HERTZ.norm, _HERTZ.local),
         _by_norm("Signorini", (10, 20), lambda n: _free(signorini.problem(n))),
     )
 }

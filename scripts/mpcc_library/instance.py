@@ -42,16 +42,12 @@ class Family:
         ``make(size, seed) -> Instance``; the same arguments give the same problem.
     sizes : tuple of int
         Sizes from tiny to a few thousand unknowns.
-    chose_defaults : bool
-        Whether the default options were chosen with this family in view. Figures of the others are the ones
-        that say something about problems the solver has not seen.
     about : str
     """
 
     name: str
     make: Callable[[int, int], Instance]
     sizes: tuple[int, ...]
-    chose_defaults: bool
     about: str
 
 

@@ -31,29 +31,6 @@ def bouncing(size: int, seed: int) -> Instance:
     return b.done(f"bouncing-{size}-{seed}", f + 10 * (q - goal) ** 2 + v**2)
 
 
-def friction(size: int, seed: int) -> Instance:
-    """A block on a rough plane pulled by a spring: Coulomb friction by ``v = v+ - v-``, ``size`` steps."""
-    random = np.random.default_rng([6, size, seed])
-    h, bound = 3.0 / size, random.uniform(0.3, 1.0)
-    goal, stiffness = random.uniform(0.5, 2.0), random.uniform(0.5, 3.0)
-    b = Builder()
-    q, v, w, f = ca.SX(0), ca.SX(0), ca.SX(0), ca.SX(0)
-    for _ in range(size):
-        u = b.unknown(1, -4.0, 4.0, 0.0)  # velocity of the spring's end
-        q_next, v_next, w_next = b.unknown(), b.unknown(), b.unknown()
-        plus, minus = b.unknown(1, 0.0, np.inf, 0.1), b.unknown(1, 0.0, np.inf, 0.1)
-        share = b.unknown(1, 0.0, 1.0, 0.5)
-        force = bound * (2 * share - 1)
-        b.constrain(w_next - w - h * u)
-        b.constrain(v_next - v - h * (stiffness * (w_next - q_next) - force))
-        b.constrain(q_next - q - h * v_next)
-        b.constrain(v_next - plus + minus)
-        b.pair(ca.vertcat(plus, minus), ca.vertcat(1 - share, share))
-        f += h * 0.02 * u**2
-        q, v, w = q_next, v_next, w_next
-    return b.done(f"friction-{size}-{seed}", f + 5 * (q - goal) ** 2 + v**2)
-
-
 def hysteresis(size: int, seed: int) -> Instance:
     """Play operator: the output follows the input within a distance r; track a wave, ``size`` steps."""
     random = np.random.default_rng([7, size, seed])

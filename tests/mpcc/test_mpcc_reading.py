@@ -152,7 +152,7 @@ def test_a_malformed_nl_file_is_refused_with_its_place(tmp_path, old, new, words
     assert "bad.nl" in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["bilevel", "friction"])
+@pytest.mark.parametrize("name", ["hysteresis", "markets"])
 def test_a_nosbench_file_is_the_problem_that_was_written(tmp_path, name):
     family = FAMILIES[name]
     instance = family.make(family.sizes[0], 1)

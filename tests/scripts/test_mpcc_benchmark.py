@@ -1,4 +1,4 @@
-"""The benchmark of MPCC solvers on a collection of two problems; labels against brute force."""
+"""The benchmark of MPCC solvers on a collection of two problems."""
 
 import json
 import os
@@ -9,7 +9,6 @@ import benchmark_mpcc as benchmark
 import numpy as np
 import pytest
 from isolated import Failed, isolated
-from mpcc_library import labels
 from support.mpcc_collection import MPCC_COLLECTION
 
 OURS = ["--solvers", "rmesh_nlp.mpcc", "plain Scholtes loop"]
@@ -63,38 +62,3 @@ def test_unknown_families_and_files_are_refused(tmp_path, capsys):
             benchmark.main([*arguments, "--out", str(tmp_path / "out")])
         assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_labels_of_random_corners_and_solutions_agree_with_brute_force(capsys):
-    assert labels.labels_agree(40, 4, 7)
-    out = capsys.readouterr().out
-    assert "random corners: 20" in out
-    assert out.count("0 disagree") == 2
-
-
-@pytest.mark.parametrize(
-    ("slope", "label", "b"),
-    [((1, 1), "S", True), ((-1, 0), "M", False), ((-1, -1), "C", False), ((1, -1), "W", False)],
-)
-def test_the_brute_force_itself_on_a_corner_known_by_hand(slope, label, b):
-    data = {
-        "G": np.array([[1.0, 0]]),
-        "H": np.array([[0, 1.0]]),
-        "B": np.zeros((0, 2)),
-        "c": np.array(slope, float),
-    }
-    assert (labels.label(data), labels.b_stationary(data)) == (label, b)
-
-
-@pytest.mark.slow
-def test_a_wrong_label_is_found_out(monkeypatch, capsys):
-    honest = labels.classify
-
-    def wrong(*arguments):
-        found = honest(*arguments)
-        return type(found)("S", True, True, found.biactive)
-
-    monkeypatch.setattr(labels, "classify", wrong)
-    assert not labels.labels_agree(40, 2)
-    assert "brute force" in capsys.readouterr().out

@@ -2,18 +2,14 @@
 
 An edit deletes, doubles or swaps lines, replaces a value or a key by something odd, or changes
 single characters. A file that is still valid is built, mesh and all, but not solved.
-It needs hypothesis (the extra ``test``), which shrinks a failure to the simplest edit that makes it.
-
-    python scripts/fuzz_problem_files.py --edits 10000 --seed 1
+hypothesis shrinks a failure to the simplest edit that makes it.
 """
 
 from __future__ import annotations
 
-import argparse
 import random
 import re
 import tempfile
-import time
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -127,19 +123,3 @@ def run(edits: int, seed: int) -> Counter[str]:
 
         attempt()
     return counts
-
-
-def main() -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description="Random edits of valid problem files.")
-    parser.add_argument("--edits", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    began = time.perf_counter()
-    counts = run(options.edits, options.seed)
-    print(f"{options.edits} edits in {time.perf_counter() - began:.0f} s: {dict(counts)}")
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
