@@ -66,9 +66,8 @@ def problems(
     for name in list(FAMILIES) if list(families) == ["all"] else families:
         if name not in FAMILIES:
             raise ValueError(f"unknown family {name!r}; there are {', '.join(['all', *FAMILIES])}")
-        for size in FAMILIES[name].sizes[:sizes]:
-            for instance in (FAMILIES[name].make(size, seed) for seed in range(seeds)):
-                yield name, Problem(instance.name, instance.mpcc, instance.x0)
+        make, known = FAMILIES[name]
+        yield from ((name, make(size, seed)) for size in known[:sizes] for seed in range(seeds))
 
 
 def judged(problem: Problem, x: Array) -> tuple[float, float]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from mpcc_library.instance import Builder, Instance
+from mpcc_library.builder import Builder
+
+from rmesh_nlp.mpcc.reading import Problem
 
 
-def cournot(size: int, seed: int) -> Instance:
+def cournot(size: int, seed: int) -> Problem:
     """A leader among ``size`` Cournot followers with capacities: mixed complementarity by split multipliers.
 
     Inverse demand ``p(Q) = (a / Q)^(1 / e)`` and costs ``c q + k q^(1 + s)``, as in J. Outrata, M. Kocvara,
@@ -33,7 +35,7 @@ def cournot(size: int, seed: int) -> Instance:
     return b.done(f"cournot-{size}-{seed}", random.uniform(3, 10) * leader - leader * price(total))
 
 
-def tolls(size: int, seed: int) -> Instance:
+def tolls(size: int, seed: int) -> Problem:
     """Revenue-optimal tolls on some of ``size`` parallel roads per pair of towns, drivers in equilibrium.
 
     ``0 <= flow_r _|_ time_r(flow) + toll_r - pi_w >= 0``, flows sum to the demand; times grow with the fourth
@@ -59,7 +61,7 @@ def tolls(size: int, seed: int) -> Instance:
     return b.done(f"tolls-{size}-{seed}", f)
 
 
-def markets(size: int, seed: int) -> Instance:
+def markets(size: int, seed: int) -> Problem:
     """Taxes of a leader on ``size`` markets in which three firms with capacities compete.
 
     ``0 <= q_ij _|_ c_ij + tax_j + lam_i - price_j + s_j q_ij >= 0``, ``0 <= lam_i _|_ capacity_i - sum_j q_ij

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from mpcc_library.instance import Builder, Instance
+from mpcc_library.builder import Builder
+
+from rmesh_nlp.mpcc.reading import Problem
 
 
-def lpec(size: int, seed: int) -> Instance:
+def lpec(size: int, seed: int) -> Problem:
     """A linear objective over ``0 <= y _|_ N x + M y + q >= 0`` and a box, ``size`` pairs.
 
     M is positive semidefinite of half rank, so that the followers' answer need not be unique.

@@ -6,7 +6,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from mpcc_library.switched import switch_detection
+from support.switch_detection import switch_detection
 
 from rmesh_nlp.mpcc import MPCC, Options, classify, homotopy, solve
 from rmesh_nlp.mpcc.finish import _tighten, finish

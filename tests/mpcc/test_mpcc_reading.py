@@ -154,8 +154,8 @@ def test_a_malformed_nl_file_is_refused_with_its_place(tmp_path, old, new, words
 
 @pytest.mark.parametrize("name", ["hysteresis", "markets"])
 def test_a_nosbench_file_is_the_problem_that_was_written(tmp_path, name):
-    family = FAMILIES[name]
-    instance = family.make(family.sizes[0], 1)
+    make, sizes = FAMILIES[name]
+    instance = make(sizes[0], 1)
     path = tmp_path / "again.json"
     write_nosbench(Problem("again", instance.mpcc, instance.x0), path)
     problem = read(path)

@@ -45,13 +45,6 @@ def test_l_shape(load: Callable[[str], ModuleType], tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_plate_with_hole(load: Callable[[str], ModuleType]) -> None:
-    needs_gmsh()
-    case = load("plate_with_hole").main(8)
-    assert case.error_after < 0.7 * case.error_before
-
-
-@pytest.mark.slow
 def test_hertz(load: Callable[[str], ModuleType]) -> None:
     needs_gmsh()
     module = load("hertz")

@@ -1,54 +1,15 @@
-"""A generated problem: the MPCC, a start, and what is known of its solution."""
+"""Problems written as a modelling language does."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.problem import MPCC
-
-
-@dataclass(frozen=True, eq=False)
-class Instance:
-    """One problem of a family.
-
-    Attributes
-    ----------
-    name : str
-        Family, size and seed: it makes the same problem again.
-    mpcc : MPCC
-    x0 : array
-    """
-
-    name: str
-    mpcc: MPCC
-    x0: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Family:
-    """A generator of problems.
-
-    Attributes
-    ----------
-    name : str
-    make : callable
-        ``make(size, seed) -> Instance``; the same arguments give the same problem.
-    sizes : tuple of int
-        Sizes from tiny to a few thousand unknowns.
-    about : str
-    """
-
-    name: str
-    make: Callable[[int, int], Instance]
-    sizes: tuple[int, ...]
-    about: str
+from rmesh_nlp.mpcc.reading import Problem
 
 
 class Builder:
@@ -87,10 +48,10 @@ class Builder:
         self._G.append(ca.vec(ca.SX(G)))
         self._H.append(ca.vec(ca.SX(H)))
 
-    def done(self, name: str, f: Any) -> Instance:
+    def done(self, name: str, f: Any) -> Problem:
         """Return the problem with objective ``f``."""
         mpcc = MPCC(
             self._x, f, self._g or None, self._G, self._H, lbx=self._lbx, ubx=self._ubx,
             lbg=np.array(self._lbg), ubg=np.array(self._ubg),
         )  # fmt: skip
-        return Instance(name, mpcc, np.array(self._x0))
+        return Problem(name, mpcc, np.array(self._x0))
