@@ -7,8 +7,8 @@ Relocation has no move limits but where it is said. The h-adaptive loop is a pla
 (``best_mesh/adaptive.py``) on Example 6.1 and the L-shape; on the others triangles are refined where new
 nodes gain most energy, by the package, and no time is given. Errors are those of the energy, against the
 exact one or that of a locally refined mesh; of free boundary and Signorini half the square of the error in
-the energy norm. Rows are kept in DIR/rows.jsonl: run again, it measures only what is missing. Writes DIR/table.md and
-DIR/best_mesh.png.
+the energy norm. Rows are kept in DIR/rows.jsonl: run again, it measures only what is missing. Writes
+DIR/table.md and DIR/best_mesh.png.
 """
 
 from __future__ import annotations

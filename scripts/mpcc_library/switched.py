@@ -1,9 +1,4 @@
-"""Optimal control of nonsmooth systems, discretised by the implicit Euler rule.
-
-Piecewise smooth systems are written in Stewart's form: ``x' = sum theta_i f_i(x, u)`` with
-``theta_i >= 0 _|_ g_i(x) - mu >= 0``, ``sum theta_i = 1``. D. E. Stewart, A high accuracy method for solving
-ODEs with discontinuous right-hand side, Numer. Math. 58 (1990) 299-328.
-"""
+"""Optimal control of nonsmooth systems, discretised by the implicit Euler rule."""
 
 from __future__ import annotations
 
