@@ -4,11 +4,11 @@
     python scripts/benchmark_mesh.py --cases 6.1 L-shape --levels 2
 
 Relocation has no move limits but where it is said. The h-adaptive loop is a plain one of scikit-fem
-(``best_mesh/adaptive.py``) on Example 6.1 and the L-shape; on the others triangles are refined where new
-nodes gain most energy, by the package, and no time is given. Errors are those of the energy, against the
-exact one or that of a locally refined mesh; of free boundary and Signorini half the square of the error in
-the energy norm. Rows are kept in DIR/rows.jsonl: run again, it measures only what is missing. Writes
-DIR/table.md and DIR/best_mesh.png.
+(``best_mesh/adaptive.py``) on Example 6.1 and the L-shape; on the others triangles are marked by their
+exact errors, which nobody knows beforehand, and no time is given. Errors are those of the energy, against
+the exact one or that of a locally refined mesh; of free boundary and Signorini half the square of the
+error in the energy norm. Rows are kept in DIR/rows.jsonl: run again, it measures only what is missing.
+Writes DIR/table.md and DIR/best_mesh.png.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -26,11 +27,11 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 from isolated import Failed, isolated
-from mpcc_library.collection import read_collection
 from mpcc_library.families import FAMILIES
 from mpcc_library.solvers import NEEDS, SOLVERS
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.reading import READERS, Problem, read
 
 SOLVED, LOWEST = 1e-6, 1e-4
@@ -49,6 +50,20 @@ class Row:
     target: float = float("nan")
     iterations: int | None = None
     seconds: float = float("nan")
+
+
+def read_collection(path: Path) -> Iterator[Problem]:
+    """The problems of a Python file, in its order; ValueError if there is none."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise ValueError(f"{path} is not a Python file")
+    module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)  # dataclasses look there
+    spec.loader.exec_module(module)
+    for name in module.names():
+        found = module.get(name)
+        program = {key: found[key] for key in ("x", "f", "g", "G", "H", "lbx", "ubx", "lbg", "ubg")}
+        x0, target = np.asarray(found["x0"], dtype=float), float(found.get("target", math.nan))
+        yield Problem(name, MPCC(**program), x0, target=target)
 
 
 def problems(
@@ -142,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = given.families.split(",") if given.families else []
     try:
         known = list(problems(given.paths, names, given.sizes, given.seeds))
-    except (ValueError, OSError) as error:
+    except (AttributeError, ValueError, OSError) as error:
         parser.error(str(error))
     if not known:
         parser.error("no problems: give files or --families")

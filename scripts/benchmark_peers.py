@@ -68,10 +68,9 @@ OTHERS: dict[str, Solver] = {f"mpcc, {name}": by_mpcc(name) for name in RELAXATI
 PEERS: dict[str, Solver] = {
     "CasADi nlpsol, our expressions": nlpsol_mapped,
     "CasADi nlpsol, written out": nlpsol_written_out,
-    "SciPy L-BFGS-B, our gradient": scipy_minimize("L-BFGS-B", "gradient"),
-    "SciPy trust-constr, our gradient": scipy_minimize("trust-constr", "gradient"),
-    "SciPy SLSQP, our gradient": scipy_minimize("SLSQP", "gradient"),
-    "SciPy L-BFGS-B, finite differences": scipy_minimize("L-BFGS-B", "2-point"),
+    "SciPy L-BFGS-B, our gradient": scipy_minimize("L-BFGS-B"),
+    "SciPy trust-constr, our gradient": scipy_minimize("trust-constr"),
+    "SciPy SLSQP, our gradient": scipy_minimize("SLSQP"),
 }
 
 

@@ -5,20 +5,21 @@ from __future__ import annotations
 import multiprocessing
 import signal
 from collections.abc import Callable
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 T = TypeVar("T")
 
 
-class Failed(Generic[T]):
+@dataclass(frozen=True)
+class Failed:
     """Why there is no result, in words for a table."""
 
-    def __init__(self, why: str) -> None:
-        self.why = why
+    why: str
 
 
-def isolated(work: Callable[[], T], limit: float) -> T | Failed[T]:
+def isolated(work: Callable[[], T], limit: float) -> T | Failed:
     """What ``work`` returns, if it does so within ``limit`` seconds.
 
     The process is forked: it has what this one has imported and solved before, and nothing of it is timed.
@@ -29,11 +30,11 @@ def isolated(work: Callable[[], T], limit: float) -> T | Failed[T]:
     process.start()
     there.close()
     try:
-        found = here.recv() if here.poll(limit) else Failed[T](f"stopped after {limit:g} s")
+        found = here.recv() if here.poll(limit) else Failed(f"stopped after {limit:g} s")
     except EOFError:
         process.join()
         code = process.exitcode or 0
-        found = Failed[T](f"crashed: {signal.Signals(-code).name}" if code < 0 else "no answer")
+        found = Failed(f"crashed: {signal.Signals(-code).name}" if code < 0 else "no answer")
     process.kill()
     process.join()
     return found
@@ -43,4 +44,4 @@ def _send(work: Callable[[], T], pipe: Connection) -> None:
     try:
         pipe.send(work())
     except Exception as error:
-        pipe.send(Failed[T](f"{type(error).__name__}: {' '.join(str(error).split())}"[:90]))
+        pipe.send(Failed(f"{type(error).__name__}: {' '.join(str(error).split())}"[:90]))

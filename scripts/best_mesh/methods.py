@@ -16,7 +16,7 @@ from formulations import auto, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem.refining import locally_refined
 from rmesh_nlp.programs.hr import hr
-from rmesh_nlp.programs.refinement import edge_gains, marked
+from rmesh_nlp.programs.refinement import marked
 from rmesh_nlp.solution.solution import Solution
 
 SIZES_OF_HR = (300, 1000, 3000)
@@ -46,7 +46,7 @@ def given(case: Case, size: int) -> Iterator[Row]:
 
 
 def h_adaptive(case: Case, most: int) -> Iterator[Row]:
-    """Local refinement of the coarsest mesh: scikit-fem's plain loop, or where new nodes gain most."""
+    """Local refinement of the coarsest mesh: scikit-fem's plain loop, or marked by the exact errors."""
     problem = case.problem(case.sizes[0])
     if case.laplacian is not None:
         mesh = MeshTri(problem.mesh.p, problem.mesh.t)
@@ -56,7 +56,7 @@ def h_adaptive(case: Case, most: int) -> Iterator[Row]:
         return
     while problem.mesh.p.shape[1] <= most:
         yield Row(case.name, ADAPTIVE, str(most), problem.mesh.p.shape[1], case.error(problem))
-        problem = locally_refined(problem, marked(edge_gains(problem)))
+        problem = locally_refined(problem, marked(case.local(problem)))
 
 
 def move_limits(case: Case, size: int) -> Iterator[Row]:

@@ -9,8 +9,6 @@ import numpy as np
 from peer_solvers.case import Case, Finish
 from scipy.optimize import Bounds, minimize
 
-from rmesh_nlp.contact.model import solve
-from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.outer_solvers import NestedSettings
@@ -21,23 +19,22 @@ class OutOfTimeError(Exception):
     """Raised inside a solver of SciPy to end it."""
 
 
-def scipy_minimize(method: str, derivative: str) -> Callable[[Case], Finish]:
-    """``scipy.optimize.minimize`` on the reduced energy, with SciPy's finite differences or our gradient."""
+def scipy_minimize(method: str) -> Callable[[Case], Finish]:
+    """``scipy.optimize.minimize`` on the reduced energy with our gradient."""
 
     def run(case: Case) -> Finish:
         began = time.process_time()
         reduced = ReducedEnergy(relocation(case.problem))
         bound = reduced.relocation.freedoms.bound
         start = np.zeros(bound.size)
-        value = _values(reduced) if derivative == "2-point" else lambda q: reduced(q).value
-        unit = abs(value(start)) or 1.0
+        unit = abs(reduced(start).value) or 1.0
         best, lowest = start, np.inf
 
         def objective(q: Array) -> float:
             nonlocal best, lowest
             if time.process_time() - began > case.limit:
                 raise OutOfTimeError
-            found = value(q)
+            found = reduced(q).value
             if found < lowest:
                 best, lowest = q.copy(), found
             return found / unit
@@ -46,7 +43,7 @@ def scipy_minimize(method: str, derivative: str) -> Callable[[Case], Finish]:
             result = minimize(
                 objective,
                 start,
-                jac="2-point" if derivative == "2-point" else lambda q: reduced(q).gradient / unit,
+                jac=lambda q: reduced(q).gradient / unit,
                 method=method,
                 bounds=Bounds(-bound, bound),
                 tol=NestedSettings().scipy_tol,
@@ -59,16 +56,3 @@ def scipy_minimize(method: str, derivative: str) -> Callable[[Case], Finish]:
         return Finish(reduced.relocation.nodes(np.clip(q, -bound, bound)), status, seconds)
 
     return run
-
-
-def _values(reduced: ReducedEnergy) -> Callable[[Array], float]:
-    """The reduced energy without its gradient, warm-started as well."""
-    active: ActiveSet | None = None
-
-    def value(q: Array) -> float:
-        nonlocal active
-        equilibrium = solve(reduced.model.system(reduced.relocation.nodes(q)), active)
-        active = equilibrium.active
-        return equilibrium.energy
-
-    return value
