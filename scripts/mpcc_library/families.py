@@ -1,9 +1,4 @@
-"""Families of generated MPCCs, seeded and of any size. None of them chose a default option.
-
->>> make, sizes = FAMILIES["bouncing"]
->>> make(20, 0).name
-'bouncing-20-0'
-"""
+"""Families of generated MPCCs, seeded and of any size. None of them chose a default option."""
 
 from collections.abc import Callable
 
