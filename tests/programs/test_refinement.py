@@ -26,12 +26,8 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.problem.refining import locally_refined, refined
 from rmesh_nlp.programs.hr import EFFECTIVITY, hr, reference_as_given
-<<<<<<< HEAD
-from rmesh_nlp.programs.refinement import edge_gains, marked, residual_indicators
-from rmesh_nlp.solution import advice as advising
-=======
 from rmesh_nlp.programs.refinement import edge_gains, marked
->>>>>>> scripts
+from rmesh_nlp.solution import advice as advising
 from rmesh_nlp.solution.advice import advise, recommended
 
 

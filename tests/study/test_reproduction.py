@@ -46,8 +46,6 @@ def test_only_frozen_friction_weights_lead_below_the_printed_energy(statements: 
     assert set(found.values()) == {NOT_MET}
 
 
-<<<<<<< HEAD
-=======
 @pytest.mark.slow
 def test_boxes_of_twice_the_width_pass_the_printed_energy_of_62_alone(statements: list[Statement]) -> None:
     found = {one.example: one for one in statements if "2 times as large" in one.what}
@@ -55,15 +53,6 @@ def test_boxes_of_twice_the_width_pass_the_printed_energy_of_62_alone(statements
     assert float(found["6.2"].ours) == pytest.approx(-4.92164, abs=5e-6)
 
 
-@pytest.mark.slow
-def test_every_statement_is_on_the_page(statements: list[Statement]) -> None:
-    text = markdown(statements, quick=True)
-    for one in statements:
-        assert one.ours in text
-        assert one.evidence in text
-
-
->>>>>>> scripts
 def test_the_frozen_weights_change_nothing_on_the_given_mesh_and_something_elsewhere() -> None:
     import casadi as ca
     import numpy as np
