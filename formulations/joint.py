@@ -79,8 +79,8 @@ class Joint(Formulation):
     first_barrier : float
         Ipopt's first barrier where a distortion keeps the elements valid, in units of `half_energy`. With its
         own one, 0.1, the first steps leave the start, which with a schedule of weights is the minimiser for
-        the last weight. Of 0.1, 1e-2, 1e-3, 1e-4 and 1e-6 it was chosen on problems of
-        ``scripts/soak_moves.py`` (seeds 0, 2, 4, 5, 7).
+        the last weight. Of 0.1, 1e-2, 1e-3, 1e-4 and 1e-6 it was chosen on random
+        problems without boxes.
     fine : int
         Number of moves from which on the start is given alternating moves
         (:mod:`rmesh_nlp.programs.alternating`): the end is then lower by 0.1 to 0.7 % of the gain (6.1 with

@@ -26,7 +26,7 @@ class AssemblySettings(Settings):
     ----------
     numpy_from : int
         Number of elements from which on numpy takes the place of CasADi's map. On Example 6.1 (Laplace with
-        a load) both are as fast near 1000; ``scripts/benchmark_assembly.py`` measures it.
+        a load) both are as fast near 1000.
     chunk : int
         Elements at a time, so that what is being worked on stays in the cache.
     """

@@ -1,123 +1,182 @@
-"""The MPCC solver beside a plain Scholtes loop: a collection, generated families, and starts where it missed.
+"""The MPCC solver beside a plain Scholtes loop, MPECSS and pympcc: a collection and generated families.
 
-    python scripts/benchmark_mpcc.py mpcc_problems.py --families all --out results
-    python scripts/benchmark_mpcc.py mpcc_problems.py --relaxation kanzow-schwartz --multistart 10
+    python scripts/benchmark_mpcc.py mpcc_problems.py --families all --out results/mpcc
 
-The collection is a Python file with ``names()`` and ``get(name)``; ``get`` returns a dict with
-``x f g G H lbx ubx lbg ubg x0 target`` (CasADi expressions, bounds, a start, the best known value). Without
-``--multistart`` the command ``rmesh mpcc --benchmark`` says the same.
+A collection is a Python file with ``names()`` and ``get(name)``; ``get`` returns a dict with ``x f g G H lbx
+ubx lbg ubg x0 target`` (CasADi expressions, bounds, a start, the best known value). AMPL .nl files and
+NOSBENCH's .json files, and folders of them, are read too. Every solve is a process of its own. What it ends
+with is judged by the problem's expressions, never by the solver's word: solved is a point whose constraint
+violation and products G H are at most 1e-6, lowest one whose objective is also within 1e-4, relative, of the
+best known value or, where none is known, of the least that any solver here found. Time is processor time of
+build and solve. MPECSS and pympcc are compared if they are installed (see benchmark_peers.py). Writes
+DIR/rows.jsonl and DIR/table.md.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
+import importlib.util
+import json
+import math
 import sys
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
+from isolated import Failed, isolated
+from mpcc_library.families import FAMILIES
+from mpcc_library.solvers import NEEDS, SOLVERS
 
-from rmesh_nlp.mpcc import RELAXATIONS, Options, multistart
-from rmesh_nlp.mpcc.benchmark import REACHED, at_target, from_families, from_files, markdown, run, table
-from rmesh_nlp.mpcc.reading import Problem, as_mpcc
-from rmesh_nlp.mpcc.reading import load_collection as load
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.mpcc.reading import READERS, Problem, read
 
-__all__ = ["as_mpcc", "load", "main", "plain_loop_result", "relative_error"]
-
-PLAIN_IPOPT = {
-    "print_level": 0,
-    "sb": "yes",
-    "bound_relax_factor": 0.0,
-    "mu_strategy": "adaptive",
-    "mu_oracle": "quality-function",
-    "tol": 1e-10,
-}
+SOLVED, LOWEST = 1e-6, 1e-4
 
 
-def relative_error(f: float, target: float) -> float:
-    """Error relative to max(1, |target|)."""
-    return abs(f - target) / max(1.0, abs(target))
+@dataclass(frozen=True)
+class Row:
+    """One solver on one problem; NaN where it did not come to an end."""
+
+    group: str
+    problem: str
+    solver: str
+    status: str
+    f: float = float("nan")
+    violation: float = float("inf")
+    target: float = float("nan")
+    iterations: int | None = None
+    seconds: float = float("nan")
 
 
-def plain_loop_result(problem: Mapping[str, Any]) -> dict[str, ca.DM]:
-    """Scholtes' relaxation in a plain loop of nlpsol calls; returns what the last one did."""
-    G, H, t = problem["G"], problem["H"], type(problem["x"]).sym("t")
-    n = G.shape[0]
-    nlp = {
-        "x": problem["x"],
-        "p": t,
-        "f": problem["f"],
-        "g": ca.vertcat(problem["g"], G, H, G * H - t),
-    }
-    settings = {
-        "ipopt": PLAIN_IPOPT,
-        "print_time": False,
-        "error_on_fail": False,
-        "show_eval_warnings": False,
-    }
-    solver = ca.nlpsol("plain", "ipopt", nlp, settings)
-    lower = np.concatenate([problem["lbg"], np.zeros(2 * n), np.full(n, -np.inf)])
-    upper = np.concatenate([problem["ubg"], np.full(2 * n, np.inf), np.zeros(n)])
-    x = problem["x0"]
-    for k in range(11):
-        answer = solver(x0=x, p=10.0**-k, lbx=problem["lbx"], ubx=problem["ubx"], lbg=lower, ubg=upper)
-        x = answer["x"]
-    return answer
+def read_collection(path: Path) -> Iterator[Problem]:
+    """The problems of a Python file, in its order; ValueError if there is none."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise ValueError(f"{path} is not a Python file")
+    module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)  # dataclasses look there
+    spec.loader.exec_module(module)
+    for name in module.names():
+        found = module.get(name)
+        program = {key: found[key] for key in ("x", "f", "g", "G", "H", "lbx", "ubx", "lbg", "ubg")}
+        x0, target = np.asarray(found["x0"], dtype=float), float(found.get("target", math.nan))
+        yield Problem(name, MPCC(**program), x0, target=target)
 
 
-def print_multistart(problem: Problem, n: int, seed: int, options: Options) -> None:
-    """Multi-start a problem that missed its target."""
-    outcome = multistart(problem.mpcc, problem.x0, n=n, seed=seed, options=options)
-    found = "found" if at_target(outcome.best.f, problem.target) else "missed"
-    print(f"{problem.name}: {found} (target {problem.target:.7g}): {outcome}")
+def problems(
+    paths: Sequence[Path], families: Sequence[str], sizes: int, seeds: int
+) -> Iterator[tuple[str, Problem]]:
+    """Problems of files and of generated families ("all", or names), each with its group."""
+    for path in paths:
+        if path.suffix == ".py":
+            yield from ((path.stem, problem) for problem in read_collection(path))
+            continue
+        inside = (
+            sorted(p for p in path.rglob("*") if p.suffix.lower() in READERS) if path.is_dir() else [path]
+        )
+        yield from ((one.parent.name, read(one)) for one in inside)
+    for name in list(FAMILIES) if list(families) == ["all"] else families:
+        if name not in FAMILIES:
+            raise ValueError(f"unknown family {name!r}; there are {', '.join(['all', *FAMILIES])}")
+        make, known = FAMILIES[name]
+        yield from ((name, make(size, seed)) for size in known[:sizes] for seed in range(seeds))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Parse the command line, run, print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("collection", type=Path, help="Python file with names() and get(name)")
-    parser.add_argument("--only", help="comma-separated problem names of the collection")
-    parser.add_argument("--families", help="generated problems beside it: all, chosen, held-out, or names")
-    parser.add_argument("--sizes", type=int, default=2, help="sizes of each family")
-    parser.add_argument("--seeds", type=int, default=3, help="problems of each size")
-    parser.add_argument("--relaxation", default="scholtes", choices=list(RELAXATIONS))
-    parser.add_argument(
-        "--multistart", type=int, default=0, metavar="N", help="N starts where the target is missed"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the multi-starts")
-    parser.add_argument("--no-plain", action="store_true", help="skip the plain loop")
-    parser.add_argument("--out", type=Path, help="folder for records, table and profile")
-    given = parser.parse_args(arguments)
-    try:
-        known = list(from_files([given.collection]))
-    except ValueError as error:
-        raise SystemExit(str(error)) from None
-    names = given.only.split(",") if given.only else [problem.name for _, problem in known]
-    unknown = set(names) - {problem.name for _, problem in known}
-    if unknown:
-        parser.error(f"no such problem: {', '.join(sorted(unknown))}")
-    chosen = [(group, problem) for group, problem in known if problem.name in names]
-    families = from_families(given.families.split(","), given.sizes, given.seeds) if given.families else ()
-    warm = ca.SX.sym("warm")  # loading Ipopt's library is nobody's cost
-    ca.nlpsol("warm", "ipopt", {"x": warm, "f": warm**2}, {"ipopt": PLAIN_IPOPT, "print_time": False})(x0=1)
-    options = Options(relaxation=given.relaxation)
-    rows = run(
-        itertools.chain(chosen, families), options, plain=not given.no_plain, out=given.out, show=print
-    )
-    print("\n" + markdown(table(rows)))
-    missed = [
-        problem for row, (_, problem) in zip(rows, chosen, strict=False) if not row.get("reached", True)
+def judged(problem: Problem, x: Array) -> tuple[float, float]:
+    """Objective of a point, and the largest of its constraint violation and its products."""
+    program = problem.mpcc
+    found = ca.Function("all", [program.x, program.p], [program.f, program.g, program.G, program.H])
+    f, g, G, H = (np.asarray(v.full()).ravel() for v in found(x, program.parameters(problem.p0)))
+    excess = [program.lbx - x, x - program.ubx, program.lbg - g, g - program.ubg, -G, -H, np.abs(G * H)]
+    return problem.sign * float(f[0]), float(np.max(np.concatenate(excess), initial=0.0))
+
+
+def solved(group: str, problem: Problem, solver: str, limit: float) -> Row:
+    """Solve one problem in a process of its own."""
+
+    def work() -> Row:
+        began = time.process_time()
+        end = SOLVERS[solver](problem)
+        seconds = time.process_time() - began
+        f, violation = judged(problem, end.x)
+        return Row(
+            group, problem.name, solver, end.status, f, violation, problem.target, end.iterations, seconds
+        )
+
+    row = isolated(work, limit)
+    return Row(group, problem.name, solver, row.why, seconds=limit) if isinstance(row, Failed) else row
+
+
+def table(rows: Sequence[Row]) -> str:
+    """A line for each group and solver, in Markdown."""
+    least = {row.problem: row.target for row in rows}
+    for row in rows:
+        if not np.isfinite(row.target) and row.violation <= SOLVED:
+            least[row.problem] = float(np.nanmin([least[row.problem], row.f]))
+    lines = [
+        "| problems | solver | solved | lowest | iterations | time [s] | over ours |",
+        "|:--|:--|--:|--:|--:|--:|--:|",
     ]
-    reached, successes = len(chosen) - len(missed), sum(row["success"] for row in rows[: len(chosen)])
-    print(f"\n{reached} of {len(chosen)} within {REACHED:g} of the target, {successes} successes")
-    if given.multistart:
-        print(f"\nmulti-start, {given.multistart} starts, seed {given.seed}")
-        for problem in missed:
-            print_multistart(problem, given.multistart, given.seed, options)
-    return 0
+    groups = list(dict.fromkeys(row.group for row in rows))
+    for group in groups + (["all"] if len(groups) > 1 else []):
+        inside = [row for row in rows if group in (row.group, "all")]
+        ours = 0.0
+        for solver in dict.fromkeys(row.solver for row in inside):
+            own = [row for row in inside if row.solver == solver]
+            good = [row for row in own if row.violation <= SOLVED]
+            low = [r for r in good if r.f - least[r.problem] <= LOWEST * max(1.0, abs(least[r.problem]))]
+            seconds = sum(row.seconds for row in own)
+            ours = ours or seconds
+            counted = all(row.iterations is not None for row in own)
+            iterations = str(sum(row.iterations or 0 for row in own)) if counted else "-"
+            lines.append(
+                f"| {group}, {len(own)} | {solver} | {len(good)} | {len(low)} | {iterations} "
+                f"| {seconds:.2f} | {seconds / ours:.2f} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Solve, print, write; 0 if ours solved every problem."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "paths", nargs="*", type=Path, metavar="FILE", help="collections, .nl, .json, folders"
+    )
+    parser.add_argument("--families", help="generated problems: all, or names")
+    parser.add_argument("--sizes", type=int, default=2, help="sizes of each family")
+    parser.add_argument("--seeds", type=int, default=4, help="problems of each size")
+    parser.add_argument("--solvers", nargs="+", choices=list(SOLVERS), default=list(SOLVERS))
+    parser.add_argument("--limit", type=float, default=60.0, help="seconds for one solve")
+    parser.add_argument("--out", type=Path, default=Path("results/mpcc"))
+    given = parser.parse_args(arguments)
+    names = given.families.split(",") if given.families else []
+    try:
+        known = list(problems(given.paths, names, given.sizes, given.seeds))
+    except (AttributeError, ValueError, OSError) as error:
+        parser.error(str(error))
+    if not known:
+        parser.error("no problems: give files or --families")
+    there = [name for name in given.solvers if all(map(importlib.util.find_spec, NEEDS.get(name, ())))]
+    warm = ca.SX.sym("warm")  # loading Ipopt's library is nobody's cost
+    ca.nlpsol("warm", "ipopt", {"x": warm, "f": warm**2}, {"ipopt": {"print_level": 0, "sb": "yes"}})(x0=1)
+    given.out.mkdir(parents=True, exist_ok=True)
+    rows: list[Row] = []
+    with (given.out / "rows.jsonl").open("w", encoding="utf-8") as file:
+        for (group, problem), solver in ((one, solver) for one in known for solver in there):
+            rows.append(solved(group, problem, solver, given.limit))
+            file.write(json.dumps(asdict(rows[-1])) + "\n")
+            file.flush()
+            last = rows[-1]
+            print(f"{last.problem:26} {solver:20} {last.status[:24]:24} {last.f:<14.8g} {last.seconds:.2f} s")
+    (given.out / "table.md").write_text(table(rows), encoding="utf-8")
+    print("\n" + table(rows))
+    mine = [row for row in rows if row.solver == next(iter(SOLVERS))]
+    return 0 if all(row.violation <= SOLVED for row in mine) else 1
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
-"""Compare strategies on refined grids: the starting point of a study of one's own.
+"""Compare formulations on refined grids, with tables and figures: the starting point of a study of one's own.
 
-For each size the boxes shrink with the mesh width, so that a node may move by the same part of
-its neighbourhood. Run it twice: the second time only what is missing is solved.
+For each size the move limits shrink with the mesh width, so that a node may move by the same part of its
+neighbourhood. Run it twice: the second time only what is missing is solved.
 
     python scripts/compare_strategies.py 6.1 --sizes 8 16 32 --formulations nested joint --out study
-    python scripts/make_tables.py study
-    python scripts/make_figures.py study
+
+The data frame behind ``table.csv`` is at hand for one's own tables, the fields of each solution for one's own
+figures: ``rmesh_nlp.io.vtu.read_vtu(path)``.
 """
 
 from __future__ import annotations
@@ -16,33 +17,15 @@ from pathlib import Path
 
 from rmesh_nlp.campaign import run as campaign
 from rmesh_nlp.campaign.cases import make_cases
-from rmesh_nlp.campaign.progress import CampaignProgress
 from rmesh_nlp.cli.inputs import parse_size
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.results import Record, Results
-from rmesh_nlp.report.tables import short_markdown, write_tables
-
-
-def compare(example: str, sizes: Sequence[str], formulations: Sequence[str], out: Path) -> list[Record]:
-    """Solve one example on every grid by every strategy; returns the records."""
-    cases = [case for size in sizes for case in make_cases([example], formulations, n=parse_size(size))]
-    with CampaignProgress(len(cases)) as progress:
-        rows = campaign.run(
-            cases,
-            Results(out),
-            resume=True,
-            on_start=progress.start,
-            on_step=progress.step,
-        )
-        records = []
-        for record in rows:
-            progress.finish(record)
-            records.append(record)
-    return records
+from rmesh_nlp.io.results import Results, read_results
+from rmesh_nlp.report.figures import write_figures
+from rmesh_nlp.report.tables import frame, write_tables
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Read the command line, solve, write the tables; 0 if every solve succeeded."""
+    """Solve, write tables and figures; 0 if every solve succeeded."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -52,11 +35,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("study"))
     options = parser.parse_args(arguments)
     try:
-        records = compare(options.example, options.sizes, options.formulations, options.out)
+        cases = [
+            case
+            for size in options.sizes
+            for case in make_cases([options.example], options.formulations, n=parse_size(size))
+        ]
     except BadInputError as error:
         parser.error(str(error))
+    records = list(campaign.run(cases, Results(options.out), resume=True))
     write_tables(records, options.out)
-    print(short_markdown(records), end="")
+    write_figures(read_results(options.out), options.out / "figures")
+    table = frame(records)
+    table["share of the best gain"] = table["gain"] / table.groupby(["example", "n"])["gain"].transform("max")
+    columns = ["example", "n", "formulation", "energy", "iterations", "share of the best gain"]
+    print(table[columns].to_string(index=False))
     return 0 if all(record["success"] for record in records) else 1
 
 

@@ -1,10 +1,8 @@
 """Local refinement, to compare relocation with and to combine it with.
 
-Indicators say where to refine: the gain of energy by a new node on each edge
-(:func:`edge_gains`, for any law, load and contact), or the classical residual of equilibrium
-(:func:`residual_indicators`, R. Verfürth, A posteriori error estimation techniques, OUP 2013, section 1.4).
-Triangles are marked by their share of the sum (W. Dörfler, SIAM J. Numer. Anal. 33 (1996) 1106-1124) and
-cut by longest edges (red, green and blue), names are kept.
+The gain of energy by a new node on each edge says where to refine, for any law, load and contact
+(:func:`edge_gains`). Triangles are marked by their share of the sum (W. Dörfler, SIAM J. Numer. Anal. 33
+(1996) 1106-1124) and cut by longest edges (red, green and blue), names are kept.
 """
 
 from __future__ import annotations
@@ -14,10 +12,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.energy import triangle_rule
-from rmesh_nlp.fem.stress import stresses
-from rmesh_nlp.problem import ContactProblem, signed_areas
-from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.energy_flips import ElementEnergies
 
 SHARE = 0.5
@@ -94,36 +89,3 @@ def _halves(
     one = np.stack([a.ravel(), middle.ravel(), c.ravel()])
     two = np.stack([middle.ravel(), b.ravel(), c.ravel()])
     return energies(one, elements) + energies(two, elements)
-
-
-def residual_indicators(problem: ContactProblem) -> Array:
-    """(elements,) ``h_T^2 |f|^2_T + 1/2 sum_E h_E |jump of the stress|^2_E``, over interior edges E."""
-    mesh, triangles = problem.mesh, problem.triangles
-    model = ContactModel(problem)
-    values = model.displacement.values(model.solve(mesh.p).u)
-    stress = stresses(problem, np.asarray(mesh.p), values)
-    areas = signed_areas(mesh.p, triangles)
-    corner = mesh.p[:, triangles]
-    h = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=0).max(axis=0)
-    result = np.zeros(areas.size)
-    points, weights = triangle_rule(4)
-    for law, elements in problem.regions:
-        where = np.einsum("cve,vk->cek", corner[:, :, elements], points)
-        for component in law.load:
-            f = on_points(component, where.reshape(2, -1)).reshape(where.shape[1:])
-            result[elements] += h[elements] ** 2 * areas[elements] * (f**2 @ weights)
-    left, right = mesh.f2t
-    inside = np.flatnonzero(right >= 0)
-    a, b = mesh.facets[:, inside]
-    tangent = mesh.p[:, b] - mesh.p[:, a]
-    length = np.linalg.norm(tangent, axis=0)
-    normal = np.array([tangent[1], -tangent[0]]) / length
-    jump = stress[:, left[inside]] - stress[:, right[inside]]
-    if problem.components == 1:
-        size = (jump * normal).sum(axis=0) ** 2
-    else:
-        xx, yy, xy = jump[:3]
-        size = (xx * normal[0] + xy * normal[1]) ** 2 + (xy * normal[0] + yy * normal[1]) ** 2
-    for side in (left, right):
-        np.add.at(result, side[inside], 0.5 * length**2 * size)
-    return result

@@ -23,13 +23,13 @@ MET, PASSED, NOT_MET = "met", "passed", "cannot be met"
 STARTS, QUICK_STARTS = 40, 1
 """Random starts under the printed boxes."""
 
-LARGER = {"6.2": 1.5, "6.3": 4.0}
+LARGER = {"6.2": (1.5, 2.0), "6.3": (2.0, 4.0)}
 """Factors by which boxes are enlarged where the printed energy is not reached."""
 
 LARGER_STARTS = 5
 """Random starts under enlarged boxes, and with friction weights held fixed."""
 
-USABLE = ("quadrature-exploited",)
+USABLE = ("exploited",)
 """Ends other than success whose energy, by the problem's own rule, is that of a valid mesh."""
 
 Say = Callable[[str], object]
@@ -67,7 +67,8 @@ def reproduce(*, quick: bool = False, say: Say = lambda text: None) -> list[Stat
         energies = _descents(example, 1.0, starts, say, nested=not quick)
         statements += _final(example, energies, starts)
         if example in LARGER and statements[-1].verdict == NOT_MET:
-            statements.append(_larger(example, LARGER[example], 0 if quick else LARGER_STARTS, say))
+            larger = 0 if quick else LARGER_STARTS
+            statements += [_larger(example, factor, larger, say) for factor in LARGER[example]]
     statements.append(_frozen(0 if quick else LARGER_STARTS, say))
     return statements
 
@@ -146,13 +147,17 @@ def _larger(example: str, factor: float, starts: int, say: Say) -> Statement:
     printed = PAPER[example].energy_final
     energies = _descents(example, factor, starts, say, nested=starts > 0)
     best = min(value for value in energies.values() if math.isfinite(value))
+    verdict, evidence = _reached(best, printed), f"lowest of {len(energies)} descents"
+    meaning = "the paper prints the smaller boxes"
+    if verdict != NOT_MET:
+        meaning = "the printed energy is within reach of larger boxes than the paper prints"
     return Statement(
         example,
         f"final energy with boxes {factor:g} times as large",
         f"{printed:.4f}",
         f"{best:.6f}",
-        _reached(best, printed),
-        f"lowest of {len(energies)} descents; the paper prints the smaller boxes",
+        verdict,
+        f"{evidence}; {meaning}",
     )
 
 

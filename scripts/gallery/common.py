@@ -1,9 +1,9 @@
-"""What every gallery case does: solve by several strategies, check, compare with uniform grids, draw."""
+"""What every gallery case does: solve by several formulations, check, draw."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
 
-from support.formulations import fixed, joint, nested
+import rmesh_nlp as rm
 from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -37,10 +37,6 @@ class Case:
         Of the energy, or of the solution in the energy norm squared over two.
     unknowns : int
         Displacement unknowns.
-    uniform : list of (int, float)
-        Unknowns and errors of uniform grids without relocation.
-    worth : float
-        Unknowns of a uniform grid with the error of the relocated one, over ``unknowns``.
     """
 
     before: Solution
@@ -49,8 +45,6 @@ class Case:
     error_before: float
     error_after: float
     unknowns: int
-    uniform: list[tuple[int, float]]
-    worth: float
 
     def report(self) -> str:
         """A few lines for people."""
@@ -59,8 +53,7 @@ class Case:
             f"  energy       {self.before.energy:.8g} -> {self.after.energy:.8g} (joint), "
             f"{self.nested.energy:.8g} (nested)",
             f"  audited      {self.before.audit.energy_audited:.8g} -> {self.after.audit.energy_audited:.8g}",
-            f"  error        {self.error_before:.4g} -> {self.error_after:.4g}, "
-            f"that of a uniform grid with {self.worth:.2f} times the unknowns",
+            f"  error        {self.error_before:.4g} -> {self.error_after:.4g}",
             f"  least area   {self.after.audit.min_area_ratio:.3g} of the initial one",
         ]
         return "\n".join(lines)
@@ -69,29 +62,25 @@ class Case:
 def run(
     problem: ContactProblem,
     error: Error,
-    finer: Sequence[ContactProblem] = (),
     **nested_options: object,
 ) -> Case:
-    """Solve on the grid as given and relocated, check, and compare with uniform grids.
+    """Solve on the grid as given and relocated, and check.
 
     Raises
     ------
     AssertionError
         If a solve does not succeed, an element is inverted, the energy rises, or the
-        strategies disagree.
+        formulations disagree.
     """
-    before, after = fixed.solve(problem), joint.solve(problem)
-    other = nested.solve(problem, **nested_options)
+    before, after = rm.solve(problem, "fixed"), rm.solve(problem, "joint")
+    other = rm.solve(problem, "nested", **nested_options)
     for solution in (before, after, other):
         assert solution.success, f"{solution.formulation}: {solution.status.message}"
         assert solution.audit.min_area_ratio > 0
     assert after.energy <= before.energy
     difference = abs(after.energy - other.energy) / max(abs(after.energy), 1e-300)
     assert difference <= AGREEMENT, f"joint and nested differ by {difference:.1e}"
-    uniform = [(unknowns(problem), error(before))]
-    uniform += [(unknowns(p), error(fixed.solve(p))) for p in finer]
-    worth = _equal_unknowns(uniform, error(after)) / unknowns(problem)
-    return Case(before, after, other, error(before), error(after), unknowns(problem), uniform, worth)
+    return Case(before, after, other, error(before), error(after), unknowns(problem))
 
 
 def unknowns(problem: ContactProblem) -> int:
@@ -147,12 +136,3 @@ def command_line(main: Callable[[int], Case], n: int) -> None:
     print(case.report())
     if options.picture is not None:
         draw(case, options.picture)
-
-
-def _equal_unknowns(uniform: list[tuple[int, float]], error: float) -> float:
-    """Unknowns of a uniform grid with this error, by log-log interpolation or extrapolation."""
-    if len(uniform) < 2 or error <= 0:
-        return float("nan")
-    n, e = np.log(np.array(uniform)).T
-    slope, offset = np.polyfit(e, n, 1)
-    return float(np.exp(slope * np.log(error) + offset))

@@ -29,7 +29,7 @@ def problem(n: int) -> ContactProblem:
 
 def main(n: int = 8) -> Case:
     """L-shaped bar with a corner singularity."""
-    return run(problem(n), energy_above(EXACT_ENERGY), [problem(2 * n)])
+    return run(problem(n), energy_above(EXACT_ENERGY))
 
 
 if __name__ == "__main__":

@@ -19,13 +19,19 @@ trap, and would be called converged.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
 import rmesh_nlp as rm
-from rmesh_nlp.mpcc.plain import PlainResult, plain_loop
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+from mpcc_library.solvers import End, plain_loop
+
+from rmesh_nlp.mpcc.reading import Problem
 
 START = 0.5
 """Every unknown of the start of the plain loop."""
@@ -43,7 +49,7 @@ class Case:
     name : str
     corner : Classification
         Of the point x = y = 0.
-    plain : PlainResult
+    plain : End
         A loop of relaxations down to t = 1e-8.
     solved : MPCCResult
         The solver, started in the corner.
@@ -51,7 +57,7 @@ class Case:
 
     name: str
     corner: rm.mpcc.Classification
-    plain: PlainResult
+    plain: End
     solved: rm.mpcc.MPCCResult
 
     @property
@@ -81,7 +87,8 @@ def main() -> list[Case]:
     for name, program in programs().items():
         n = program.x.shape[0]
         corner = rm.mpcc.classify(program, np.zeros(n))
-        case = Case(name, corner, plain_loop(program, np.full(n, START)), rm.solve_mpcc(program, np.zeros(n)))
+        plain = plain_loop(Problem(name, program, np.full(n, START)))
+        case = Case(name, corner, plain, rm.solve_mpcc(program, np.zeros(n)))
         cases.append(case)
         label = f"{corner.stationarity}, {'B' if corner.b_stationary else 'not B'}"
         trapped = " trapped" if case.plain_is_trapped else ""

@@ -46,7 +46,7 @@ def smoothed_peak(value: float) -> float:
 
 
 def main(n: int = 8, picture: Path | None = None) -> dict[str, rm.Solution]:
-    """Shape the punch by both strategies and print what it gave."""
+    """Shape the punch by both formulations and print what it gave."""
     objective = f"peak-pressure(bottom, {REFERENCE:g}, {EXPONENT}) + 0.02*quality"
     punch = problem(n)
     test = rm.verify_gradient(punch, objective)

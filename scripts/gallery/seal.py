@@ -14,7 +14,7 @@ objective has a kink there. ``nested`` differentiates with the contact set held,
 kink and stops somewhere on it. ``mpcc`` has gap and pressure as unknowns, and ends at the best edge with a
 label.
 
-    python scripts/gallery/seal.py --n 8 --starts 10 --picture seal.png
+    python scripts/gallery/seal.py --n 8 --picture seal.png
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 import rmesh_nlp as rm
 from rmesh_nlp.meshes import named
-from rmesh_nlp.solving.referee import Referee
+from rmesh_nlp.solving.outer import Outer
 
 OBJECTIVE = "boundary(seal, 1.2*(y + uy) - y)"
 """Leak less the material that is saved."""
@@ -90,8 +90,8 @@ def problem(n: int) -> rm.ContactProblem:
 
 def kinks(solution: rm.Solution, objective: str = OBJECTIVE) -> list[Kink]:
     """One-sided derivatives at every node of the seal, each of two contact solves."""
-    referee = Referee(solution.problem, objective)
-    function, free = referee.function(objective), referee.relocation.freedoms
+    outer = Outer(solution.problem, objective)
+    function, free = outer.function, outer.relocation.freedoms
     q = free.q_of(np.asarray(solution.mesh.p))
     here = function(q)
     value, gradient = here.value, here.gradient
@@ -110,10 +110,10 @@ def kinks(solution: rm.Solution, objective: str = OBJECTIVE) -> list[Kink]:
 
 def along(solution: rm.Solution, node: int, shifts: NDArray[np.float64]) -> NDArray[np.float64]:
     """The objective, the gap and the contact force at ``node`` as that node alone is moved by ``shifts``."""
-    referee = Referee(solution.problem, OBJECTIVE)
-    function, free = referee.function(OBJECTIVE), referee.relocation.freedoms
+    outer = Outer(solution.problem, OBJECTIVE)
+    function, free = outer.function, outer.relocation.freedoms
     q, row = free.q_of(np.asarray(solution.mesh.p)), free.positions.index[1, node]
-    place = int(np.flatnonzero(referee.model.contact_nodes == node)[0])
+    place = int(np.flatnonzero(outer.contact.contact_nodes == node)[0])
     rows = []
     for shift in shifts:
         moved = q.copy()
@@ -149,9 +149,9 @@ def line(name: str, solution: rm.Solution) -> str:
 
 
 def main(
-    n: int = 8, starts: int = 0, picture: Path | None = None, outer_solvers: Sequence[str] = OUTER
+    n: int = 8, picture: Path | None = None, outer_solvers: Sequence[str] = OUTER
 ) -> dict[str, rm.Solution]:
-    """Cut the seal by all strategies, show the kink, and count over random starts."""
+    """Cut the seal by all formulations, and show the kink."""
     block = problem(n)
     solutions = {"mpcc": rm.solve(block, "mpcc", objective=OBJECTIVE)}
     for outer in outer_solvers:
@@ -164,40 +164,17 @@ def main(
     print("at the end of mpcc, per unit of height:   x     up     down   gradient of nested")
     for kink in kinks(solutions["mpcc"]):
         print(f"{kink.x:43.3f} {kink.up:8.4f} {kink.down:8.4f} {kink.gradient:8.4f}")
-    if starts:
-        count(block, starts)
     if picture is not None:
         draw(solutions, picture)
     return solutions
 
 
-def count(block: rm.ContactProblem, starts: int) -> dict[str, NDArray[np.float64]]:
-    """Final objectives over random starts; prints how many come within 0.1 % of the best."""
-    values = {}
-    for name in ("mpcc", *OUTER):
-        found = []
-        for seed in range(1, starts + 1):
-            solution = (
-                rm.solve(block, "mpcc", objective=OBJECTIVE, seed=seed)
-                if name == "mpcc"
-                else _nested(block, name, seed)
-            )
-            found.append(float(solution.extra["objective_value"]))
-        values[name] = np.array(found)
-    best = min(float(found.min()) for found in values.values())
-    print(f"{starts} random starts: within 0.1 % of the best, {best:.7f}; median; worst")
-    for name, found in values.items():
-        good = int(np.sum(found <= best + 1e-3 * abs(best)))
-        print(f"  {name:10s} {good:3d}   {np.median(found):.7f}   {found.max():.7f}")
-    return values
-
-
-def _nested(block: rm.ContactProblem, outer: str, seed: int | None = None) -> rm.Solution:
-    return rm.solve(block, "nested", objective=OBJECTIVE, outer=outer, seed=seed, max_iterations=ITERATIONS)
+def _nested(block: rm.ContactProblem, outer: str) -> rm.Solution:
+    return rm.solve(block, "nested", objective=OBJECTIVE, outer=outer, max_iterations=ITERATIONS)
 
 
 def draw(solutions: dict[str, rm.Solution], path: Path) -> None:
-    """The objective across the kink, and height, gap and pressure of the seal where each strategy ends."""
+    """The objective across the kink, and height, gap and pressure of the seal where each formulation ends."""
     best, stalled = solutions["mpcc"], solutions["nested, newton"]
     nodes = seal_nodes(best.problem)
     middle = nodes[len(nodes) // 2]
@@ -229,10 +206,9 @@ def command_line(arguments: Sequence[str] | None = None) -> None:
     """Options of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0] if __doc__ else "")
     parser.add_argument("--n", type=int, default=8, help="squares along the height (default 8)")
-    parser.add_argument("--starts", type=int, default=0, help="random starts to count over (default none)")
     parser.add_argument("--picture", type=Path, help="file to draw to")
     options = parser.parse_args(arguments)
-    main(options.n, options.starts, options.picture)
+    main(options.n, options.picture)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ def problem(n: int) -> ContactProblem:
 
 def main(n: int = 10) -> Case:
     """Signorini problem with a known singularity."""
-    return run(problem(n), energy_norm, [problem(2 * n), problem(4 * n)])
+    return run(problem(n), energy_norm)
 
 
 if __name__ == "__main__":

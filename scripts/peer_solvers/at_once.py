@@ -1,4 +1,4 @@
-"""The program of ``joint`` on Example 6.1, stated by us, by plain CasADi and by Pyomo."""
+"""The energy NLP of ``joint`` on Example 6.1, built by plain CasADi."""
 
 from __future__ import annotations
 
@@ -11,15 +11,13 @@ import casadi as ca
 import numpy as np
 from peer_solvers.case import Case, Finish
 
-from support.formulations import joint
+from formulations import joint
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.optimize.solver import IPOPT_OPTIONS, Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.energy_program import relocation
-from rmesh_nlp.solving.referee import Referee
-
-SILENT = {"ipopt": {"print_level": 0, "sb": "yes"}, "print_time": False}
+from rmesh_nlp.solving.outer import Outer
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +37,7 @@ class Program:
 
     def ipopt(self, limit: float) -> dict[str, Any]:
         """What ``joint`` gives Ipopt, and so every peer that uses Ipopt on the same program."""
-        own = joint.JointSettings().options(areas=False, unit=self.unit)
+        own = joint.Joint().options(areas=False, unit=self.unit)
         return {**IPOPT_OPTIONS, **own, "max_wall_time": min(limit, 1e6)}
 
     def nodes(self, x: Sequence[float]) -> Array:
@@ -50,8 +48,8 @@ class Program:
 
 def program_of(problem: ContactProblem) -> Program:
     """The program of Example 6.1 and the start of ``joint``."""
-    referee = Referee(problem)
-    rel = referee.relocation
+    outer = Outer(problem)
+    rel = outer.relocation
     if rel.n_valid or rel.n_s:
         raise ValueError("only for boxes that exclude inverted elements, and without friction")
     return Program(
@@ -60,8 +58,8 @@ def program_of(problem: ContactProblem) -> Program:
         triangles=problem.triangles.T,
         contact=problem.contact_nodes,
         bound=rel.nlp.ubx,
-        start=referee.reduced.point(np.zeros(rel.n_q), referee.initial),
-        unit=joint.pull(referee.reduced(np.zeros(rel.n_q)).gradient),
+        start=outer.energy.point(np.zeros(rel.n_q), outer.given),
+        unit=joint.pull(outer.energy(np.zeros(rel.n_q)).gradient),
     )
 
 
@@ -98,65 +96,27 @@ def energy_61(program: Program, x: Any, sin: Any, choose: Any) -> tuple[Any, lis
     return sum(terms), u
 
 
-def ours_joint(case: Case) -> Finish:
-    """Our strategy ``joint``."""
-    solution = joint.solve(case.problem, time_limit_s=min(case.limit, 1e6))
-    return Finish(np.asarray(solution.mesh.p), solution.status.value, solution.wall_time_s)
-
-
 def nlpsol_mapped(case: Case) -> Finish:
     """Our expressions, all derivatives left to ``nlpsol``."""
     program = program_of(case.problem)
-    began = time.perf_counter()
+    began = time.process_time()
     rel = relocation(case.problem)
     plain = replace(rel.nlp, derivatives=None)
     result = Solver(plain, options=program.ipopt(case.limit))(program.start)
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     return Finish(rel.nodes(rel.split(result.x)[0]), result.status.value, seconds)
 
 
 def nlpsol_written_out(case: Case) -> Finish:
     """What one writes first in CasADi: a sum over the elements, handed to ``nlpsol``."""
     program = program_of(case.problem)
-    began = time.perf_counter()
+    began = time.process_time()
     x = ca.SX.sym("x", program.start.size)
     energy, u = energy_61(program, ca.vertsplit(x), ca.sin, ca.if_else)
     gaps = ca.vertcat(*[u[i] for i in program.contact])
     settings = {"ipopt": program.ipopt(case.limit), "print_time": False, "error_on_fail": False}
     solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": energy, "g": gaps}, settings)
     answer = solver(x0=program.start, lbx=-program.bound, ubx=program.bound, lbg=0, ubg=np.inf)
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     status = "converged" if solver.stats()["success"] else solver.stats()["return_status"]
     return Finish(program.nodes(answer["x"].full().ravel()), status, seconds)
-
-
-def pyomo_model(case: Case) -> Finish:
-    """The same sum over the elements in Pyomo, solved by an ``ipopt`` executable, or through cyipopt."""
-    import pyomo.environ as pyo
-
-    program = program_of(case.problem)
-    began = time.perf_counter()
-    model = pyo.ConcreteModel()
-    model.x = pyo.Var(
-        range(program.start.size),
-        initialize=lambda _, i: float(program.start[i]),
-        bounds=lambda _, i: (-program.bound[i], program.bound[i]) if np.isfinite(program.bound[i]) else None,
-    )
-    energy, u = energy_61(
-        program, model.x, pyo.sin, lambda test, yes, no: pyo.Expr_if(IF=test, THEN=yes, ELSE=no)
-    )
-    model.energy = pyo.Objective(expr=energy)
-    model.gap = pyo.Constraint(range(len(program.contact)), rule=lambda _, k: u[program.contact[k]] >= 0)
-    solver, options = pyo.SolverFactory("ipopt"), program.ipopt(case.limit)
-    if solver.available(exception_flag=False):
-        solver.options.update(options)
-    else:
-        solver = pyo.SolverFactory("cyipopt")
-        if not solver.available(exception_flag=False):
-            raise RuntimeError("no ipopt executable, and no cyipopt with PyNumero's library")
-        solver.config.options = options
-    result = solver.solve(model, load_solutions=True)
-    seconds = time.perf_counter() - began
-    condition = str(result.solver.termination_condition)
-    x = [pyo.value(model.x[i]) for i in range(program.start.size)]
-    return Finish(program.nodes(x), "converged" if condition == "optimal" else condition, seconds)

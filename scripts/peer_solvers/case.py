@@ -1,43 +1,49 @@
-"""What is solved, where a solver stopped, and what that is worth."""
+"""A problem to be solved, and where a solver stopped."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
-from pathlib import Path
+
+import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem
-
-
-@dataclass(frozen=True)
-class Finish:
-    """Where a solver of a relocation problem stopped: positions (2, nodes), its own word, seconds."""
-
-    nodes: Array
-    status: str
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Answer:
-    """One judged line: an energy and a least area, or whether an MPCC is solved."""
-
-    status: str
-    seconds: float
-    failed: bool = False
-    energy: float | None = None
-    least_area: float | None = None
-    solved: bool | None = None
+from rmesh_nlp.solving.solution import Solution
 
 
 @dataclass(frozen=True)
 class Case:
-    """A relocation problem, the file its mesh is from, and the seconds a solver may take."""
+    """A relocation problem, what is minimised, and the seconds a solver may take."""
 
     problem: ContactProblem
-    mesh: Path | None = None
+    objective: str = "energy"
     limit: float = float("inf")
 
+    @property
+    def settings(self) -> dict[str, object]:
+        """Keywords of our formulations."""
+        return {"objective": self.objective, "time_limit_s": min(self.limit, 1e6)}
 
-class OutOfTimeError(Exception):
-    """Raised inside a solver of SciPy to end it."""
+
+@dataclass(frozen=True)
+class Finish:
+    """Positions (2, nodes), the solver's own word, processor seconds of build and solve, and counts.
+
+    ``value`` is the objective, where that is not the energy.
+    """
+
+    nodes: Array
+    status: str
+    seconds: float
+    iterations: int | None = None
+    value: float | None = None
+
+
+def finish(case: Case, solution: Solution, began: float) -> Finish:
+    """Where one of our formulations stopped; the assessment is no part of its time."""
+    seconds, record = time.process_time() - began, solution.record()
+    seconds *= 1 - record["audit_time_s"] / record["wall_time_s"]
+    status = solution.status.value if solution.success else f"{solution.status.value}, no success"
+    value = None if case.objective == "energy" else float(solution.extra["objective_value"])
+    return Finish(np.asarray(solution.mesh.p), status, seconds, solution.iterations, value)

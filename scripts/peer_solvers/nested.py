@@ -1,4 +1,4 @@
-"""A contact solve per evaluation: our outer solvers and those of SciPy on the same reduced energy."""
+"""SciPy on the reduced energy: a contact solve per evaluation."""
 
 from __future__ import annotations
 
@@ -6,48 +6,37 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from peer_solvers.case import Case, Finish, OutOfTimeError
+from peer_solvers.case import Case, Finish
 from scipy.optimize import Bounds, minimize
 
-from support.formulations import nested
-from rmesh_nlp.contact.model import solve
-from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.programs.energy_program import relocation
-from rmesh_nlp.programs.outer_solvers import NestedSettings
 from rmesh_nlp.programs.reduced import ReducedEnergy
 
-
-def ours_nested(outer: str) -> Callable[[Case], Finish]:
-    """Our strategy ``nested`` with a second-order outer solver, its build included."""
-
-    def run(case: Case) -> Finish:
-        began = time.perf_counter()
-        ReducedEnergy(relocation(case.problem))
-        build = time.perf_counter() - began
-        solution = nested.solve(case.problem, outer=outer)
-        return Finish(np.asarray(solution.mesh.p), solution.status.value, build + solution.wall_time_s)
-
-    return run
+TOLERANCE = 1e-8
+"""Of SciPy's solvers."""
 
 
-def scipy_minimize(method: str, derivative: str) -> Callable[[Case], Finish]:
-    """``scipy.optimize.minimize`` on the reduced energy, with SciPy's finite differences or our gradient."""
+class OutOfTimeError(Exception):
+    """Raised inside a solver of SciPy to end it."""
+
+
+def scipy_minimize(method: str) -> Callable[[Case], Finish]:
+    """``scipy.optimize.minimize`` on the reduced energy with our gradient."""
 
     def run(case: Case) -> Finish:
-        began = time.perf_counter()
+        began = time.process_time()
         reduced = ReducedEnergy(relocation(case.problem))
         bound = reduced.relocation.freedoms.bound
         start = np.zeros(bound.size)
-        value = _values(reduced) if derivative == "2-point" else lambda q: reduced(q).value
-        unit = abs(value(start)) or 1.0
+        unit = abs(reduced(start).value) or 1.0
         best, lowest = start, np.inf
 
         def objective(q: Array) -> float:
             nonlocal best, lowest
-            if time.perf_counter() - began > case.limit:
+            if time.process_time() - began > case.limit:
                 raise OutOfTimeError
-            found = value(q)
+            found = reduced(q).value
             if found < lowest:
                 best, lowest = q.copy(), found
             return found / unit
@@ -56,29 +45,16 @@ def scipy_minimize(method: str, derivative: str) -> Callable[[Case], Finish]:
             result = minimize(
                 objective,
                 start,
-                jac="2-point" if derivative == "2-point" else lambda q: reduced(q).gradient / unit,
+                jac=lambda q: reduced(q).gradient / unit,
                 method=method,
                 bounds=Bounds(-bound, bound),
-                tol=NestedSettings().scipy_tol,
+                tol=TOLERANCE,
                 options={"maxiter": 500},
             )
             q, status = result.x, "converged" if result.success else str(result.message)
         except OutOfTimeError:
             q, status = best, f"stopped after {case.limit:g} s"
-        seconds = time.perf_counter() - began
+        seconds = time.process_time() - began
         return Finish(reduced.relocation.nodes(np.clip(q, -bound, bound)), status, seconds)
 
     return run
-
-
-def _values(reduced: ReducedEnergy) -> Callable[[Array], float]:
-    """The reduced energy without its gradient, warm-started as well."""
-    active: ActiveSet | None = None
-
-    def value(q: Array) -> float:
-        nonlocal active
-        equilibrium = solve(reduced.model.system(reduced.relocation.nodes(q)), active)
-        active = equilibrium.active
-        return equilibrium.energy
-
-    return value

@@ -1,10 +1,10 @@
-import importlib.util
 import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support import problem_edits
 from support.problem_files import BROKEN, SCALAR, VALID, Edit
 
 from support.formulations import fixed, joint
@@ -183,13 +183,7 @@ def test_the_command_line_reads_problem_files(tmp_path: Path, capsys: pytest.Cap
 
 @pytest.mark.slow
 def test_random_edits_never_end_in_a_traceback() -> None:
-    path = Path(__file__).parents[2] / "scripts" / "fuzz_problem_files.py"
-    spec = importlib.util.spec_from_file_location("fuzz_problem_files", path)
-    assert spec is not None
-    assert spec.loader is not None
-    fuzz = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(fuzz)
-    counts = fuzz.run(edits=60, seed=7)
+    counts = problem_edits.run(edits=60, seed=7)
     assert set(counts) == {"valid", "refused"}
     assert min(counts.values()) > 5
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from support.switch_detection import switch_detection
 
 from rmesh_nlp.mpcc import MPCC, Options, classify, homotopy, solve
-from rmesh_nlp.mpcc.families import FAMILIES
 from rmesh_nlp.mpcc.finish import _tighten, finish
 from rmesh_nlp.mpcc.homotopy import _next
 from rmesh_nlp.mpcc.linearisation import linearisation
@@ -48,7 +48,7 @@ def test_a_branch_with_more_equations_than_unknowns_is_met_by_projection_and_by_
 @pytest.mark.parametrize("seed", range(3))
 def test_dynamics_whose_branches_leave_no_freedom_are_solved(seed):
     """Cross complementarity: a share that is on closes several multipliers with one equation."""
-    instance = FAMILIES["switch-detection"].make(3, seed)
+    instance = switch_detection(3, seed)
     result = solve(instance.mpcc, instance.x0)
     assert result.success
     assert result.constraint_violation <= 1e-8

@@ -5,10 +5,10 @@ import json
 import casadi as ca
 import numpy as np
 import pytest
+from mpcc_library.families import FAMILIES
 
 from rmesh_nlp.mpcc import MPCC, read, solve
 from rmesh_nlp.mpcc.command import main
-from rmesh_nlp.mpcc.families import FAMILIES
 from rmesh_nlp.mpcc.reading import Problem, write_nosbench
 
 x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")
@@ -152,10 +152,10 @@ def test_a_malformed_nl_file_is_refused_with_its_place(tmp_path, old, new, words
     assert "bad.nl" in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["bilevel", "friction"])
+@pytest.mark.parametrize("name", ["hysteresis", "markets"])
 def test_a_nosbench_file_is_the_problem_that_was_written(tmp_path, name):
-    family = FAMILIES[name]
-    instance = family.make(family.sizes[0], 1)
+    make, sizes = FAMILIES[name]
+    instance = make(sizes[0], 1)
     path = tmp_path / "again.json"
     write_nosbench(Problem("again", instance.mpcc, instance.x0), path)
     problem = read(path)
@@ -244,8 +244,6 @@ def test_the_command_solves_files(tmp_path, capsys):
         ([], "no file given"),
         (["absent.nl"], "absent.nl"),
         (["x.gms"], "unknown format"),
-        (["--families", "nothing"], "unknown family 'nothing'"),
-        (["--families", "qpec", "--seeds", "0"], "--seeds 0"),
         (["x.nl", "--time-limit", "0"], "time_limit_s must be positive and finite, got 0"),
     ],
 )
@@ -254,30 +252,3 @@ def test_the_command_refuses_bad_input_in_one_line(arguments, words, capsys):
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_the_benchmark_of_a_folder_and_of_families(tmp_path, capsys):
-    folder = tmp_path / "collection"
-    folder.mkdir()
-    (folder / "handmade.nl").write_text(NL)
-    write_nosbench(
-        Problem("corner", MPCC(XY, ca.sumsqr(XY + 1), None, x, y), np.ones(2)), folder / "corner.json"
-    )
-    (folder / "broken.json").write_text("{}")
-    assert (
-        main(["--benchmark", str(folder)]) == 2
-    )  # a file that cannot be read is named before it is left out
-    (folder / "broken.json").unlink()
-    capsys.readouterr()
-    out = tmp_path / "out"
-    assert main(["--benchmark", str(folder), "--out", str(out)]) == 0
-    shown = capsys.readouterr().out
-    rows = [json.loads(line) for line in (out / "records.jsonl").read_text().splitlines()]
-    assert {row["problem"] for row in rows} == {"handmade", "corner"}
-    assert all(row["success"] and row["plain_success"] and row["compared"] == "equal" for row in rows)
-    assert "| collection | 2 | 2 |" in shown
-    assert "| collection | 2 | 2 |" in (out / "table.md").read_text()
-    assert (out / "profile.png").stat().st_size > 1000
-    assert main(["--families", "bilevel,lpec", "--sizes", "1", "--seeds", "1", "--no-plain"]) == 0
-    assert "| all | 2 | 2 |" in capsys.readouterr().out

@@ -1,54 +1,64 @@
-"""The benchmark script on a collection of two problems."""
+"""The benchmark of MPCC solvers on a collection of two problems."""
 
-import importlib.util
-import sys
-from pathlib import Path
+import json
+import os
+import signal
+import time
 
+import benchmark_mpcc as benchmark
+import numpy as np
 import pytest
+from isolated import Failed, isolated
 from support.mpcc_collection import MPCC_COLLECTION
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark_mpcc.py"
-
-
-@pytest.fixture
-def main(monkeypatch):
-    spec = importlib.util.spec_from_file_location("benchmark_mpcc", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, spec.name, module)  # dataclasses look there
-    spec.loader.exec_module(module)
-    return module.main
+OURS = ["--solvers", "rmesh_nlp.mpcc", "plain Scholtes loop"]
 
 
 @pytest.mark.slow
-def test_the_table_shows_hits_misses_and_the_plain_loop(main, tmp_path, capsys):
+def test_the_table_counts_solved_and_lowest(tmp_path, capsys):
     path = tmp_path / "collection.py"
     path.write_text(MPCC_COLLECTION)
-    assert main([str(path), "--multistart", "2", "--relaxation", "kanzow-schwartz"]) == 0
-    out = capsys.readouterr().out
-    assert "1 of 2 within 0.0001 of the target, 2 successes" in out  # the target of arms is wrong on purpose
-    assert "(best known 0.5)" in out
-    assert "arms: missed (target 0.5): 2 of 2 starts succeeded, f from 1 to 1" in out
-    assert "| 1/2 | 1/2 |" in out  # at target, ours and the plain loop
-    assert "time ratio" in out
+    families = ["--families", "markets", "--sizes", "1", "--seeds", "1"]
+    assert benchmark.main([str(path), *families, *OURS, "--out", str(tmp_path)]) == 0
+    text = (tmp_path / "table.md").read_text()
+    for solver in OURS[1:]:
+        # the target of arms is wrong on purpose
+        assert f"| collection, 2 | {solver} | 2 | 1 |" in text
+        assert f"| all, 3 | {solver} | 3 | 2 |" in text
+    rows = [json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
+    assert {row["problem"] for row in rows} == {"corner", "arms", "markets-2-0"}
 
 
-@pytest.mark.slow
-def test_a_collection_and_families_make_one_table(main, tmp_path, capsys):
+def test_a_point_is_judged_by_the_problem(tmp_path):
     path = tmp_path / "collection.py"
     path.write_text(MPCC_COLLECTION)
-    out = tmp_path / "out"
-    given = [str(path), "--families", "polynomial", "--sizes", "1", "--seeds", "1", "--out", str(out)]
-    assert main(given) == 0
-    text = (out / "table.md").read_text()
-    assert "| collection | 2 |" in text
-    assert "| polynomial | 1 |" in text
-    assert "| all | 3 |" in text
+    (_, problem), _ = benchmark.problems([path], (), 1, 1)
+    assert benchmark.judged(problem, np.array([2.0, 3.0])) == (
+        25.0,
+        6.0,
+    )  # (x + 1)^2 + (y + 1)^2; the product
+    assert benchmark.judged(problem, np.array([0.0, -1.0])) == (1.0, 1.0)
 
 
-def test_unknown_problems_and_files_are_refused(main, tmp_path):
-    path = tmp_path / "collection.py"
-    path.write_text(MPCC_COLLECTION)
-    with pytest.raises(SystemExit):
-        main([str(path), "--only", "nothing"])
-    with pytest.raises(SystemExit, match="is not a Python file"):
-        main([str(tmp_path / "absent.py")])
+def test_a_solver_that_dies_is_a_row():
+    for work, words in (
+        (lambda: os.kill(os.getpid(), signal.SIGKILL), "crashed: SIGKILL"),
+        (lambda: [][1], "IndexError: list index out of range"),
+        (lambda: time.sleep(60), "stopped after 0.2 s"),
+    ):
+        found = isolated(work, 0.2 if "stopped" in words else 20.0)
+        assert isinstance(found, Failed)
+        assert found.why == words
+    assert isolated(lambda: 7, 20.0) == 7
+
+
+def test_unknown_families_and_files_are_refused(tmp_path, capsys):
+    for arguments, words in (
+        ([], "no problems"),
+        (["--families", "nothing"], "unknown family 'nothing'"),
+        ([str(tmp_path / "absent.py")], "is not a Python file"),
+    ):
+        with pytest.raises(SystemExit):
+            benchmark.main([*arguments, "--out", str(tmp_path / "out")])
+        assert words in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

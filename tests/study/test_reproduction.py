@@ -46,6 +46,13 @@ def test_only_frozen_friction_weights_lead_below_the_printed_energy(statements: 
     assert set(found.values()) == {NOT_MET}
 
 
+@pytest.mark.slow
+def test_boxes_of_twice_the_width_pass_the_printed_energy_of_62_alone(statements: list[Statement]) -> None:
+    found = {one.example: one for one in statements if "2 times as large" in one.what}
+    assert {example: one.verdict for example, one in found.items()} == {"6.2": PASSED, "6.3": NOT_MET}
+    assert float(found["6.2"].ours) == pytest.approx(-4.92164, abs=5e-6)
+
+
 def test_the_frozen_weights_change_nothing_on_the_given_mesh_and_something_elsewhere() -> None:
     import casadi as ca
     import numpy as np

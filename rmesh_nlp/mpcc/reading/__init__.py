@@ -6,7 +6,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.mpcc.reading.collection import as_mpcc, load_collection, read_collection
 from rmesh_nlp.mpcc.reading.nl import read_nl
 from rmesh_nlp.mpcc.reading.nosbench import read_nosbench, write_nosbench
 from rmesh_nlp.mpcc.reading.problem import Problem
@@ -46,10 +45,7 @@ def read(source: str | PathLike[str] | Any) -> Problem:
 __all__ = [
     "READERS",
     "Problem",
-    "as_mpcc",
-    "load_collection",
     "read",
-    "read_collection",
     "read_nl",
     "read_nosbench",
     "read_pyomo",

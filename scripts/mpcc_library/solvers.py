@@ -1,0 +1,154 @@
+"""Solvers of MPCCs: ours, the loop that one writes first, MPECSS and pympcc."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp import mpcc
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.reading import Problem
+
+STEPS = 9
+"""Of the plain loop: t = 1, 0.1, ..., 1e-8."""
+
+
+@dataclass(frozen=True)
+class End:
+    """Where a solver stopped, its own word, and iterations of Ipopt if it counts them."""
+
+    x: Array
+    status: str
+    iterations: int | None = None
+
+
+def ours(problem: Problem) -> End:
+    """`rmesh_nlp.mpcc` by its defaults."""
+    result = mpcc.solve(problem.mpcc, problem.x0, p=problem.p0)
+    return End(result.x, result.status.value, result.counts["ipopt_iterations"])
+
+
+def plain_loop(problem: Problem) -> End:
+    """One ``nlpsol`` with ``G H <= t``, each solve started from the one before; Ipopt by its defaults."""
+    program = problem.mpcc
+    n, t = program.n_pairs, type(program.x).sym("t")
+    nlp = {
+        "x": program.x,
+        "p": ca.vertcat(program.p, t),
+        "f": program.f,
+        "g": ca.vertcat(program.g, program.G, program.H, program.G * program.H - t),
+    }
+    quiet = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False}
+    solver = ca.nlpsol("plain", "ipopt", nlp, {"ipopt": {"print_level": 0, "sb": "yes"}, **quiet})
+    bounds = {
+        "lbx": program.lbx,
+        "ubx": program.ubx,
+        "lbg": np.concatenate([program.lbg, np.zeros(2 * n), np.full(n, -np.inf)]),
+        "ubg": np.concatenate([program.ubg, np.full(2 * n, np.inf), np.zeros(n)]),
+    }
+    p = program.parameters(problem.p0)
+    x: Any = program.start(problem.x0, p)
+    iterations = 0
+    for k in range(STEPS):
+        x = solver(x0=x, p=np.append(p, 10.0**-k), **bounds)["x"]
+        iterations += int(solver.stats()["iter_count"])
+    return End(x.full().ravel(), str(solver.stats()["return_status"]), iterations)
+
+
+def mpecss(problem: Problem) -> End:
+    """MPECSS, given the problem in its own file format."""
+    from mpecss.helpers.loaders.macmpec_loader import load_macmpec
+    from mpecss.phase_2.mpecss import run_mpecss
+
+    def bounds(values: Any) -> list[float | None]:
+        return [float(b) if np.isfinite(b) else None for b in values]
+
+    program, n = problem.mpcc, problem.mpcc.n_pairs
+    data: dict[str, Any] = {"w0": list(map(float, problem.x0)), "lbG": [0.0] * n, "lbH": [0.0] * n}
+    data |= {"lbw": bounds(program.lbx), "ubw": bounds(program.ubx)}
+    data |= {"lbg": bounds(program.lbg), "ubg": bounds(program.ubg)}
+    for key in ("f", "g", "G", "H"):
+        expression = getattr(program, key)
+        if expression.shape[0]:
+            data[f"{key}_fun"] = ca.Function(key, [program.x], [expression]).serialize()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{Path(folder).name}.nl.json"  # what it has built is kept by name
+        path.write_text(json.dumps(data), encoding="utf-8")
+        result = run_mpecss(load_macmpec(str(path)), z0=np.array(problem.x0, dtype=float))
+    return End(np.asarray(result["z_final"]), str(result["status"]))
+
+
+def pympcc(problem: Problem) -> End:
+    """The package pympcc with its default strategy and the exact derivatives that CasADi gives."""
+    import pympcc as peer
+
+    program = problem.mpcc
+    x, g, G, H = program.x, program.g, program.G, program.H
+    lower, upper = np.asarray(program.lbg), np.asarray(program.ubg)
+    equal = lower == upper
+    h = ca.vertcat(*[g[int(i)] - lower[i] for i in np.flatnonzero(equal)], ca.SX(0, 1))
+    below = [lower[i] - g[int(i)] for i in np.flatnonzero(~equal & np.isfinite(lower))]
+    above = [g[int(i)] - upper[i] for i in np.flatnonzero(~equal & np.isfinite(upper))]
+    c = ca.vertcat(*below, *above, ca.SX(0, 1))
+    rows = ca.vertcat(c, h, G, H, G * H)
+    weights, weight = ca.SX.sym("weights", rows.shape[0]), ca.SX.sym("weight")
+    hessian = ca.tril(ca.hessian(weight * program.f + ca.dot(weights, rows), x)[0])
+    hessian_at = ca.Function("hessian", [x, weights, weight], [hessian])
+
+    def dense(expression: Any) -> Callable[[Array], Array]:
+        function = ca.Function("f", [x], [expression])
+        return lambda at: function(at).full()
+
+    def column(expression: Any) -> Callable[[Array], Array]:
+        function = dense(expression)
+        return lambda at: function(at).ravel()
+
+    def lagrangian(at: Array, multipliers: Array, factor: float) -> Array:
+        padded = np.zeros(rows.shape[0])
+        padded[: min(len(multipliers), len(padded))] = multipliers[: len(padded)]
+        return np.array(hessian_at(at, padded, factor).nonzeros())
+
+    value = column(program.f)
+    derivatives = {
+        "gradient": column(ca.gradient(program.f, x)),
+        "comp_G": column(G),
+        "comp_G_jacobian": dense(ca.jacobian(G, x)),
+        "comp_H": column(H),
+        "comp_H_jacobian": dense(ca.jacobian(H, x)),
+        "lagrangian_hessian": lagrangian,
+        "lagrangian_hessian_sparsity": tuple(np.array(part) for part in hessian.sparsity().get_triplet()),
+    }
+    if c.shape[0]:
+        derivatives |= {"ineq_constraints": column(c), "ineq_jacobian": dense(ca.jacobian(c, x))}
+    if h.shape[0]:
+        derivatives |= {"eq_constraints": column(h), "eq_jacobian": dense(ca.jacobian(h, x))}
+    stated = peer.MPCCProblem(
+        n=x.shape[0],
+        n_comp=G.shape[0],
+        x0=np.array(problem.x0, dtype=float),
+        objective=lambda at: float(value(at)[0]),
+        xl=np.array(program.lbx, dtype=float),
+        xu=np.array(program.ubx, dtype=float),
+        n_ineq=c.shape[0],
+        n_eq=h.shape[0],
+        **derivatives,
+    )
+    result = peer.solve(stated)
+    return End(np.asarray(result.x), "converged" if result.success else "not converged")
+
+
+SOLVERS: dict[str, Callable[[Problem], End]] = {
+    "rmesh_nlp.mpcc": ours,
+    "plain Scholtes loop": plain_loop,
+    "MPECSS": mpecss,
+    "pympcc": pympcc,
+}
+NEEDS = {"MPECSS": ("mpecss",), "pympcc": ("pympcc", "cyipopt")}
+"""Modules without which a solver is not installed."""

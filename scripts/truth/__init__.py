@@ -1,1 +1,0 @@
-"""An independent judge: own assembly, contact solver, friction integral, reference meshes."""
