@@ -17,13 +17,13 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 import rmesh_nlp
-from support.formulations import fixed
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli import work
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.io.problem_file import read_table, read_toml
 from rmesh_nlp.problem import ContactProblem
+from support.formulations import fixed
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text()

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from best_mesh import adaptive as plain
-from best_mesh.cases import LAPLACIAN_61, RULE, Case
-from best_mesh.rows import ADAPTIVE, GIVEN, Row
 from skfem import ElementTriP1, MeshTri
 
 import rmesh_nlp as rm
+from best_mesh import adaptive as plain
+from best_mesh.cases import LAPLACIAN_61, RULE, Case
+from best_mesh.rows import ADAPTIVE, GIVEN, Row
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem.refining import locally_refined
 from rmesh_nlp.programs.hr import hr

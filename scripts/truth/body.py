@@ -15,6 +15,7 @@ from scipy.sparse import coo_matrix, csr_matrix, hstack
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 from skfem.quadrature import get_quadrature_line
+
 from truth.data import Data, values
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 from skfem import MeshTri
+
 from truth.body import Body, composite
 from truth.data import Data, values
 from truth.minimise import Rows, minimise

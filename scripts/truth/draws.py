@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 from skfem import MeshTri
-from truth.data import Data, Foundation, Material, Text
 
 import rmesh_nlp as rm
+from truth.data import Data, Foundation, Material, Text
 
 try:
     import tomllib

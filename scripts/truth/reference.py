@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 from skfem import MeshTri
+
 from truth.body import Body
 from truth.contact import Equilibrium, equilibrium
 from truth.data import Data

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rmesh_nlp.campaign.strategies import accepted
 
 from rmesh_nlp.campaign import run as campaign
 from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case, make_cases
 from rmesh_nlp.campaign.run import run, solve
-from rmesh_nlp.campaign.strategies import accepted
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import REQUIRED, Results, read_results, to_json
 from rmesh_nlp.io.vtu import fields_of, read_vtu

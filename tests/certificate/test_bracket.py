@@ -8,8 +8,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import null_space
-from support.certificates import distorted, guess_on
-from support.formulations import fixed, joint
 
 from rmesh_nlp.certificate import bracket as module
 from rmesh_nlp.certificate.bracket import Bracket, bracket, edge_residual
@@ -34,6 +32,8 @@ from rmesh_nlp.problem import (
     Traction,
 )
 from rmesh_nlp.solving.certify import certify
+from support.certificates import distorted, guess_on
+from support.formulations import fixed, joint
 
 TURNED = Frame(np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, -2.0]))
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.formulations import fixed
 
 from rmesh_nlp.certificate import bracket as bracketing
 from rmesh_nlp.certificate.bracket import Bracket
@@ -16,6 +15,7 @@ from rmesh_nlp.problem import ContactProblem, Laplace
 from rmesh_nlp.solving import certify as certifying
 from rmesh_nlp.solving.certify import certify
 from rmesh_nlp.solving.solution import Solution
+from support.formulations import fixed
 
 SIDES = ("left", "right", "top", "bottom")
 TORSION = -0.5 * 0.0351442538  # least energy of -laplace u = 1 on the unit square: the series for its torsion

@@ -5,9 +5,7 @@ from typing import Any
 
 import casadi as ca
 import pytest
-from support.curved import disc
 
-from support.formulations import fixed
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.examples import EXAMPLES
@@ -24,6 +22,8 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
+from support.curved import disc
+from support.formulations import fixed
 
 
 def sound(**changes: Any) -> ContactProblem:

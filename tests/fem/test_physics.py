@@ -5,7 +5,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from support.formulations import fixed, joint, mpcc, nested
 
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -21,6 +20,7 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
+from support.formulations import fixed, joint, mpcc, nested
 
 
 def bar(law: object, **kwargs: object) -> ContactProblem:

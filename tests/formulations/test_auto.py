@@ -9,8 +9,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from support.formulations import auto
-from support.problems import no_boxes
 
 from formulations import cascade as of_cascade
 from formulations.auto import Auto
@@ -40,6 +38,8 @@ from rmesh_nlp.programs.stationary import Finish
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.step import Step
+from support.formulations import auto
+from support.problems import no_boxes
 
 
 @pytest.mark.slow

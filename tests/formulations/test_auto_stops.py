@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.formulations import auto
-from support.problems import no_boxes
 
 from formulations import cascade as of_formulation
 from rmesh_nlp.contact.model import ContactModel
@@ -24,6 +22,8 @@ from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.solving import outer as of_outer
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.step import Step
+from support.formulations import auto
+from support.problems import no_boxes
 
 
 def test_a_time_limit_keeps_the_best_mesh() -> None:

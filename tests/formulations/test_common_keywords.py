@@ -8,9 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.formulations import auto, fixed, joint, mpcc, nested
-from support.problems import no_boxes
-from support.solved import example, solved
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
@@ -19,6 +16,9 @@ from rmesh_nlp.problem import Motion
 from rmesh_nlp.solving.clock import Clock
 from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.step import Step
+from support.formulations import auto, fixed, joint, mpcc, nested
+from support.problems import no_boxes
+from support.solved import example, solved
 
 STRATEGIES = [fixed, nested, joint, mpcc]
 COMMON = {"settings", "tolerance", "max_iterations", "time_limit_s", "start", "seed", "on_step", "objective"}

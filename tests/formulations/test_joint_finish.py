@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.formulations import joint
 
 from formulations.joint import Joint
 from formulations.nested import Nested
@@ -16,6 +15,7 @@ from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
+from support.formulations import joint
 
 LOOSE = {"tol": 1e-3}
 """Ipopt then stops near a stationary point, not at one."""

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.formulations import joint, mpcc
-from support.solved import example, solved
 
 from formulations import mpcc as module
 from formulations.joint import Joint
@@ -22,6 +20,8 @@ from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
+from support.formulations import joint, mpcc
+from support.solved import example, solved
 
 SMALL: dict[str, Any] = {"6.1": 4, "6.2": (6, 4), "6.3": (6, 4)}
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support.formulations import joint, nested
 
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
 from rmesh_nlp.contact.model import ContactModel
@@ -24,6 +23,7 @@ from rmesh_nlp.problem import (
     signed_areas,
 )
 from rmesh_nlp.solving.outer import Outer
+from support.formulations import joint, nested
 
 SEEDS = st.integers(0, 10**6)
 FEW = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])

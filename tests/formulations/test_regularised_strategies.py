@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.formulations import joint, mpcc, nested
 
 from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.programs.regularisation import gain_estimate
+from support.formulations import joint, mpcc, nested
 
 
 def problem(n: int = 4, **motion: float) -> ContactProblem:

@@ -10,8 +10,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from support.formulations import Named, fixed, joint, mpcc, nested
-from support.solved import example, solved
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
@@ -30,6 +28,8 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
+from support.formulations import Named, fixed, joint, mpcc, nested
+from support.solved import example, solved
 
 # Bounds on the final energy from the initial grid, with the paper's settings: what prototypes of
 # joint and nested reached.

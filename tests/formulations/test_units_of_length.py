@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.formulations import joint
 
 from rmesh_nlp.discretisation.validity import is_valid
 from rmesh_nlp.meshes import shapes
 from rmesh_nlp.optimize.units import Units
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain, Relative, Traction
 from rmesh_nlp.programs.energy_program import relocation
+from support.formulations import joint
 
 
 def block(length: float) -> ContactProblem:

@@ -8,8 +8,8 @@ import meshio
 import numpy as np
 import pytest
 from rich.console import Console
+from rmesh_nlp.solving.starts import prolong, refine
 
-from support.formulations import fixed, joint, nested
 from rmesh_nlp.io.export import Series, write_solution
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.shapes import rectangle
@@ -23,7 +23,7 @@ from rmesh_nlp.problem import (
     Traction,
 )
 from rmesh_nlp.solving.solution import Solution, Step
-from rmesh_nlp.solving.starts import prolong, refine
+from support.formulations import fixed, joint, nested
 
 
 @pytest.fixture(scope="module")

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from support.formulations import fixed
 from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.io.export import Series, element_table, gaps, node_table, write_mesh
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.solving.step import Step
+from support.formulations import fixed
 
 
 def grouped(path: Path) -> dict[str, set[frozenset[tuple[float, ...]]]]:

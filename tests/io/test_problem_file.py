@@ -4,10 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import problem_edits
-from support.problem_files import BROKEN, SCALAR, VALID, Edit
 
-from support.formulations import fixed, joint
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import ProblemFileError, load_problem
@@ -22,6 +19,9 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
+from support import problem_edits
+from support.formulations import fixed, joint
+from support.problem_files import BROKEN, SCALAR, VALID, Edit
 
 
 def write(folder: Path, text: str) -> Path:

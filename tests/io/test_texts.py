@@ -6,9 +6,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from support.problem_files import VALID
 
-from support.formulations import fixed, mpcc
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.expressions import Expression
@@ -18,6 +16,8 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, ProblemError, where
+from support.formulations import fixed, mpcc
+from support.problem_files import VALID
 
 LINES_ALONE = """$MeshFormat
 2.2 0 8

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from support.formulations import joint
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain
+from support.formulations import joint
 
 
 @pytest.fixture(scope="module")

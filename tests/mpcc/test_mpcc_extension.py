@@ -5,10 +5,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from support.formulations import joint, mpcc
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import MPCC, solve
 from rmesh_nlp.optimize.nlp import Derivatives
+from support.formulations import joint, mpcc
 
 
 def assert_same_derivatives(program: MPCC) -> None:

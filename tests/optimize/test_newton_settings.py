@@ -4,9 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.quadratics import Matrix, quadratic
 
-from support.formulations import nested
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.local_newton import descend
@@ -18,6 +16,8 @@ from rmesh_nlp.optimize.newton_settings import (
 )
 from rmesh_nlp.optimize.newton_step import BoxStep
 from rmesh_nlp.programs.nested_settings import NestedSettings
+from support.formulations import nested
+from support.quadratics import Matrix, quadratic
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.formulations import joint, nested
 
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
@@ -24,6 +23,7 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.problem.summary import BY_BARRIER
 from rmesh_nlp.solving.outer import Outer
+from support.formulations import joint, nested
 
 
 def problem(motion: Motion, **changes: object) -> ContactProblem:

@@ -6,12 +6,12 @@ from typing import Any
 
 import casadi as ca
 import pytest
-from support.formulations import fixed
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace
 from rmesh_nlp.problem.quadrature import polynomial_degree
+from support.formulations import fixed
 
 
 @pytest.mark.parametrize(

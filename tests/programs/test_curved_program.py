@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from support.formulations import nested
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.curved_program import dense, with_hessian
 from rmesh_nlp.programs.reduced_program import ReducedProgram, reduced_nlp
 from rmesh_nlp.solving.outer import Outer
+from support.formulations import nested
 
 PROBLEMS = {
     "6.1 with areas": (lambda: EXAMPLES["6.1"](3, 0.9), "energy"),

@@ -1,8 +1,6 @@
 import casadi as ca
 import numpy as np
 import pytest
-from support.curved import CURVES, HOLE, disc, plate, spline_of_the_hole
-from support.formulations import auto, joint, mpcc, nested
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
@@ -17,6 +15,8 @@ from rmesh_nlp.programs.levels import coarsened
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.verification import verify_gradient
+from support.curved import CURVES, HOLE, disc, plate, spline_of_the_hole
+from support.formulations import auto, joint, mpcc, nested
 
 ARC = Circle((0.0, 1.0), 1.0)
 

@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.formulations import auto
-from support.problems import no_boxes
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation import discretise
@@ -27,6 +25,8 @@ from rmesh_nlp.programs.energy_flips import (
     shapes_as_given,
 )
 from rmesh_nlp.programs.regularisation import gain_estimate
+from support.formulations import auto
+from support.problems import no_boxes
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4])

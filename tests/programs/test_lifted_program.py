@@ -5,7 +5,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from support.formulations import nested
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
@@ -15,6 +14,7 @@ from rmesh_nlp.programs.lifted_program import STIFF, lifted
 from rmesh_nlp.programs.reduced_program import ReducedProgram, reduced_nlp
 from rmesh_nlp.solving.limits import TOLERANCE
 from rmesh_nlp.solving.outer import Outer
+from support.formulations import nested
 
 PROBLEMS = {
     "6.1, areas": lambda: EXAMPLES["6.1"](3, 0.9),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.formulations import nested
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.programs.objective_curvature import ObjectiveCurvature
 from rmesh_nlp.programs.reduced import ReducedObjective
 from rmesh_nlp.solving.outer import Outer
+from support.formulations import nested
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from support.formulations import fixed, joint, mpcc, nested
 
 import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.problem import ContactProblem, Motion
+from support.formulations import fixed, joint, mpcc, nested
 
 
 def boxed(kind: str) -> ContactProblem:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.formulations import auto
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
@@ -29,6 +28,7 @@ from rmesh_nlp.programs.hr import EFFECTIVITY, hr, reference_as_given
 from rmesh_nlp.programs.refinement import edge_gains, marked
 from rmesh_nlp.solving import advice as advising
 from rmesh_nlp.solving.advice import advise, recommended
+from support.formulations import auto
 
 
 def example(n: int = 8) -> ContactProblem:

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from support.formulations import joint, nested
-from support.quadratics import quadratic
 
 from rmesh_nlp.discretisation.validity import ROUNDING, least_angles
 from rmesh_nlp.examples import EXAMPLES
@@ -18,6 +16,8 @@ from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.programs.validity import Validity
 from rmesh_nlp.solving.limits import TOLERANCE
 from rmesh_nlp.solving.outer import Outer
+from support.formulations import joint, nested
+from support.quadratics import quadratic
 
 LARGE_BOXES = {
     # a rule of high degree: with the midpoint rule the gain is one of the rule

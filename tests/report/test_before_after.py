@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.contact_geometry import block_between_two_foundations
 
-from support.formulations import fixed, joint
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative, Units
@@ -16,6 +14,8 @@ from rmesh_nlp.report.before_after import pictures, write_pictures
 from rmesh_nlp.report.limits import Limit, limits
 from rmesh_nlp.report.page import SMALLEST, Page, letters
 from rmesh_nlp.report.states import after, before
+from support.contact_geometry import block_between_two_foundations
+from support.formulations import fixed, joint
 
 
 def membrane() -> ContactProblem:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from support.formulations import fixed
 from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
@@ -19,6 +18,7 @@ from rmesh_nlp.report.foundations import displaced, magnification
 from rmesh_nlp.report.grids import grid_figure
 from rmesh_nlp.report.page import Page
 from rmesh_nlp.solving.solution import Solution
+from support.formulations import fixed
 
 BELOW = 0.002
 """Gap of the lowest node of the block."""

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support.formulations import fixed
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.report import before_after, limits, pixels
 from rmesh_nlp.report.before_after import write_pictures
 from rmesh_nlp.report.pixels import edge_image, field_image, is_fine
+from support.formulations import fixed
 
 
 def test_a_linear_field_is_itself_at_every_pixel(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.endings import Ends
 
 from formulations.joint import Joint
 from formulations.multistart import MultiStart
@@ -23,6 +22,7 @@ from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.step import Step
+from support.endings import Ends
 
 
 @dataclass(frozen=True)

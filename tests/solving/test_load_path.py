@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.formulations import fixed, joint
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Relative
 from rmesh_nlp.solving.load_path import contact_force, load_path
+from support.formulations import fixed, joint
 
 LAW = PlaneStrain(1.15e4, 0.83e4)
 

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.endings import ended
-from support.formulations import fixed, joint
-from support.verdicts import GOOD
 
 from rmesh_nlp.assessment.verdict import Measured, Verdict, verdict
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.outer import Outer
+from support.endings import ended
+from support.formulations import fixed, joint
+from support.verdicts import GOOD
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.endings import ended
-from support.formulations import fixed, joint
 
 import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
@@ -17,6 +15,8 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.programs.reduced import ReducedPoint
 from rmesh_nlp.solving.outer import Outer
+from support.endings import ended
+from support.formulations import fixed, joint
 
 
 @pytest.fixture(scope="module")

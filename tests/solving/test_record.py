@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.formulations import joint
 
 from rmesh_nlp.campaign.progress import summary as one_line
 from rmesh_nlp.examples import EXAMPLES
@@ -18,6 +17,7 @@ from rmesh_nlp.solving.outer import Outer, Work
 from rmesh_nlp.solving.solution import Solution, _gain
 from rmesh_nlp.solving.step import Step
 from rmesh_nlp.solving.step import plain as as_plain
+from support.formulations import joint
 
 
 @pytest.fixture(scope="module")

@@ -3,11 +3,11 @@
 import math
 
 import pytest
-from support.formulations import nested
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.solving.step import Step
 from rmesh_nlp.solving.time_left import Falling
+from support.formulations import nested
 
 
 def test_a_geometric_sequence_ends_where_it_meets_its_target() -> None:

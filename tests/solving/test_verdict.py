@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.endings import Ends, ended
-from support.verdicts import GOOD
 
 from rmesh_nlp.assessment.assessor import EXPLOITS, Audit, equilibrium_residual, law_residual
 from rmesh_nlp.assessment.verdict import FAILURES, Measured, verdict
@@ -25,6 +23,8 @@ from rmesh_nlp.solving import driver, judgement, limits
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
+from support.endings import Ends, ended
+from support.verdicts import GOOD
 
 
 def with_audit(**changes: Any) -> Measured:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.endings import Ends
 
 from formulations.flips import Flips
 from formulations.multistart import MultiStart
@@ -29,6 +28,7 @@ from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.options import solve_by_options
 from rmesh_nlp.solving.outcome import Outcome, continuous_energy
 from rmesh_nlp.solving.outer import Outer
+from support.endings import Ends
 
 
 @pytest.fixture(scope="module")
