@@ -26,10 +26,10 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+
 from isolated import Failed, isolated
 from mpcc_library.families import FAMILIES
 from mpcc_library.solvers import NEEDS, SOLVERS
-
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.reading import READERS, Problem, read

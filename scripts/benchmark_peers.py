@@ -30,12 +30,12 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
+
+from formulations import joint, mpcc, nested
 from isolated import Failed, isolated
 from peer_solvers.at_once import nlpsol_mapped, nlpsol_written_out
 from peer_solvers.case import Case, Finish, finish
 from peer_solvers.nested import scipy_minimize
-
-from formulations import joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import RELAXATIONS

@@ -51,13 +51,13 @@ SCRIPTS = str(Path(__file__).resolve().parent)
 sys.path[:0] = [SCRIPTS] if SCRIPTS not in sys.path else []
 
 import numpy as np  # noqa: E402
+
+import rmesh_nlp as rm  # noqa: E402
 from truth import draws  # noqa: E402
 from truth.body import Body  # noqa: E402
 from truth.contact import accurate_loads, blocked, energy, least, penetration  # noqa: E402
 from truth.data import Data  # noqa: E402
 from truth.reference import Reference, distance, reference  # noqa: E402
-
-import rmesh_nlp as rm  # noqa: E402
 
 MARGIN, OVERCLAIM, LONGEST, SUCCEED, KNOWN = 0.02, 1.2, 60.0, 0.95, 0.05
 LEVELS, SHARP = (1000, 3000, 9000), 0.02

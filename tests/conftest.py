@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 from hypothesis import settings
-from support.problems import sloped_block
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solution import clock
+from support.problems import sloped_block
 
 # the same inputs in every run: a test fails for a change, not by chance; scripts/ draw other ones
 settings.register_profile("repeatable", derandomize=True)

@@ -11,10 +11,10 @@ import l_shape
 import numpy as np
 import signorini
 import wedge
-from best_mesh.adaptive import Laplacian
 from matplotlib.tri import Triangulation
 from numpy.polynomial import Polynomial
 
+from best_mesh.adaptive import Laplacian
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
 from rmesh_nlp.fem.assembly import element_values

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from skfem import ElementTriP1, MeshTri
+
 from best_mesh import adaptive as plain
 from best_mesh.cases import LAPLACIAN_61, RULE, Case
 from best_mesh.rows import ADAPTIVE, GIVEN, Row
-from skfem import ElementTriP1, MeshTri
-
 from formulations import auto, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem.refining import locally_refined

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from mpcc_library.builder import Builder
 
+from mpcc_library.builder import Builder
 from rmesh_nlp.mpcc.reading import Problem
 
 

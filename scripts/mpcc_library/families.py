@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
+
 from mpcc_library.builder import Builder
 from mpcc_library.equilibria import cournot, markets, tolls
 from mpcc_library.switched import bouncing, hysteresis
-
 from rmesh_nlp.mpcc.reading import Problem
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from peer_solvers.case import Case, Finish
 
 from formulations import joint
+from peer_solvers.case import Case, Finish
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.optimize.solver import IPOPT_OPTIONS, Solver

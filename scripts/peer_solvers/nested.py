@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from peer_solvers.case import Case, Finish
 from scipy.optimize import Bounds, minimize
 
+from peer_solvers.case import Case, Finish
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.outer_solvers import NestedSettings

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.curved import HOLE, disc, plate, spline_of_the_hole
 
 from rmesh_nlp.assessment.energy import load_vector, stiffness
 from rmesh_nlp.assessment.integrals import over_edges, over_triangles
@@ -15,6 +14,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, signed_areas
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import on_points
+from support.curved import HOLE, disc, plate, spline_of_the_hole
 
 ARC = Circle((0.0, 1.0), 1.0)
 CUT = np.arcsin(0.2)

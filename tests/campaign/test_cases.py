@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.problem_files import VALID
 
 from rmesh_nlp.campaign.cases import build_problem, make_cases
 from rmesh_nlp.errors import BadInputError
+from support.problem_files import VALID
 
 
 @pytest.fixture

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.problem_files import VALID
 
 from rmesh_nlp.campaign.cases import make_cases, strategy_options
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.cli.commands import does_not_apply
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import read_results
+from support.problem_files import VALID
 
 QUICKLY = ("--quiet", "--no-figures")
 

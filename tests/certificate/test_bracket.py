@@ -8,7 +8,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import null_space
-from support.certificates import distorted, guess_on
 
 import formulations.fixed
 import formulations.joint
@@ -35,6 +34,7 @@ from rmesh_nlp.problem import (
     Traction,
 )
 from rmesh_nlp.solution.certify import certify
+from support.certificates import distorted, guess_on
 
 TURNED = Frame(np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, -2.0]))
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.certificates import distorted, guess_on
 
 from rmesh_nlp.certificate import johnson_mercier as jm
 from rmesh_nlp.certificate import raviart_thomas as rt
@@ -16,6 +15,7 @@ from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, PlaneStrain, PlaneStress
+from support.certificates import distorted, guess_on
 
 
 def test_johnson_mercier_is_unisolvent():

@@ -8,7 +8,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from support.certificates import distorted, guess_on
 
 from rmesh_nlp.certificate.bracket import bracket
 from rmesh_nlp.certificate.lower_bound import LowerBound
@@ -16,6 +15,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, Place, PlaneStrain, Traction
+from support.certificates import distorted, guess_on
 
 
 def plate(**changes) -> ContactProblem:

@@ -6,7 +6,6 @@ import pytest
 from skfem import Basis, BilinearForm, ElementTriP1, ElementVector, FacetBasis, LinearForm, asm
 from skfem.helpers import dot, grad
 from skfem.models.elasticity import linear_elasticity
-from support.problems import sloped_block
 
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
 from rmesh_nlp.contact import model as equilibrium
@@ -17,6 +16,7 @@ from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, PlaneStrain
+from support.problems import sloped_block
 
 
 def test_scalar_system_is_that_of_scikit_fem() -> None:

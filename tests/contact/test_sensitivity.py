@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from support.problems import sloped_block
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.sensitivity import TangentResponse, adjoint, weakly_active
@@ -17,6 +16,7 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
+from support.problems import sloped_block
 
 PROBLEMS = {
     "scalar": lambda: EXAMPLES["6.1"](4),

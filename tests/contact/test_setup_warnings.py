@@ -5,7 +5,6 @@ from typing import Any
 
 import casadi as ca
 import pytest
-from support.curved import disc
 
 from formulations import fixed
 from rmesh_nlp.contact.model import ContactModel
@@ -24,6 +23,7 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
+from support.curved import disc
 
 
 def sound(**changes: Any) -> ContactProblem:

@@ -2,13 +2,13 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-from support.problems import sloped_block
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.energy_program import relocation
+from support.problems import sloped_block
 
 
 def automatic(nlp: NLP, x: np.ndarray, lam_g: np.ndarray) -> list[np.ndarray]:

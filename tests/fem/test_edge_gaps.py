@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.contact_geometry import LAW, block_between_two_foundations
-from support.curved import disc
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration
@@ -16,6 +14,8 @@ from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, Traction
+from support.contact_geometry import LAW, block_between_two_foundations
+from support.curved import disc
 
 CURVATURE = 0.8
 PARABOLA = Obstacle.graph("bottom", lambda x, y: -CURVATURE / 2 * (x - 1) ** 2)

@@ -9,7 +9,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from support.problems import no_boxes
 
 from formulations import auto, auto_cascade, fixed, joint, nested
 from formulations.auto_rules import agrees
@@ -33,6 +32,7 @@ from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.stationary import Finish, finished
 from rmesh_nlp.solution.solution import Solution
 from rmesh_nlp.solution.step import Step
+from support.problems import no_boxes
 
 
 @pytest.mark.slow

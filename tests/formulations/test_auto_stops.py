@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.problems import no_boxes
 
 from formulations import auto, auto_cascade
 from formulations.auto_watch import Watch
@@ -23,6 +22,7 @@ from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.solution import referee as of_referee
 from rmesh_nlp.solution.step import Step
+from support.problems import no_boxes
 
 
 def test_a_time_limit_keeps_the_best_mesh() -> None:

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.problems import no_boxes
-from support.solved import example, solved
 
 from formulations import auto, fixed, joint, mpcc, nested
 from rmesh_nlp.campaign import strategies
@@ -21,6 +19,8 @@ from rmesh_nlp.problem import Motion
 from rmesh_nlp.solution.clock import Clock
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.step import Step
+from support.problems import no_boxes
+from support.solved import example, solved
 
 STRATEGIES = [fixed, nested, joint, mpcc]
 COMMON = {"settings", "tolerance", "max_iterations", "time_limit_s", "start", "seed", "on_step", "objective"}

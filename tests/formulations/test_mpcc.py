@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.solved import example, solved
 
 from formulations import joint, mpcc, mpcc_start, nested
 from rmesh_nlp.discretisation import discretise
@@ -19,6 +18,7 @@ from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solution.referee import Referee
+from support.solved import example, solved
 
 SMALL: dict[str, Any] = {"6.1": 4, "6.2": (6, 4), "6.3": (6, 4)}
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from support.solved import example, solved
 
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.campaign import strategies
@@ -31,6 +30,7 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.solution import Solution
+from support.solved import example, solved
 
 # Bounds on the final energy from the initial grid, with the paper's settings: what prototypes of
 # joint and nested reached.

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.reporting import failed_61, fixed_61, joint_61
 
 from rmesh_nlp.io.manifest import MANIFEST, Manifest
 from rmesh_nlp.io.results import (
@@ -29,6 +28,7 @@ from rmesh_nlp.io.results import (
     write_history,
     write_single,
 )
+from support.reporting import failed_61, fixed_61, joint_61
 
 
 def fill(folder: Path, files: dict[str, str]) -> None:

@@ -4,8 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import problem_edits
-from support.problem_files import BROKEN, SCALAR, VALID, Edit
 
 from formulations import fixed, joint
 from rmesh_nlp.cli import app as cli
@@ -22,6 +20,8 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
+from support import problem_edits
+from support.problem_files import BROKEN, SCALAR, VALID, Edit
 
 
 def write(folder: Path, text: str) -> Path:

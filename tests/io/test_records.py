@@ -8,7 +8,6 @@ import warnings
 
 import numpy as np
 import pytest
-from support.reporting import failed_61, fixed_61, joint_61
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.record_model import REQUIRED, parse_json, read_record
@@ -19,6 +18,7 @@ from rmesh_nlp.io.results import (
     read_results,
     to_json,
 )
+from support.reporting import failed_61, fixed_61, joint_61
 
 
 def test_records_come_back_as_they_were_appended(tmp_path):

@@ -6,7 +6,6 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from support.problem_files import VALID
 
 from formulations import fixed, mpcc
 from rmesh_nlp.cli import app as cli
@@ -18,6 +17,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, ProblemError, where
+from support.problem_files import VALID
 
 LINES_ALONE = """$MeshFormat
 2.2 0 8

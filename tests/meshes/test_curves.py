@@ -1,9 +1,9 @@
 import casadi as ca
 import numpy as np
 import pytest
-from support.curved import HOLE, spline_of_the_hole
 
 from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline, fitted_circle, spline_through
+from support.curved import HOLE, spline_of_the_hole
 
 ELLIPSE = Parametrised(lambda t: 2 * ca.cos(t), lambda t: ca.sin(t), (0.0, 2 * np.pi), closed=True)
 ARCH = Spline(((0.0, 0.0), (1.0, 0.5), (2.0, 0.6), (3.0, 0.1)))

@@ -8,7 +8,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from support.scripted_run import ScriptedRun, ended, two_minima
 
 from rmesh_nlp.mpcc import MPCC, MPCCSolver, Options, solve
 from rmesh_nlp.mpcc import solver as solving
@@ -20,6 +19,7 @@ from rmesh_nlp.mpcc.solver import _choose, _end, _failure
 from rmesh_nlp.mpcc.stationarity import Label
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
+from support.scripted_run import ScriptedRun, ended, two_minima
 
 HERE = np.array([2.0, 0.0])
 LABELLED = Verdict(Label("W", None), None, None)

@@ -7,7 +7,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from support.scripted_run import BranchCall, ScriptedRun, ended, two_minima
 
 from rmesh_nlp.mpcc import MPCC, Options
 from rmesh_nlp.mpcc import finish as finishing
@@ -20,6 +19,7 @@ from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.stationarity import Label
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
+from support.scripted_run import BranchCall, ScriptedRun, ended, two_minima
 
 ON_G, ON_H = np.array([True]), np.array([False])
 DOWN = Direction(-1.0, np.zeros(2), ON_H)

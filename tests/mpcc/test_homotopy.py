@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.scripted_run import Answer, Call, ScriptedRun
 
 from rmesh_nlp.mpcc import homotopy
 from rmesh_nlp.mpcc.classify import Verdict
@@ -15,6 +14,7 @@ from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.mpcc.stationarity import Label
 from rmesh_nlp.optimize.status import Status
+from support.scripted_run import Answer, Call, ScriptedRun
 
 START = np.array([0.5, 0.5])
 SOLVED = Finish(np.array([2.0, 0.0]), 1.0, Status.CONVERGED)

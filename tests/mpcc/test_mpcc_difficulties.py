@@ -6,7 +6,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from support.switch_detection import switch_detection
 
 from rmesh_nlp.mpcc import MPCC, Options, classify, homotopy, solve
 from rmesh_nlp.mpcc.finish import _tighten, finish
@@ -18,6 +17,7 @@ from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.solver import _failure
 from rmesh_nlp.mpcc.stationarity import Label
 from rmesh_nlp.optimize.status import Status
+from support.switch_detection import switch_detection
 
 x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")
 XY, XYZ = ca.vertcat(x, y), ca.vertcat(x, y, z)

@@ -3,8 +3,8 @@
 import casadi as ca
 import numpy as np
 import pytest
-from mpcc_library.families import FAMILIES
 
+from mpcc_library.families import FAMILIES
 from rmesh_nlp.mpcc import solve
 
 

@@ -5,8 +5,8 @@ import json
 import casadi as ca
 import numpy as np
 import pytest
-from mpcc_library.families import FAMILIES
 
+from mpcc_library.families import FAMILIES
 from rmesh_nlp.mpcc import MPCC, read, solve
 from rmesh_nlp.mpcc.command import main
 from rmesh_nlp.mpcc.reading import Problem, write_nosbench

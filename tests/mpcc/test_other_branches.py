@@ -7,7 +7,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from support.scripted_run import ScriptedRun, ended
 
 from rmesh_nlp.mpcc import MPCC, Options
 from rmesh_nlp.mpcc import finish as finishing
@@ -15,6 +14,7 @@ from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
+from support.scripted_run import ScriptedRun, ended
 
 ON_G, ON_H = np.array([True]), np.array([False])
 

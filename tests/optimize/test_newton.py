@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from support.problems import sloped_block
-from support.quadratics import quadratic
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.newton import Evaluation, minimise
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.solution.referee import Referee
+from support.problems import sloped_block
+from support.quadratics import quadratic
 
 PROBLEMS = {
     "6.1": EXAMPLES["6.1"],

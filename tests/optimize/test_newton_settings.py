@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.quadratics import Matrix, quadratic
 
 from formulations import nested
 from rmesh_nlp.errors import BadInputError
@@ -18,6 +17,7 @@ from rmesh_nlp.optimize.newton_settings import (
 )
 from rmesh_nlp.optimize.newton_step import BoxStep
 from rmesh_nlp.programs.nested_settings import NestedSettings
+from support.quadratics import Matrix, quadratic
 
 
 @pytest.mark.parametrize(

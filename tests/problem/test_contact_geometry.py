@@ -6,16 +6,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from support.contact_geometry import (
-    GEOMETRIES,
-    LAW,
-    block_along_a_circle,
-    block_between_two_foundations,
-    block_in_a_corner,
-    block_on_a_circle,
-    block_sliding_on_a_circle,
-    punch_held_by_symmetry,
-)
 
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
@@ -40,6 +30,16 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.reduced import ReducedObjective
 from rmesh_nlp.solution.referee import Referee
+from support.contact_geometry import (
+    GEOMETRIES,
+    LAW,
+    block_along_a_circle,
+    block_between_two_foundations,
+    block_in_a_corner,
+    block_on_a_circle,
+    block_sliding_on_a_circle,
+    punch_held_by_symmetry,
+)
 
 Make = Callable[[], ContactProblem]
 

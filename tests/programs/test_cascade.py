@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.problems import no_boxes
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
@@ -19,6 +18,7 @@ from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import gain_estimate, regularised
+from support.problems import no_boxes
 
 
 def coarse() -> ContactProblem:

@@ -1,7 +1,6 @@
 import casadi as ca
 import numpy as np
 import pytest
-from support.curved import CURVES, HOLE, disc, plate, spline_of_the_hole
 
 from formulations import auto, joint, mpcc, nested
 from rmesh_nlp.contact.model import ContactModel
@@ -17,6 +16,7 @@ from rmesh_nlp.programs.levels import coarsened
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.solution.solution import Solution
 from rmesh_nlp.solution.verification import verify_gradient
+from support.curved import CURVES, HOLE, disc, plate, spline_of_the_hole
 
 ARC = Circle((0.0, 1.0), 1.0)
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.problems import no_boxes
 
 from formulations import auto
 from rmesh_nlp.contact.model import ContactModel
@@ -27,6 +26,7 @@ from rmesh_nlp.programs.energy_flips import (
     shapes_as_given,
 )
 from rmesh_nlp.programs.regularisation import gain_estimate
+from support.problems import no_boxes
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4])

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.problems import sloped_block
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solution.referee import Referee
+from support.problems import sloped_block
 
 
 def taylor_rates(problem: ContactProblem, seed: int) -> np.ndarray:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.problems import sloped_block
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
@@ -18,6 +17,7 @@ from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import KEPT, LargeMoves, longest_valid, node_widths
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import gain_estimate, regularised, weights
+from support.problems import sloped_block
 
 
 def without_boxes(problem: ContactProblem) -> ContactProblem:

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.problems import sloped_block
 
 from formulations import fixed, joint, mpcc, nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.programs.multipliers import multipliers
 from rmesh_nlp.solution.referee import Referee
+from support.problems import sloped_block
 
 
 def test_relative_residual_is_one_on_given_mesh() -> None:

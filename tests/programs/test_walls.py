@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from support.quadratics import quadratic
 
 from formulations import joint, nested
 from rmesh_nlp.discretisation.validity import ROUNDING, least_angles
@@ -17,6 +16,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.programs.validity import Validity
 from rmesh_nlp.solution.referee import STATIONARY, Referee
+from support.quadratics import quadratic
 
 LARGE_BOXES = {
     # a rule of high degree: with the midpoint rule the gain is one of the rule

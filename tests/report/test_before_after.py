@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.contact_geometry import block_between_two_foundations
 
 from formulations import fixed, joint
 from rmesh_nlp.cli import app as cli
@@ -16,6 +15,7 @@ from rmesh_nlp.report.before_after import pictures, write_pictures
 from rmesh_nlp.report.limits import Limit, limits
 from rmesh_nlp.report.page import SMALLEST, Page, letters
 from rmesh_nlp.report.states import after, before
+from support.contact_geometry import block_between_two_foundations
 
 
 def membrane() -> ContactProblem:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.reporting import fixed_61, joint_61
 
 from rmesh_nlp.io.vtu import Fields
 from rmesh_nlp.problem.units import Units
@@ -14,6 +13,7 @@ from rmesh_nlp.report import columns
 from rmesh_nlp.report.blocks import Block, audited, block_key, blocks, delta_text, label
 from rmesh_nlp.report.columns import Column, body, contact_units
 from rmesh_nlp.report.stresses import stress_figure
+from support.reporting import fixed_61, joint_61
 
 
 def cell(table: tuple[Column, ...], head: str, /, **record: Any) -> str:

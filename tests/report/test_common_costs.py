@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.reporting import failed_61, fixed_61, joint_61
 
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result, write_history
 from rmesh_nlp.report.common_costs import with_common_costs
 from rmesh_nlp.report.multistart import multistart_rows
 from rmesh_nlp.report.tables import markdown
+from support.reporting import failed_61, fixed_61, joint_61
 
 START = -1.1172085
 """Audited energy on the given mesh of the records made by hand."""

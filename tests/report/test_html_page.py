@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.reporting import failed_61, fixed_61, joint_61
 
 from rmesh_nlp.campaign.cases import make_cases
 from rmesh_nlp.campaign.run import run
@@ -21,6 +20,7 @@ from rmesh_nlp.io.results import Results, read_results, to_json
 from rmesh_nlp.report.html_page import page, write_report
 from rmesh_nlp.report.study_summary import charts, summary_rows
 from rmesh_nlp.report.svg import Line, line_chart
+from support.reporting import failed_61, fixed_61, joint_61
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 

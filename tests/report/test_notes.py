@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from support.table_rows import ROWS, record
 
 from rmesh_nlp.report.notes import detailed_notes, main_notes, stopped_early, units_notes
 from rmesh_nlp.report.tables import markdown
+from support.table_rows import ROWS, record
 
 
 def test_the_note_says_what_is_not_reached_and_what_failed() -> None:

@@ -10,8 +10,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from support.reporting import joint_61
-from support.table_rows import ROWS, record
 
 from rmesh_nlp.io.results import REQUIRED
 from rmesh_nlp.report.blocks import names_of_solves
@@ -20,6 +18,8 @@ from rmesh_nlp.report.notes import detailed_notes, main_notes
 from rmesh_nlp.report.refinement import TITLE, refinement_notes, refinement_rows
 from rmesh_nlp.report.tables import DETAILS, latex, markdown, short_markdown, write_tables
 from rmesh_nlp.report.tables import csv as as_csv
+from support.reporting import joint_61
+from support.table_rows import ROWS, record
 
 MARKDOWN = """\
 # Comparison of formulations

@@ -5,9 +5,10 @@ import os
 import signal
 import time
 
-import benchmark_mpcc as benchmark
 import numpy as np
 import pytest
+
+import benchmark_mpcc as benchmark
 from isolated import Failed, isolated
 from support.mpcc_collection import MPCC_COLLECTION
 

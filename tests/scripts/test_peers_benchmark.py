@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import benchmark_peers as benchmark
 import pytest
-from peer_solvers.at_once import nlpsol_mapped, nlpsol_written_out
 
+import benchmark_peers as benchmark
+from peer_solvers.at_once import nlpsol_mapped, nlpsol_written_out
 from rmesh_nlp.examples import EXAMPLES
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import compare_strategies
 import pytest
+
+import compare_strategies
 
 
 @pytest.mark.slow

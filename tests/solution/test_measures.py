@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.verdicts import GOOD
 
 from formulations import fixed, joint
 from rmesh_nlp.assessment.verdict import Measured, Verdict, verdict
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solution.referee import Referee
+from support.verdicts import GOOD
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from support.sliding import sliding_block
 
 from formulations import fixed, joint, mpcc
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.solution.theorem41 import error_terms, error_terms_on
+from support.sliding import sliding_block
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.verdicts import GOOD
 
 from formulations import fixed
 from rmesh_nlp.assessment.assessor import EXPLOITS, Audit, equilibrium_residual, law_residual
@@ -22,6 +21,7 @@ from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, Plan
 from rmesh_nlp.solution import referee as refereeing
 from rmesh_nlp.solution.referee import Referee
 from rmesh_nlp.solution.solution import interrupted
+from support.verdicts import GOOD
 
 
 def with_audit(**changes: Any) -> Measured:
