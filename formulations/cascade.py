@@ -198,7 +198,10 @@ class Polished(Wrapper):
                 tolerance=end.tolerance,
                 reference=energy(q).value + found.details.get("gain_estimate", 0.0),
                 max_iterations=self.finish,
-                on_step=lambda i, x, _: track.exact(i, x, energy(x)) or energy.contact_solves >= last,
+                on_step=lambda i, x, _: (
+                    track.exact(i, x, energy(x), energy_given=end.given.energy)
+                    or energy.contact_solves >= last
+                ),
             )
             x, status = more.result.x, more.result.status
         except (KeyboardInterrupt, StoppedError) as error:

@@ -148,7 +148,7 @@ class Monitor:
 
     def note(self, step: Step, q: Array | None = None, *, shown: bool = True) -> bool:
         """Add a step at moves ``q`` to the history, ``shown`` to ``on_step``; whether the solve is over."""
-        if self.steps and step.iteration == self.steps[-1].iteration and step.t == self.steps[-1].t:
+        if self.steps and _is_same(self.steps[-1], step):
             return self.is_over()  # the start of a program is where the last one ended
         self.steps.append(step)
         self.last_moves = None if q is None else np.array(q)
@@ -184,6 +184,12 @@ class Monitor:
         if pressed():
             self.stopped = Status.INTERRUPTED
         return result
+
+
+def _is_same(last: Step, step: Step) -> bool:
+    """Whether a step is the last one again, and not the start on another mesh or with another weight."""
+    numbers = (last.iteration, last.t) == (step.iteration, step.t)
+    return numbers and math.isclose(last.objective, step.objective, rel_tol=1e-9)
 
 
 class Track:
