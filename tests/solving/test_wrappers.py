@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -186,6 +187,10 @@ def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: Co
     assert 6 <= solution.contact_solves <= spent
 
 
+def pressed(*_: Any) -> Any:
+    signal.raise_signal(signal.SIGINT)
+
+
 @pytest.fixture(scope="module")
 def crooked() -> ContactProblem:
     """Example 6.1 with shaken nodes, whose flips gain."""
@@ -217,6 +222,22 @@ class TestFlips:
         assert solution.energy_initial == pytest.approx(Outer(crooked).given.energy, rel=1e-12)
         assert solution.gain_audited > 0
         assert solution.energy <= row["flip_rounds"][-1]["relocated"] + 1e-12
+
+    @pytest.mark.parametrize("during", [True, False])
+    def test_ctrl_c_keeps_the_best_mesh_so_far(
+        self, crooked: ContactProblem, during: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """``during`` flips it is the mesh before them, in the relocation after them the flipped one."""
+        script, seen = Script(0.001, tracks=True), []
+        if during:
+            monkeypatch.setattr("rmesh_nlp.programs.energy_flips.flip_edges", pressed)
+        again = Ends(lambda outer, q, monitor: monitor.track(outer).exact(1, q) or pressed())
+        solution = solve(crooked, Flips(script.formulation, then=again), on_step=seen.append)
+        assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
+        assert ("changed_triangles" in solution.extra) == (not during)
+        np.testing.assert_array_equal([step.q is None for step in seen], [False, *([True] * (not during))])
+        assert solution.energy == pytest.approx(seen[-1].energy, rel=1e-9)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
     def test_after_flips_a_schedule_is_not_gone_through_again(self, crooked: ContactProblem) -> None:
         script = Script(*[0.001] * 12)
