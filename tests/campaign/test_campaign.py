@@ -3,44 +3,29 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
+from support.planted import plant, raising
 
+from formulations.fixed import Fixed
+from formulations.joint import Joint
 from rmesh_nlp.campaign import run as campaign
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case, make_cases
 from rmesh_nlp.campaign.run import run, solve
-from rmesh_nlp.campaign.strategies import accepted
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import REQUIRED, Results, read_results, to_json
 from rmesh_nlp.io.vtu import fields_of, read_vtu
+from rmesh_nlp.solving.options import accepted
 
-
-@pytest.fixture
-def plant(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Adds a strategy of the test's own, as an entry point would."""
-    load = strategies.load
-
-    def add(name: str, function: Any) -> None:
-        before = strategies.load
-        monkeypatch.setattr(strategies, "load", lambda wanted: function if wanted == name else before(wanted))
-
-    assert load("fixed") is not None
-    return add
-
-
-def explode(problem: Any) -> None:
-    raise RuntimeError("the\nfactor was singular")
+EXPLODE = raising(RuntimeError("the\nfactor was singular"))
 
 
 def test_a_solve_that_raises_is_a_row_and_the_next_one_runs(
-    tmp_path: Path, plant: Callable[..., None]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plant("explode", explode)
+    plant(monkeypatch, explode=EXPLODE)
     cases = make_cases(["6.1"], ["explode", "fixed"], n=3)
     bad, good = run(cases, Results(tmp_path))
     assert (bad["status"], bad["success"]) == ("failed", False)
@@ -60,11 +45,13 @@ def test_records_are_on_the_disk_when_they_are_yielded(tmp_path: Path) -> None:
         assert all(result.vtu.exists() and result.history.exists() for result in found)
 
 
-def test_resume_solves_only_what_is_missing_or_failed(tmp_path: Path, plant: Callable[..., None]) -> None:
-    plant("flaky", explode)
+def test_resume_solves_only_what_is_missing_or_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant(monkeypatch, flaky=EXPLODE)
     cases = make_cases(["6.1"], ["fixed", "flaky"], n=3)
     list(run(cases, Results(tmp_path)))
-    plant("flaky", strategies.load("fixed"))
+    plant(monkeypatch, flaky=Fixed)
     started: list[str] = []
     rows = list(
         run(cases, Results(tmp_path), resume=True, on_start=lambda case: started.append(case.formulation))
@@ -113,14 +100,16 @@ def test_keys_tell_solves_apart_and_suit_file_names() -> None:
     assert case.key == "6.1-8-mpcc-error-l2_+_0.01_quality-seed3"
 
 
-def test_options_that_no_strategy_takes_are_refused() -> None:
+def test_options_that_no_formulation_takes_are_refused() -> None:
     with pytest.raises(BadInputError, match="--relaxation scholtes: not an option of fixed, joint"):
         make_cases(["6.1"], ["fixed", "joint"], n=3, options={"relaxation": "scholtes"})
 
 
-def test_which_keywords_a_function_takes() -> None:
-    assert accepted(lambda problem, seed=None: None, ("seed", "objective")) == {"seed"}
-    assert accepted(lambda problem, **rest: None, ("seed", "objective")) == {"seed", "objective"}
+def test_which_options_a_formulation_takes() -> None:
+    options = ("seed", "objective", "flips", "first_barrier", "speed")
+    assert accepted("fixed", options) == {"objective"}
+    assert accepted("joint", options) == {"seed", "objective", "flips", "first_barrier"}
+    assert accepted(Joint(), options) == {"seed", "objective"}  # its settings are chosen
 
 
 def test_json_is_strict() -> None:
@@ -157,3 +146,10 @@ def test_a_row_solved_with_another_rule_is_not_resumed(tmp_path: Path) -> None:
     list(run(cases(2), Results(tmp_path)))
     with pytest.raises(BadInputError, match="quadrature 2, not 6"):
         list(run(cases(6), Results(tmp_path), resume=True))
+
+
+def test_what_auto_chose_is_resumed_as_it_was_asked_for(tmp_path: Path) -> None:
+    (case,) = make_cases(["6.2"], ["auto"], n=(4, 2))
+    (row,) = run([case], Results(tmp_path))
+    assert (row["formulation"], row["asked"]) == ("joint", {"formulation": "auto"})
+    list(run([case], Results(tmp_path), resume=True, on_start=lambda _: pytest.fail("solved again")))

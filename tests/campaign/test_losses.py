@@ -23,7 +23,7 @@ def cases() -> list[Case]:
 
 
 def started(cases: list[Case], folder: Path) -> list[str]:
-    """Strategies that are solved when the run is resumed."""
+    """Formulations that are solved when the run is resumed."""
     names: list[str] = []
     list(run(cases, Results(folder), resume=True, on_start=lambda case: names.append(case.formulation)))
     return names

@@ -41,13 +41,13 @@ def test_a_case_is_solved_as_often_as_it_asks_for_and_resumed_if_it_was_less_oft
 
 
 @pytest.mark.parametrize(
-    "strategy", ["nested", *(pytest.param(name, marks=pytest.mark.slow) for name in ("joint", "mpcc"))]
+    "formulation", ["nested", *(pytest.param(name, marks=pytest.mark.slow) for name in ("joint", "mpcc"))]
 )
-def test_a_traced_solve_has_the_referees_residual_in_its_history(strategy: str, tmp_path: Path) -> None:
-    (case,) = make_cases(["6.3"], [strategy], n=(4, 2), trace=True)
+def test_a_traced_solve_has_the_referees_residual_in_its_history(formulation: str, tmp_path: Path) -> None:
+    (case,) = make_cases(["6.3"], [formulation], n=(4, 2), trace=True)
     outcome = solve(case)
     assert outcome.solution is not None
-    residuals = np.array([step.stationarity for step in outcome.solution.history])
+    residuals = np.array([step.stationarity for step in outcome.history])
     known = residuals[np.isfinite(residuals)]
     # the first steps are at the mesh as given, whose residual is one; the last one is the end
     assert known[0] == pytest.approx(1, rel=0.05)

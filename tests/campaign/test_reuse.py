@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.planted import plant, raising
 
 from rmesh_nlp.campaign import run as campaign
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case, make_cases
 from rmesh_nlp.campaign.run import Ended, Outcome, run, solve
 from rmesh_nlp.errors import BadInputError
@@ -256,10 +256,7 @@ class TestSolve:
 def test_an_exception_is_a_row(
     cases: list[Case], error: Exception, status: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(problem: Any, *, seed: int | None = None, objective: str = "energy") -> None:
-        raise error
-
-    monkeypatch.setattr(strategies, "load", lambda name: broken)
+    plant(monkeypatch, fixed=raising(error))
     case = replace(cases[0], options={"seed": 3, "objective": "error-l2"}, repeats=2)
     outcome = solve(case)
     row = outcome.record
@@ -286,7 +283,7 @@ def test_theorem_41_is_not_asked_of_a_broken_mesh(cases: list[Case], monkeypatch
     good = solve(cases[0]).solution
     assert good is not None
     broken = replace(good, audit=replace(good.audit, min_area_ratio=0.0), status=Status.INVALID_MESH)
-    monkeypatch.setattr(strategies, "load", lambda name: lambda problem: broken)
+    monkeypatch.setattr(campaign, "solve_by_options", lambda *_, **__: broken)
     monkeypatch.setattr(campaign, "error_terms", lambda _: pytest.fail("it was asked"))
     assert solve(cases[0]).record["status"] == "invalid_mesh"
 

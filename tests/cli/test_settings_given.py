@@ -1,4 +1,4 @@
-"""Settings on the command line: plain ones, those of a method within a strategy, and what is refused."""
+"""Settings on the command line: plain ones, those of a method within a formulation, and what is refused."""
 
 from __future__ import annotations
 

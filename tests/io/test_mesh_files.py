@@ -9,9 +9,9 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
+from support.formulations import fixed
 
 import rmesh_nlp as rm
-from support.formulations import fixed
 from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.io.export import Series, element_table, gaps, node_table, write_mesh
 from rmesh_nlp.meshes import read_mesh

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.formulations import fixed, joint
 from support.problem_files import BROKEN, SCALAR, VALID, Edit
 
-from support.formulations import fixed, joint
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import ProblemFileError, load_problem

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-
 from support.formulations import fixed
+
 from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
