@@ -10,7 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from skfem import MeshTri
@@ -27,9 +27,6 @@ from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer, Work
 from rmesh_nlp.solving.step import Step
 
-if TYPE_CHECKING:
-    from rmesh_nlp.solving.formulation import Formulation
-
 NAN = float("nan")
 
 KEPT = 10
@@ -39,6 +36,13 @@ OnStep = Callable[[Step], object]
 """Called after each iteration, for progress."""
 
 T = TypeVar("T")
+
+
+class Runs(Protocol):
+    """What a monitor runs: a :class:`rmesh_nlp.solving.formulation.Formulation`."""
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        """Minimise from moves ``q``."""
 
 
 class Monitor:
@@ -156,7 +160,7 @@ class Monitor:
             self.on_step(replace(step, q=np.array(q)) if q is not None and shown else step)
         return self.is_over()
 
-    def run(self, formulation: Formulation, outer: Outer, q: Array) -> Outcome:
+    def run(self, formulation: Runs, outer: Outer, q: Array) -> Outcome:
         """Where a formulation ends, also if Ctrl-C or a limit ends it: with the best valid moves so far."""
         self._track = None
         if self.stopped is not None:
