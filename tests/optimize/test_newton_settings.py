@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.formulations import nested
 from support.quadratics import Matrix, quadratic
 
-from support.formulations import nested
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.local_newton import descend
