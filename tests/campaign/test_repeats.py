@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rmesh_nlp.campaign.cases import make_cases
-from rmesh_nlp.campaign.repeats import TIMES, joined
+from rmesh_nlp.campaign.repeats import joined
 from rmesh_nlp.campaign.run import run, solve
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.solving.outer import Outer
@@ -24,20 +23,6 @@ def test_times_are_medians_with_their_range() -> None:
     assert row["repeats"] == 3
     assert row["first_cost_s"] == 4.0
     assert joined([one]) is one
-
-
-@pytest.mark.slow
-def test_a_case_is_solved_as_often_as_it_asks_for_and_resumed_if_it_was_less_often(tmp_path: Path) -> None:
-    (case,) = make_cases(["6.1"], ["fixed"], n=3, repeats=3)
-    (row,) = run([case], Results(tmp_path))
-    assert row["repeats"] == 3
-    for name in TIMES:
-        low, high = row[name.replace("_time_s", "_time_range_s")]
-        assert low <= row[name] <= high
-    (again,) = run([case], Results(tmp_path), resume=True)
-    assert again["wall_time_s"] == pytest.approx(row["wall_time_s"])
-    (oftener,) = run([replace(case, repeats=4)], Results(tmp_path), resume=True)
-    assert oftener["repeats"] == 4
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,9 @@ def test_an_objective_that_joint_refuses_is_a_dash_and_no_failure(tmp_path: Path
     assert run([*arguments, "--objective", "energy", "--objective", "error-l2", "--out", str(tmp_path)]) == 0
     rows = [result.record for result in read_results(tmp_path)]
     assert [does_not_apply(row) for row in rows] == [False, False, True, False]
+    assert (rows[2]["status"], rows[2]["success"], rows[2]["energy"]) == ("refused", False, None)
+    assert "error-l2" in rows[2]["message"]
+    assert rows[2]["message"] in (tmp_path / "table.md").read_text()
     table = (tmp_path / "table.md").read_text()
     assert "| nested, error-l2 |" in table
     assert all(row["I1"] + row["I2"] > 0 for row in rows if row["success"])

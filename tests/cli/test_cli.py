@@ -114,17 +114,6 @@ def test_commands_of_results_take_a_single_solve_and_what_a_killed_one_left() ->
         assert not left.parent.exists()
 
 
-@pytest.mark.slow
-def test_a_refused_objective_is_a_row_of_dashes_and_no_failure(capsys: pytest.CaptureFixture[str]) -> None:
-    code = run("compare", "6.1", "--formulations", "joint,fixed", "--n", "3", "--objective", "error-l2")
-    assert code == 0
-    joint, fixed = map(json.loads, Path("results/records.jsonl").read_text().splitlines())
-    assert (joint["status"], joint["success"], joint["energy"]) == ("refused", False, None)
-    assert "error-l2" in joint["message"]
-    assert fixed["success"]
-    assert joint["message"] in capsys.readouterr().out
-
-
 def test_a_solve_that_raises_is_recorded_and_exit_code_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
