@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.planted import plant, raising
 
@@ -17,6 +18,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import REQUIRED, Results, read_results, to_json
 from rmesh_nlp.io.vtu import fields_of, read_vtu
 from rmesh_nlp.solving.options import accepted
+from rmesh_nlp.solving.outer import Outer
 
 
 def test_a_solve_that_raises_is_a_row_and_the_next_one_runs(
@@ -81,3 +83,26 @@ def test_what_auto_chose_is_resumed_as_it_was_asked_for(tmp_path: Path) -> None:
     (row,) = run([case], Results(tmp_path))
     assert (row["formulation"], row["asked"]) == ("joint", {"formulation": "auto"})
     list(run([case], Results(tmp_path), resume=True, on_start=lambda _: pytest.fail("solved again")))
+
+
+@pytest.mark.parametrize(
+    "formulation", ["nested", *(pytest.param(name, marks=pytest.mark.slow) for name in ("joint", "mpcc"))]
+)
+def test_a_traced_solve_has_the_referees_residual_in_its_history(formulation: str, tmp_path: Path) -> None:
+    (case,) = make_cases(["6.3"], [formulation], n=(4, 2), trace=True)
+    outcome = solve(case)
+    assert outcome.solution is not None
+    residuals = np.array([step.stationarity for step in outcome.history])
+    known = residuals[np.isfinite(residuals)]
+    # the first steps are at the mesh as given, whose residual is one; the last one is the end
+    assert known[0] == pytest.approx(1, rel=0.05)
+    assert known[-1] <= 1e-5
+    solution = outcome.solution
+    outer = Outer(solution.problem)
+    q = outer.relocation.freedoms.q_of(np.asarray(solution.mesh.p))
+    assert known[-1] == pytest.approx(outer.residual(outer.energy(q)), abs=1e-5)
+    list(run([case], Results(tmp_path)))
+    (result,) = read_results(tmp_path)
+    assert [step["stationarity"] for step in result.steps()] == pytest.approx(
+        residuals, nan_ok=True, abs=1e-7
+    )

@@ -14,7 +14,7 @@ from support.planted import plant, raising
 
 from rmesh_nlp.campaign import run as campaign
 from rmesh_nlp.campaign.cases import Case, make_cases
-from rmesh_nlp.campaign.repeats import TIMES
+from rmesh_nlp.campaign.repeats import TIMES, joined
 from rmesh_nlp.campaign.run import Ended, Outcome, run, solve
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import RECORDS, Results, read_results
@@ -253,3 +253,14 @@ def test_records_are_claimed_before_they_are_written(cases: list[Case], tmp_path
     names = Results(tmp_path).manifest.names()
     stem = f"solutions/{cases[0].key}"
     assert {RECORDS, f"{stem}.vtu", f"{stem}.csv"} <= set(names)
+
+
+def test_times_are_medians_with_their_range() -> None:
+    one = {"energy": -1.0, "build_time_s": 3.0, "solve_time_s": 1.0, "wall_time_s": 4.0}
+    others = [{**one, "build_time_s": 1.0, "energy": -9.0}, {**one, "build_time_s": 2.0}]
+    row = joined([one, *others])
+    assert (row["build_time_s"], row["build_time_range_s"]) == (2.0, [1.0, 3.0])
+    assert row["energy"] == -1.0
+    assert row["repeats"] == 3
+    assert row["first_cost_s"] == 4.0
+    assert joined([one]) is one
