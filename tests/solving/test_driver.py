@@ -104,6 +104,21 @@ def test_ctrl_c_in_a_callback_keeps_the_best_mesh(problem: ContactProblem) -> No
     assert solution.energy < solution.energy_initial
 
 
+def test_of_all_moves_that_were_reported_the_lowest_are_kept(problem: ContactProblem) -> None:
+    outer = Outer(problem)
+    slope = outer.energy(outer.moves()).gradient
+    ways = [-part * slope / np.max(np.abs(slope)) for part in (0.0, 0.3, 0.1, -0.3)]
+
+    def end(outer: Outer, _: Array, monitor: Monitor) -> Outcome:
+        track = monitor.track(outer)
+        for number, q in enumerate(ways):
+            track.exact(number, q)
+        raise KeyboardInterrupt
+
+    solution = solve(problem, Ends(end))
+    np.testing.assert_allclose(solution.mesh.p, outer.nodes(ways[1]), atol=1e-14)
+
+
 @pytest.mark.parametrize("way", ["tracked", "raised"])
 def test_what_is_stopped_is_never_made_worse(problem: ContactProblem, way: str) -> None:
     """A formulation that only goes uphill."""

@@ -100,6 +100,13 @@ class TestMultiStart:
         np.testing.assert_array_equal(found.q, script.ends[0].q)
         assert (found.details["start_energies"], found.details["start_spread"]) == ([None, None], None)
 
+    def test_an_end_on_which_contact_is_not_solved_has_no_energy(self, problem: ContactProblem) -> None:
+        outer = Outer(problem)
+        there = outer.assessor.initial
+        sick = replace(there, state=replace(there.state, status=Status.CYCLED))
+        outer.assessor.solve = lambda *_: sick
+        assert np.isnan(continuous_energy(Outcome(outer, outer.moves(), Status.CONVERGED)))
+
     def test_an_interrupted_start_is_the_last_and_is_said(self, problem: ContactProblem) -> None:
         script = Script(0.3, 0.1, 0.1, stop=2)
         solution = solve(problem, MultiStart(script.formulation, 5), safely=False)
