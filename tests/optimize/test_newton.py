@@ -1,9 +1,10 @@
-"""The Newton method with trust regions in boxes."""
+"""The Newton method with trust regions in boxes, and what is active there."""
 
 import numpy as np
 import pytest
 from support.quadratics import quadratic
 
+from rmesh_nlp.optimize.activity import ZERO, both_vanish, is_inside
 from rmesh_nlp.optimize.newton import Evaluation, minimise
 from rmesh_nlp.optimize.status import Status
 
@@ -33,3 +34,19 @@ def test_points_where_the_function_is_not_defined_are_not_taken() -> None:
 
     result = minimise(evaluate, np.zeros(1), np.array([-3.0]), np.array([3.0]), max_iterations=30)
     assert 0.9 < result.x[0] <= 1
+
+
+SMALL, LARGE = 0.5 * ZERO, 2 * ZERO
+
+
+def test_a_pair_is_weak_only_where_both_members_vanish() -> None:
+    one = np.array([SMALL, -SMALL, SMALL, LARGE, -LARGE])
+    other = np.array([-SMALL, 0.0, -LARGE, 0.0, SMALL])
+    assert both_vanish(one, other).tolist() == [True, True, False, False, False]
+
+
+def test_a_variable_is_inside_if_it_is_off_both_bounds() -> None:
+    lower, upper = np.full(5, -1.0), np.full(5, 1.0)
+    upper[4] = np.inf
+    x = np.array([-1 + SMALL, -1 + LARGE, 1 - LARGE, 1 - SMALL, 1e6])
+    assert is_inside(x, lower, upper).tolist() == [False, True, True, False, True]
