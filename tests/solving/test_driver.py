@@ -156,3 +156,17 @@ def test_an_invalid_end_is_reported_and_not_hidden(problem: ContactProblem) -> N
     solution = solve(problem, Ends(lambda outer, q, _: Outcome(outer, q + 50.0, Status.CONVERGED)))
     assert (solution.status, solution.valid, solution.success) == (Status.INVALID_MESH, False, False)
     assert solution.record()["energy"] is None
+
+
+def test_a_formulation_begins_where_the_one_that_is_named_ended(problem: ContactProblem) -> None:
+    begun: list[tuple[Outer, Array]] = []
+
+    def end(outer: Outer, q: Array, _: Monitor) -> Outcome:
+        begun.append((outer, q))
+        return Outcome(outer, q, Status.CONVERGED)
+
+    first, then = solve(problem, Joint()), solve(problem, Ends(end), start="joint")
+    ((outer, q),) = begun
+    assert outer.is_near
+    np.testing.assert_allclose(outer.nodes(q), first.mesh.p, atol=1e-12)
+    assert (then.start, then.iterations) == ("joint", first.iterations)
