@@ -21,13 +21,13 @@ from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.levels import COARSER
 from rmesh_nlp.programs.prolongation import prolonged
 from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.programs.regularisation import gain_estimate
+from rmesh_nlp.programs.regularisation import ESTIMATE_SOLVES, gain_estimate
 from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.settings import Count, Limit, Positive
 from rmesh_nlp.solving.formulation import Formulation, Wrapper
 from rmesh_nlp.solving.monitor import Monitor, Track
 from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.outer import Outer, Work
 
 SPARE = 6
 """Contact solves that one more iteration may take, steps that are refused included."""
@@ -52,6 +52,7 @@ class Cascade(CascadeSettings, Formulation):
             "stationary_for": f"the energy with {self.distortion} weighted {self.regularisation:g} of "
             "its estimated error",
         }
+        monitor.work += Work(ESTIMATE_SOLVES)
         try:
             found = cascade(outer.problem, self, levels, monitor.is_over)
         except (KeyboardInterrupt, StoppedError) as error:
@@ -149,6 +150,7 @@ class Descent(Formulation):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         track, energy = monitor.track(outer), outer.energy
+        monitor.work += Work(ESTIMATE_SOLVES)
         found = LargeMoves(energy, approximate=True)(
             q,
             gain_tolerance=self.end,
@@ -198,7 +200,10 @@ class Polished(Wrapper):
                 tolerance=end.tolerance,
                 reference=energy(q).value + found.details.get("gain_estimate", 0.0),
                 max_iterations=self.finish,
-                on_step=lambda i, x, _: track.exact(i, x, energy(x)) or energy.contact_solves >= last,
+                on_step=lambda i, x, _: (
+                    track.exact(i, x, energy(x), energy_given=end.given.energy)
+                    or energy.contact_solves >= last
+                ),
             )
             x, status = more.result.x, more.result.status
         except (KeyboardInterrupt, StoppedError) as error:

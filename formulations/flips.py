@@ -13,7 +13,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.energy_flips import flips_and_moves
-from rmesh_nlp.programs.regularisation import gain_estimate
+from rmesh_nlp.programs.regularisation import ESTIMATE_SOLVES, gain_estimate
 from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
@@ -58,7 +58,10 @@ class Flips(Wrapper):
             found = monitor.run(_again(self), there, there.moves())
             return _moved(found)
 
-        gain = first.details.get("gain_estimate") or gain_estimate(given).value
+        gain = first.details.get("gain_estimate")
+        if gain is None:
+            gain = gain_estimate(given).value
+            monitor.work += Work(ESTIMATE_SOLVES)
         try:
             last, rounds = flips_and_moves(_moved(first), gain, relocate, given=given, stop=monitor.is_over)
         except KeyboardInterrupt as error:

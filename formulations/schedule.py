@@ -8,11 +8,11 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.regularisation import gain_estimate, regularised, weights
+from rmesh_nlp.programs.regularisation import ESTIMATE_SOLVES, gain_estimate, regularised, weights
 from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.outer import Outer, Work
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,7 @@ class Schedule(Wrapper):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         schedule = weights(self.weights)
         gain = gain_estimate(outer.problem).value
+        monitor.work += Work(ESTIMATE_SOLVES)
         for weight in schedule:
             with monitor.clock.during("build"):
                 weighted = outer.minimising(regularised(gain, weight, self.distortion))

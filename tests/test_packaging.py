@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
+from support.formulations import fixed
 
 import rmesh_nlp
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli import work
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.io.problem_file import read_table, read_toml
 from rmesh_nlp.problem import ContactProblem
-from support.formulations import fixed
+from rmesh_nlp.solving.formulation import available, find
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text()
@@ -56,10 +56,10 @@ def test_every_file_of_the_packages_is_installed() -> None:
         assert any(path.match(pattern) for pattern in patterns), path
 
 
-def test_the_strategies_are_entry_points() -> None:
-    found = strategies.available()
-    for name in ("fixed", "nested", "joint", "mpcc", "auto"):
-        assert found[name].value == f"formulations.{name}:solve"
+def test_the_formulations_are_entry_points() -> None:
+    for name in ("fixed", "nested", "joint", "mpcc", "cascade", "auto"):
+        assert available()[name].value.startswith(f"formulations.{name}:")
+        assert find(name)().name == name
 
 
 def test_there_is_one_version() -> None:
@@ -172,15 +172,15 @@ def test_file_of_a_page_has_the_solution_of_its_python(page: str, tmp_path: Path
     assert record["formulation"] == solution.formulation
 
 
-def test_the_strategy_of_contributing_runs() -> None:
+def test_the_formulation_of_contributing_runs() -> None:
     (block,) = python_blocks("CONTRIBUTING.md")
-    space: dict[str, object] = {}
-    exec(block, space)
-    # without a source, so that no random mesh gains by the quadrature rule
-    solution = space["solve"](EXAMPLES["6.2"](n=(6, 4)), seed=1)  # type: ignore[operator]
+    space: dict[str, Any] = {}
+    exec(compile(block, "CONTRIBUTING.md", "exec", dont_inherit=True), space)
+    solution = rmesh_nlp.solve(EXAMPLES["6.2"](n=(6, 4)), space["Alternating"](first_step=0.1), seed=1)
     assert solution.success
-    assert solution.formulation == "random"
-    assert len(solution.history) == 10
+    assert (solution.formulation, solution.settings) == ("alternating", {"first_step": 0.1})
+    assert solution.gain > 0
+    assert len(solution.history) > 5
 
 
 def test_the_folders_that_are_described_exist() -> None:

@@ -1,4 +1,4 @@
-"""Several strategies on one problem, side by side."""
+"""Several formulations on one problem, side by side."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Record
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.tables import frame, markdown
+from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper
 from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.solution import Solution
 
@@ -32,21 +33,24 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Comparison:
-    """What several strategies made of one problem.
+    """What several formulations made of one problem.
 
     Attributes
     ----------
     solutions : mapping of str to Solution
-        By strategy; one that raised has no solution, but a record with its message.
+        By formulation; one that raised has no solution, but a record with its message.
     records : tuple of dict
-        One per strategy, as ``records.jsonl`` has them.
+        One per formulation, as ``records.jsonl`` has them.
+    names : tuple of str
+        What they are called, in the same order.
     """
 
     solutions: Mapping[str, Solution]
     records: tuple[Record, ...]
+    names: tuple[str, ...]
 
-    def __getitem__(self, strategy: str) -> Solution:
-        return self.solutions[strategy]
+    def __getitem__(self, formulation: str) -> Solution:
+        return self.solutions[formulation]
 
     @property
     def best(self) -> Solution:
@@ -55,23 +59,23 @@ class Comparison:
         Raises
         ------
         ValueError
-            If no strategy succeeded.
+            If no formulation succeeded.
         """
         good = [solution for solution in self.solutions.values() if solution.success]
         if not good:
-            raise ValueError("no strategy succeeded; see the messages of .records")
+            raise ValueError("no formulation succeeded; see the messages of .records")
         return min(good, key=lambda solution: solution.audit.energy_audited)
 
     def frame(self) -> pd.DataFrame:
-        """Every scalar of the records, one row per strategy."""
-        return frame(self.records).set_index("formulation", drop=False)
+        """Every scalar of the records, one row per formulation."""
+        return frame(self.records).set_axis(list(self.names))
 
     def markdown(self) -> str:
         """The tables of ``rmesh compare``."""
         return markdown(self.records)
 
     def summary(self) -> pd.DataFrame:
-        """Audited energies, work and status, one row per strategy."""
+        """Audited energies, work and status, one row per formulation."""
         whole = self.frame()
         return whole[[name for name in COLUMNS if name in whole]]
 
@@ -84,37 +88,63 @@ class Comparison:
 
 def compare(
     problem: ContactProblem,
-    formulations: Sequence[str] = ("fixed", "nested", "joint", "mpcc"),
+    formulations: Sequence[str | Formulation | Chooser] = ("fixed", "nested", "joint", "mpcc"),
     **options: Any,
 ) -> Comparison:
-    """Solve a problem by several strategies.
+    """Solve a problem by several formulations.
 
     Parameters
     ----------
     problem : ContactProblem
-    formulations : sequence of str
-        Names of installed strategies.
+    formulations : sequence of str or Formulation
+        Names of installed formulations, or objects such as ``Joint(first_barrier=1e-2)``; an object is
+        called by its name and its settings that differ from the defaults, ``joint(first_barrier=0.01)``.
     options
-        Keywords for those strategies that take them, such as ``seed``.
+        Options such as ``seed``, for those formulations that take them.
 
     Raises
     ------
     ValueError
-        If a strategy does not exist, or none takes an option.
+        If a formulation does not exist, or none takes an option.
     """
     if isinstance(formulations, str):
         raise BadInputError(f"formulations is a list of names, got the text {formulations!r}")
-    if len(set(formulations)) < len(formulations):
-        raise BadInputError(f"a strategy is named twice in {list(formulations)}")
-    taken = {name: accepted(name, options) for name in formulations}
+    names = [one if isinstance(one, str) else described(one) for one in formulations]
+    if len(set(names)) < len(names):
+        raise BadInputError(f"a formulation is named twice in {names}")
+    taken = [accepted(one, options) for one in formulations]
     for option in options:
-        if not any(option in names for names in taken.values()):
-            raise BadInputError(f"{option}: not an option of {', '.join(formulations)}")
-    outcomes = {
-        name: solve(Case(problem, name, {key: options[key] for key in options if key in names}))
-        for name, names in taken.items()
-    }
+        if not any(option in known for known in taken):
+            raise BadInputError(f"{option}: not an option of {', '.join(names)}")
+    outcomes = [
+        solve(
+            Case(
+                problem,
+                name,
+                {key: options[key] for key in options if key in known},
+                made=None if isinstance(one, str) else one,
+            )
+        )
+        for one, name, known in zip(formulations, names, taken, strict=True)
+    ]
     return Comparison(
-        {name: outcome.solution for name, outcome in outcomes.items() if outcome.solution is not None},
-        tuple(outcome.record for outcome in outcomes.values()),
+        {
+            name: outcome.solution
+            for name, outcome in zip(names, outcomes, strict=True)
+            if outcome.solution is not None
+        },
+        tuple(
+            outcome.record if isinstance(one, str) else {**outcome.record, "variant": name}
+            for one, name, outcome in zip(formulations, names, outcomes, strict=True)
+        ),
+        tuple(names),
     )
+
+
+def described(formulation: Formulation | Chooser) -> str:
+    """The name of a formulation with its settings that differ from the defaults."""
+    settings = formulation.changed()
+    parts = [f"{key}={value}" for key, value in settings.items() if key != "inner"]
+    if isinstance(formulation, Wrapper):
+        return f"{type(formulation).__name__.lower()}({', '.join([described(formulation.inner), *parts])})"
+    return formulation.name + (f"({', '.join(parts)})" if parts else "")

@@ -1,1 +1,1 @@
-"""Many solves: strategies by name, cases, and a row for each whatever happens."""
+"""Many solves: formulations by name, cases, and a row for each whatever happens."""

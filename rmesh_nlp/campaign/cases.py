@@ -1,4 +1,4 @@
-"""What is to be solved: pairs of problems and strategies with their options."""
+"""What is to be solved: pairs of problems and formulations with their options."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS
-from rmesh_nlp.solving.formulation import find
+from rmesh_nlp.solving.formulation import Chooser, Formulation, find
 from rmesh_nlp.solving.options import accepted
 
 FLAGS = {"time_limit_s": "--time-limit", "max_iterations": "--max-iterations", "tolerance": "--tolerance"}
@@ -25,7 +25,7 @@ FLAGS = {"time_limit_s": "--time-limit", "max_iterations": "--max-iterations", "
 
 
 RELOCATING_NOTHING = "fixed"
-"""The strategy that solves on the mesh as it is."""
+"""The formulation that solves on the mesh as it is."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,17 @@ class Case:
     ----------
     problem : ContactProblem
     formulation : str
-        Name of an installed strategy.
+        Name of an installed formulation.
     options : mapping
-        Keyword arguments of the strategy's ``solve``: ``objective``, ``relaxation``, ``seed``, ...
+        Of :func:`rmesh_nlp.solving.options.solve_by_options`: ``objective``, ``relaxation``, ``seed``, ...
     certify : bool
         Whether to bound the error of the solution.
     repeats : int
         How often it is solved, for its times.
     trace : bool
         Whether to measure the first-order residual along the solve, once it has ended.
+    made : Formulation or Chooser, optional
+        An object in the place of the installed formulation; ``formulation`` is then what rows call it.
     """
 
     problem: ContactProblem
@@ -53,6 +55,7 @@ class Case:
     certify: bool = False
     repeats: int = 1
     trace: bool = False
+    made: Formulation | Chooser | None = None
 
     @property
     def key(self) -> str:
@@ -90,17 +93,17 @@ def make_cases(
     repeats: int = 1,
     trace: bool = False,
 ) -> list[Case]:
-    """All pairs of examples and strategies, with the same settings.
+    """All pairs of examples and formulations, with the same settings.
 
-    An option goes to those strategies that take it; of ``objective`` and ``seed`` there may be several, as
-    lists. A strategy may have options of its own, see :func:`strategy_options`. Of a problem file, whose
-    name ends with ``.toml``, also uniform refinements without motion are cases: ``refined`` of them, see
-    :func:`rmesh_nlp.campaign.file_cases.refinements`.
+    An option goes to those formulations that take it; of ``objective`` and ``seed`` there may be several, as
+    lists. A formulation may have options of its own, see :func:`formulation_options`. Of a problem file,
+    whose name ends with ``.toml``, also uniform refinements without motion are cases: ``refined`` of them,
+    see :func:`rmesh_nlp.campaign.file_cases.refinements`.
 
     Raises
     ------
     BadInputError
-        If a name is unknown, a setting does not suit an example, or no strategy takes an option.
+        If a name is unknown, a setting does not suit an example, or no formulation takes an option.
     """
     options = dict(options or {})
     _check_options(options)
@@ -120,7 +123,7 @@ def make_cases(
         )
     if errors:
         problems = [with_reference(problem) for problem in problems]
-    chosen = [strategy_options(text) for text in formulations]
+    chosen = [formulation_options(text) for text in formulations]
     for _, own_options in chosen:
         _check_options(own_options)
     taken = {name: accepted(name, options) for name, _ in chosen}
@@ -147,18 +150,18 @@ def make_cases(
         for common in commons
         for name, own in chosen
     ]
-    if len(commons) > 1:  # a strategy that takes no seed would be solved once for each of them
+    if len(commons) > 1:  # a formulation that takes no seed would be solved once for each of them
         cases = list({case.key: case for case in cases}.values())
     return cases + finer
 
 
-def strategy_options(text: str) -> tuple[str, dict[str, Any]]:
-    """A strategy with options of its own, ``mpcc:start=joint`` or ``nested:outer=ipopt:seed=3``.
+def formulation_options(text: str) -> tuple[str, dict[str, Any]]:
+    """A formulation with options of its own, ``mpcc:start=joint`` or ``nested:outer=ipopt:seed=3``.
 
     Raises
     ------
     BadInputError
-        If an option has no value, or the strategy does not take it.
+        If an option has no value, or the formulation does not take it.
     """
     name, *parts = text.split(":")
     find(name)

@@ -8,19 +8,19 @@ from rmesh_nlp.solving.step import Step
 from rmesh_nlp.solving.time_left import Falling
 
 TOLERANCE = 1e-6
-"""Residual at which strategies stop by default."""
+"""Residual at which formulations stop by default."""
 
 
 class Pace:
     """Follows the steps of one solve.
 
-    The time left is a guess: that of the strategy, if it has one, else the residual falls on in time as it
+    The time left is a guess: that of the formulation, if it has one, else the residual falls on in time as it
     did over the last steps, on a logarithmic scale. Where neither is known the time limit is said.
 
     Parameters
     ----------
     limit : float, optional
-        Seconds after which the strategy stops.
+        Seconds after which the formulation stops.
     """
 
     def __init__(self, limit: float | None = None) -> None:

@@ -57,7 +57,7 @@ def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
     Raises
     ------
     BadInputError
-        If the strategy does not exist.
+        If the formulation does not exist.
     """
     first = _solve(case, on_step)
     if first.solution is None or case.repeats == 1 or first.record["status"] == INTERRUPTED:
@@ -71,17 +71,22 @@ def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
 
 
 def _solve(case: Case, on_step: OnStep | None) -> Outcome:
-    find(case.formulation)
+    made = case.made or case.formulation
+    if isinstance(made, str):
+        find(made)
     trace = Trace(on_step) if case.trace else None
     began = time.perf_counter()
     try:
         solution = solve_by_options(
-            case.problem, case.formulation, case.options, on_step=trace or on_step, certify=case.certify
+            case.problem, made, case.options, on_step=trace or on_step, certify=case.certify
         )
         record = {**case.identity, "message": solution.status.message, **solution.record(), "key": case.key}
+        asked = {name: value for name, value in case.identity.items() if record[name] != value}
+        if asked:  # auto chose, or the rule was raised
+            record["asked"] = asked
         terms = error_terms(solution) if solution.audit.min_area_ratio > 0 else None
         record.update({} if terms is None else terms.entries())
-    except ValueError as error:  # the strategy does not take this problem or option
+    except ValueError as error:  # the formulation does not take this problem or option
         return Outcome(_failure(case, "refused", error, time.perf_counter() - began), None)
     except Exception as error:
         return Outcome(_failure(case, "failed", error, time.perf_counter() - began), None)
@@ -217,10 +222,11 @@ def _finished(cases: Sequence[Case], rows: Sequence[Record], results: Results) -
         row = by_key.get(case.key)
         if row is None:
             continue
+        asked = {**row, **(row.get("asked") or {})}
         for name, value in case.identity.items():
-            if row.get(name) != value:
+            if asked.get(name) != value:
                 raise BadInputError(
-                    f"cannot resume {case.key}: it was solved with {name} {row.get(name)}, not {value}"
+                    f"cannot resume {case.key}: it was solved with {name} {asked.get(name)}, not {value}"
                 )
         often = row.get("repeats", 1) >= case.repeats
         if results.is_intact(row) and often and (not case.certify or "certificate_remark" in row):

@@ -1,7 +1,7 @@
 """The first-order residual of the outer problem along a solve, by one measure for all formulations.
 
 Solvers report residuals of programs of their own, in units of their own. Here the moves of each step are
-kept, and once the solve has ended the residual is measured at them, off the strategy's clock.
+kept, and once the solve has ended the residual is measured at them, off the formulation's clock.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def _rmesh(
     """Relocate the nodes of finite-element meshes for contact problems.
 
     \b
-    rmesh compare                                     all examples, all strategies
+    rmesh compare                                     all examples, all formulations
     rmesh solve 6.1 --formulation joint --n 16        one solve
     rmesh new my.toml                                 a problem of your own: a commented template
     rmesh check my.toml                               is it in order? with a picture

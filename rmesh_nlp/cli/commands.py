@@ -83,7 +83,7 @@ def exit_code(records: Sequence[Record], folder: Path) -> int:
 
 
 def does_not_apply(record: Record) -> bool:
-    """Whether a strategy refused an objective that is not the energy: a dash in the table, no failure."""
+    """Whether a formulation refused an objective that is not the energy: a dash in the table, no failure."""
     return bool(record["status"] == "refused" and record["objective"] != "energy")
 
 

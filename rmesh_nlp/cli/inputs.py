@@ -63,7 +63,7 @@ def parse_seed(text: str) -> int:
 
 
 def parse_settings(given: list[str]) -> dict[str, Any]:
-    """Settings of a strategy from texts ``name=value``; a value is JSON, or else a text.
+    """Settings of a formulation from texts ``name=value``; a value is JSON, or else a text.
 
     A setting of settings has the names of both: ``newton.forcing=0.2``.
     """

@@ -128,14 +128,14 @@ Tolerance = Annotated[
 ]
 Begin = Annotated[
     str | None,
-    typer.Option("--start", metavar="NAME", help="given (default), or a strategy whose end is the start."),
+    typer.Option("--start", metavar="NAME", help="given (default), or a formulation whose end is the start."),
 ]
 Set = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="A setting of the strategy, such as tol=1e-8 or newton.forcing=0.2; repeat.",
+        help="A setting of the formulation, such as tol=1e-8 or newton.forcing=0.2; repeat.",
     ),
 ]
 Jobs = Annotated[
@@ -163,8 +163,8 @@ Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve
 
 
 @dataclass(frozen=True)
-class StrategyOptions:
-    """What ``solve`` and ``compare`` say alike of the strategies, as it was typed."""
+class FormulationOptions:
+    """What ``solve`` and ``compare`` say alike of the formulations, as it was typed."""
 
     relaxation: Relaxation = None
     outer: Outer = None
@@ -212,12 +212,12 @@ class StrategyOptions:
         }
 
 
-DEFAULT = StrategyOptions()
+DEFAULT = FormulationOptions()
 
 
-def with_strategy_options(command: Callable[..., None]) -> Callable[..., None]:
-    """A command whose parameter ``chosen`` stands for all fields of :class:`StrategyOptions` as options."""
-    hints = get_type_hints(StrategyOptions, include_extras=True)
+def with_formulation_options(command: Callable[..., None]) -> Callable[..., None]:
+    """A command that takes the fields of :class:`FormulationOptions` as options, for ``chosen``."""
+    hints = get_type_hints(FormulationOptions, include_extras=True)
     shared = [
         inspect.Parameter(
             name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=getattr(DEFAULT, name), annotation=hint
@@ -230,7 +230,7 @@ def with_strategy_options(command: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(command)
     def expanded(**typed: Any) -> None:
-        chosen = StrategyOptions(**{parameter.name: typed.pop(parameter.name) for parameter in shared})
+        chosen = FormulationOptions(**{parameter.name: typed.pop(parameter.name) for parameter in shared})
         command(**typed, chosen=chosen)
 
     expanded.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]

@@ -32,7 +32,7 @@ def check(
 ) -> None:
     """Validate a problem file, print what it says, draw its mesh with boundary roles and motion.
 
-    A study file is validated with all problems and strategies that it names.
+    A study file is validated with all problems and formulations that it names.
 
     \b
     rmesh check my.toml

@@ -124,7 +124,7 @@ def solve(
     """Solve the problem of a file; returns the exit code.
 
     Writes ``record.json``, ``solution.vtu``, ``history.csv``, the relocated mesh ``mesh.msh`` with
-    its names, and ``iterations/iterations.pvd`` with its frames where the strategy reports iterates.
+    its names, and ``iterations/iterations.pvd`` with its frames where the formulation reports iterates.
 
     Parameters
     ----------
@@ -237,12 +237,12 @@ def _warn(messages: Sequence[str]) -> None:
 
 
 def _plan(path: Path, formulation: str | None, options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Strategy and keywords of ``[solve]``, overridden by what is given on the command line.
+    """Formulation and keywords of ``[solve]``, overridden by what is given on the command line.
 
     Raises
     ------
     BadInputError
-        If there is no such strategy or objective, or the strategy does not take a keyword.
+        If there is no such formulation or objective, or the formulation does not take a keyword.
     """
     plan = read_table(path).solve
     name = formulation or plan.formulation
@@ -257,7 +257,7 @@ def _plan(path: Path, formulation: str | None, options: Mapping[str, Any]) -> tu
             parse_objective(plan.objective)
         except ValueError as error:
             raise BadInputError(f"{path}: solve.objective: {one_line(error)}") from error
-    # the defaults need not be known to every strategy, what was asked for must be
+    # the defaults need not be known to every formulation, what was asked for must be
     default = {"objective": "energy", "starts": 0, "levels": 0, "flips": False}
     asked = {key for key, value in wanted.items() if value != default.get(key)}
     taken = accepted(name, asked)

@@ -28,7 +28,7 @@ def study(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Solve every problem of a study by every strategy: many solves, one row each.
+    """Solve every problem of a study by every formulation: many solves, one row each.
 
     Writes rows to DIR/rows, one file per worker, and fields to DIR/solutions. Run the same command
     again after any end: it goes on where it was. Then rmesh table DIR, figures DIR and report DIR.

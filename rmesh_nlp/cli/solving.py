@@ -13,6 +13,7 @@ from rmesh_nlp.cli.options import (
     DEFAULT,
     Columns,
     Delta,
+    FormulationOptions,
     Jobs,
     Json,
     Objective,
@@ -23,14 +24,13 @@ from rmesh_nlp.cli.options import (
     Seed,
     Seeds,
     Size,
-    StrategyOptions,
     Verbose,
-    with_strategy_options,
+    with_formulation_options,
 )
 from rmesh_nlp.errors import BadInputError
 
 
-@with_strategy_options
+@with_formulation_options
 def solve(
     example: Annotated[
         str, typer.Argument(metavar="EXAMPLE", help="6.1, 6.2 or 6.3, or a problem file such as my.toml.")
@@ -49,7 +49,7 @@ def solve(
     seed: Seed = None,
     quadrature: Quadrature = "midpoint",
     objective: Objective = None,
-    chosen: StrategyOptions = DEFAULT,
+    chosen: FormulationOptions = DEFAULT,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
@@ -64,7 +64,7 @@ def solve(
     ] = True,
     columns: Columns = 2,
 ) -> None:
-    """Solve one example, or the problem of a file, by one strategy.
+    """Solve one example, or the problem of a file, by one formulation.
 
     Writes DIR/record.json, DIR/solution.vtu and DIR/history.csv; for a problem file also the
     relocated mesh DIR/mesh.msh, the series DIR/iterations for ParaView, and DIR/figures: meshes,
@@ -92,7 +92,7 @@ def solve(
     raise typer.Exit(work.commands().solve(example, formulation or "joint", settings, out, voice))
 
 
-@with_strategy_options
+@with_formulation_options
 def compare(
     examples: Annotated[
         list[str] | None, typer.Argument(help="Examples, or problem files; the three examples by default.")
@@ -102,7 +102,7 @@ def compare(
         typer.Option(
             "--formulations",
             metavar="NAMES",
-            help="Strategies, separated by commas; options of their own as in mpcc:start=joint.",
+            help="Formulations, separated by commas; options of their own as in mpcc:start=joint.",
         ),
     ] = "fixed,nested,joint,mpcc",
     n: Size = None,
@@ -110,7 +110,7 @@ def compare(
     seed: Seeds = None,
     quadrature: Quadrature = "midpoint",
     objective: Objectives = None,
-    chosen: StrategyOptions = DEFAULT,
+    chosen: FormulationOptions = DEFAULT,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("results"),
     resume: Annotated[
         bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
@@ -125,10 +125,10 @@ def compare(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Compare strategies: solve, table and draw.
+    """Compare formulations: solve, table and draw.
 
     Prints a row per solve. Writes DIR/records.jsonl, DIR/table.md, .tex, .csv, DIR/figures and DIR/solutions.
-    An option goes to those strategies that take it. Problem files are compared with uniform refinements
+    An option goes to those formulations that take it. Problem files are compared with uniform refinements
     of their meshes as well, so that you see what moving nodes is worth. What an earlier run left in DIR
     is moved to DIR/previous when the first solve has ended.
 
@@ -158,7 +158,7 @@ def compare(
 def path(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file with a table [path].")],
     formulation: Annotated[
-        str | None, typer.Option("--formulation", "-f", help="Strategy; default: that of the file.")
+        str | None, typer.Option("--formulation", "-f", help="Formulation; default: that of the file.")
     ] = None,
     out: Annotated[
         Path | None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -45,7 +46,7 @@ def new(path: Path) -> int:
 
 def check(path: Path) -> int:
     """Validate a study file and print its plan in short."""
-    table = read_study(path)
+    table = _read(path)
     plan = make_plan(table, path)
     print(f"{path}: study {table.name or path.stem!r} is in order")
     _print_plan(plan, plan, 1)
@@ -63,7 +64,7 @@ def study(
     retry_failed: bool = False,
 ) -> int:
     """Perform a study, or say what it would do; returns the exit code."""
-    table = read_study(path)
+    table = _read(path)
     plan = make_plan(table, path)
     if dry_run:
         return _dry_run(table, path, plan, out, jobs, as_json)
@@ -94,13 +95,23 @@ def study(
     return SUCCESS if good + refused == len(ours) and good else NO_SUCCESS
 
 
+def _read(path: Path) -> StudyTable:
+    """The tables of a study; what is spelled as of old is noted."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DeprecationWarning)
+        table = read_study(path)
+    for warning in caught:
+        print(f"note: {warning.message}", file=sys.stderr)
+    return table
+
+
 def report(folder: Path) -> None:
     """Write the page of a folder and say where it is."""
     results = read_quietly(folder)
     remove_leftovers(folder)
     path, question, title = folder / STUDY_FILE, "", ""
     if path.exists():
-        table = read_study(path)
+        table = _read(path)
         question, title = table.question, table.name or ""
     print(f"wrote {write_report(folder, results, question, title)}")
 
@@ -148,7 +159,7 @@ def _dry_run(
                     "problem": solve.name,
                     "family": solve.family,
                     "size": solve.size,
-                    "strategy": solve.strategy,
+                    "variant": solve.variant,
                     "formulation": solve.formulation,
                     "options": solve.options,
                     "repeat": solve.repeat,
@@ -166,11 +177,11 @@ def _dry_run(
 def _print_plan(
     plan: Sequence[PlannedSolve], todo: Sequence[PlannedSolve], jobs: int, out: Path | None = None
 ) -> None:
-    names = list(dict.fromkeys(solve.strategy for solve in plan))
+    names = list(dict.fromkeys(solve.variant for solve in plan))
     problems = len({json.dumps(solve.problem, sort_keys=True) for solve in plan})
-    print(f"{len(plan)} solves: {problems} problems, strategies {', '.join(names)}")
+    print(f"{len(plan)} solves: {problems} problems, formulations {', '.join(names)}")
     for name in names:
-        print(f"  {name}: {sum(solve.strategy == name for solve in plan)} solves")
+        print(f"  {name}: {sum(solve.variant == name for solve in plan)} solves")
     if len(todo) < len(plan):
         print(f"{len(plan) - len(todo)} of them have a row in {out}")
     seconds = seconds_of_plan(todo, [] if out is None else read_rows(out)) / jobs

@@ -146,9 +146,9 @@ def write_mesh(mesh: MeshTri, path: str | Path) -> None:
 
 
 class Series:
-    """Collects the iterates of a strategy and writes them as a PVD series that ParaView plays.
+    """Collects the iterates of a formulation and writes them as a PVD series that ParaView plays.
 
-    Give it as ``on_step`` to a strategy, then call :meth:`write`. The displacement of each
+    Give it as ``on_step`` to a formulation, then call :meth:`write`. The displacement of each
     frame is the contact solution on its mesh.
 
     Parameters

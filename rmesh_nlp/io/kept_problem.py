@@ -80,7 +80,7 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     if table.mesh.file is not None:
         table = table.model_copy(update={"mesh": table.mesh.model_copy(update={"file": _mesh_name(table)})})
     problem = build(table, path)
-    if record.get("quadrature") is not None:  # some strategies raise it
+    if record.get("quadrature") is not None:  # some formulations raise it
         problem = replace(problem, quadrature=record["quadrature"])
     vtu = folder / "solution.vtu"
     fields = read_vtu(vtu)

@@ -190,7 +190,7 @@ MEASURED = (
 
 
 def read_record(text: str, where: str) -> Record:
-    """A record from JSON.
+    """A record from JSON; the entry ``strategy`` of rows of 0.1 is called ``variant``.
 
     Raises
     ------
@@ -204,6 +204,8 @@ def read_record(text: str, where: str) -> Record:
         RecordModel.model_validate(record)
     except ValidationError as error:
         raise BadInputError(f"{where} is not a record: {_first(error)}") from None
+    if "strategy" in record:
+        record["variant"] = record.pop("strategy")
     return record
 
 

@@ -46,6 +46,10 @@ class GainEstimate:
     value: float
 
 
+ESTIMATE_SOLVES = 2
+"""Contact solves of an estimate."""
+
+
 def gain_estimate(problem: ContactProblem) -> GainEstimate:
     """Estimate the error of the continuous energy of the mesh as given, by two contact solves.
 

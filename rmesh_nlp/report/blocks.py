@@ -14,7 +14,7 @@ DEFAULT_RELAXATION = "scholtes"
 BORROWED = ("joint", "nested", "without-complementarity")
 """Starts of ``mpcc`` that solve another program first: the homotopy then only certifies its end."""
 RELOCATING_NOTHING = "fixed"
-"""The strategy whose solution is that of the initial grid."""
+"""The formulation whose solution is that of the initial grid."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Block:
         """Seconds of a contact solve on the given mesh, one for all rows: the median of what they measured.
 
         On a busy machine each row would have one of its own, and costs would tell more of that than of
-        strategies.
+        formulations.
         """
         units = [record["contact_time_s"] for record in self.records if record.get("contact_time_s")]
         return statistics.median(units) if units else None
@@ -99,7 +99,7 @@ def block_key(record: Record) -> tuple[Any, ...]:
 
 
 def audited(record: Record) -> float:
-    """The energy by which strategies are compared; that of the own rule where no other is known."""
+    """The energy by which formulations are compared; that of the own rule where no other is known."""
     value = record.get("energy_audited")
     return float(record["energy"] if value is None else value)
 
@@ -111,10 +111,10 @@ def objective_of(record: Record) -> str:
 
 
 def label(record: Record) -> str:
-    """The strategy, with what sets a row apart from the default."""
-    parts = [str(record["formulation"])]
+    """The formulation, with what sets a row apart from the default."""
+    parts = [str(record.get("variant") or record["formulation"])]
     if record.get("chosen_by"):
-        parts = [f"{record['chosen_by']} ({parts[0]})"]
+        parts = [f"{record.get('variant') or record['chosen_by']} ({record['formulation']})"]
     if record["formulation"] == "mpcc" and record.get("start") in BORROWED:
         parts = [f"{record['start']}, certified as an MPCC solution"]
     if record.get("relaxation", DEFAULT_RELAXATION) != DEFAULT_RELAXATION:

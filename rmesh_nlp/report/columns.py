@@ -45,7 +45,7 @@ def _text(name: str) -> Callable[[Record], str]:
 
 
 def seconds_of_work(record: Record) -> float | None:
-    """Seconds of build and solve: the audit is no cost of a strategy.
+    """Seconds of build and solve: the audit is no cost of a formulation.
 
     Records of older versions have no split time: their wall time counts.
     """

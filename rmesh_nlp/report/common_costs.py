@@ -1,7 +1,7 @@
-"""What each strategy needs to reach what all of them reach: costs to a common energy and stationarity.
+"""What each formulation needs to reach what all of them reach: costs to a common energy and stationarity.
 
-Costs to the own end compare apples with pears: one strategy stops early at a poor mesh, another polishes a
-good one. So in each block of a comparison two levels are taken that every successful strategy reaches, the
+Costs to the own end compare apples with pears: one formulation stops early at a poor mesh, another polishes a
+good one. So in each block of a comparison two levels are taken that every successful formulation reaches, the
 worst of their final objectives and the worst of their final first-order residuals, and the histories say
 when each was there first.
 """
@@ -27,7 +27,7 @@ TIGHTEST = 1e-6
 
 
 def with_common_costs(results: Sequence[Result]) -> list[Record]:
-    """The records, in blocks of two or more successful strategies with further entries.
+    """The records, in blocks of two or more successful formulations with further entries.
 
     ``common_objective``, ``common_stationarity``
         The levels; an energy is the audited one.

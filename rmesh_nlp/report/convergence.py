@@ -1,4 +1,4 @@
-"""Figures of the energy against iterations and against contact solves, strategies side by side."""
+"""Figures of the energy against iterations and against contact solves, formulations side by side."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Curve:
     ----------
     name : str
     iteration, cost, energy : arrays
-        Cost: seconds of build and solve over those of one contact solve, for all strategies alike.
+        Cost: seconds of build and solve over those of one contact solve, for all formulations alike.
         Energy: the objective that was minimised.
     feasible : array of bool
     """
@@ -76,8 +76,8 @@ def curve(result: Result, unit: float | None = None) -> Curve | None:
 def convergence_figure(curves: Sequence[Curve], best: Record) -> Figure:
     """Distance to the best objective, on the left over iterations, on the right over cost.
 
-    Drawn is the value that the strategies see, by the problem's own rule. Energies are per unit of depth, so
-    their unit is that of force.
+    Drawn is the value by the problem's own rule. Energies are per unit of depth, so their unit is that of
+    force.
     """
     of_energy = best["objective"] == "energy"
     unit = bracketed(units_of(best.get("units")).force) if of_energy else ""

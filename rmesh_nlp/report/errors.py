@@ -52,7 +52,7 @@ def error_figure(field: Fields, record: Record) -> Figure:
 
 
 def bracket_figure(records: Sequence[Record]) -> Figure:
-    """Lower and upper bounds of the least energy against the number of nodes, a band per strategy."""
+    """Lower and upper bounds of the least energy against the number of nodes, a band per formulation."""
     figure = new_figure(TWO_COLUMNS * 0.6, 2.8)
     axis = figure.subplots()
     for position, name in enumerate(dict.fromkeys(label(record) for record in records)):

@@ -77,7 +77,7 @@ def _brackets(records: Sequence[Record]) -> Iterator[tuple[str, Figure]]:
 def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str, Figure]]:
     """Names and figures of one block: grids, stresses, convergence, and a surface if scalar.
 
-    Strategies are compared with the solution of ``fixed``; without it, what would show the
+    Formulations are compared with the solution of ``fixed``; without it, what would show the
     given grid is left out.
     """
     drawn = [

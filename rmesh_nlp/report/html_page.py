@@ -28,10 +28,10 @@ from rmesh_nlp.report.study_summary import (
     charts,
     family,
     is_study,
-    strategies_of,
-    strategy,
     study_notes,
     summary_rows,
+    variant,
+    variants_of,
 )
 from rmesh_nlp.report.svg import Line, line_chart
 from rmesh_nlp.report.viewer import viewer
@@ -138,7 +138,7 @@ def _setup(records: Sequence[Record]) -> str:
     named = ", ".join(starts) if len(starts) <= STARTS else f"{len(starts)}, {starts[0]} to {starts[-1]}"
     entries = {
         "problems": f"{len({(r['example'], r['n']) for r in records})} of {', '.join(families)}",
-        "formulations": ", ".join(dict.fromkeys(map(strategy, records))),
+        "formulations": ", ".join(dict.fromkeys(map(variant, records))),
         "outer objectives": ", ".join(dict.fromkeys(objective_of(r) for r in records)),
         "solves": f"{len(records)}, of which {good} succeeded, {refused} were refused",
         "starts": named,
@@ -208,7 +208,7 @@ def chart_svg(chart: Chart) -> str:
 
 def _convergence(results: Sequence[Result]) -> str:
     by_record = {id(result.record): result for result in results}
-    names = strategies_of([result.record for result in results])
+    names = variants_of([result.record for result in results])
     looks = {name: i for i, name in enumerate(names, 1)}
     parts, every = [], blocks([result.record for result in results])
     for block in every[:CONVERGENCE]:
@@ -223,7 +223,7 @@ def _convergence(results: Sequence[Result]) -> str:
             lines = []
             for record, one in zip(own, found, strict=True):
                 if one is not None:
-                    name = strategy(record)
+                    name = variant(record)
                     gap = np.where(one.feasible, np.maximum(np.abs(one.energy - best), floor), np.nan)
                     lines.append(Line(name, one.cost, gap, looks[name]))
             symbol, what = ("J", "") if objective == "energy" else ("F", f", {objective}")
@@ -246,7 +246,7 @@ def _solves(records: Sequence[Record]) -> str:
     def table(wanted: tuple[tuple[str, str, str], ...]) -> str:
         shown = [column for column in wanted if any(row.get(column[0]) not in (None, "") for row in rows)]
         head = ["formulation", *(name for _, name, _ in shown)]
-        body = [[strategy(row), *(_cell(row.get(name), form) for name, _, form in shown)] for row in rows]
+        body = [[variant(row), *(_cell(row.get(name), form) for name, _, form in shown)] for row in rows]
         return _table(head, body, texts=2, failed=failed)
 
     more = f"<details><summary>Residuals and more</summary>{table((*WHICH, *MORE))}</details>"
@@ -262,7 +262,7 @@ def _cell(value: Any, form: str) -> str:
 def _failures(records: Sequence[Record]) -> str:
     failed = [record for record in records if not record["success"] and record["status"] != "refused"]
     rows = [
-        [strategy(r), str(r["example"]), str(r["n"]), str(r["status"]), str(r.get("message") or "")]
+        [variant(r), str(r["example"]), str(r["n"]), str(r["status"]), str(r.get("message") or "")]
         for r in failed
     ]
     return _table(["formulation", "problem", "size", "status", "message"], rows, texts=5) if rows else ""

@@ -22,7 +22,7 @@ def profile_figures(charts: Sequence[Chart]) -> Iterator[tuple[str, Figure]]:
 
 
 def profile_figure(chart: Chart) -> Figure:
-    """Shares of problems over the chart's quantity, one step function per strategy."""
+    """Shares of problems over the chart's quantity, one step function per formulation."""
     figure = new_figure(0.6 * TWO_COLUMNS, 2.9)
     axis = figure.add_subplot()
     every = np.concatenate([profile.at for profile in chart.profiles.values()])

@@ -1,7 +1,7 @@
-"""Profiles of strategies over many problems: performance, data and quality.
+"""Profiles of formulations over many problems: performance, data and quality.
 
 Performance profiles are those of Dolan and Moré, Math. Program. 91 (2002): the share of problems that a
-strategy solves at a cost within a factor tau of the cheapest. Data profiles are those of Moré and Wild,
+formulation solves at a cost within a factor tau of the cheapest. Data profiles are those of Moré and Wild,
 SIAM J. Optim. 20 (2009): the share of problems of which it reaches a part of the best gain at a cost of
 at most kappa contact solves. A failure is an infinite cost, never a missing problem.
 """
@@ -54,19 +54,19 @@ def _profile(values: Array) -> Profile:
 def _table(costs: Mapping[str, ArrayLike]) -> Array:
     table = np.array([np.asarray(row, dtype=float) for row in costs.values()])
     if table.ndim != 2:
-        raise ValueError("every strategy needs a cost for every problem")
+        raise ValueError("every formulation needs a cost for every problem")
     if np.any(table[np.isfinite(table)] < 0) or np.any(np.isnan(table)):
         raise ValueError("costs must not be negative; a failure is infinite")
     return table
 
 
 def performance_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
-    """Dolan and Moré's profiles over the ratio to the cheapest strategy.
+    """Dolan and Moré's profiles over the ratio to the cheapest formulation.
 
     Parameters
     ----------
-    costs : mapping from strategies to (problems,) arrays
-        Infinite where a strategy failed. Problems that every strategy failed count, as failures of all.
+    costs : mapping from formulations to (problems,) arrays
+        Infinite where a formulation failed. Problems that every formulation failed count, as failures of all.
     """
     table = _table(costs)
     best = np.min(table, axis=0)
@@ -81,21 +81,21 @@ def data_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
 
     Parameters
     ----------
-    costs : mapping from strategies to (problems,) arrays
+    costs : mapping from formulations to (problems,) arrays
         Cost at which a part of the best gain was reached, see :func:`cost_of_gain`; infinite if it never was.
     """
     return {name: _profile(row) for name, row in zip(costs, _table(costs), strict=True)}
 
 
 def quality_profiles(energies: Mapping[str, ArrayLike], initial: ArrayLike) -> dict[str, Profile]:
-    """Profiles over the part of the best gain that a strategy's final energy misses.
+    """Profiles over the part of the best gain that a formulation's final energy misses.
 
     Parameters
     ----------
-    energies : mapping from strategies to (problems,) arrays
-        Final energies, infinite where a strategy failed.
+    energies : mapping from formulations to (problems,) arrays
+        Final energies, infinite where a formulation failed.
     initial : (problems,) array
-        Energies of the given meshes. Where no strategy gains anything, all that did not fail miss nothing.
+        Energies of the given meshes. Where no formulation gains anything, all that did not fail miss nothing.
     """
     table = np.array([np.asarray(row, dtype=float) for row in energies.values()])
     best, start = np.min(table, axis=0), np.asarray(initial, dtype=float)

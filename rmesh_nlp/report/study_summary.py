@@ -1,4 +1,4 @@
-"""Rows of a study joined to tables and profiles: instances by strategies, failures as failures."""
+"""Rows of a study joined to tables and profiles: instances by variants, failures as failures."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Instance = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Chart:
-    """Profiles of all strategies over one quantity.
+    """Profiles of all formulations over one quantity.
 
     Attributes
     ----------
@@ -60,9 +60,9 @@ class Chart:
     logarithmic: bool = True
 
 
-def strategy(record: Record) -> str:
-    """The strategy of a row: its name in the study, or in a comparison its label."""
-    name = record.get("strategy")
+def variant(record: Record) -> str:
+    """The variant of a row: its name in the study, or in a comparison its label."""
+    name = record.get("variant")
     return str(name) if name else label({**record, "seed": None})
 
 
@@ -71,32 +71,32 @@ def family(record: Record) -> str:
     return str(record.get("family") or record["example"])
 
 
-def strategies_of(records: Sequence[Record]) -> list[str]:
-    """All strategies that relocate, by name: the same order, and so the same looks, in all figures."""
+def variants_of(records: Sequence[Record]) -> list[str]:
+    """All variants that relocate, by name: the same order, and so the same looks, in all figures."""
     moving = [record for record in records if record["formulation"] != RELOCATING_NOTHING]
-    return sorted({strategy(record) for record in moving})
+    return sorted({variant(record) for record in moving})
 
 
 def is_study(records: Sequence[Record]) -> bool:
     """Whether rows come from a study rather than from a comparison."""
-    return any(record.get("strategy") and record.get("family") for record in records)
+    return any(record.get("variant") and record.get("family") for record in records)
 
 
 def instance(record: Record) -> Instance:
-    """What has to agree for two strategies to have solved the same."""
-    # a strategy without a seed, and one that failed before it had a box, still solve the instance
+    """What has to agree for two variants to have solved the same."""
+    # a variant without a seed, and one that failed before it had a box, still solve the instance
     return str(record["example"]), str(record["n"]), objective_of(record)
 
 
 def summary_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the table by family and strategy; repetitions are joined by medians."""
+    """Head and rows of the table by family and variant; repetitions are joined by medians."""
     head = ["family", "formulation", "solves", "success", "converged", "gain [%]", "of best [%]"]
     head += ["iterations", "contact solves", "build + solve [s]", "cost [contact solves]"]
     best = _best_gain(records)
     groups: dict[tuple[str, str], list[Record]] = {}
     for record in records:
         if record["status"] != "refused":
-            groups.setdefault((family(record), strategy(record)), []).append(record)
+            groups.setdefault((family(record), variant(record)), []).append(record)
     rows = []
     for (name, method), group in sorted(groups.items(), key=lambda item: (item[0][0], _rank(item[1][0]))):
         good = [record for record in group if record["success"]]
@@ -118,7 +118,7 @@ def summary_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]
 
 def _rank(record: Record) -> tuple[bool, str]:
     """The baseline first, then by name."""
-    return record["formulation"] != RELOCATING_NOTHING, strategy(record)
+    return record["formulation"] != RELOCATING_NOTHING, variant(record)
 
 
 def median_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
@@ -155,19 +155,19 @@ def study_notes(records: Sequence[Record]) -> list[str]:
 
 
 def charts(results: Sequence[Result]) -> list[Chart]:
-    """All profiles that the results allow; none with fewer than two strategies.
+    """All profiles that the results allow; none with fewer than two formulations.
 
-    The strategy that relocates nothing is not ranked: it is the baseline of all gains.
+    The variant that relocates nothing is not ranked: it is the baseline of all gains.
     """
     rows = [r for r in results if r.record["status"] != "refused"]
     rows = [r for r in rows if r.record["formulation"] != RELOCATING_NOTHING]
-    names = strategies_of([r.record for r in rows])
+    names = variants_of([r.record for r in rows])
     instances = list(dict.fromkeys(instance(r.record) for r in rows))
     if len(names) < 2 or not instances:
         return []
     found: dict[tuple[str, Instance], list[Result]] = {}
     for one in rows:
-        found.setdefault((strategy(one.record), instance(one.record)), []).append(one)
+        found.setdefault((variant(one.record), instance(one.record)), []).append(one)
 
     def costs(cost: Callable[[Result], float]) -> dict[str, list[float]]:
         return {

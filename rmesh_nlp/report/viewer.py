@@ -11,7 +11,7 @@ import numpy as np
 from rmesh_nlp.io.results import Record, Result
 from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING
-from rmesh_nlp.report.study_summary import strategy
+from rmesh_nlp.report.study_summary import variant
 
 MESHES = 60
 """Most solves whose meshes are on a page."""
@@ -51,7 +51,7 @@ def _mesh(record: Record, fields: Fields) -> dict[str, Any]:
     if np.any(fields.friction_bound > 0):
         values["tangential stress"] = fields.tangential_stress
     values["motion"] = np.hypot(*(fields.nodes - fields.initial))
-    parts = [str(record["example"]), f"n = {record['n']}" if record["n"] else "", strategy(record)]
+    parts = [str(record["example"]), f"n = {record['n']}" if record["n"] else "", variant(record)]
     parts += [f"seed {record['seed']}" if record["seed"] is not None else ""]
     parts += [f"repetition {record['repeat'] + 1}" if record.get("repeat") else ""]
 

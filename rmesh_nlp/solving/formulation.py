@@ -193,15 +193,13 @@ def composed(name: str, options: Mapping[str, Any]) -> Formulation | Chooser:
     if not (isinstance(kind, type) and issubclass(kind, (Formulation, Chooser))):
         raise BadInputError(f"formulation {name!r} is {kind!r}, not a class of formulations")
     known = {field.name for field in fields(kind)}
-    asked = {
-        key: value for key, value in options.items() if key != "settings" and value not in (None, 0, False)
+    named = {key: value for key, value in options.items() if key in known and value is not None}
+    own = {**(options.get("settings") or {}), **named}
+    around = {
+        key: value
+        for key, value in options.items()
+        if key not in {*known, "settings"} and value not in (None, 0, False)
     }
-    own = {**(options.get("settings") or {}), **{key: value for key, value in asked.items() if key in known}}
-    around = {key: value for key, value in asked.items() if key not in known}
-    for key in around:
-        if key not in wrappers():
-            said = f"the formulation {name!r} takes no {key}, got {key}={around[key]!r}"
-            raise BadInputError(f"{said}; it takes {', '.join(sorted(known)) or 'none'}")
     made: Formulation | Chooser = kind().having(own)
     for key in sorted(
         around, key=lambda key: INSIDE_OUT.index(key) if key in INSIDE_OUT else len(INSIDE_OUT)

@@ -10,7 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from skfem import MeshTri
@@ -27,9 +27,6 @@ from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer, Work
 from rmesh_nlp.solving.step import Step
 
-if TYPE_CHECKING:
-    from rmesh_nlp.solving.formulation import Formulation
-
 NAN = float("nan")
 
 KEPT = 10
@@ -39,6 +36,13 @@ OnStep = Callable[[Step], object]
 """Called after each iteration, for progress."""
 
 T = TypeVar("T")
+
+
+class Runs(Protocol):
+    """What a monitor runs: a :class:`rmesh_nlp.solving.formulation.Formulation`."""
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        """Minimise from moves ``q``."""
 
 
 class Monitor:
@@ -148,7 +152,7 @@ class Monitor:
 
     def note(self, step: Step, q: Array | None = None, *, shown: bool = True) -> bool:
         """Add a step at moves ``q`` to the history, ``shown`` to ``on_step``; whether the solve is over."""
-        if self.steps and step.iteration == self.steps[-1].iteration and step.t == self.steps[-1].t:
+        if self.steps and _is_same(self.steps[-1], step):
             return self.is_over()  # the start of a program is where the last one ended
         self.steps.append(step)
         self.last_moves = None if q is None else np.array(q)
@@ -156,7 +160,7 @@ class Monitor:
             self.on_step(replace(step, q=np.array(q)) if q is not None and shown else step)
         return self.is_over()
 
-    def run(self, formulation: Formulation, outer: Outer, q: Array) -> Outcome:
+    def run(self, formulation: Runs, outer: Outer, q: Array) -> Outcome:
         """Where a formulation ends, also if Ctrl-C or a limit ends it: with the best valid moves so far."""
         self._track = None
         if self.stopped is not None:
@@ -184,6 +188,12 @@ class Monitor:
         if pressed():
             self.stopped = Status.INTERRUPTED
         return result
+
+
+def _is_same(last: Step, step: Step) -> bool:
+    """Whether a step is the last one again, and not the start on another mesh or with another weight."""
+    numbers = (last.iteration, last.t) == (step.iteration, step.t)
+    return numbers and math.isclose(last.objective, step.objective, rel_tol=1e-9)
 
 
 class Track:

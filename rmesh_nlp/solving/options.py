@@ -9,7 +9,7 @@ from typing import Any
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.driver import solve
-from rmesh_nlp.solving.formulation import Formulation, composed, find, wrappers
+from rmesh_nlp.solving.formulation import Chooser, Formulation, composed, find, wrappers
 from rmesh_nlp.solving.limits import Limits
 from rmesh_nlp.solving.monitor import OnStep
 from rmesh_nlp.solving.solution import Solution
@@ -23,7 +23,7 @@ LIMITS = {"time_limit_s": "seconds", "max_iterations": "iterations"}
 
 def solve_by_options(
     problem: ContactProblem,
-    formulation: str,
+    formulation: str | Formulation | Chooser,
     options: Mapping[str, Any],
     *,
     on_step: OnStep | None = None,
@@ -31,6 +31,8 @@ def solve_by_options(
     safely: bool = True,
 ) -> Solution:
     """Solve with options by name: ``ASKED``, ``LIMITS``, fields of the formulation, and of what takes one.
+
+    A formulation that is given as an object has its settings already, and takes the first two only.
 
     Raises
     ------
@@ -42,11 +44,17 @@ def solve_by_options(
         raise BadInputError("starts cannot be combined with levels or a seed")
     limits = Limits(**{name: rest.pop(key) for key, name in LIMITS.items() if key in rest})
     asked = {key: rest.pop(key) for key in ASKED if key in rest}
-    made = composed(formulation, rest)
+    known = _known(formulation)
+    for key, value in rest.items():
+        if key not in known and value not in (0, False):
+            name = formulation if isinstance(formulation, str) else formulation.name
+            said = f"the formulation {name!r} takes no {key}, got {key}={value!r}"
+            raise BadInputError(f"{said}; it takes {', '.join(sorted(known))}")
+    made = composed(formulation, rest) if isinstance(formulation, str) else formulation
     return solve(problem, made, limits=limits, on_step=on_step, certify=certify, safely=safely, **asked)
 
 
-def accepted(formulation: str, names: Collection[str]) -> set[str]:
+def accepted(formulation: str | Formulation | Chooser, names: Collection[str]) -> set[str]:
     """Those of the options that a formulation takes and heeds.
 
     Raises
@@ -54,8 +62,15 @@ def accepted(formulation: str, names: Collection[str]) -> set[str]:
     BadInputError
         If there is no such formulation.
     """
-    kind = find(formulation)
-    known = {field.name for field in fields(kind)} | {"settings", "objective", "on_step"}
+    return set(names) & _known(formulation)
+
+
+def _known(formulation: str | Formulation | Chooser) -> set[str]:
+    kind, known = type(formulation), {"objective", "on_step"}
+    if isinstance(formulation, str):
+        kind = find(formulation)
+        known |= {"settings", *(field.name for field in fields(kind))}
     if not (issubclass(kind, Formulation) and not kind.relocates):
-        known |= {*ASKED, *LIMITS, *wrappers()}
-    return set(names) & known
+        known |= {*ASKED, *LIMITS}
+        known |= {*wrappers()} if isinstance(formulation, str) else set()
+    return known

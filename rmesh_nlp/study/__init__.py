@@ -1,4 +1,4 @@
-"""Studies: a matrix of problems and strategies, on all cores or a cluster, resumed at any moment.
+"""Studies: a matrix of problems and formulations, on all cores or a cluster, resumed at any moment.
 
 A study file (:mod:`~rmesh_nlp.study.schema`) becomes a plan of solves with content keys
 (:mod:`~rmesh_nlp.study.plan`), which workers perform (:mod:`~rmesh_nlp.study.engine`), each solve in a

@@ -50,7 +50,7 @@ def _planned(case: Case, settings: Mapping[str, Any]) -> PlannedSolve:
         name=case.problem.name,
         family=case.problem.name,
         size=case.problem.size,
-        strategy=case.formulation,
+        variant=case.formulation,
         formulation=case.formulation,
         options=dict(case.options),
         time_s=case.options.get("time_limit_s", UNLIMITED_S),

@@ -20,7 +20,7 @@ from rmesh_nlp.study.runner import READY, failure
 
 GRACE_S = 2.0
 GRACE = 1.25
-"""A solve is killed after its time limit times ``GRACE`` plus ``GRACE_S``: strategies that keep the limit
+"""A solve is killed after its time limit times ``GRACE`` plus ``GRACE_S``: formulations that keep the limit
 themselves then still return their best point."""
 
 START_S = 300.0

@@ -21,12 +21,10 @@ def seconds_of_plan(solves: Sequence[PlannedSolve], rows: Sequence[Record]) -> f
     known: dict[tuple[str, str], list[float]] = {}
     for row in rows:
         if row.get("task_time_s") is not None:
-            known.setdefault((str(row.get("strategy")), str(row.get("family"))), []).append(
-                row["task_time_s"]
-            )
+            known.setdefault((str(row.get("variant")), str(row.get("family"))), []).append(row["task_time_s"])
     total = 0.0
     for solve in solves:
-        times = known.get((solve.strategy, solve.family))
+        times = known.get((solve.variant, solve.family))
         seconds = median(times) if times else _rule(solve)
         total += min(seconds, solve.time_s)
     return total

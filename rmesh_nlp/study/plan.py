@@ -33,12 +33,12 @@ class PlannedSolve:
         ``kind`` (example, file, random) and what states it.
     name, family, size : str
         Of the problem; a family is what summaries join.
-    strategy : str
+    variant : str
         Its name in the study.
     formulation : str
-        Name of an installed strategy.
+        Name of an installed formulation.
     options : dict
-        Keywords of its ``solve``.
+        Of :func:`rmesh_nlp.solving.options.solve_by_options`.
     repeat : int
         Number of the repetition, from 0.
     time_s, memory_mb : float
@@ -53,7 +53,7 @@ class PlannedSolve:
     name: str
     family: str
     size: str
-    strategy: str
+    variant: str
     formulation: str
     options: dict[str, Any] = field(default_factory=dict)
     repeat: int = 0
@@ -64,26 +64,27 @@ class PlannedSolve:
 
     @property
     def key(self) -> str:
-        """A file name with a digest of problem, strategy, options, limits, repetition and version."""
+        """A file name with a digest of problem, variant, options, limits, repetition and version."""
         content = {**asdict(self), "version": __version__}
         for entry in ("name", "family", "size", "fields"):
             del content[entry]
+        content["strategy"] = content.pop("variant")  # its name when the first keys were made
         content["problem"] = {k: v for k, v in self.problem.items() if k != "path"}
         text = json.dumps(content, sort_keys=True)
         digest = hashlib.sha256(text.encode()).hexdigest()[:16]
-        parts = [self.name, self.size, self.strategy]
+        parts = [self.name, self.size, self.variant]
         return safe_name("-".join(part for part in parts if part)[:100] + "-" + digest)
 
 
 def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
-    """All solves of a study, in the order: problem, strategy, objective, seed, repetition.
+    """All solves of a study, in the order: problem, variant, objective, seed, repetition.
 
-    A strategy that takes no seed or no objective is solved once, not once for each.
+    A formulation that takes no seed or no objective is solved once, not once for each.
 
     Raises
     ------
     BadInputError
-        If a name is unknown, a problem file is broken, or a strategy does not take an option.
+        If a name is unknown, a problem file is broken, or a formulation does not take an option.
     """
     for text in study.objectives:
         try:
@@ -91,16 +92,16 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
         except ValueError as error:
             raise BadInputError(f"{path}: objectives: {error}") from error
     plan: dict[str, PlannedSolve] = {}
-    rows = list(_strategies(study, path))
+    rows = list(_formulations(study, path))
     for problem, name, family, size in _problems(study, path):
-        for strategy, formulation, options in rows:
+        for variant, formulation, options in rows:
             for repeat in range(study.repeats):
                 solve = PlannedSolve(
                     problem,
                     name,
                     family,
                     size,
-                    strategy,
+                    variant,
                     formulation,
                     options,
                     repeat,
@@ -113,14 +114,14 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     return list(plan.values())
 
 
-def _strategies(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    for strategy, table in study.strategies.items():
-        formulation = table.formulation or strategy
+def _formulations(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    for variant, table in study.formulations.items():
+        formulation = table.formulation or variant
         try:
             find(formulation)
         except BadInputError as error:
-            raise BadInputError(f"{path}: strategies.{strategy}: {error}") from error
-        given = _checked(table.keywords, f"{path}: strategies.{strategy}", formulation)
+            raise BadInputError(f"{path}: formulations.{variant}: {error}") from error
+        given = _checked(table.keywords, f"{path}: formulations.{variant}", formulation)
         limits = {"time_limit_s": study.limits.time}
         if study.limits.iterations is not None:
             limits["max_iterations"] = study.limits.iterations
@@ -138,7 +139,7 @@ def _strategies(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[
                 mark = json.dumps(options, sort_keys=True)
                 if mark not in seen:
                     seen.add(mark)
-                    yield strategy, formulation, options
+                    yield variant, formulation, options
 
 
 def _checked(keywords: Mapping[str, Any], where: str, formulation: str) -> dict[str, Any]:

@@ -26,7 +26,7 @@ def build(solve: PlannedSolve) -> ContactProblem:
     objective = solve.options.get("objective", "energy")
     if parse_objective(objective).needs_exact and solve.problem["kind"] == "example":
         return with_reference(problem)
-    return problem  # where nothing is known of the solution the strategy refuses such an objective
+    return problem  # where nothing is known of the solution the formulation refuses such an objective
 
 
 def _problem(stated: dict[str, Any]) -> ContactProblem:

@@ -60,7 +60,7 @@ class StudyProgress:
     def finish(self, row: Record) -> None:
         """A row was written."""
         self._done += 1
-        name = f"{row.get('example')} {row.get('strategy')}"
+        name = f"{row.get('example')} {row.get('variant')}"
         self._bar.update(self._task, advance=1, description=name)
         if not row.get("found") and not row.get("success") and row.get("status") != "refused":
             self._console.print(f"{name}: {row.get('status')}: {row.get('message')}", markup=False)

@@ -98,7 +98,7 @@ def _statement(example: str, what: str, printed: float, ours: str, met: bool, ev
 
 
 def _descents(example: str, factor: float, starts: int, say: Say, *, nested: bool) -> dict[str, float]:
-    """Energies by where they come from: strategies from the given mesh, then ``joint`` from seeds."""
+    """Energies by where they come from: formulations from the given mesh, then ``joint`` from seeds."""
     dx, dy = PAPER[example].delta
     problem = EXAMPLES[example](delta=(factor * dx, factor * dy))
     energies = {"joint": _energy(solve(problem, "joint"))}

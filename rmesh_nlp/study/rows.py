@@ -99,7 +99,7 @@ def set_failures_aside(folder: Path, keys: Collection[str]) -> int:
     """Move the rows of failures among these solves to ``rows/failed.jsonl``; returns how many.
 
     Resuming then does these solves again. No worker may be at work, see :func:`wait_for_workers`. What a
-    strategy refused is no failure.
+    formulation refused is no failure.
     """
     count = 0
     for path in row_files(folder):

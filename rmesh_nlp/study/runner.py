@@ -49,7 +49,7 @@ def identity(solve: PlannedSolve) -> Record:
         "key": solve.key,
         "example": solve.name,
         "family": solve.family,
-        "strategy": solve.strategy,
+        "variant": solve.variant,
         "formulation": solve.formulation,
         "repeat": solve.repeat,
     }

@@ -49,12 +49,12 @@ def _seeds(value: Any) -> tuple[int | None, ...]:
     return tuple(dict.fromkeys(seeds))
 
 
-def _strategies(value: Any) -> Any:
+def _formulations(value: Any) -> Any:
     """A list of names, or a table of tables."""
     if isinstance(value, list) and value and all(isinstance(name, str) for name in value):
         return {name: {} for name in value}
     if not isinstance(value, dict) or not value:
-        raise ValueError("expected names such as ['fixed', 'joint'], or tables [strategies.<name>]")
+        raise ValueError("expected names such as ['fixed', 'joint'], or tables [formulations.<name>]")
     return value
 
 
@@ -75,8 +75,8 @@ class RandomTable(Table):
     kinds: tuple[Literal["scalar", "membrane", "elastic", "rough"], ...] = KINDS  # type: ignore[assignment]
 
 
-class StrategyTable(BaseModel):
-    """``[strategies.<name>]``: a formulation, by default that of the name, and its keywords."""
+class FormulationTable(BaseModel):
+    """``[formulations.<name>]``: a formulation, by default that of the name, and its settings."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -84,7 +84,7 @@ class StrategyTable(BaseModel):
 
     @property
     def keywords(self) -> dict[str, Any]:
-        """Keywords of the formulation's ``solve``."""
+        """Options by name, as on the command line."""
         return dict(self.model_extra or {})
 
 
@@ -106,7 +106,7 @@ class StudyTable(Table):
     random: RandomTable | None = None
     sizes: Annotated[Any, BeforeValidator(_sizes)] = None
     quadrature: Quadrature = "midpoint"
-    strategies: Annotated[dict[str, StrategyTable], BeforeValidator(_strategies)]
+    formulations: Annotated[dict[str, FormulationTable], BeforeValidator(_formulations)]
     objectives: Texts = ("energy",)
     seeds: Annotated[Any, BeforeValidator(_seeds)] = (None,)
     repeats: Count = 1

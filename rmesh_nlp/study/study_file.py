@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,9 @@ from pydantic import BaseModel, ValidationError
 from rmesh_nlp.io.problem_file import read_toml
 from rmesh_nlp.io.problem_messages import ProblemFileError, as_text, nearest, one_line
 from rmesh_nlp.study.schema import LimitsTable, RandomTable, StudyTable
+
+OLD = "strategies"
+"""What ``formulations`` was called up to 0.1."""
 
 _TABLES: dict[str, type[BaseModel]] = {"": StudyTable, "random": RandomTable, "limits": LimitsTable}
 
@@ -21,9 +25,17 @@ def read_study(path: str | Path) -> StudyTable:
     ------
     ProblemFileError
         With one line per error.
+
+    Warns
+    -----
+    DeprecationWarning
+        If formulations are called strategies.
     """
     path = Path(path)
     data = read_toml(path)
+    if OLD in data and "formulations" not in data:
+        data["formulations"] = data.pop(OLD)
+        warnings.warn(f"{path}: {OLD} is now called formulations", DeprecationWarning, stacklevel=2)
     try:
         return StudyTable.model_validate(data)
     except ValidationError as error:
@@ -32,7 +44,7 @@ def read_study(path: str | Path) -> StudyTable:
 
 def is_study(path: str | Path) -> bool:
     """Whether a TOML file states a study rather than a problem."""
-    return "strategies" in read_toml(Path(path))
+    return bool({"formulations", OLD} & read_toml(Path(path)).keys())
 
 
 def _line(path: Path, item: Any) -> str:

@@ -1,6 +1,6 @@
 """The commented template that ``rmesh new --study`` writes: a valid study that takes some seconds."""
 
-TEMPLATE = """# A study for rmesh: every problem by every strategy, one row each.
+TEMPLATE = """# A study for rmesh: every problem by every formulation, one row each.
 # Check it:  rmesh check {file}       Plan it:  rmesh study {file} --out {name} --dry-run
 # Run it:    rmesh study {file} --out {name} --jobs 2
 # Run the last command again at any moment: it goes on where it was.
@@ -18,10 +18,10 @@ quadrature = 8                   # of the examples: a degree, or "midpoint", the
 #                                  relocation can exploit on coarse meshes: such a row is no success
 
 # --- what is varied -------------------------------------------------------------------------
-strategies = ["fixed", "auto"]   # or nested, joint, mpcc, which do as they are told: over a curved
+formulations = ["fixed", "auto"] # or nested, joint, mpcc, which do as they are told: over a curved
 #                                  foundation auto lets gaps hold along edges, they hold them at nodes only
 # or with settings, each under a name of its own:
-#   [strategies.newton]
+#   [formulations.newton]
 #   formulation = "nested"
 #   outer = "newton"
 # objectives = ["energy"]        # outer objectives

@@ -22,7 +22,7 @@ from rmesh_nlp.study.rows import Keys, RowsFile
 ALONE = 0.9
 """A solve that got less of its time from the processor shared it with something."""
 
-SHORT = ("key", "example", "strategy", "status", "success", "wall_time_s", "message")
+SHORT = ("key", "example", "variant", "status", "success", "wall_time_s", "message")
 """What a client is told of a row."""
 
 

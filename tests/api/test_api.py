@@ -9,6 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import rmesh_nlp as rm
+from formulations.fixed import Fixed
+from formulations.joint import Joint
+from formulations.multistart import MultiStart
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem import NO_CONTACT
@@ -20,21 +23,43 @@ def comparison() -> rm.Comparison:
     return rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), ["fixed", "joint"])
 
 
-def test_a_strategy_is_found_by_its_name(comparison: rm.Comparison) -> None:
+def test_a_formulation_is_found_by_its_name(comparison: rm.Comparison) -> None:
     solution = rm.solve(rm.EXAMPLES["6.2"](n=(4, 2)), "joint")
     assert isinstance(solution, rm.Solution)
     assert solution.formulation == "joint"
     assert solution.energy == pytest.approx(comparison["joint"].energy, rel=1e-9)
-    assert {"fixed", "joint", "mpcc", "nested"} <= set(rm.strategies())
+    assert {"fixed", "joint", "mpcc", "nested"} <= set(rm.formulations())
 
 
 @pytest.mark.parametrize(
-    ("strategy", "option"), [("fixed", "levels"), ("fixed", "starts"), ("joint", "sede")]
+    ("formulation", "option", "taken"),
+    [
+        ("fixed", "levels", "objective"),
+        ("fixed", "starts", "objective"),
+        ("joint", "sede", "seed.*tolerance"),
+    ],
 )
-def test_an_option_that_a_strategy_does_not_take_is_named(strategy: str, option: str) -> None:
-    said = f"the formulation '{strategy}' takes no {option}, got {option}=2; it takes .*tolerance"
+def test_an_option_that_a_formulation_does_not_take_is_named(
+    formulation: str, option: str, taken: str
+) -> None:
+    said = f"the formulation '{formulation}' takes no {option}, got {option}=2; it takes .*{taken}"
     with pytest.raises(BadInputError, match=said):
-        rm.solve(rm.EXAMPLES["6.1"](n=3), strategy, **{option: 2})
+        rm.solve(rm.EXAMPLES["6.1"](n=3), formulation, **{option: 2})
+
+
+def test_settings_of_an_object_are_its_own() -> None:
+    problem = rm.EXAMPLES["6.2"](n=(4, 2))
+    assert rm.solve(problem, Joint(first_barrier=1e-2)).settings == {"first_barrier": 1e-2}
+    with pytest.raises(TypeError, match=r"settings are fields of the formulation: Joint\(tol=...\)"):
+        rm.solve(problem, Joint(), tol=1e-8)
+
+
+def test_limits_of_old_work_and_warn() -> None:
+    with pytest.warns(DeprecationWarning, match="max_iterations is now a part of limits"):
+        old = rm.solve(rm.EXAMPLES["6.2"](n=(4, 2)), "joint", max_iterations=2)
+    new = rm.solve(rm.EXAMPLES["6.2"](n=(4, 2)), "joint", limits=rm.Limits(iterations=2))
+    assert old.status is new.status
+    assert old.extra["limits"] == new.extra["limits"] == {"iterations": 2}
 
 
 def test_a_comparison_holds_solutions_records_and_tables(comparison: rm.Comparison) -> None:
@@ -46,6 +71,20 @@ def test_a_comparison_holds_solutions_records_and_tables(comparison: rm.Comparis
     assert "| joint" in comparison.markdown()
 
 
+def test_objects_of_one_class_are_told_apart_by_their_settings() -> None:
+    kinds = ["fixed", "auto", Joint(), Joint(first_barrier=1e-2), MultiStart(Joint(), starts=1), Fixed(9)]
+    found = rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), kinds, max_iterations=3)
+    names = ["fixed", "auto", "joint", "joint(first_barrier=0.01)", "multistart(joint, starts=1)"]
+    names += ["fixed(max_iterations=9)"]
+    assert list(found.summary().index) == list(found.solutions) == names
+    assert found[names[3]].settings == {"first_barrier": 1e-2}
+    assert all(name in found.markdown() for name in names)
+    with pytest.raises(BadInputError, match="named twice"):
+        rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), ["joint", Joint()])
+    with pytest.raises(BadInputError, match="tol: not an option"):
+        rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), [Joint()], tol=1e-3)
+
+
 @pytest.mark.slow
 def test_options_go_to_those_that_take_them() -> None:
     problem = rm.EXAMPLES["6.1"](n=3)
@@ -55,11 +94,11 @@ def test_options_go_to_those_that_take_them() -> None:
         rm.compare(problem, ["fixed", "joint"], sede=4)
 
 
-def test_a_strategy_that_refuses_leaves_its_record() -> None:
+def test_a_formulation_that_refuses_leaves_its_record() -> None:
     found = rm.compare(rm.EXAMPLES["6.1"](n=3), ["joint"], objective="quality")
     assert found.records[0]["status"] == "refused"
     assert not found.solutions
-    with pytest.raises(ValueError, match="no strategy succeeded"):
+    with pytest.raises(ValueError, match="no formulation succeeded"):
         found.best  # noqa: B018
 
 

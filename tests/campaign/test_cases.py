@@ -37,8 +37,9 @@ def test_of_a_file_uniform_refinements_without_motion_are_cases_too(file: str) -
 
 
 def test_keys_are_file_names() -> None:
-    (case,) = make_cases(["6.1"], ["nested"], n=4, options={"seed": 3, "objective": "energy"})
-    assert case.key == "6.1-4-nested-energy-seed3"
+    options = {"seed": 3, "objective": "error-l2 + 0.01*quality"}
+    (case,) = make_cases(["6.1"], ["nested"], n=4, options=options)
+    assert case.key == "6.1-4-nested-error-l2_+_0.01_quality-seed3"
     assert replace(case, options={}).key == "6.1-4-nested"
     assert case.identity["key"] == case.key
 
@@ -61,7 +62,7 @@ def test_size_and_delta_reach_the_example() -> None:
         ({"objective": ["energy", "nonsense"]}, "nonsense"),
         ({"relaxation": "nonsense"}, "nonsense"),
         ({"outer": "nonsense"}, "nonsense"),
-        ({"relaxation": "scholtes"}, "not an option of fixed"),
+        ({"relaxation": "scholtes"}, "--relaxation scholtes: not an option of fixed"),
     ],
 )
 def test_options_are_checked(options: dict[str, Any], said: str) -> None:

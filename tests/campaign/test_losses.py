@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rmesh_nlp.campaign.cases import Case, make_cases
-from rmesh_nlp.campaign.run import run
+from rmesh_nlp.campaign.run import run, solve
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.lock import FolderLock
 from rmesh_nlp.io.results import DamagedRecordsWarning, Results, read_results, to_json
 from rmesh_nlp.meshes.files import read_file
@@ -23,7 +26,7 @@ def cases() -> list[Case]:
 
 
 def started(cases: list[Case], folder: Path) -> list[str]:
-    """Strategies that are solved when the run is resumed."""
+    """Formulations that are solved when the run is resumed."""
     names: list[str] = []
     list(run(cases, Results(folder), resume=True, on_start=lambda case: names.append(case.formulation)))
     return names
@@ -36,12 +39,15 @@ def test_a_second_run_in_the_same_folder_is_refused_and_loses_nothing(
     next(first)
     with pytest.raises(BadInputError, match="written by another"):
         next(run(cases, Results(tmp_path)))
+    next(run(cases, Results(tmp_path), resume=True, locked=True))  # the caller has the lock
     assert len([*first]) == 1
     assert len(read_results(tmp_path)) == 2
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spoil", ["missing", "empty", "half", "other mesh", "history"])
+@pytest.mark.parametrize(
+    "spoil", ["missing", "empty", "half", "other mesh", "history", "no history", "nodes", "nan"]
+)
 def test_a_success_without_its_files_is_solved_again(cases: list[Case], tmp_path: Path, spoil: str) -> None:
     list(run(cases, Results(tmp_path)))
     good, _ = read_results(tmp_path)
@@ -54,6 +60,17 @@ def test_a_success_without_its_files_is_solved_again(cases: list[Case], tmp_path
         shutil.copy(read_results(tmp_path / "other")[0].vtu, good.vtu)
     elif spoil == "history":
         good.history.write_text("garbage")
+    elif spoil == "no history":
+        good.history.unlink()
+    elif spoil == "nodes":
+        results = Results(tmp_path)
+        results.replace_all(
+            [row | {"nodes": row["nodes"] + 1} if row == good.record else row for row in results.read()]
+        )
+    elif spoil == "nan":
+        solution = solve(cases[0]).solution
+        assert solution is not None
+        write_solution(replace(solution, displacement=np.nan * solution.displacement), good.vtu, "vtu")
     else:
         good.vtu.write_bytes(vtu[: len(vtu) // 2 if spoil == "half" else 0])
     assert started(cases, tmp_path) == ["fixed"]

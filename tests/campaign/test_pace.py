@@ -31,11 +31,11 @@ def test_nothing_is_guessed_of_a_residual_that_does_not_fall() -> None:
     assert Pace().text() == ""
 
 
-def test_the_guess_of_a_strategy_goes_first_and_the_time_limit_bounds_it() -> None:
+def test_the_guess_of_a_formulation_goes_first_and_the_time_limit_bounds_it() -> None:
     pace = Pace(limit=100.0)
     for k in range(10):
         pace(Step(k, -1.0, 0.0, 0.0, 0.5**k, 0, 10.0 * k, seconds_left=40.0 - 3 * k))
-    # 60 iterations of this residual would follow, the strategy knows of fewer, the limit leaves less
+    # 60 iterations of this residual would follow, the formulation knows of fewer, the limit leaves less
     assert pace.seconds_left == pytest.approx(10.0)
     assert pace.text().endswith("perhaps 10 s left")
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from support.planted import plant, raising
 
 from rmesh_nlp.campaign import run as campaign
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.campaign.cases import Case, make_cases
+from rmesh_nlp.campaign.repeats import TIMES, joined
 from rmesh_nlp.campaign.run import Ended, Outcome, run, solve
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import RECORDS, Results, read_results
@@ -74,56 +75,20 @@ def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(
     assert all(row["success"] and row["status"] == "converged" for row in rows)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["vtu", "history", "nodes", "nan"])
-def test_a_row_whose_files_are_missing_or_of_another_mesh_is_solved_again(
-    cases: list[Case], ran: Path, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    results = Results(ran)
-    record = next(row for row in results.read() if row["key"] == cases[0].key)
-    places = results.result(record)
-    assert results.is_intact(record)
-    if kind == "vtu":
-        places.vtu.unlink()
-    elif kind == "history":
-        places.history.unlink()
-    elif kind == "nodes":
-        changed(ran, cases[0].key, nodes=7)
-    else:
-        text = places.vtu.read_text()
-        assert text.count("displacement") == 1
-        fields = campaign.write_solution
-        outcome = solve(cases[0])
-        assert outcome.solution is not None
-        u = outcome.solution.displacement.copy()
-        u[0, 0] = np.nan
-        fields(replace(outcome.solution, displacement=u), places.vtu, "vtu")
-    assert resumed(cases, ran) == [cases[0].key]
-    assert resumed(cases, ran) == []
-
-
 def test_rows_of_versions_that_counted_no_nodes_are_reused(cases: list[Case], ran: Path) -> None:
     results = Results(ran)
     results.replace_all([{k: v for k, v in row.items() if k != "nodes"} for row in results.read()])
     assert resumed(cases, ran) == []
 
 
-def test_a_certificate_is_kept_and_one_that_lacks_is_a_reason_to_solve_again(
-    cases: list[Case], ran: Path
-) -> None:
-    certified = [replace(cases[0], certify=True)]
-    results = Results(ran)
-    assert campaign._finished(certified, results.read(), results) == {}
-    changed(ran, cases[0].key, certificate_remark="")
-    assert resumed(certified, ran) == []
-    assert resumed(cases[:1], ran) == []
-
-
-@pytest.mark.slow
 def test_more_repeats_or_a_certificate_are_a_reason_to_solve_again(cases: list[Case], tmp_path: Path) -> None:
     list(run(cases[:1], Results(tmp_path)))
     assert resumed([replace(cases[0], repeats=2)], tmp_path) == [cases[0].key]
-    assert Results(tmp_path).read()[0]["repeats"] == 2
+    (row,) = Results(tmp_path).read()
+    assert row["repeats"] == 2
+    for name in TIMES:
+        low, high = row[name.replace("_time_s", "_time_range_s")]
+        assert low <= row[name] <= high
     assert resumed([replace(cases[0], repeats=2)], tmp_path) == []
     assert resumed(cases[:1], tmp_path) == []  # fewer would do
     assert resumed([replace(cases[0], certify=True)], tmp_path) == [cases[0].key]
@@ -137,7 +102,9 @@ def test_rows_of_another_problem_under_the_same_key_are_refused(
     list(run(cases[:1], Results(tmp_path)))
     other = {"example": "6.3", "n": "9x9", "quadrature": 7, "delta": [0.1, 0.1], "formulation": "nested"}
     changed(tmp_path, cases[0].key, **{name: other[name]})
-    with pytest.raises(BadInputError, match=rf"cannot resume .* with {name} "):
+    with pytest.raises(
+        BadInputError, match=rf"cannot resume .* with {name} .*{re.escape(str(other[name]))}, not "
+    ):
         resumed(cases[:1], tmp_path)
     changed(tmp_path, cases[0].key, success=False)  # a failure is not resumed, whatever it was
     assert resumed(cases[:1], tmp_path) == [cases[0].key]
@@ -173,13 +140,6 @@ def test_an_interrupted_solve_leaves_its_row_and_is_the_last(
     assert len(Results(tmp_path).read()) == 1
     monkeypatch.undo()
     assert resumed(cases, tmp_path) == [case.key for case in cases]
-
-
-def test_the_lock_is_taken_unless_the_caller_has_it(cases: list[Case], tmp_path: Path) -> None:
-    with Results(tmp_path).locked():
-        with pytest.raises(BadInputError, match="written by another"):
-            list(run(cases[:1], Results(tmp_path)))
-        assert len(list(run(cases[:1], Results(tmp_path), locked=True))) == 1
 
 
 def test_another_solver_gets_what_is_not_done(cases: list[Case], tmp_path: Path) -> None:
@@ -256,10 +216,7 @@ class TestSolve:
 def test_an_exception_is_a_row(
     cases: list[Case], error: Exception, status: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(problem: Any, *, seed: int | None = None, objective: str = "energy") -> None:
-        raise error
-
-    monkeypatch.setattr(strategies, "load", lambda name: broken)
+    plant(monkeypatch, fixed=raising(error))
     case = replace(cases[0], options={"seed": 3, "objective": "error-l2"}, repeats=2)
     outcome = solve(case)
     row = outcome.record
@@ -286,7 +243,7 @@ def test_theorem_41_is_not_asked_of_a_broken_mesh(cases: list[Case], monkeypatch
     good = solve(cases[0]).solution
     assert good is not None
     broken = replace(good, audit=replace(good.audit, min_area_ratio=0.0), status=Status.INVALID_MESH)
-    monkeypatch.setattr(strategies, "load", lambda name: lambda problem: broken)
+    monkeypatch.setattr(campaign, "solve_by_options", lambda *_, **__: broken)
     monkeypatch.setattr(campaign, "error_terms", lambda _: pytest.fail("it was asked"))
     assert solve(cases[0]).record["status"] == "invalid_mesh"
 
@@ -296,3 +253,14 @@ def test_records_are_claimed_before_they_are_written(cases: list[Case], tmp_path
     names = Results(tmp_path).manifest.names()
     stem = f"solutions/{cases[0].key}"
     assert {RECORDS, f"{stem}.vtu", f"{stem}.csv"} <= set(names)
+
+
+def test_times_are_medians_with_their_range() -> None:
+    one = {"energy": -1.0, "build_time_s": 3.0, "solve_time_s": 1.0, "wall_time_s": 4.0}
+    others = [{**one, "build_time_s": 1.0, "energy": -9.0}, {**one, "build_time_s": 2.0}]
+    row = joined([one, *others])
+    assert (row["build_time_s"], row["build_time_range_s"]) == (2.0, [1.0, 3.0])
+    assert row["energy"] == -1.0
+    assert row["repeats"] == 3
+    assert row["first_cost_s"] == 4.0
+    assert joined([one]) is one

@@ -1,4 +1,4 @@
-"""Several objectives, seeds and strategies with options of their own in one comparison."""
+"""Several objectives, seeds and formulations with options of their own in one comparison."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rmesh_nlp.campaign.cases import make_cases, strategy_options
+from rmesh_nlp.campaign.cases import formulation_options, make_cases
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.cli.commands import does_not_apply
 from rmesh_nlp.errors import BadInputError
@@ -38,7 +38,7 @@ def test_errors_of_a_problem_of_ones_own_need_a_solution_that_is_known(tmp_path:
         make_cases([str(path)], ["nested"], options={"objective": ["energy", "error-l2"]})
 
 
-def test_a_strategy_may_have_options_of_its_own() -> None:
+def test_a_formulation_may_have_options_of_its_own() -> None:
     cases = make_cases(["6.1"], ["mpcc", "mpcc:start=joint", "nested:outer=ipopt:seed=3"], n=4)
     assert [dict(case.options) for case in cases] == [{}, {"start": "joint"}, {"outer": "ipopt", "seed": 3}]
     assert len({case.key for case in cases}) == 3
@@ -50,7 +50,7 @@ def test_a_strategy_may_have_options_of_its_own() -> None:
 )
 def test_wrong_options_are_named(text: str, said: str) -> None:
     with pytest.raises(BadInputError, match=said):
-        strategy_options(text)
+        formulation_options(text)
 
 
 @pytest.mark.slow
@@ -60,6 +60,9 @@ def test_an_objective_that_joint_refuses_is_a_dash_and_no_failure(tmp_path: Path
     assert run([*arguments, "--objective", "energy", "--objective", "error-l2", "--out", str(tmp_path)]) == 0
     rows = [result.record for result in read_results(tmp_path)]
     assert [does_not_apply(row) for row in rows] == [False, False, True, False]
+    assert (rows[2]["status"], rows[2]["success"], rows[2]["energy"]) == ("refused", False, None)
+    assert "error-l2" in rows[2]["message"]
+    assert rows[2]["message"] in (tmp_path / "table.md").read_text()
     table = (tmp_path / "table.md").read_text()
     assert "| nested, error-l2 |" in table
     assert all(row["I1"] + row["I2"] > 0 for row in rows if row["success"])

@@ -13,9 +13,9 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+from support.planted import plant, raising
 
 from rmesh_nlp import __version__
-from rmesh_nlp.campaign import strategies
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli import work
 from rmesh_nlp.io.results import REQUIRED
@@ -64,7 +64,7 @@ def test_without_a_folder_the_solve_names_its_own() -> None:
 
 
 @pytest.mark.slow
-def test_options_reach_the_strategy() -> None:
+def test_options_reach_the_formulation() -> None:
     arguments = ("--objective", "error-l2", "--relaxation", "lin-fukushima", "--seed", "3")
     run("solve", "6.1", "-f", "mpcc", "--n", "2", "--quadrature", "5", *arguments, "--out", "one")
     record = json.loads(Path("one/record.json").read_text())
@@ -114,26 +114,11 @@ def test_commands_of_results_take_a_single_solve_and_what_a_killed_one_left() ->
         assert not left.parent.exists()
 
 
-@pytest.mark.slow
-def test_a_refused_objective_is_a_row_of_dashes_and_no_failure(capsys: pytest.CaptureFixture[str]) -> None:
-    code = run("compare", "6.1", "--formulations", "joint,fixed", "--n", "3", "--objective", "error-l2")
-    assert code == 0
-    joint, fixed = map(json.loads, Path("results/records.jsonl").read_text().splitlines())
-    assert (joint["status"], joint["success"], joint["energy"]) == ("refused", False, None)
-    assert "error-l2" in joint["message"]
-    assert fixed["success"]
-    assert joint["message"] in capsys.readouterr().out
-
-
 def test_a_solve_that_raises_is_recorded_and_exit_code_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("solve", "6.1", "-f", "fixed", "--n", "3", "--out", "one") == 0
-
-    def explode(problem: object) -> None:
-        raise RuntimeError("singular")
-
-    monkeypatch.setattr(strategies, "load", lambda name: explode)
+    plant(monkeypatch, fixed=raising(RuntimeError("singular")))
     capsys.readouterr()
     assert run("solve", "6.1", "-f", "fixed", "--n", "3", "--out", "one") == 1
     record = json.loads(Path("one/record.json").read_text())
@@ -142,10 +127,9 @@ def test_a_solve_that_raises_is_recorded_and_exit_code_1(
     assert [path.name for path in Path("one").glob("[!.]*")] == ["record.json"]  # no stale solution
 
 
-def test_a_limit_of_iterations_is_exit_code_0_if_the_mesh_is_better(monkeypatch: pytest.MonkeyPatch) -> None:
-    load = strategies.load("joint")
-    monkeypatch.setattr(strategies, "load", lambda name: lambda problem: load(problem, max_iterations=2))
-    assert run("solve", "6.1", "--n", "3", "--quadrature", "6", "--out", "one") == 0
+def test_a_limit_of_iterations_is_exit_code_0_if_the_mesh_is_better() -> None:
+    limited = ("--max-iterations", "2", "--out", "one")
+    assert run("solve", "6.1", "-f", "joint", "--n", "3", "--quadrature", "6", *limited) == 0
     record = json.loads(Path("one/record.json").read_text())
     assert (record["status"], record["success"]) == ("iteration_limit", True)
     assert Path("one/solution.vtu").exists()
@@ -153,8 +137,8 @@ def test_a_limit_of_iterations_is_exit_code_0_if_the_mesh_is_better(monkeypatch:
 
 BAD = {
     "unknown example": (["solve", "6.4"], "6.4"),
-    "unknown strategy": (["solve", "6.1", "-f", "jiont"], "did you mean joint"),
-    "unknown strategy in a list": (["compare", "--formulations", "fixed,nestde"], "nestde"),
+    "unknown formulation": (["solve", "6.1", "-f", "jiont"], "did you mean joint"),
+    "unknown formulation in a list": (["compare", "--formulations", "fixed,nestde"], "nestde"),
     "empty name": (["compare", "--formulations", "fixed,,joint"], "fixed,,joint"),
     "size zero": (["solve", "6.1", "--n", "0"], "'0'"),
     "fractional size": (["solve", "6.1", "--n", "8.5"], "8.5"),

@@ -57,8 +57,8 @@ def test_weights_and_flips_are_given_in_the_file_or_on_the_command_line(square: 
 
 @pytest.mark.slow
 def test_compare_gives_the_weight_to_those_that_take_it(square: Path) -> None:
-    strategies = ["--formulations", "fixed,joint", "--regularisation", "0.1"]
-    cli.run(["compare", "6.1", "--n", "3", *strategies, "--out", "both", "-q", "--no-figures"])
+    chosen = ["--formulations", "fixed,joint", "--regularisation", "0.1"]
+    cli.run(["compare", "6.1", "--n", "3", *chosen, "--out", "both", "-q", "--no-figures"])
     rows = [json.loads(line) for line in Path("both/records.jsonl").read_text().splitlines()]
     assert {row["formulation"]: row.get("regularisation") for row in rows} == {"fixed": None, "joint": 0.1}
 

@@ -5,14 +5,15 @@ import os
 import shutil
 import signal
 from pathlib import Path
+from typing import Any
 
 import meshio
 import pytest
 from matplotlib import image
 
 from rmesh_nlp.cli import app as cli
-from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving import driver, judgement
+from rmesh_nlp.solving.judgement import Judgement
 
 BLOCK = """
 [mesh]
@@ -139,13 +140,12 @@ def test_ctrl_c_during_the_audit_keeps_the_solution(
     block: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored in the background
-    plain = Outer._judged
 
-    def judged(*args: object, **options: object) -> Solution:
+    def judged(*args: Any, **options: Any) -> Judgement:
         os.kill(os.getpid(), signal.SIGINT)
-        return plain(*args, **options)
+        return judgement.judged(*args, **options)
 
-    monkeypatch.setattr(Outer, "_judged", judged)
+    monkeypatch.setattr(driver, "judged", judged)
     try:
         assert cli.run(["solve", str(block), "--out", "one"]) == 130
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

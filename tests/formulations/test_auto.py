@@ -1,7 +1,6 @@
 """What is chosen for a problem, the cascade behind it, and that the record says so."""
 
 import math
-import signal
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -63,7 +62,7 @@ def test_large_moves_of_example_61_and_what_the_record_says_of_them() -> None:
     own, finish = (part["iterations"] for part in (row["cascade"][1], row["finish"]))
     assert finish > 0
     assert row["iterations"] == row["cascade"][0]["iterations"] + own + finish
-    assert [step.q is None for step in seen].count(False) == own + 1 + finish + 1
+    assert [step.q is None for step in seen].count(False) == own + 1 + finish
     assert np.all(signed_areas(solution.mesh.p, problem.triangles) > 0)
 
 
@@ -182,41 +181,6 @@ def test_over_a_curved_foundation_gaps_hold_along_edges_and_gains_are_true() -> 
     finer = ContactModel(over_a_parabola(12))
     assert finer.solve(finer.problem.mesh.p).energy < row["energy_audited"]
     assert row["energy_audited"] < row["energy_initial_audited"]
-
-
-@pytest.mark.slow
-def test_ctrl_c_between_flips_keeps_the_flipped_mesh() -> None:
-    problem = no_boxes(EXAMPLES["6.1"](n=3))
-    rounds: list[Step] = []
-
-    def press(step: Step) -> None:
-        if math.isnan(step.energy_given):  # a step of the rounds of flips
-            rounds.append(step)
-            signal.raise_signal(signal.SIGINT)
-
-    solution = auto.solve(problem, flips=True, on_step=press)
-    assert len(rounds) == 1
-    assert solution.status is Status.INTERRUPTED
-    assert solution.valid
-    assert solution.record()["changed_triangles"] > 0
-    assert solution.energy <= rounds[0].energy + 1e-9 * abs(solution.energy)
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-@pytest.mark.slow
-def test_a_second_ctrl_c_between_flips_keeps_the_mesh_before_them() -> None:
-    problem = no_boxes(EXAMPLES["6.1"](n=3))
-
-    def press(step: Step) -> None:
-        if math.isnan(step.energy_given):
-            signal.raise_signal(signal.SIGINT)
-            signal.raise_signal(signal.SIGINT)
-
-    solution = auto.solve(problem, flips=True, on_step=press)
-    assert solution.status is Status.INTERRUPTED
-    assert solution.valid
-    assert "changed_triangles" not in solution.record()
-    assert solution.record()["gain_audited"] > 0
 
 
 @pytest.mark.slow

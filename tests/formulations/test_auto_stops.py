@@ -26,12 +26,6 @@ from support.formulations import auto
 from support.problems import no_boxes
 
 
-def test_a_time_limit_keeps_the_best_mesh() -> None:
-    row = auto.solve(no_boxes(EXAMPLES["6.1"](n=16)), time_limit_s=1e-3).record()
-    assert row["status"] == "time_limit"
-    assert row["gain_audited"] >= 0
-
-
 def test_nothing_more_is_stated_once_the_time_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
     stated = []
     for module in (of_cascade, of_outer):

@@ -86,7 +86,7 @@ def test_strategies_say_an_objective_alike() -> None:
     """Rows of one objective are compared with one another: its text and its values must be the same."""
     given = replace(EXAMPLES["6.2"]((4, 2)), quadrature=4)
     rows = [one.solve(given, objective="energy+0.1*quality").record() for one in (joint, nested, mpcc)]
-    assert {row["objective"] for row in rows} == {"energy+0.1*quality"}
+    assert {row["objective"] for row in rows} == {"energy + 0.1*quality"}
     start = rows[0]["objective_initial"]
     for row in rows:
         assert row["objective_initial"] == pytest.approx(start, rel=1e-12)

@@ -218,7 +218,7 @@ def test_mending_cuts_the_file_at_its_last_whole_line(tmp_path: Path) -> None:
     assert "records-damaged.txt" in results.manifest.names()
 
 
-def test_rows_without_a_key_are_all_kept_and_nothing_is_written_without_need(tmp_path: Path) -> None:
+def test_rows_of_one_key_become_one_and_nothing_is_written_without_need(tmp_path: Path) -> None:
     results = Results(tmp_path)
     rows = [fixed_61(), fixed_61(), failed_61(key="b"), failed_61(key="b", message="later")]
     for row in rows[:3]:
@@ -227,5 +227,8 @@ def test_rows_without_a_key_are_all_kept_and_nothing_is_written_without_need(tmp
     assert results.repaired() == rows[:3]
     assert (tmp_path / RECORDS).stat().st_mtime_ns == before
     results.append(rows[3])
-    assert results.repaired() == [rows[0], rows[1], rows[3]]
-    assert results.read() == [rows[0], rows[1], rows[3]]
+    assert results.repaired() == results.read() == [rows[0], rows[1], rows[3]]
+    good = fixed_61(key="b")
+    for row in (good, failed_61(key="b")):  # the last success counts
+        results.append(row)
+    assert results.repaired() == results.read() == [rows[0], rows[1], good]

@@ -8,8 +8,9 @@ import meshio
 import numpy as np
 import pytest
 from rich.console import Console
-from rmesh_nlp.solving.starts import prolong, refine
+from support.formulations import fixed, joint, nested
 
+from formulations.refined import prolong
 from rmesh_nlp.io.export import Series, write_solution
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.shapes import rectangle
@@ -22,8 +23,8 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
+from rmesh_nlp.problem.refining import refined
 from rmesh_nlp.solving.solution import Solution, Step
-from support.formulations import fixed, joint, nested
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +167,7 @@ def test_displays_escape_and_tell(problem: ContactProblem, solution: Solution) -
 
 def test_a_prolonged_motion_keeps_the_displacement_of_the_coarse_mesh(problem: ContactProblem) -> None:
     coarse = joint.solve(problem)
-    finer = refine(problem)
+    finer = refined(problem)
     nodes = prolong(problem, coarse.mesh.p, finer)
     start = fixed.solve(replace(finer, mesh=replace(finer.mesh, doflocs=nodes)))
     # the coarse P1 functions are among the fine ones on the prolonged mesh, contact is imposed at more nodes

@@ -9,6 +9,7 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
+from support.formulations import fixed
 
 import rmesh_nlp as rm
 from rmesh_nlp.discretisation.freedoms import freedoms

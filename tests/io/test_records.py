@@ -197,12 +197,3 @@ def test_a_damaged_line_is_set_aside_before_the_next_row_is_glued_to_it(tmp_path
         results.append(joint_61())
     assert results.read() == [fixed_61(), joint_61()]
     assert (tmp_path / "records-damaged.txt").read_text() == '{"example": "cut\n'
-
-
-def test_rows_of_one_key_become_one_the_last_success(tmp_path):
-    results = Results(tmp_path)
-    rows = [fixed_61(key="a", gain=1.0), failed_61(key="b"), fixed_61(key="a", gain=2.0), failed_61(key="a")]
-    for row in rows:
-        results.append(row)
-    assert results.repaired() == [rows[2], rows[1]]
-    assert results.read() == [rows[2], rows[1]]

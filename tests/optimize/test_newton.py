@@ -1,37 +1,12 @@
-"""Second derivatives of the reduced energy, and the Newton method that uses them."""
+"""The Newton method with trust regions in boxes, and what is active there."""
 
 import numpy as np
 import pytest
-
-from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.optimize.newton import Evaluation, minimise
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.programs.curvature import Curvature
-from rmesh_nlp.solving.outer import Outer
-from support.problems import sloped_block
 from support.quadratics import quadratic
 
-PROBLEMS = {
-    "6.1": EXAMPLES["6.1"],
-    "6.2": EXAMPLES["6.2"],
-    "6.3": EXAMPLES["6.3"],
-    "sloped, stick and slip": sloped_block,
-}
-
-
-@pytest.mark.parametrize("name", PROBLEMS)
-def test_hessian_products_are_differences_of_gradients(name: str) -> None:
-    outer = Outer(PROBLEMS[name]())
-    rng = np.random.default_rng(1)
-    q, d = 0.5 * rng.uniform(-1, 1, (2, outer.relocation.n_q))
-    hessian = Curvature(outer.energy).at(outer.energy(q))
-    h = 1e-5
-    difference = outer.energy(q + h * d).gradient - outer.energy(q - h * d).gradient
-    product = hessian(d)
-    # central differences of an exactly solved problem: h^2 and rounding over h
-    np.testing.assert_allclose(difference / (2 * h), product, atol=1e-6 * np.max(np.abs(product)))
-    other = rng.uniform(-1, 1, d.size)
-    assert other @ product == pytest.approx(d @ hessian(other), rel=1e-9)
+from rmesh_nlp.optimize.activity import ZERO, both_vanish, is_inside
+from rmesh_nlp.optimize.newton import Evaluation, minimise
+from rmesh_nlp.optimize.status import Status
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -59,3 +34,19 @@ def test_points_where_the_function_is_not_defined_are_not_taken() -> None:
 
     result = minimise(evaluate, np.zeros(1), np.array([-3.0]), np.array([3.0]), max_iterations=30)
     assert 0.9 < result.x[0] <= 1
+
+
+SMALL, LARGE = 0.5 * ZERO, 2 * ZERO
+
+
+def test_a_pair_is_weak_only_where_both_members_vanish() -> None:
+    one = np.array([SMALL, -SMALL, SMALL, LARGE, -LARGE])
+    other = np.array([-SMALL, 0.0, -LARGE, 0.0, SMALL])
+    assert both_vanish(one, other).tolist() == [True, True, False, False, False]
+
+
+def test_a_variable_is_inside_if_it_is_off_both_bounds() -> None:
+    lower, upper = np.full(5, -1.0), np.full(5, 1.0)
+    upper[4] = np.inf
+    x = np.array([-1 + SMALL, -1 + LARGE, 1 - LARGE, 1 - SMALL, 1e6])
+    assert is_inside(x, lower, upper).tolist() == [False, True, True, False, True]

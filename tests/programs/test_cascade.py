@@ -10,15 +10,18 @@ import pytest
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.programs.acceptance import _continuous, accepted
 from rmesh_nlp.programs.cascade import cascade
 from rmesh_nlp.programs.cascade_settings import CascadeSettings, Schedules
+from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.energy_program import relocation
 from rmesh_nlp.programs.large_moves import LargeMoves
 from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import gain_estimate, regularised
-from support.problems import no_boxes
+from rmesh_nlp.programs.stationary import finished
+from rmesh_nlp.solving.outer import Outer
 
 
 def coarse() -> ContactProblem:
@@ -83,3 +86,29 @@ def test_a_map_that_gains_by_penetration_is_not_taken() -> None:
     found = LargeMoves(energy)(zero, gain_tolerance=0, max_iterations=4).x
     assert energy(found).equilibrium.energy < energy(zero).equilibrium.energy
     assert accepted(energy, found)[1] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "size"), [("6.1", 5), ("6.2", (6, 3)), ("6.3", (6, 3))])
+def test_the_way_from_a_cascade_to_a_stationary_point(name: str, size: int | tuple[int, int]) -> None:
+    problem = replace(no_boxes(EXAMPLES[name](n=size)), quadrature=6)
+    start = cascade(problem)
+    outer = Outer(problem, start.energy.relocation.objective)
+    residual = outer.residual
+    before = start.energy(start.q).value
+    end = finished(
+        start.energy,
+        start.q,
+        residual,
+        tolerance=1e-6,
+        reference=before + start.gain_estimate,
+        max_iterations=80,
+    )
+    assert end.result.status is Status.CONVERGED
+    assert end.residual == residual(start.energy(end.result.x)) <= 1e-6
+    assert end.result.value <= before
+    # a minimum, not only a stationary point: no direction has negative curvature
+    hessian = Curvature(start.energy).at(start.energy(end.result.x))
+    matrix = np.column_stack([hessian(e) for e in np.eye(end.result.x.size)])
+    eigenvalues = np.linalg.eigvalsh((matrix + matrix.T) / 2)
+    assert eigenvalues.min() > -1e-6 * eigenvalues.max()

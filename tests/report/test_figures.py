@@ -99,7 +99,7 @@ def test_looks_are_told_apart_without_colour() -> None:
 
 
 @pytest.mark.slow
-def test_the_cost_of_every_strategy_is_time_in_contact_solves(results: list[Result]) -> None:
+def test_the_cost_of_every_formulation_is_time_in_contact_solves(results: list[Result]) -> None:
     by_name = {r.record["formulation"]: r for r in results if r.record["example"] == "6.1"}
     assert curve(by_name["fixed"]) is None
     for name in ("joint", "nested"):

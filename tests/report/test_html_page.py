@@ -82,7 +82,7 @@ def test_long_titles_and_names_are_not_cut() -> None:
     assert f"<figcaption>{title}</figcaption>" in text
     assert f"{name}</li>" in text
     message = failed_61(message="a reason " * 40, key="x")
-    rows = [joint_61(strategy=name, family=title, key="y", seed=seed) for seed in range(300)]
+    rows = [joint_61(variant=name, family=title, key="y", seed=seed) for seed in range(300)]
     whole = page(Path("nowhere"), [Results(Path("nowhere")).result(row) for row in [message, *rows]], "", "")
     assert "a reason " * 40 in whole
     assert "301, given mesh to seed 299" in whole
@@ -90,8 +90,8 @@ def test_long_titles_and_names_are_not_cut() -> None:
 
 
 def test_a_failure_is_a_failure_in_table_and_profiles() -> None:
-    rows = [fixed_61(), joint_61(strategy="a"), failed_61(strategy="a", example="other")]
-    rows += [joint_61(strategy="b"), joint_61(strategy="b", example="other")]
+    rows = [fixed_61(), joint_61(variant="a"), failed_61(variant="a", example="other")]
+    rows += [joint_61(variant="b"), joint_61(variant="b", example="other")]
     _, table = summary_rows(rows)
     assert [row[1:4] for row in table if row[1] == "a"] == [["a", "1", "1"], ["a", "1", "0"]]
     results = [Results(Path("nowhere")).result(row) for row in rows]
@@ -104,7 +104,7 @@ def test_the_audit_is_no_cost_in_tables_and_profiles() -> None:
     # a's audit takes long, but it builds and solves in half of b's time
     names = ("build_time_s", "solve_time_s", "audit_time_s", "wall_time_s")
     quick, slow = (dict(zip(names, times, strict=True)) for times in ((1, 2, 50, 53), (2, 4, 0, 6)))
-    rows = [joint_61(strategy="a", **quick), joint_61(strategy="b", **slow)]
+    rows = [joint_61(variant="a", **quick), joint_61(variant="b", **slow)]
     head, table = summary_rows(rows)
     assert [row[head.index("build + solve [s]")] for row in table] == ["3", "6"]
     seconds = {c.name: c for c in charts([Results(Path("nowhere")).result(row) for row in rows])}

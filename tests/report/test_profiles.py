@@ -28,7 +28,7 @@ def test_a_cost_of_zero_is_the_cheapest_and_no_division() -> None:
     assert profiles["b"]([1, 1e9]).tolist() == [0.5, 0.5]
 
 
-def test_a_strategy_that_fails_everywhere_never_rises() -> None:
+def test_a_formulation_that_fails_everywhere_never_rises() -> None:
     profile = performance_profiles({"a": [INF, INF], "b": [1.0, 2.0]})["a"]
     assert profile([1, 1e300]).tolist() == [0, 0]
     assert profile.at.shape == profile.share.shape
@@ -57,5 +57,5 @@ def test_the_cost_of_a_part_of_the_gain() -> None:
 
 @pytest.mark.parametrize("costs", [{"a": [1.0], "b": [1.0, 2.0]}, {"a": [-1.0]}, {"a": [np.nan]}])
 def test_what_is_no_table_of_costs_is_refused(costs: dict) -> None:
-    with pytest.raises(ValueError, match=r"every strategy|negative|inhomogeneous"):
+    with pytest.raises(ValueError, match=r"every formulation|negative|inhomogeneous"):
         performance_profiles(costs)

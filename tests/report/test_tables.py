@@ -245,7 +245,7 @@ def test_names_are_no_html_in_markdown() -> None:
     name = "<img src=x onerror=alert(1)>"
     for rows in (
         [record(example=name, formulation=name)],
-        [record(example=name, strategy=name, family=name)],
+        [record(example=name, variant=name, family=name)],
     ):
         text = markdown(rows)
         assert text.count("&lt;img src=x") >= 2

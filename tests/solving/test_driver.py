@@ -104,6 +104,21 @@ def test_ctrl_c_in_a_callback_keeps_the_best_mesh(problem: ContactProblem) -> No
     assert solution.energy < solution.energy_initial
 
 
+def test_of_all_moves_that_were_reported_the_lowest_are_kept(problem: ContactProblem) -> None:
+    outer = Outer(problem)
+    slope = outer.energy(outer.moves()).gradient
+    ways = [-part * slope / np.max(np.abs(slope)) for part in (0.0, 0.3, 0.1, -0.3)]
+
+    def end(outer: Outer, _: Array, monitor: Monitor) -> Outcome:
+        track = monitor.track(outer)
+        for number, q in enumerate(ways):
+            track.exact(number, q)
+        raise KeyboardInterrupt
+
+    solution = solve(problem, Ends(end))
+    np.testing.assert_allclose(solution.mesh.p, outer.nodes(ways[1]), atol=1e-14)
+
+
 @pytest.mark.parametrize("way", ["tracked", "raised"])
 def test_what_is_stopped_is_never_made_worse(problem: ContactProblem, way: str) -> None:
     """A formulation that only goes uphill."""
@@ -141,3 +156,17 @@ def test_an_invalid_end_is_reported_and_not_hidden(problem: ContactProblem) -> N
     solution = solve(problem, Ends(lambda outer, q, _: Outcome(outer, q + 50.0, Status.CONVERGED)))
     assert (solution.status, solution.valid, solution.success) == (Status.INVALID_MESH, False, False)
     assert solution.record()["energy"] is None
+
+
+def test_a_formulation_begins_where_the_one_that_is_named_ended(problem: ContactProblem) -> None:
+    begun: list[tuple[Outer, Array]] = []
+
+    def end(outer: Outer, q: Array, _: Monitor) -> Outcome:
+        begun.append((outer, q))
+        return Outcome(outer, q, Status.CONVERGED)
+
+    first, then = solve(problem, Joint()), solve(problem, Ends(end), start="joint")
+    ((outer, q),) = begun
+    assert outer.is_near
+    np.testing.assert_allclose(outer.nodes(q), first.mesh.p, atol=1e-12)
+    assert (then.start, then.iterations) == ("joint", first.iterations)

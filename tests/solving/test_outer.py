@@ -190,3 +190,30 @@ def test_a_distortion_counts_in_what_has_improved(
     assert found.measured is not None
     assert found.measured.gain_audited > 0
     assert found.success == improved
+
+
+def test_the_least_area_ratio_is_that_of_the_shoelace_formula() -> None:
+    solution = joint.solve(EXAMPLES["6.1"](4))
+    areas = []
+    for mesh in (solution.problem.mesh.p, solution.mesh.p):
+        (x0, y0), (x1, y1), (x2, y2) = (mesh[:, corner] for corner in solution.problem.mesh.t)
+        areas.append(np.abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)) / 2)
+    given, moved = areas
+    assert np.min(moved / given) < 0.99
+    assert solution.audit.min_area_ratio == pytest.approx(np.min(moved / given), rel=1e-12)
+
+
+def test_gains_are_differences_to_the_given_mesh_by_one_rule_each() -> None:
+    problem = EXAMPLES["6.2"]((4, 2))
+    given, moved = fixed.solve(problem), joint.solve(problem)
+    assert moved.gain == pytest.approx(given.energy - moved.energy, rel=1e-9)
+    accurate = given.audit.energy_audited - moved.audit.energy_audited
+    assert moved.gain_audited == pytest.approx(accurate, rel=1e-9)
+    assert given.gain == given.gain_audited == 0
+
+
+def test_a_mesh_that_cannot_be_solved_on_is_neither_valid_nor_improved() -> None:
+    outer = Outer(EXAMPLES["6.1"](3))
+    found = ended(outer, np.full(outer.n, 10.0))
+    assert found.status is Status.INVALID_MESH
+    assert (found.valid, found.improved, found.success) == (False, False, False)

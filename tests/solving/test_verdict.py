@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rmesh_nlp.assessment.assessor import EXPLOITS, Audit, equilibrium_residual, law_residual
-from rmesh_nlp.assessment.verdict import FAILURES, Measured, verdict
+from rmesh_nlp.assessment.verdict import FAILURES, Measured, Verdict, verdict
 from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
@@ -32,23 +32,24 @@ def with_audit(**changes: Any) -> Measured:
 
 
 @pytest.mark.parametrize(
-    ("measured", "status"),
+    ("measured", "status", "valid", "improved"),
     [
-        (with_audit(min_area_ratio=0.0), Status.INVALID_MESH),
-        (replace(GOOD, contact=Status.CYCLED), Status.CYCLED),
-        (with_audit(equilibrium_residual=2e-6), Status.INACCURATE),
-        (with_audit(complementarity_residual=2e-6), Status.INACCURATE),
-        (with_audit(equilibrium_residual=float("nan")), Status.INACCURATE),
-        (replace(GOOD, gain_audited=-1e-8, decrease=-1e-8), Status.EXPLOITED),
-        (replace(GOOD, gain=0.0, gain_audited=-1e-8, decrease=0.1), Status.EXPLOITED),
-        (replace(GOOD, gain=-0.1, gain_audited=-0.1, decrease=-0.1), Status.WORSE),
-        (replace(GOOD, is_energy=False, decrease=-1e-8), Status.WORSE),
+        (with_audit(min_area_ratio=0.0), Status.INVALID_MESH, False, True),
+        (replace(GOOD, contact=Status.CYCLED), Status.CYCLED, False, True),
+        (replace(GOOD, consistent=False), Status.INACCURATE, False, True),
+        (with_audit(equilibrium_residual=2e-6), Status.INACCURATE, False, True),
+        (with_audit(complementarity_residual=2e-6), Status.INACCURATE, False, True),
+        (with_audit(equilibrium_residual=float("nan")), Status.INACCURATE, False, True),
+        (replace(GOOD, gain_audited=-1e-8, decrease=-1e-8), Status.EXPLOITED, True, False),
+        (replace(GOOD, gain=0.0, gain_audited=-1e-8, decrease=0.1), Status.EXPLOITED, True, False),
+        (replace(GOOD, gain=-0.1, gain_audited=-0.1, decrease=-0.1), Status.WORSE, True, False),
+        (replace(GOOD, is_energy=False, decrease=-1e-8), Status.WORSE, True, False),
     ],
 )
-def test_each_finding_has_a_status_and_is_no_success(measured: Measured, status: Status) -> None:
-    judged = verdict(Status.CONVERGED, measured)
-    assert judged.status is status
-    assert not judged.success
+def test_each_finding_has_a_status_and_is_no_success(
+    measured: Measured, status: Status, valid: bool, improved: bool
+) -> None:
+    assert verdict(Status.CONVERGED, measured) == Verdict(valid, improved, True, False, status)
 
 
 @pytest.mark.parametrize("name", EXPLOITS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from formulations.confirmed import Confirmed
 from formulations.flips import Flips
 from formulations.multistart import MultiStart
 from formulations.refined import Refined, prolong
@@ -99,6 +101,13 @@ class TestMultiStart:
         np.testing.assert_array_equal(found.q, script.ends[0].q)
         assert (found.details["start_energies"], found.details["start_spread"]) == ([None, None], None)
 
+    def test_an_end_on_which_contact_is_not_solved_has_no_energy(self, problem: ContactProblem) -> None:
+        outer = Outer(problem)
+        there = outer.assessor.initial
+        sick = replace(there, state=replace(there.state, status=Status.CYCLED))
+        outer.assessor.solve = lambda *_: sick
+        assert np.isnan(continuous_energy(Outcome(outer, outer.moves(), Status.CONVERGED)))
+
     def test_an_interrupted_start_is_the_last_and_is_said(self, problem: ContactProblem) -> None:
         script = Script(0.3, 0.1, 0.1, stop=2)
         solution = solve(problem, MultiStart(script.formulation, 5), safely=False)
@@ -183,7 +192,24 @@ def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: Co
     assert wanted[-1] == solution.objective == "energy"
     assert solution.iterations == steps[-1].iteration == 1 + 2 + 3
     spent = sum(outer.energy.contact_solves for outer, _ in script.begun)
-    assert 6 <= solution.contact_solves <= spent
+    assert solution.contact_solves == spent + 2 == 8  # two for the estimate that weights are relative to
+
+
+def pressed(*_: Any) -> Any:
+    signal.raise_signal(signal.SIGINT)
+
+
+def test_a_higher_rule_goes_on_from_where_the_last_one_ended(
+    problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = [False, False, True]
+    monkeypatch.setattr("formulations.confirmed.agrees", lambda _: answers.pop(0))
+    first, then = Script(0.1), Script(0.2, 0.3)
+    solution = solve(replace(problem, quadrature=6), Confirmed(first.formulation, then.formulation))
+    assert [outer.problem.rule for outer, _ in then.begun] == [10, 14]
+    for before, (_, q) in zip((*first.ends, *then.ends), then.begun, strict=False):
+        np.testing.assert_array_equal(q, before.q)
+    assert (solution.record()["rules"], solution.record()["quadrature"]) == ([6, 10, 14], 14)
 
 
 @pytest.fixture(scope="module")
@@ -217,6 +243,22 @@ class TestFlips:
         assert solution.energy_initial == pytest.approx(Outer(crooked).given.energy, rel=1e-12)
         assert solution.gain_audited > 0
         assert solution.energy <= row["flip_rounds"][-1]["relocated"] + 1e-12
+
+    @pytest.mark.parametrize("during", [True, False])
+    def test_ctrl_c_keeps_the_best_mesh_so_far(
+        self, crooked: ContactProblem, during: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """``during`` flips it is the mesh before them, in the relocation after them the flipped one."""
+        script, seen = Script(0.001, tracks=True), []
+        if during:
+            monkeypatch.setattr("rmesh_nlp.programs.energy_flips.flip_edges", pressed)
+        again = Ends(lambda outer, q, monitor: monitor.track(outer).exact(1, q) or pressed())
+        solution = solve(crooked, Flips(script.formulation, then=again), on_step=seen.append)
+        assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
+        assert ("changed_triangles" in solution.extra) == (not during)
+        np.testing.assert_array_equal([step.q is None for step in seen], [False, *([True] * (not during))])
+        assert solution.energy == pytest.approx(seen[-1].energy, rel=1e-9)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
     def test_after_flips_a_schedule_is_not_gone_through_again(self, crooked: ContactProblem) -> None:
         script = Script(*[0.001] * 12)

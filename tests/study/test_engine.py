@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.strategies import install
+from support.planted import install
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
@@ -28,12 +28,12 @@ from rmesh_nlp.study.plan import PlannedSolve, make_plan
 from rmesh_nlp.study.rows import RowsFile
 from rmesh_nlp.study.study_file import read_study
 
-SMALL = 'random = { seed = 0, count = 3 }\nstrategies = ["fixed"]\n'
+SMALL = 'random = { seed = 0, count = 3 }\nformulations = ["fixed"]\n'
 
 
 @pytest.fixture
 def bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Strategies that hang, leak and crash are installed, here and in processes that are started."""
+    """Formulations that hang, leak and crash are installed, here and in processes that are started."""
     (tmp_path / "site").mkdir()
     place = install(tmp_path / "site")
     monkeypatch.syspath_prepend(place)
@@ -64,7 +64,7 @@ def test_a_hang_a_leak_and_a_crash_are_a_row_each_and_the_next_solve_runs(
         solve_of("fixed"),
     ]
     told = list(engine.run(plan, tmp_path))
-    statuses = {row["strategy"]: row["status"] for row in told}
+    statuses = {row["variant"]: row["status"] for row in told}
     assert statuses.pop("fixed") == "converged"
     assert statuses.pop("crash_once") == "converged"  # killed from outside, say: tried once more
     assert statuses == {"hang": "time_limit", "leak": "memory_limit", "crash": "died"}
@@ -217,7 +217,7 @@ def serves_pages(host: str, port: int) -> bool:
 def starting(path: Path, out: Path) -> tuple[subprocess.Popen[str], list[Any]]:
     """A study on two jobs and its two worker processes, which have just been started."""
     psutil = pytest.importorskip("psutil")
-    path.write_text('random = { count = 300 }\nstrategies = ["fixed"]\nfields = false\n')
+    path.write_text('random = { count = 300 }\nformulations = ["fixed"]\nfields = false\n')
     process = rmesh("study", str(path), "--out", str(out), "--jobs", "2")
     found: list[Any] = []
     while len(found) < 2 and process.poll() is None:
@@ -261,7 +261,7 @@ def test_workers_killed_while_they_start_are_one_line(tmp_path: Path) -> None:
 def test_ctrl_c_with_two_jobs_keeps_what_is_finished_in_one_line(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     path, out = tmp_path / "study.toml", tmp_path / "out"
-    path.write_text('random = { count = 300 }\nstrategies = ["fixed"]\nfields = false\n')
+    path.write_text('random = { count = 300 }\nformulations = ["fixed"]\nfields = false\n')
     with rmesh("study", str(path), "--out", str(out), "--jobs", "2") as process:
         end = time.monotonic() + 100
         while not rows_of(out) and time.monotonic() < end:
@@ -310,3 +310,22 @@ def test_a_scheduler_that_is_not_there_is_one_line(
         assert cli.run(["study", str(path), "--out", str(tmp_path / "out"), "--scheduler", address]) == 2
         (line,) = capsys.readouterr().err.strip().splitlines()
         assert message.format(address) in line
+
+
+CORES = {900_001, 900_002}
+"""Cores that no machine has, so that studies which run beside the tests do not matter."""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are pinned on Linux")
+def test_no_core_is_given_twice_and_a_core_given_back_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: CORES)
+    held = [worker._own_core() for _ in CORES]
+    assert {core[0] for core in held if core is not None} == CORES
+    assert worker._own_core() is None
+    number, holder = held[0]  # type: ignore[misc]
+    holder.close()
+    again = worker._own_core()
+    assert again is not None
+    assert again[0] == number
+    for _, each in (again, held[1]):  # type: ignore[misc]
+        each.close()

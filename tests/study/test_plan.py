@@ -28,7 +28,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "study.toml"
 
 
-def test_the_matrix_is_problems_by_strategies_by_seeds_by_repeats(path: Path) -> None:
+def test_the_matrix_is_problems_by_formulations_by_seeds_by_repeats(path: Path) -> None:
     plan = plan_of(
         path,
         """
@@ -37,7 +37,7 @@ def test_the_matrix_is_problems_by_strategies_by_seeds_by_repeats(path: Path) ->
         random = { seed = 5, count = 2 }
         seeds = ["given", 1, 2]
         repeats = 2
-        strategies = ["fixed", "joint"]
+        formulations = ["fixed", "joint"]
         """,
     )
     # fixed takes no seed: one start; joint has three
@@ -48,15 +48,18 @@ def test_the_matrix_is_problems_by_strategies_by_seeds_by_repeats(path: Path) ->
 
 def test_the_template_is_a_valid_study_of_which_every_problem_can_be_built(path: Path) -> None:
     plan = plan_of(path, template("mine", "study.toml"))
-    assert {solve.strategy for solve in plan} == {"fixed", "auto"}
+    assert {solve.variant for solve in plan} == {"fixed", "auto"}
     assert [build(solve).name for solve in plan] == [solve.name for solve in plan]
 
 
-def test_keys_tell_everything_apart_that_decides_the_result_and_nothing_else() -> None:
+def test_keys_tell_everything_apart_that_decides_the_result_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rmesh_nlp.study.plan.__version__", "0.1")
     one = PlannedSolve({"kind": "random", "seed": 1, "of": "rough"}, "random-1", "random", "", "a", "joint")
     others = [
         replace(one, problem={**one.problem, "seed": 2}),
-        replace(one, strategy="b"),
+        replace(one, variant="b"),
         replace(one, formulation="nested"),
         replace(one, options={"seed": 1}),
         replace(one, repeat=1),
@@ -65,14 +68,31 @@ def test_keys_tell_everything_apart_that_decides_the_result_and_nothing_else() -
     assert len({solve.key for solve in (one, *others)}) == 7
     assert replace(one, fields=False).key == one.key
     assert replace(one, problem={**one.problem, "path": "/elsewhere"}).key == one.key
-    assert safe_name(one.key) == one.key
+    assert one.key == safe_name(one.key) == "random-1-a-d25e9bd8d419c526"  # as in rows of old
+
+
+def test_strategies_of_old_files_and_rows_are_formulations_and_variants(
+    path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path.write_text('random = { count = 1 }\n[strategies.a]\nformulation = "fixed"\n')
+    out = path.parent / "out"
+    assert cli.run(["study", str(path), "--out", str(out), "--quiet"]) == 0
+    assert capsys.readouterr().err == f"note: {path}: strategies is now called formulations\n"
+    assert cli.run(["check", str(path)]) == 0  # as a study
+    (file,) = out.glob("rows/records-*.jsonl")
+    (row,) = read_records(out)
+    assert (row["variant"], row["formulation"]) == ("a", "fixed")
+    file.write_text(file.read_text().replace('"variant": "a"', '"strategy": "a"'))
+    assert read_records(out) == [row]
+    (now,) = plan_of(path, path.read_text().replace("strategies", "formulations"))
+    assert now.key == row["key"]
 
 
 def test_a_problem_file_is_known_by_its_content(path: Path) -> None:
     for name in ("a.toml", "b.toml"):
         assert cli.run(["new", str(path.with_name(name))]) == 0
     path.with_name("b.toml").write_text(path.with_name("a.toml").read_text())
-    text = 'files = ["a.toml"]\nstrategies = ["fixed"]'
+    text = 'files = ["a.toml"]\nformulations = ["fixed"]'
     (before,) = plan_of(path, text)
     (copied,) = plan_of(path, text.replace("a.toml", "b.toml"))
     assert copied.key == before.key
@@ -84,25 +104,25 @@ def test_a_problem_file_is_known_by_its_content(path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("strategies = ['joint']", "there is nothing to solve"),
-        ("examples = ['6.1']", "strategies = nothing"),
-        ("examples = ['6.9']\nstrategies = ['joint']", "unknown example '6.9'"),
-        ("examples = ['6.1']\nstrategies = ['jiont']", "did you mean joint"),
-        ("examples = ['6.1']\nstrategies = ['joint']\nsize = [3]", "unknown key, did you mean 'sizes'?"),
-        ("examples = ['6.1']\nstrategies = ['joint']\nsizes = [1]", "expected sizes such as 8 or '12x6'"),
-        ("examples = ['6.1']\nstrategies = ['joint']\nseeds = [-1]", "expected seeds such as"),
+        ("formulations = ['joint']", "there is nothing to solve"),
+        ("examples = ['6.1']", "formulations = nothing"),
+        ("examples = ['6.9']\nformulations = ['joint']", "unknown example '6.9'"),
+        ("examples = ['6.1']\nformulations = ['jiont']", "did you mean joint"),
+        ("examples = ['6.1']\nformulations = ['joint']\nsize = [3]", "unknown key, did you mean 'sizes'?"),
+        ("examples = ['6.1']\nformulations = ['joint']\nsizes = [1]", "expected sizes such as 8 or '12x6'"),
+        ("examples = ['6.1']\nformulations = ['joint']\nseeds = [-1]", "expected seeds such as"),
         (
-            "examples = ['6.1']\n[strategies.joint]\nouter = 'newton'",
+            "examples = ['6.1']\n[formulations.joint]\nouter = 'newton'",
             "joint.outer = 'newton': not an option",
         ),
         (
-            "examples = ['6.1']\nstrategies = ['joint']\n[limits]\ntime = 0",
+            "examples = ['6.1']\nformulations = ['joint']\n[limits]\ntime = 0",
             "limits.time = 0: expected",
         ),
-        ("examples = ['6.1']\nstrategies = ['joint']\nobjectives = ['energie']", "energie"),
-        ("random = { count = 3, kinds = ['x'] }\nstrategies = ['joint']", "expected 'scalar', 'membrane'"),
-        ("random = { count = 0 }\nstrategies = ['joint']", "random.count = 0"),
-        ("files = ['none.toml']\nstrategies = ['joint']", "none.toml"),
+        ("examples = ['6.1']\nformulations = ['joint']\nobjectives = ['energie']", "energie"),
+        ("random = { count = 3, kinds = ['x'] }\nformulations = ['joint']", "expected 'scalar', 'membrane'"),
+        ("random = { count = 0 }\nformulations = ['joint']", "random.count = 0"),
+        ("files = ['none.toml']\nformulations = ['joint']", "none.toml"),
         ("[[", "is not valid TOML"),
     ],
 )
@@ -132,5 +152,5 @@ def test_every_solve_of_the_template_succeeds(path: Path) -> None:
     assert cli.run(["study", str(path), "--out", str(path.parent / "out"), "--quiet"]) == 0
     rows = read_records(path.parent / "out")
     assert [row["success"] for row in rows] == [True] * 12
-    moved = [row for row in rows if row["strategy"] != "fixed"]
+    moved = [row for row in rows if row["variant"] != "fixed"]
     assert all(row["gain_audited"] > 0 for row in moved)

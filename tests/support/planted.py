@@ -1,42 +1,90 @@
-"""Strategies of a test's own, installed for processes that the test starts."""
+"""Formulations of a test's own: planted in this process, or installed for those that a test starts."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+
+import pytest
+
+from formulations.fixed import Fixed
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving import formulation
+from rmesh_nlp.solving.formulation import Formulation
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An entry point of a class that is here already."""
+
+    name: str
+    kind: type[Formulation]
+    value: str = "planted"
+
+    def load(self) -> type[Formulation]:
+        return self.kind
+
+
+def plant(monkeypatch: pytest.MonkeyPatch, **kinds: type[Formulation]) -> None:
+    """Add formulations by name, as entry points would; one that is installed is replaced."""
+    installed = formulation.entry_points
+
+    def entries(group: str) -> list[Entry]:
+        own = kinds if group == formulation.GROUP else {}
+        kept = [entry for entry in installed(group=group) if entry.name not in own]
+        return [*kept, *(Entry(name, kind) for name, kind in own.items())]
+
+    monkeypatch.setattr(formulation, "entry_points", entries)
+
+
+def raising(error: Exception) -> type[Formulation]:
+    """A formulation that fails before anything is built."""
+
+    class Raising(Fixed):
+        def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+            raise error
+
+    return Raising
+
 
 BAD = """
 import os, time
-from support.formulations import fixed
+from formulations.fixed import Fixed
 
-def hang(problem):
-    while True:
-        time.sleep(0.01)
+class Hang(Fixed):
+    def run(self, outer, q, monitor):
+        while True:
+            time.sleep(0.01)
 
-def leak(problem):
-    kept = []
-    while True:
-        kept.append(b"x" * 20_000_000)
-        time.sleep(0.005)
+class Leak(Fixed):
+    def run(self, outer, q, monitor):
+        kept = []
+        while True:
+            kept.append(b"x" * 20_000_000)
+            time.sleep(0.005)
 
-def crash(problem):
-    os.abort()
-
-def crash_once(problem):
-    mark = os.environ["CRASH_MARK"]
-    if not os.path.exists(mark):
-        open(mark, "w").close()
+class Crash(Fixed):
+    def run(self, outer, q, monitor):
         os.abort()
-    return fixed.solve(problem)
+
+class CrashOnce(Fixed):
+    def run(self, outer, q, monitor):
+        mark = os.environ["CRASH_MARK"]
+        if not os.path.exists(mark):
+            open(mark, "w").close()
+            os.abort()
+        return super().run(outer, q, monitor)
 """
 
 
 def install(folder: Path) -> str:
-    """Write a distribution with strategies ``hang``, ``leak``, ``crash``, ``crash_once``."""
-    (folder / "bad_strategies.py").write_text(BAD)
-    info = folder / "bad_strategies-1.dist-info"
+    """Write a distribution with formulations ``hang``, ``leak``, ``crash``, ``crash_once``."""
+    (folder / "bad_formulations.py").write_text(BAD)
+    info = folder / "bad_formulations-1.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bad-strategies\nVersion: 1\n")
-    names = ("hang", "leak", "crash", "crash_once")
-    lines = "".join(f"{name} = bad_strategies:{name}\n" for name in names)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bad-formulations\nVersion: 1\n")
+    kinds = {"hang": "Hang", "leak": "Leak", "crash": "Crash", "crash_once": "CrashOnce"}
+    lines = "".join(f"{name} = bad_formulations:{kind}\n" for name, kind in kinds.items())
     (info / "entry_points.txt").write_text(f"[rmesh_nlp.formulations]\n{lines}")
     return str(folder)

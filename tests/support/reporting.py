@@ -59,7 +59,7 @@ def joint_61(**changes: Any) -> Record:
 
 
 def failed_61(**changes: Any) -> Record:
-    """A strategy that broke: words and settings, no figures."""
+    """A formulation that broke: words and settings, no figures."""
     kept = ("example", "objective", "n", "delta", "quadrature", "versions")
     return {
         **dict.fromkeys(REQUIRED),

@@ -1,4 +1,4 @@
-"""Two records of Example 6.2, one of them of a strategy that broke, for the tests of tables and notes."""
+"""Two records of Example 6.2, one of them of a formulation that broke, for the tests of tables and notes."""
 
 from __future__ import annotations
 
