@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
-from support.formulations import fixed
 
 import rmesh_nlp
 from rmesh_nlp.cli import app as cli
@@ -24,6 +23,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.io.problem_file import read_table, read_toml
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import available, find
+from support.formulations import fixed
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text()

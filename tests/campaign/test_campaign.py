@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.planted import plant, raising
 
 from formulations.joint import Joint
 from rmesh_nlp.campaign import run as campaign
@@ -19,6 +18,7 @@ from rmesh_nlp.io.results import REQUIRED, Results, read_results, to_json
 from rmesh_nlp.io.vtu import fields_of, read_vtu
 from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.outer import Outer
+from support.planted import plant, raising
 
 
 def test_a_solve_that_raises_is_a_row_and_the_next_one_runs(

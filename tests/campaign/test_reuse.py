@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.planted import plant, raising
 
 from rmesh_nlp.campaign import run as campaign
 from rmesh_nlp.campaign.cases import Case, make_cases
@@ -19,6 +18,7 @@ from rmesh_nlp.campaign.run import Ended, Outcome, run, solve
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import RECORDS, Results, read_results
 from rmesh_nlp.optimize.status import Status
+from support.planted import plant, raising
 
 
 @pytest.fixture(scope="module")

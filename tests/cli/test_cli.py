@@ -13,12 +13,12 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from support.planted import plant, raising
 
 from rmesh_nlp import __version__
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli import work
 from rmesh_nlp.io.results import REQUIRED
+from support.planted import plant, raising
 
 HEAVY = {"casadi", "matplotlib", "pandas", "skfem", "scipy", "meshio", "numpy"}
 

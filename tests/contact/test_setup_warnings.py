@@ -5,8 +5,6 @@ from typing import Any
 
 import casadi as ca
 import pytest
-from support.curved import disc
-from support.formulations import fixed
 
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.setup_warnings import setup_warnings

@@ -8,7 +8,6 @@ import meshio
 import numpy as np
 import pytest
 from rich.console import Console
-from support.formulations import fixed, joint, nested
 
 from formulations.refined import prolong
 from rmesh_nlp.io.export import Series, write_solution
@@ -25,6 +24,7 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.problem.refining import refined
 from rmesh_nlp.solving.solution import Solution, Step
+from support.formulations import fixed, joint, nested
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
-from support.formulations import fixed
 
 import rmesh_nlp as rm
 from rmesh_nlp.discretisation.freedoms import freedoms

@@ -4,8 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.formulations import fixed, joint
-from support.problem_files import BROKEN, SCALAR, VALID, Edit
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.expressions import Expression

@@ -6,8 +6,6 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from support.formulations import fixed, mpcc
-from support.problem_files import VALID
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.examples import EXAMPLES

@@ -7,7 +7,6 @@ The mesh is that of the h- and r-adaptivity tests of NeuROM-Py, whose PyTorch co
 from pathlib import Path
 
 import pytest
-from support.formulations import joint
 
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain

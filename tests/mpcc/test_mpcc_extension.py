@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from support.formulations import joint, mpcc
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import MPCC, solve

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from support.quadratics import quadratic
 
 from rmesh_nlp.optimize.activity import ZERO, both_vanish, is_inside
 from rmesh_nlp.optimize.newton import Evaluation, minimise
 from rmesh_nlp.optimize.status import Status
+from support.quadratics import quadratic
 
 
 @pytest.mark.parametrize("seed", range(5))

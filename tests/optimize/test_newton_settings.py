@@ -4,8 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.formulations import nested
-from support.quadratics import Matrix, quadratic
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES

@@ -22,6 +22,7 @@ from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.programs.regularisation import gain_estimate, regularised
 from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.solving.outer import Outer
+from support.problems import no_boxes
 
 
 def coarse() -> ContactProblem:

@@ -7,7 +7,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from support.problems import sloped_block
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -16,6 +15,7 @@ from rmesh_nlp.programs.curvature import Curvature
 from rmesh_nlp.programs.objective_curvature import ObjectiveCurvature
 from rmesh_nlp.programs.reduced import ReducedObjective
 from rmesh_nlp.solving.outer import Outer
+from support.problems import sloped_block
 
 
 def with_exact(problem: ContactProblem) -> ContactProblem:

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.contact_geometry import block_between_two_foundations
-from support.formulations import fixed, joint
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.meshes.shapes import rectangle

@@ -9,7 +9,6 @@ from functools import cache
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from support.formulations import fixed
 
 from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes.shapes import rectangle

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.planted import install
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
@@ -27,6 +26,7 @@ from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.plan import PlannedSolve, make_plan
 from rmesh_nlp.study.rows import RowsFile
 from rmesh_nlp.study.study_file import read_study
+from support.planted import install
 
 SMALL = 'random = { seed = 0, count = 3 }\nformulations = ["fixed"]\n'
 
