@@ -176,7 +176,7 @@ def test_the_formulation_of_contributing_runs() -> None:
     (block,) = python_blocks("CONTRIBUTING.md")
     space: dict[str, Any] = {}
     exec(compile(block, "CONTRIBUTING.md", "exec", dont_inherit=True), space)
-    solution = rmesh_nlp.solve(EXAMPLES["6.2"](n=(6, 4)), space["Alternating"](first_step=0.1), seed=1)
+    solution = rmesh_nlp.solve(EXAMPLES["6.1"](n=4), space["Alternating"](first_step=0.1), seed=1)
     assert solution.success
     assert (solution.formulation, solution.settings) == ("alternating", {"first_step": 0.1})
     assert solution.gain > 0
