@@ -20,8 +20,8 @@ from formulations.schedule import Schedule
 from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.models.regularisation import weights
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.regularisation import weights
 from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation
 
 MANY = 2000

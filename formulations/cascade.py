@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.models.cascade import CascadeResult, cascade
+from rmesh_nlp.models.cascade_settings import CascadeSettings
+from rmesh_nlp.models.large_moves import LargeMoves
+from rmesh_nlp.models.levels import COARSER
+from rmesh_nlp.models.prolongation import prolonged
+from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate
+from rmesh_nlp.models.stationary import finished
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.stopping import StoppedError
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.cascade import CascadeResult, cascade
-from rmesh_nlp.programs.cascade_settings import CascadeSettings
-from rmesh_nlp.programs.large_moves import LargeMoves
-from rmesh_nlp.programs.levels import COARSER
-from rmesh_nlp.programs.prolongation import prolonged
-from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.programs.regularisation import ESTIMATE_SOLVES, gain_estimate
-from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.settings import Count, Limit, Positive
 from rmesh_nlp.solving.formulation import Formulation, Wrapper
 from rmesh_nlp.solving.monitor import Monitor, Track
@@ -82,7 +82,7 @@ def _said(found: CascadeResult) -> tuple[str, ...]:
 
 
 class _Levels:
-    """What listens to a cascade: :data:`rmesh_nlp.programs.cascade.OnMove`."""
+    """What listens to a cascade: :data:`rmesh_nlp.models.cascade.OnMove`."""
 
     def __init__(self, outer: Outer, settings: CascadeSettings, monitor: Monitor) -> None:
         self._outer, self._settings, self._monitor = outer, settings, monitor

@@ -16,15 +16,15 @@ from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.models.alternating import alternated
+from rmesh_nlp.models.energy_program import Relocation, relocation
+from rmesh_nlp.models.interior import ROUNDING
+from rmesh_nlp.models.reduced import ReducedPoint
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.units import Seen, Units
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.alternating import alternated
-from rmesh_nlp.programs.energy_program import Relocation, relocation
-from rmesh_nlp.programs.interior import ROUNDING
-from rmesh_nlp.programs.reduced import ReducedPoint
 from rmesh_nlp.settings import Count, Positive
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor, Track
@@ -83,7 +83,7 @@ class Joint(Formulation):
         problems without boxes.
     fine : int
         Number of moves from which on the start is given alternating moves
-        (:mod:`rmesh_nlp.programs.alternating`): the end is then lower by 0.1 to 0.7 % of the gain (6.1 with
+        (:mod:`rmesh_nlp.models.alternating`): the end is then lower by 0.1 to 0.7 % of the gain (6.1 with
         32 to 128 squares a side). On coarser meshes they change nothing but the start.
     alternating : float
         Length of these moves, in boxes.
@@ -188,7 +188,7 @@ class Joint(Formulation):
 
 
 def build(problem: ContactProblem) -> NLP:
-    """The symbolic NLP in ``x = (q, u, s)``, see :mod:`rmesh_nlp.programs.energy_program`.
+    """The symbolic NLP in ``x = (q, u, s)``, see :mod:`rmesh_nlp.models.energy_program`.
 
     Extend it with :meth:`rmesh_nlp.optimize.nlp.NLP.extended`, or hand ``x``, ``f`` and ``g`` to any
     CasADi solver.

@@ -22,12 +22,12 @@ from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.models.alternating import alternated
+from rmesh_nlp.models.kkt_program import Bilevel, bilevel
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.alternating import alternated
-from rmesh_nlp.programs.kkt_program import Bilevel, bilevel
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
@@ -41,7 +41,7 @@ DROPPED: Mapping[str, Any] = {"tol": 1e-8, "mu_strategy": "adaptive", "max_iter"
 
 
 def build(problem: ContactProblem, objective: str | Objective = "energy") -> MPCC:
-    """The symbolic MPCC, see :mod:`rmesh_nlp.programs.kkt_program`; in N/m, m and the objective's unit."""
+    """The symbolic MPCC, see :mod:`rmesh_nlp.models.kkt_program`; in N/m, m and the objective's unit."""
     return bilevel(problem, parse_objective(objective)).mpcc
 
 
@@ -138,7 +138,7 @@ class AllAtOnce(Formulation):
 def _in_step(outer: Outer, q: Array) -> Array:
     """Moves to start from on a fine mesh in boxes: with small alternating moves added.
 
-    They are those of ``joint`` (:mod:`rmesh_nlp.programs.alternating`), from the same number of moves on,
+    They are those of ``joint`` (:mod:`rmesh_nlp.models.alternating`), from the same number of moves on,
     so that both begin on the same mesh; the contact problem is solved there. A start that was given by
     positions stays as it is.
     """

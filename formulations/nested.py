@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.models.interior import OuterResult
+from rmesh_nlp.models.nested_settings import NestedSettings
+from rmesh_nlp.models.outer_solvers import OUTER_SOLVERS
+from rmesh_nlp.models.reduced_program import reduced_nlp
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.programs.interior import OuterResult
-from rmesh_nlp.programs.nested_settings import NestedSettings
-from rmesh_nlp.programs.outer_solvers import OUTER_SOLVERS
-from rmesh_nlp.programs.reduced_program import reduced_nlp
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome

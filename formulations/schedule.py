@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate, regularised, weights
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.regularisation import ESTIMATE_SOLVES, gain_estimate, regularised, weights
 from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome

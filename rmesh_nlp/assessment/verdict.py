@@ -7,7 +7,7 @@ Improved
     The minimised objective, measured by the assessment, is not above its value on the mesh as given. The
     energy is the continuous one of an admissible displacement (:mod:`rmesh_nlp.assessment.admissible`).
 Stationary
-    The first-order residual of the outer problem (:mod:`rmesh_nlp.programs.residual`) is at most the
+    The first-order residual of the outer problem (:mod:`rmesh_nlp.models.residual`) is at most the
     tolerance of the solve.
 
 A success is valid and improved, also if a limit stopped the solve. Converged is a success that is

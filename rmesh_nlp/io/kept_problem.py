@@ -18,8 +18,8 @@ from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.record_model import Record
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.geometry import relocated_mesh
+from rmesh_nlp.models.multipliers import Multipliers
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.multipliers import Multipliers
 
 PROBLEM = "problem.toml"
 MESH = "given-mesh"

@@ -13,10 +13,10 @@ from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.assessment.error_reduction import ErrorReduction, error_reduction
 from rmesh_nlp.display import figure
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
+from rmesh_nlp.models.cascade import cascade
+from rmesh_nlp.models.cascade_settings import CascadeSettings
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.refining import refined
-from rmesh_nlp.programs.cascade import cascade
-from rmesh_nlp.programs.cascade_settings import CascadeSettings
 
 WORTHWHILE = 1.5
 """Factor by which an error must fall for relocation to be recommended."""
@@ -85,7 +85,7 @@ def recommended(factor: float, rate: float) -> str:
     """What to do, from the least factor of relocation and the rate under uniform refinement."""
     move, refine = factor >= WORTHWHILE, rate < SMOOTH
     if move and refine:
-        return "both: relocate (rmesh solve), then refine where the error is (rmesh_nlp.programs.hr)"
+        return "both: relocate (rmesh solve), then refine where the error is (rmesh_nlp.models.hr)"
     if move:
         return "relocate: rmesh solve"
     if refine:

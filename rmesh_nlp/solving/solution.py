@@ -15,9 +15,9 @@ from rmesh_nlp.assessment.assessor import Audit
 from rmesh_nlp.assessment.verdict import Measured
 from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.models.multipliers import Multipliers
 from rmesh_nlp.optimize.status import Status, success_in_words
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.programs.multipliers import Multipliers
 from rmesh_nlp.solving import plotting
 from rmesh_nlp.solving.certificate import Certificate
 from rmesh_nlp.solving.step import Step, plain
@@ -56,7 +56,7 @@ class Solution:
         "KKT" or an MPCC label (W, C, M, S, B) where it was computed, else "".
     stationarity_residual : float
         First-order residual of the outer problem, relative to that on the mesh as given
-        (:mod:`rmesh_nlp.programs.residual`).
+        (:mod:`rmesh_nlp.models.residual`).
     history : tuple of Step
     iterations, contact_solves : int
     build_time_s, solve_time_s, audit_time_s : float

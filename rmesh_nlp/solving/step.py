@@ -26,7 +26,7 @@ class Step:
     primal_residual : float
         Constraint violation as the solver scales it; 0 where a contact solve is exact.
     dual_residual : float
-        First-order residual of the outer problem, :mod:`rmesh_nlp.programs.residual`; of an all-at-once
+        First-order residual of the outer problem, :mod:`rmesh_nlp.models.residual`; of an all-at-once
         solver at its own displacement and forces. NaN where it is not known: in the steps of ``mpcc`` with
         another objective than the energy, but for the last.
     contact_solves : int

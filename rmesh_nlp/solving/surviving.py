@@ -17,12 +17,12 @@ from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.models.energy_program import relocation
+from rmesh_nlp.models.outer_function import has_certificate
+from rmesh_nlp.models.reduced import ReducedEnergy
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.refining import refined
-from rmesh_nlp.programs.energy_program import relocation
-from rmesh_nlp.programs.outer_function import has_certificate
-from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.solving.findings import objective_value
 from rmesh_nlp.solving.judgement import Judgement
 

@@ -14,9 +14,9 @@ from best_mesh import adaptive as plain
 from best_mesh.cases import LAPLACIAN_61, RULE, Case
 from best_mesh.rows import ADAPTIVE, GIVEN, Row
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.models.hr import hr
+from rmesh_nlp.models.refinement import marked
 from rmesh_nlp.problem.refining import locally_refined
-from rmesh_nlp.programs.hr import hr
-from rmesh_nlp.programs.refinement import marked
 from rmesh_nlp.solving.solution import Solution
 
 SIZES_OF_HR = (300, 1000, 3000)

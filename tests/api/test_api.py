@@ -14,8 +14,8 @@ from formulations.joint import Joint
 from formulations.multistart import MultiStart
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.models import reduced
 from rmesh_nlp.problem import NO_CONTACT
-from rmesh_nlp.programs import reduced
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import numpy as np
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.element import differentiated
 from rmesh_nlp.fem.energy import strain_energy
+from rmesh_nlp.models.energy_program import relocation
 from rmesh_nlp.problem import PlaneStrain
-from rmesh_nlp.programs.energy_program import relocation
 
 
 def test_equal_functions_share_their_derivatives_and_others_do_not() -> None:

@@ -20,6 +20,9 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.models.cascade import CascadeResult
+from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.stationary import Finish
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -31,9 +34,6 @@ from rmesh_nlp.problem import (
     Traction,
     signed_areas,
 )
-from rmesh_nlp.programs.cascade import CascadeResult
-from rmesh_nlp.programs.reduced import ReducedEnergy
-from rmesh_nlp.programs.stationary import Finish
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.step import Step

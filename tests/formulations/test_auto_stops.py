@@ -11,14 +11,14 @@ from formulations import cascade as of_formulation
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.models import cascade as of_cascade
+from rmesh_nlp.models.cascade import cascade
+from rmesh_nlp.models.energy_program import relocation
+from rmesh_nlp.models.stationary import finished
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     signed_areas,
 )
-from rmesh_nlp.programs import cascade as of_cascade
-from rmesh_nlp.programs.cascade import cascade
-from rmesh_nlp.programs.energy_program import relocation
-from rmesh_nlp.programs.stationary import finished
 from rmesh_nlp.solving import outer as of_outer
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.step import Step

@@ -11,8 +11,8 @@ import pytest
 from formulations.joint import Joint
 from formulations.nested import Nested
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.models.reduced import ReducedEnergy
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.programs.reduced import ReducedEnergy
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer

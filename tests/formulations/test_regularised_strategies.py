@@ -8,8 +8,8 @@ import pytest
 from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.problem import ContactProblem, Motion
-from rmesh_nlp.programs.regularisation import gain_estimate
 from support.formulations import joint, mpcc, nested
 
 

@@ -19,6 +19,8 @@ from formulations.nested import Nested
 from formulations.refined import Refined
 from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.models.cascade_settings import CascadeSettings
+from rmesh_nlp.models.nested_settings import NestedSettings
 from rmesh_nlp.mpcc import MPCC, Options, solve
 from rmesh_nlp.optimize.newton_settings import (
     LocalNewtonSettings,
@@ -27,8 +29,6 @@ from rmesh_nlp.optimize.newton_settings import (
     StepSettings,
     TrustRegionSettings,
 )
-from rmesh_nlp.programs.cascade_settings import CascadeSettings
-from rmesh_nlp.programs.nested_settings import NestedSettings
 from rmesh_nlp.settings import Settings
 from rmesh_nlp.solving.limits import Limits
 from rmesh_nlp.vectorised import AssemblySettings

@@ -14,6 +14,8 @@ from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.models.curvature import Curvature
+from rmesh_nlp.models.reduced import ReducedObjective
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -26,8 +28,6 @@ from rmesh_nlp.problem import (
     ProblemError,
     Traction,
 )
-from rmesh_nlp.programs.curvature import Curvature
-from rmesh_nlp.programs.reduced import ReducedObjective
 from rmesh_nlp.solving.outer import Outer
 from support.contact_geometry import (
     GEOMETRIES,

@@ -8,7 +8,7 @@ import pytest
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.examples import EXAMPLES, PAPER
-from rmesh_nlp.programs.energy_program import relocation
+from rmesh_nlp.models.energy_program import relocation
 from rmesh_nlp.study import frozen_friction, reproduction
 from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, Statement, reproduce
 

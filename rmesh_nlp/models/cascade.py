@@ -1,0 +1,323 @@
+"""Large moves by a cascade of meshes: search where it is cheap, follow where it is dear.
+
+The best moves of an energy with a distortion are a map of the domain that hardly depends on the mesh, if the
+weight falls like the error of the energy. So the map is found on a coarse mesh, by continuation from
+heavy to light weights, prolonged to the next finer mesh, and there only corrected.
+
+1. Meshes: each coarser one has about a quarter of the nodes (:func:`rmesh_nlp.models.levels.coarsened`).
+2. The error of the energy is estimated on the coarsest mesh; on the others it falls like the number of nodes.
+3. Coarsest mesh: schedules of weights, each weight from where the last one ended; the best end counts. More
+   than one where they are cheap beside the finest mesh.
+4. Each finer mesh: from the prolonged map, at the final weight. Meshes of few nodes are solved to the end,
+   large ones and the finest one by a few iterations only, twice as many on each coarser one (F. A. Bornemann,
+   P. Deuflhard, The cascadic multigrid method for elliptic problems, Numer. Math. 75 (1996)).
+   A map that does not lower the energy there is
+   damped, or not taken at all (:mod:`rmesh_nlp.models.acceptance`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.models.acceptance import accepted
+from rmesh_nlp.models.cascade_settings import CascadeSettings, Schedules
+from rmesh_nlp.models.energy_program import relocation
+from rmesh_nlp.models.large_moves import LargeMoves
+from rmesh_nlp.models.levels import coarsened
+from rmesh_nlp.models.prolongation import prolonged
+from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.regularisation import gain_estimate, regularised
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.stopping import StoppedError
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.rigid import rigid_motions
+
+OnMove = Callable[[int, ReducedEnergy, Array, float], bool | None]
+"""``(iteration, energy, moves, value)`` of a level; the descent stops if it returns True."""
+
+IsLate = Callable[[], bool]
+"""Whether the time is up; asked before each program is stated and each mesh is coarsened."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """What was done on one mesh of the cascade.
+
+    Attributes
+    ----------
+    nodes, triangles : int
+    weight : float
+        Final weight of the distortion, absolute.
+    prolonged, energy : float
+        Energy (without the distortion) of the prolonged map, NaN on the coarsest mesh, and at the end.
+    taken : float
+        Part of the prolonged map that was taken, see :func:`rmesh_nlp.models.acceptance.accepted`; NaN on
+        the coarsest mesh.
+    iterations, products, contact_solves : int
+    seconds, build_seconds : float
+        Processor time of the descents, and of stating the programs and making the map.
+    """
+
+    nodes: int
+    triangles: int
+    weight: float
+    prolonged: float
+    taken: float
+    energy: float
+    iterations: int
+    products: int
+    contact_solves: int
+    seconds: float
+    build_seconds: float
+
+
+@dataclass(frozen=True)
+class CascadeResult:
+    """Where the cascade ended.
+
+    Attributes
+    ----------
+    q : (n,) array
+        Moves of the finest mesh.
+    problem : ContactProblem
+        On the finest mesh.
+    objective : Objective
+        The energy of the finest mesh with the distortion.
+    gain_estimate : float
+        Estimated error of the energy of the finest mesh as given.
+    status : Status
+    levels : tuple of Level
+        Coarsest first.
+    built : ReducedEnergy, optional
+        The objective as a function of the moves; None if the time was up before it was stated.
+    """
+
+    q: Array
+    problem: ContactProblem
+    objective: Objective
+    gain_estimate: float
+    status: Status
+    levels: tuple[Level, ...]
+    built: ReducedEnergy | None = None
+
+    @cached_property
+    def energy(self) -> ReducedEnergy:
+        """The objective as a function of the moves."""
+        return self.built or ReducedEnergy(relocation(self.problem, self.objective))
+
+    def record(self) -> list[dict[str, Any]]:
+        """The levels as plain values."""
+        return [asdict(level) for level in self.levels]
+
+
+def hierarchy(
+    problem: ContactProblem, coarsest: int, is_late: IsLate = lambda: False
+) -> list[ContactProblem]:
+    """The problem on coarser and coarser meshes, coarsest first, itself last.
+
+    Raises
+    ------
+    StoppedError
+        If the time is up.
+    """
+    levels = [problem]
+    while True:
+        _check_time(is_late)
+        coarser = coarsened(levels[-1], coarsest)
+        if coarser is None or not _is_held(coarser):
+            break
+        levels.append(coarser)
+    return levels[::-1]
+
+
+def _is_held(problem: ContactProblem) -> bool:
+    """Whether a body that contact alone holds is held on this mesh: a coarse one may touch at one node."""
+    if rigid_motions(problem).size == 0:
+        return True
+    try:
+        ContactModel(problem)
+    except ProblemError:
+        return False
+    return True
+
+
+def _check_time(is_late: IsLate) -> None:
+    if is_late():
+        raise StoppedError
+
+
+def cascade(
+    problem: ContactProblem,
+    settings: CascadeSettings | None = None,
+    on_move: OnMove | None = None,
+    is_late: IsLate = lambda: False,
+) -> CascadeResult:
+    """Minimise the energy over the positions of all nodes, without boxes, by a cascade of meshes.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        Boxes are obeyed if there are any; without, the distortion alone keeps the elements valid.
+    settings : CascadeSettings, optional
+    on_move : callable, optional
+        Called after each iteration on each mesh.
+    is_late : callable, optional
+        Once it is true nothing more is stated or solved: the map of the last mesh is prolonged to the given
+        one, where it is neither corrected nor compared, and the status is INTERRUPTED.
+
+    Raises
+    ------
+    StoppedError
+        If the time is up before there is a map.
+    """
+    chosen = settings or CascadeSettings()
+    problems = hierarchy(problem, chosen.coarsest, is_late)
+    _check_time(is_late)
+    began = time.process_time()
+    gain = gain_estimate(problems[0]).value
+    move = np.zeros((2, 0))
+    levels: list[Level] = []
+    run = _Runner(chosen, on_move, is_late)
+    final = gain * problems[0].mesh.p.shape[1] / problem.mesh.p.shape[1]
+    objective = regularised(final, chosen.regularisation, chosen.distortion)
+    built: ReducedEnergy | None = None
+    for number, here in enumerate(problems):
+        share = gain * problems[0].mesh.p.shape[1] / here.mesh.p.shape[1]
+        if number == 0:
+            before = taken = float("nan")
+            _check_time(is_late)
+            finest = problem.mesh.p.shape[1]
+            energy, q, status = run.searched(here, share, chosen.starts(here.mesh.p.shape[1], finest))
+        else:
+            coarse = problems[number - 1]
+            energy = run.energy(here, share, chosen.regularisation)
+            whole = prolonged(coarse.mesh.p, coarse.triangles, move, energy.relocation)
+            q, taken = accepted(energy, whole)
+            before = energy(whole).equilibrium.energy
+            above = len(problems) - 1 - number
+            # what is not a correction of a map takes more than a few iterations
+            brief = (above == 0 and taken == 1) or here.mesh.p.shape[1] > chosen.thorough
+            nested = here.mesh.t.shape[1] == 4 * coarse.mesh.t.shape[1]
+            q, status = run.followed(energy, q, share, chosen.limit(brief, nested, above))
+        move = energy.relocation.nodes(q) - here.mesh.p
+        levels.append(
+            Level(
+                nodes=int(here.mesh.p.shape[1]),
+                triangles=int(here.mesh.t.shape[1]),
+                weight=chosen.regularisation * share,
+                prolonged=before,
+                taken=taken,
+                energy=energy(q).equilibrium.energy,
+                build_seconds=time.process_time() - began - run.seconds,
+                seconds=run.seconds,
+                **run.counts(),
+            )
+        )
+        began = time.process_time()
+        if number == len(problems) - 1:
+            built = None if run.stopped else energy
+        elif run.late():
+            q = prolonged(here.mesh.p, here.triangles, move, discretise(problem))
+            break
+    status = Status.INTERRUPTED if run.stopped else status
+    return CascadeResult(q, problem, objective, final, status, tuple(levels), built)
+
+
+class _Runner:
+    """Descents on the meshes of one cascade, and what they cost."""
+
+    def __init__(self, settings: CascadeSettings, on_move: OnMove | None, is_late: IsLate) -> None:
+        self._settings, self._on_move, self._is_late = settings, on_move, is_late
+        self._iterations = self._products = self._solves = 0
+        self._total, self.seconds = 0, 0.0
+        self._energies: list[tuple[ReducedEnergy, int]] = []
+        self.stopped = False
+
+    def late(self) -> bool:
+        """Whether the descents were stopped, or the time is up."""
+        self.stopped = self.stopped or self._is_late()
+        return self.stopped
+
+    def energy(self, problem: ContactProblem, gain: float, weight: float, model: Any = None) -> ReducedEnergy:
+        """The energy of a mesh with the distortion."""
+        objective = regularised(gain, weight, self._settings.distortion)
+        energy = ReducedEnergy(relocation(problem, objective), model)
+        self._energies.append((energy, 0))
+        return energy
+
+    def counts(self) -> dict[str, int]:
+        """Costs since the last call."""
+        found = {"iterations": self._iterations, "products": self._products}
+        self.seconds = 0.0
+        solves = sum(energy.contact_solves - before for energy, before in self._energies)
+        self._energies = []
+        self._iterations = self._products = 0
+        return {**found, "contact_solves": solves}
+
+    def searched(
+        self, problem: ContactProblem, gain: float, schedules: Schedules
+    ) -> tuple[ReducedEnergy, Array, Status]:
+        """The best end of all schedules on the coarsest mesh; the first map that there is once it is late."""
+        chosen, model = self._settings, ContactModel(problem)
+        best: tuple[float, ReducedEnergy, Array, Status] | None = None
+        reached: tuple[ReducedEnergy, Array, Status] | None = None
+        steps: dict[tuple[float, ...], Array] = {(): np.zeros(0)}
+        for schedule in schedules:
+            # schedules may begin alike: what they share is solved once
+            for number in range(len(schedule) + 1):
+                before = schedule[:number]
+                last = number == len(schedule)
+                weight = chosen.regularisation if last else schedule[number]
+                path = (*before, weight)
+                if path in steps:
+                    continue
+                if reached is not None and self.late():
+                    return best[1:] if best is not None else reached
+                energy = self.energy(problem, gain, weight, model)
+                start = steps[before] if before else np.zeros(energy.relocation.n_q)
+                # of several only the best one is worth following to the end
+                end = chosen.end if last and len(schedules) == 1 else chosen.continued
+                q, status = self._descend(energy, start, gain, end, chosen.iterations)
+                steps[path], reached = q, (energy, q, status)
+                if last and (best is None or energy(q).value < best[0]):
+                    best = energy(q).value, energy, q, status
+        assert best is not None
+        _, energy, q, status = best
+        if len(schedules) > 1 and not self.late():
+            q, status = self._descend(energy, q, gain, chosen.end, chosen.iterations)
+        return energy, q, status
+
+    def followed(self, energy: ReducedEnergy, q: Array, gain: float, limit: int) -> tuple[Array, Status]:
+        """A descent from a prolonged map."""
+        return self._descend(energy, q, gain, self._settings.end, limit)
+
+    def _descend(
+        self, energy: ReducedEnergy, q: Array, gain: float, end: float, limit: int
+    ) -> tuple[Array, Status]:
+        moves, before = LargeMoves(energy, approximate=True), self._total
+
+        def report(iteration: int, x: Array, value: float) -> bool:
+            if self._on_move is not None and self._on_move(before + iteration, energy, x, value):
+                self.stopped = True
+            return self.stopped
+
+        # relative to what there is to gain at all, so that a good start ends soon
+        began = time.process_time()
+        reference = energy(q).value + gain
+        result = moves(q, gain_tolerance=end, reference=reference, max_iterations=limit, on_step=report)
+        self.seconds += time.process_time() - began
+        self._iterations += result.iterations
+        self._total += result.iterations
+        self._products += result.products
+        return result.x, result.status

@@ -1,0 +1,110 @@
+"""The first-order residual of the outer problem: one measure for histories, stopping tests and records.
+
+At moves q with gradient g of the objective let w >= 0 be multipliers of the validity rows c(q) >= 0, fitted
+by least squares, and r = g - c'(q)^T w. The residual is
+
+    max ( max_i |q_i - clip(q_i - r_i / unit)|,   max_k min(c_k, w_k / unit) ),
+
+the natural residual of the KKT conditions over boxes and elements, ``unit`` being the largest component of r
+on the mesh as given. So it is 1 on the given mesh, on coarse and on fine grids alike, and at a point with
+residual 1e-6 no released move can change the objective at more than a millionth of the initial rate. Relative
+to the objective itself the gradient falls about twentyfold with each halving of the mesh size.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.models.reduced import ReducedEnergy, ReducedPoint
+from rmesh_nlp.optimize.activity import is_inside
+
+FLOOR = 1e-6
+"""Least unit, in units of the objective: below it the gradient on the given mesh is small already, and
+a millionth of it would be rounding (near 1e-13 on the examples with up to 128 squares a side)."""
+
+
+class OuterResidual:
+    """The first-order residual of one objective.
+
+    Parameters
+    ----------
+    energy : ReducedEnergy
+        Of the problem, for its boxes and elements.
+    given : ReducedPoint
+        The objective on the mesh as given.
+
+    Attributes
+    ----------
+    unit : float
+        What the gradient is measured in.
+    """
+
+    def __init__(self, energy: ReducedEnergy, given: ReducedPoint) -> None:
+        self._energy = energy
+        released, _ = self._released(given.q, given.gradient)
+        largest = float(np.max(np.abs(released), initial=0.0))
+        self.unit = max(largest, FLOOR * size_of(given)) or 1.0
+
+    def __call__(self, point: ReducedPoint) -> float:
+        """The residual at a point of the objective; infinite if its gradient is not finite."""
+        return self.at(point.q, point.gradient)
+
+    def of_program(self, x: Array, lam_g: Array) -> float:
+        """The residual at an iterate of the energy program, whose multipliers are the contact forces.
+
+        It costs no contact solve, and is that of :meth:`__call__` where equilibrium and contact law hold.
+
+        Parameters
+        ----------
+        x : (n_x,) array
+            Unknowns ``(q, u, s)``.
+        lam_g : (n_g,) array
+            Multipliers with CasADi's sign, negative at active lower bounds.
+        """
+        relocation = self._energy.relocation
+        n, n_s, box = relocation.n_contact, relocation.n_s, relocation.freedoms.bound
+        normal, minus, plus = np.split(-lam_g[: n + 2 * n_s], [n, n + n_s])
+        q = np.clip(x[: relocation.n_q], -box, box)  # an interior point may leave them by rounding
+        return self.at(q, self._energy.gradient(x, normal, plus - minus))
+
+    def of_state(self, q: Array, u: Array, normal_force: Array, friction: Array) -> float:
+        """The residual of the energy at moves, displacements (n_u,) and contact forces of a solver's own.
+
+        It costs no contact solve, like :meth:`of_program`.
+
+        Parameters
+        ----------
+        normal_force : (contact nodes,) array
+        friction : (n_s,) array
+            Tangential forces where friction may act.
+        """
+        box = self._energy.relocation.freedoms.bound
+        q = np.clip(q, -box, box)
+        return self.at(q, self._energy.gradient(self._energy.unknowns(q, u), normal_force, friction))
+
+    def at(self, q: Array, gradient: Array) -> float:
+        """The residual at moves ``q`` with a gradient; infinite if that is not finite."""
+        if not np.all(np.isfinite(gradient)):
+            return float("inf")
+        box = self._energy.relocation.freedoms.bound
+        released, law = self._released(q, gradient)
+        natural = np.abs(q - np.clip(q - released / self.unit, -box, box))
+        pairs = 0.0 if law is None else np.max(np.minimum(law[0], law[1] / self.unit), initial=0.0)
+        return float(max(np.max(natural, initial=0.0), pairs))
+
+    def _released(self, q: Array, gradient: Array) -> tuple[Array, tuple[Array, Array] | None]:
+        """The gradient less the pull of elements; slacks of the elements and their multipliers."""
+        if not self._energy.relocation.n_valid:
+            return gradient, None
+        box = self._energy.relocation.freedoms.bound
+        rows = self._energy.validity.at(q)
+        multipliers = rows.fitted(gradient, is_inside(q, -box, box))
+        return gradient - rows.jacobian.T @ multipliers, (np.maximum(rows.slack, 0.0), multipliers)
+
+
+def size_of(point: ReducedPoint) -> float:
+    """Size of an objective; parts of an energy may cancel in their sum, the strain energy does not."""
+    u = point.equilibrium.u
+    strain = 0.5 * float(u @ (point.system.stiffness @ u)) if point.is_energy else 0.0
+    return max(abs(point.value), strain)

@@ -1,0 +1,55 @@
+"""Starts with alternating moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from formulations.joint import Joint
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.models.alternating import alternated, alternating
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outer import Outer
+
+
+def test_alternating_moves_are_red_and_black_on_a_structured_grid() -> None:
+    problem = EXAMPLES["6.1"](6)
+    relocation = Outer(problem).relocation
+    moves = relocation.nodes(alternating(relocation)) - problem.mesh.p
+    i, j = np.rint(6 * problem.mesh.p).astype(int)
+    free = np.all(moves != 0, axis=0)
+    sign = np.sign(moves[0, free]) * (-1.0) ** (i + j)[free]
+    assert free.sum() == 25
+    assert np.all(sign == sign[0])
+
+
+def test_they_go_downhill_from_any_start() -> None:
+    outer = Outer(EXAMPLES["6.1"](8))
+    for q in (np.zeros(outer.relocation.n_q), outer.moves(seed=3)):
+        gradient = outer.energy(q).gradient
+        moved = alternated(outer.relocation, q, gradient, 0.1, outer.is_valid)
+        inside = np.abs(moved) < 1
+        np.testing.assert_allclose(np.abs(moved - q)[inside], 0.1)
+        assert gradient @ (moved - q) < 0
+
+
+def test_they_are_halved_until_the_mesh_is_valid() -> None:
+    outer = Outer(EXAMPLES["6.3"]((12, 6)))
+    q = np.zeros(outer.relocation.n_q)
+    gradient = outer.energy(q).gradient
+    assert not outer.is_valid(alternating(outer.relocation))
+    moved = alternated(outer.relocation, q, gradient, 1.0, outer.is_valid)
+    assert outer.is_valid(moved)
+    assert np.max(np.abs(moved)) in (0.5, 0.25, 0.125)
+
+
+@pytest.mark.parametrize(
+    ("fine", "name", "added"), [(100, "6.1", True), (1000, "6.1", False), (10, "6.3", False)]
+)
+def test_joint_starts_with_them_on_fine_meshes_without_area_constraints(fine, name, added) -> None:
+    outer = Outer(EXAMPLES[name]({"6.1": 8, "6.3": (12, 6)}[name]))
+    first: list[np.ndarray] = []
+    monitor = Monitor(on_step=lambda step: first.append(step.q))
+    Joint(fine=fine, ipopt={"max_iter": 0}).minimised(outer, np.zeros(outer.n), monitor.track(outer))
+    alternate = alternating(outer.relocation)
+    assert (np.max(np.abs(alternate * first[0])) > 0.2) == added
