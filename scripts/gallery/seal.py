@@ -41,10 +41,10 @@ HEIGHT = 0.02
 STEP = 1e-4
 """Step of the one-sided differences, in units of ``HEIGHT``."""
 
-OUTER = ("newton", "ipopt", "l-bfgs-b", "slsqp")
+OUTER = ("newton", "ipopt")
 """Outer solvers of ``nested`` that are tried, and a limit of iterations: at a kink some never stop."""
 
-ITERATIONS = 200
+LIMITS = rm.Limits(iterations=200)
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def main(
 
 
 def _nested(block: rm.ContactProblem, outer: str) -> rm.Solution:
-    return rm.solve(block, "nested", objective=OBJECTIVE, outer=outer, max_iterations=ITERATIONS)
+    return rm.solve(block, "nested", objective=OBJECTIVE, outer=outer, limits=LIMITS)
 
 
 def draw(solutions: dict[str, rm.Solution], path: Path) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+import rmesh_nlp as rm
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.solution import Solution
@@ -22,8 +23,8 @@ class Case:
 
     @property
     def settings(self) -> dict[str, object]:
-        """Keywords of our formulations."""
-        return {"objective": self.objective, "time_limit_s": min(self.limit, 1e6)}
+        """Keywords of our solves."""
+        return {"objective": self.objective, "limits": rm.Limits(min(self.limit, 1e6))}
 
 
 @dataclass(frozen=True)
