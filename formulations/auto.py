@@ -68,7 +68,7 @@ class Auto(Chooser):
     def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
         along = with_edge_gaps(problem)
         formulation, why = self._chosen(along, objective, is_started)
-        if isinstance(formulation, (Polished, Flips)) or along.motion.min_angle > 0:
+        if isinstance(formulation, (Cascade, Polished, Flips)) or along.motion.min_angle > 0:
             along = replace(along, quadrature=first_rule(along))
         if along.obstacles != problem.obstacles:
             why += "; gaps along edges: a foundation is curved"
@@ -96,11 +96,10 @@ class Auto(Chooser):
             return (Flips(inner) if self.flips else inner), why
         if moves == 0:
             return Nested(), "nested: no node can move"
-        short = Descent(end=chosen.end)
-        polish = {"nodes": chosen.stationary, "finish": chosen.finish, "most": chosen.most}
-        found: Formulation = Polished(Confirmed(chosen, short), **polish)
+        found: Formulation = chosen
         if self.flips:
-            found = Polished(Flips(found, then=replace(short, iterations=chosen.brief)), **polish)
+            flips = Flips(chosen, then=Descent(end=chosen.end, iterations=chosen.brief))
+            found = Polished(flips, nodes=chosen.stationary, finish=chosen.finish, most=chosen.most)
         return found, "cascade: large moves without boxes"
 
     def _around(self, formulation: Formulation) -> Formulation:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from formulations.confirmed import Confirmed
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -35,7 +36,11 @@ SPARE = 6
 
 @dataclass(frozen=True)
 class Cascade(CascadeSettings, Formulation):
-    """Minimises the energy over the positions of all nodes, by a cascade of meshes, from the given mesh."""
+    """Minimises the energy over the positions of all nodes, by a cascade of meshes, from the given mesh.
+
+    The rule for the loads is raised until the assessment agrees with the gain. On small meshes the descent
+    goes on to a stationary point.
+    """
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         if not objective.is_energy:
@@ -44,17 +49,35 @@ class Cascade(CascadeSettings, Formulation):
             )
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        levels = _Levels(outer, self, monitor)
+        maps = Confirmed(Maps(self), Descent(end=self.end))
+        whole = Polished(maps, nodes=self.stationary, finish=self.finish, most=self.most)
+        return whole.run(outer, q, monitor)
+
+
+@dataclass(frozen=True)
+class Maps(Formulation):
+    """The descents of a cascade: each mesh begins with the map of the next coarser one.
+
+    Attributes
+    ----------
+    settings : CascadeSettings
+    """
+
+    settings: CascadeSettings = field(default_factory=CascadeSettings)
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        chosen = self.settings
+        levels = _Levels(outer, chosen, monitor)
         details: dict[str, Any] = {
             "outer": "newton",
-            "regularisation": self.regularisation,
-            "distortion": self.distortion,
-            "stationary_for": f"the energy with {self.distortion} weighted {self.regularisation:g} of "
+            "regularisation": chosen.regularisation,
+            "distortion": chosen.distortion,
+            "stationary_for": f"the energy with {chosen.distortion} weighted {chosen.regularisation:g} of "
             "its estimated error",
         }
         monitor.work += Work(ESTIMATE_SOLVES)
         try:
-            found = cascade(outer.problem, self, levels, monitor.is_over)
+            found = cascade(outer.problem, chosen, levels, monitor.is_over)
         except (KeyboardInterrupt, StoppedError) as error:
             said = monitor.stop(error)
             return Outcome(outer, levels.best(outer), said, details=details)
