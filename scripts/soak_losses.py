@@ -44,7 +44,7 @@ for record in run(cases, Results(Path(sys.argv[1])), resume=True):
 """
 CASES = 12
 
-STUDY = 'random = {{ seed = 0, count = {count} }}\nstrategies = ["fixed", "joint"]\nfields = false\n'
+STUDY = 'random = {{ seed = 0, count = {count} }}\nformulations = ["fixed", "joint"]\nfields = false\n'
 RMESH = "from rmesh_nlp.cli.app import main; main()"
 
 

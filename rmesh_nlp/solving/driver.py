@@ -149,7 +149,7 @@ def _once(
     spent = monitor.spent
     if not formulation.relocates:
         spent = replace(monitor.work, contact_solves=1, cold_contact_solves=1)
-    if monitor.stopped is not None:
+    if monitor.stopped is not None and formulation.relocates:  # one contact solve is finite
         outcome = replace(outcome, status=monitor.stopped)
     with clock.during("audit"):
         found = monitor.to_its_end(lambda: judged(outer, outcome, relocates=formulation.relocates))
