@@ -6,6 +6,7 @@ import asyncio
 import concurrent.futures
 import logging
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
@@ -140,6 +141,9 @@ def _distributed(
 def _client(distributed: Any, jobs: int, scheduler: str | None) -> Iterator[Any]:
     """A client of the cluster; a local one ends with it."""
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    if hasattr(signal, "SIGPIPE") and threading.current_thread() is threading.main_thread():
+        # as Python has it: libraries such as gmsh may have set it so that a lost connection ends this process
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     cluster = client = None
     try:
         try:
