@@ -42,7 +42,8 @@ def _difference(problem: ContactProblem, program: Relocation) -> ca.MX:
     """Friction with the weights of the given mesh less friction with those of the moved one."""
     (part,) = problem.contact_sets
     bound = float(part.obstacle.friction)  # type: ignore[arg-type]
-    order = part.nodes[np.argsort(problem.mesh.p[0, part.nodes])]
+    nodes = problem.boundary_nodes((str(part.obstacle.boundary),))  # held ends too: edges end there
+    order = nodes[np.argsort(problem.mesh.p[0, nodes])]
     positions, slip, x = program.freedoms.positions, program.slip, program.nlp.x
     difference = ca.MX(0)
     for a, b in pairwise(order):

@@ -8,8 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.assessment.admissible import Admissible, admissible
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.assessment.admissible import Admissible, Continuous, admissible
+from rmesh_nlp.assessment.tightening import tightened
+from rmesh_nlp.contact.model import ContactModel, solve
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
@@ -75,6 +76,20 @@ def test_friction_is_the_integral_of_the_bound_times_the_slip(frequency: int) ->
     assert lumped >= found.friction * (1 - 1e-12)
 
 
+def test_a_bound_that_jumps_within_an_edge_leaves_a_doubt() -> None:
+    jump = Obstacle.graph("bottom", 0.0, friction=lambda x, y: ca.if_else(x > 1.9, 0.8, 0.2))
+    assert admissible(block(jump)).doubt > 1e3 * admissible(block(replace(jump, friction=0.8))).doubt
+
+
+def test_between_nodes_friction_stays_within_its_bound() -> None:
+    waves = lambda x, y: -0.02 + 0.004 * np.sin(24 * np.pi * x)  # noqa: E731
+    here = Continuous(block(Obstacle.graph("bottom", waves, friction=2.0)))
+    system = here.system(here._first_standoff())
+    found = tightened(system, solve(system), here.cells, here.field)
+    assert found is not None
+    assert np.all(np.abs(found.tangential_force) <= system.slip_bound * (1 + 1e-9))
+
+
 def test_slip_that_changes_sign_within_an_edge() -> None:
     # the block spreads to both sides, and is pushed to one: u_t is zero off the middle of an edge
     problem = ContactProblem(
@@ -136,6 +151,8 @@ def test_triangles_that_are_held_as_a_whole_are_cut_where_the_foundation_rises()
     assert found.status is Status.CONVERGED
     assert deepest(found) < 1e-3
     assert found.energy > 0
+    above = replace(problem, dirichlet=tuple(Dirichlet(side, 0.2) for side in SIDES))
+    assert admissible(above).problem is above
 
 
 def test_beside_a_held_node_the_free_one_keeps_off_as_far_as_needed() -> None:

@@ -161,6 +161,11 @@ def test_curved_given_displacements_leave_the_lower_bound_alone():
     assert not found.guaranteed_upper
 
 
+def test_a_traction_that_jumps_inside_edges_is_flagged():
+    jump = Traction("top", (0.0, lambda x, y: ca.if_else(x > 0.77, -0.5, 0.0)))
+    assert not bracket_of(block(tractions=jump)).guaranteed_lower
+
+
 def test_a_load_that_jumps_inside_elements_is_flagged():
     jump = PlaneStrain(10.0, 8.0, (0.0, lambda x, y: ca.if_else(x + 0.3 * y > 0.77, -3.0, 0.0)))
     found = bracket_of(block(law=jump))
@@ -232,6 +237,8 @@ def test_equilibrium_is_checked_and_can_fail():
     assert edge_residual(skeleton, conditions, replace(field, balance=pulled)) > 1e-6
     rough = replace(field.balance, friction=field.balance.friction + 1.0)
     assert edge_residual(skeleton, conditions, replace(field, balance=rough)) > 1e-6
+    slippery = replace(conditions, friction=0 * conditions.friction)
+    assert edge_residual(skeleton, slippery, field) > 1e-6
 
 
 def test_without_its_oscillation_term_a_bound_would_be_wrong(monkeypatch):

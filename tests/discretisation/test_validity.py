@@ -64,3 +64,11 @@ def test_an_inverted_element_is_not_a_number_and_no_other_is(min_angle: float) -
 @pytest.mark.parametrize(("height", "upright"), [(0.5, True), (1e-9, True), (0.0, False), (-1e-9, False)])
 def test_one_flat_element_is_enough(height: float, upright: bool) -> None:
     assert is_upright(problem(Motion(delta=None, min_area_fraction=0.1)), squeezed(height)) is upright
+
+
+def test_a_least_angle_is_a_row_of_every_element_that_moves() -> None:
+    plain = discretise(problem(Motion(0.01)))
+    assert plain.validity.size == 0  # boxes keep all areas
+    validity = discretise(problem(Motion(0.01, min_angle=20.0))).validity
+    moves = np.any(plain.freedoms.positions.index >= 0, axis=0)
+    assert validity.elements.size == np.sum(np.any(moves[plain.problem.triangles], axis=0)) > 0

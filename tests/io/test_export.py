@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from formulations.refined import prolong
-from rmesh_nlp.io.export import Series, write_solution
+from rmesh_nlp.io.export import Series, gaps, write_solution
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -174,3 +174,11 @@ def test_a_prolonged_motion_keeps_the_displacement_of_the_coarse_mesh(problem: C
     assert start.energy < coarse.energy
     with pytest.raises(ValueError, match="not the uniform refinement"):
         prolong(problem, coarse.mesh.p, problem)
+
+
+def test_the_gap_where_two_foundations_meet_is_the_smaller_one() -> None:
+    sides = tuple(Obstacle(*side) for side in (("bottom", (0.0, 1.0), 0.1), ("left", (1.0, 0.0), 0.3)))
+    problem = ContactProblem(rectangle(2, 2), PlaneStrain(1.0, 1.0), "right", sides)
+    found = gaps(problem, problem.mesh.p, np.zeros(problem.mesh.p.shape))
+    assert found[np.argmin(problem.mesh.p.sum(axis=0))] == pytest.approx(0.1)
+    assert np.nanmax(found) == pytest.approx(0.3)

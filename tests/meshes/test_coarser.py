@@ -19,7 +19,7 @@ from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.models.energy_program import relocation
 from rmesh_nlp.models.levels import coarsened
 from rmesh_nlp.models.prolongation import interpolated, located, prolonged
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Relative
 from rmesh_nlp.problem.lines import sliding_directions
 from rmesh_nlp.problem.refining import refined
 
@@ -126,6 +126,11 @@ def test_nodes_named_by_number_stay_and_are_renumbered() -> None:
     )
     coarse = coarsened(problem)
     assert coarse is not None
+    boxed = coarsened(replace(problem, motion=Motion(Relative(0.2))))
+    assert boxed is not None
+    # an edge is as much longer as its box is a smaller part of it
+    part = np.sqrt(boxed.mesh.p.shape[1] / problem.mesh.p.shape[1])
+    assert boxed.motion.delta_record() == {"relative": pytest.approx(0.2 * part)}
     new = coarse.motion.pinned[0], *coarse.motion.tied[0]
     np.testing.assert_allclose(coarse.mesh.p[:, new], problem.mesh.p[:, [40, 100, 120]])
 

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.models.energy_program import relocation
+from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.reduced_certificate import ReducedCertificate
+from rmesh_nlp.models.secant_curvature import SecantCurvature
 from rmesh_nlp.problem import ContactProblem, Motion
 from support.formulations import fixed, joint, mpcc, nested
 
@@ -55,3 +61,14 @@ def test_others_refuse_and_fixed_tells_the_value():
         nested.solve(elastic, objective="certificate")
     found = fixed.solve(problem, objective="certificate")
     assert found.extra["objective_value"] > 0
+
+
+def test_secants_learn_what_the_upper_bound_does_not_know():
+    energy = ReducedEnergy(relocation(boxed("scalar")))
+    function = ReducedCertificate(energy, parse_objective("2*certificate"))
+    curvature, rng = SecantCurvature(function), np.random.default_rng(0)
+    ends = [function(q) for q in rng.uniform(-0.2, 0.2, (2, energy.relocation.n_q))]
+    curvature.at(ends[0])
+    hessian, step = curvature.at(ends[1]), ends[1].q - ends[0].q
+    rest = [end.gradient - 2 * function.upper(end.q).gradient for end in ends]
+    np.testing.assert_allclose(hessian(step) - 2 * hessian.upper(step), rest[1] - rest[0], atol=1e-9)

@@ -13,7 +13,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import l_shape, rectangle
-from rmesh_nlp.models.hr import EFFECTIVITY, hr, reference_as_given
+from rmesh_nlp.models.hr import EFFECTIVITY, _stage, hr, reference_as_given
 from rmesh_nlp.models.refinement import edge_gains, marked
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -194,3 +194,8 @@ def test_advice_does_not_praise_penetration_between_contact_nodes() -> None:
 )
 def test_what_is_recommended(figures: tuple[float, float], words: str) -> None:
     assert recommended(*figures).startswith(words)
+
+
+def test_the_error_of_a_stage_is_the_gain_of_its_edges_over_their_effectivity() -> None:
+    stage = _stage(example(3), 0, 0)
+    assert stage.error_estimate == pytest.approx(edge_gains(stage.problem).sum() / EFFECTIVITY)

@@ -94,6 +94,13 @@ def test_an_nl_file_with_complementarity_rows(tmp_path):
     assert result.f == pytest.approx(f, abs=1e-7)
 
 
+def test_only_the_first_objective_of_an_nl_file_counts(tmp_path):
+    path = tmp_path / "two.nl"
+    path.write_text(NL + "O1 0\nn7\nG1 1\n0 5\n")
+    mpcc = read(path).mpcc
+    assert float(ca.Function("f", [mpcc.x], [mpcc.f])([3, 0, 0, 0, 0])) == pytest.approx((3 - 1) ** 2 + 1)
+
+
 def test_a_maximised_objective_and_a_deep_sum(tmp_path):
     """3000 nested additions are deeper than Python's own stack."""
     deep = "o0\nn1\n" * 3000 + "v1\n"

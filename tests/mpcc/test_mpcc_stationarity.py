@@ -4,14 +4,21 @@ At the origin of ``min c x + d y, 0 <= x _|_ y >= 0`` the multipliers are unique
 sign where S means both non-negative.
 """
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC, Options, classify, solve
-from rmesh_nlp.mpcc.classify import judge
-from rmesh_nlp.mpcc.linearisation import linearisation
+from rmesh_nlp.mpcc.classify import Verdict, judge
+from rmesh_nlp.mpcc.linearisation import Multipliers, linearisation
+from rmesh_nlp.mpcc.lpec import descent
+from rmesh_nlp.mpcc.multistart import MultiStart
 from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.second import _same_branch
+from rmesh_nlp.mpcc.stationarity import Label
+from rmesh_nlp.optimize.status import Status
 
 x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")
 
@@ -128,3 +135,30 @@ def test_the_multipliers_given_back_prove_the_label(mpcc):
         assert np.all(result.lam_H[both] <= 1e-6)
     inactive = result.G > 1e-4
     assert np.max(np.abs(result.lam_G[inactive]), initial=0.0) < 1e-6
+
+
+def test_a_descent_does_not_leave_an_active_upper_bound():
+    mpcc = MPCC(ca.vertcat(x, y, z), -x - z, None, x, y, ubx=[9, 9, 1])
+    options, lifted = (programs := Programs(mpcc, Options())).options, programs.lifted
+    at = lifted.start(np.array([0.0, 0.0, 1.0]), np.zeros(0))
+    direction = descent(lifted, linearisation(lifted, at, np.ones(1), options.activity, options.corner))
+    assert direction.decrease == pytest.approx(-1)
+    assert direction.step[:3] == pytest.approx([1, 0, 0])
+
+
+def test_without_multipliers_an_undecided_point_is_no_success():
+    assert Verdict(Label("none", None), None, None).status is Status.STALLED
+    some = Multipliers(*np.zeros((4, 1)))
+    assert Verdict(Label("W", some), None, None).status is Status.ACCEPTABLE
+
+
+def test_a_known_corner_is_no_branch_and_of_failures_the_most_nearly_feasible_is_best():
+    lifted = SimpleNamespace(first=[0], second=[1])
+    run = SimpleNamespace(programs=SimpleNamespace(lifted=lifted, options=SimpleNamespace(corner=1e-6)))
+    for z, known, same in (((0, 1), (0, 2), True), ((1, 0), (0, 2), False), ((0, 1), (0, 0), False)):
+        assert _same_branch(run, np.array(z), np.array(known)) is same
+    ends = [
+        SimpleNamespace(success=False, constraint_violation=a, complementarity=b)
+        for a, b in ((0.0, 1.0), (0.1, 0.0), (0.2, 0.0))
+    ]
+    assert MultiStart(tuple(ends), (), 0).best is ends[1]

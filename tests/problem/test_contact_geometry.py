@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
@@ -300,6 +301,8 @@ def test_a_point_load_pins_its_node_and_does_its_work() -> None:
     solution = fixed.solve(problem)
     # linear elasticity: the energy is minus half the work of the load (Clapeyron)
     assert solution.energy == pytest.approx(-0.5 * np.dot((3.0, -7.0), solution.displacement[:, node]))
+    parts = replace(problem, point_loads=(PointLoad(node, (1.0, -7.0)), PointLoad(node, (2.0, 0.0))))
+    assert admissible(parts).energy == pytest.approx(solution.energy, rel=1e-12)
     with pytest.raises(ProblemError, match="names node 999"):
         replace(problem, point_loads=(PointLoad(999, (0.0, 1.0)),))
     with pytest.raises(ValueError, match="under a point load and cannot move"):

@@ -22,6 +22,7 @@ from rmesh_nlp.problem import (
     Relative,
 )
 from rmesh_nlp.problem.summary import BY_BARRIER
+from rmesh_nlp.problem.symmetry import symmetric
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import joint, nested
 
@@ -204,3 +205,9 @@ def test_least_area_is_a_constraint_unless_a_distortion_stands_in_its_place() ->
     assert held.audit.min_area_ratio == pytest.approx(0.3, abs=1e-6)
     assert by_barrier.success
     assert 0 < by_barrier.audit.min_area_ratio < 0.2
+
+
+def test_an_axis_of_symmetry_holds_what_would_leave_it() -> None:
+    mesh = rectangle(2, 2)
+    assert symmetric(mesh, "left") == Dirichlet("left", (0.0, None))
+    assert symmetric(mesh, "bottom") == Dirichlet("bottom", (None, 0.0))

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -79,6 +80,17 @@ def test_the_contact_set_of_a_membrane_is_where_it_touches() -> None:
         # in the middle, and not at the corners, where the nodes are held above the obstacle
         assert np.max(np.abs(middle[:, inside])) < 0.9
         assert inside[np.argmin(np.linalg.norm(middle, axis=0))]
+
+
+def test_a_least_angle_holds_the_nodes_of_its_element() -> None:
+    problem = replace(membrane(), motion=Motion(None))
+    angle = np.eye(problem.mesh.t.shape[1])[0]
+    pulls = SimpleNamespace(area=0 * angle, angle=angle, box=np.zeros(problem.mesh.p.shape[1]))
+    found = limits(SimpleNamespace(problem=problem, multipliers=pulls))
+    free = found != Limit.PINNED
+    assert set(np.flatnonzero(found == Limit.AREA)) == set(problem.triangles[:, 0]) & set(
+        np.flatnonzero(free)
+    )
 
 
 @pytest.mark.slow

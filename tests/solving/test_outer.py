@@ -71,6 +71,7 @@ def test_an_objective_is_built_once_and_shares_the_contact_model(outer: Outer) -
     mixed = outer.minimising(parse_objective("energy + 0.1*quality"))
     assert mixed.function is mixed.energy is not outer.energy
     assert mixed.contact is other.contact is outer.contact
+    assert not parse_objective("2*energy + 0.1*quality").collapses  # of another inner problem
 
 
 def test_zones_and_counts_of_a_record(problem: ContactProblem) -> None:

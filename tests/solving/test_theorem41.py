@@ -40,6 +40,11 @@ def test_with_friction_the_third_term_closes_the_sum() -> None:
     assert found[1].total < 0.5 * found[0].total
 
 
+def test_the_terms_do_not_depend_on_the_rule_of_the_problem() -> None:
+    one, two = (EXAMPLES["6.1"](2).with_rule(rule) for rule in (1, 8))
+    assert error_terms_on(one, one.mesh.p) == error_terms_on(two, two.mesh.p)
+
+
 def test_without_an_exact_solution_there_are_no_terms() -> None:
     assert error_terms(fixed.solve(EXAMPLES["6.2"]((6, 4)))) is None
 
