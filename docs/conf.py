@@ -23,25 +23,26 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "tutorials/*", "sg_execution_times.rst", "gallery/sg_execution_times.rst"]
+exclude_patterns = ["_build", "notes/*", "tutorials/*", "sg_execution_times.rst", "gallery/sg_execution_times.rst"]
 html_theme = "pydata_sphinx_theme"
 html_title = "rmesh_nlp"
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
     "secondary_sidebar_items": ["page-toc"],
-    "header_links_before_dropdown": 3,
+    "header_links_before_dropdown": 5,
 }
 html_show_sourcelink = False
-html_sidebars = {name: [] for name in ("index", *(path.stem for path in Path(__file__).parent.glob("*.md")))}
+html_sidebars = {name: [] for name in ("index", "getting_started", "theory")}
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
-suppress_warnings = ["myst.xref_missing", "toc.multiple_toc_parents"]  # new pages are found by a pattern
+suppress_warnings = ["myst.xref_missing"]
 
 autosummary_generate = True
 autosummary_imported_members = False
 autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"  # a type without a meaning helps nobody
 autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 napoleon_use_ivar = True
