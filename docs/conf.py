@@ -70,6 +70,7 @@ def add_inherited_fields(app: Any, what: str, name: str, obj: Any, options: Any,
 
 
 def setup(app: Any) -> None:
+    """Register the hook above."""
     app.connect("autodoc-process-docstring", add_inherited_fields, priority=400)
 
 
