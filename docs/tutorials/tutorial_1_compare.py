@@ -1,9 +1,9 @@
 """
 Compare formulations for a paper
-==============================
+================================
 
-Which formulation relocates best, and what does it cost? All of them solve one problem, are judged by
-the same referee, and end in one table.
+Which formulation relocates best, and what does it cost? All of them solve one problem, are
+assessed alike, and end in one table.
 """
 
 # %%
@@ -36,7 +36,7 @@ rm.plot(comparison["fixed"], best, what="mesh")
 rm.plot(comparison["fixed"], best, what="displacement")
 
 # %%
-# All descents are local. Random starts say how much another minimum is worth.
+# All descents are local. Random starts show how much another minimum gains.
 
 several = rm.solve(problem, "joint", starts=4)
 print(several.extra["start_energies"], "spread", several.extra["start_spread"])

@@ -2,8 +2,8 @@
 A part from gmsh
 ================
 
-From a gmsh file to a decision: state the problem in a file, let the package doubt it, solve it, and ask
-whether one refinement would have given more. It needs gmsh: ``pip install 'rmesh-nlp[gmsh]'``.
+From a gmsh file to a decision: describe the problem in a file, check it, solve it, and see
+whether one refinement would have gained more. It needs gmsh: ``pip install 'rmesh-nlp[gmsh]'``.
 """
 
 # %%
@@ -86,7 +86,7 @@ problem = rm.read_problem(folder / "plate.toml")
 print(problem.mesh.p.shape[1], "nodes; boundaries", sorted(problem.mesh.boundaries))
 
 # %%
-# What ``rmesh check`` doubts. An empty list is a set-up without the signs that it knows.
+# The warnings of ``rmesh check``. An empty list means that it found no sign of a wrong set-up.
 
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 
@@ -109,7 +109,7 @@ rm.plot(before, after, what="stress")
 rm.plot(before, after, what="pressure")
 
 # %%
-# Is it worth it? One uniform refinement is the price to beat: ``rmesh compare plate.toml`` prints both.
+# Relocate or refine? One uniform refinement is the gain to beat: ``rmesh compare plate.toml`` prints both.
 
 from rmesh_nlp.problem.refining import refined as finer
 
