@@ -22,7 +22,7 @@ from rmesh_nlp.solving.judgement import Judgement, judged
 from rmesh_nlp.solving.limits import TOLERANCE, Limits
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.outer import Outer, Work
-from rmesh_nlp.solving.safe import SAFE_DEGREE, again, back, better, damped, is_hollow
+from rmesh_nlp.solving.safe import SAFE_DEGREE, back, better, damped, is_hollow, safe_discretisation
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.start import Start, beginning
 from rmesh_nlp.solving.step import Step
@@ -89,12 +89,11 @@ def solve(
     first, begin, found, spent = _once(chosen, stated, outer_objective, start, seed, tolerance, monitor)
     details: dict[str, Any] = {}
     if safely and is_hollow(found):
-        safe = again(found) if monitor.stopped is None else None
+        is_safe = safe_discretisation(found.outcome.outer.problem) is found.outcome.outer.problem
         said = f"{found.measured.costliest} was exploited" if found.measured else ""
-        if safe is not None:
-            other, _, second, spent = _once(
-                chosen, replace(safe, mesh=problem.mesh), outer_objective, start, seed, tolerance, monitor
-            )
+        if monitor.stopped is None and not is_safe:
+            safe = safe_discretisation(stated)  # as it was given: the end may be on a finer mesh
+            other, _, second, spent = _once(chosen, safe, outer_objective, start, seed, tolerance, monitor)
             if better(found, second) is second:
                 first, found = other, second
             said += f", solved again with a rule of degree {SAFE_DEGREE} and gaps along edges"

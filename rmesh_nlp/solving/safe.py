@@ -87,10 +87,3 @@ def back(first: Outer, found: Judgement) -> Judgement:
     )
     given = judged(first, rest)
     return given if given.success else found
-
-
-def again(first: Judgement) -> ContactProblem | None:
-    """The problem to solve once more; None where that would change nothing."""
-    problem = first.outcome.outer.problem
-    safe = safe_discretisation(problem)
-    return None if safe is problem else safe
