@@ -17,9 +17,9 @@ from formulations.flips import Flips
 from formulations.joint import Joint
 from formulations.nested import Nested
 from formulations.schedule import Schedule
-from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.models.regularisation import weights
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation
@@ -77,7 +77,7 @@ class Auto(Chooser):
     def _chosen(
         self, problem: ContactProblem, objective: Objective, is_started: bool
     ) -> tuple[Formulation, str]:
-        motion, moves = problem.motion, freedoms(problem).n
+        motion, moves = problem.motion, MeshMap.of(problem).n
         if not objective.is_energy:
             return self._around(Nested()), "nested: the objective is not the energy"
         if motion.delta is not None:

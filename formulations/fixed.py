@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rmesh_nlp.contact import model
+from rmesh_nlp.contact import active_set
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.settings import Count
 from rmesh_nlp.solving.formulation import Formulation
@@ -28,11 +28,11 @@ class Fixed(Formulation):
     """
 
     relocates: ClassVar[bool] = False
-    max_iterations: Count = model.MAX_ITERATIONS
+    max_iterations: Count = active_set.MAX_ITERATIONS
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         system = outer.contact.system(outer.problem.mesh.p)
-        found = model.solve(system, max_iterations=self.max_iterations)
+        found = active_set.solve(system, max_iterations=self.max_iterations)
         monitor.work += Work(1, 1, found.iterations)
         nan, seconds = float("nan"), monitor.clock.elapsed
         monitor.note(Step(found.iterations, found.energy, 0.0, 0.0, nan, 1, seconds))

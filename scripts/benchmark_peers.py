@@ -36,7 +36,7 @@ from isolated import Failed, isolated
 from peer_solvers.at_once import nlpsol_mapped, nlpsol_written_out
 from peer_solvers.case import Case, Finish, finish
 from peer_solvers.nested import scipy_minimize
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem, signed_areas
@@ -133,7 +133,7 @@ def run(task: Task, solver: str, limit: float) -> Row:
         least = float(np.min(signed_areas(end.nodes, problem.triangles) / given))
         value = end.value
         if value is None and least > 0:
-            value = float(ContactModel(problem).solve(end.nodes).energy)
+            value = float(ContactSolver(problem).solve(end.nodes).energy)
         return Row(task.name, solver, end.status, value, least, end.iterations, end.seconds)
 
     found = isolated(work, PATIENCE * limit)

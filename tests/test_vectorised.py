@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.sums import Summed
@@ -95,7 +95,7 @@ def test_derivatives_of_a_large_mesh_do_not_depend_on_it(name, size) -> None:
 
 
 def test_an_interruption_comes_through_casadi(monkeypatch) -> None:
-    model = ContactModel(EXAMPLES["6.1"](24))
+    model = ContactSolver(EXAMPLES["6.1"](24))
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
@@ -109,6 +109,6 @@ def test_an_interruption_comes_through_casadi(monkeypatch) -> None:
 
 def test_what_is_kept_outlives_what_made_it() -> None:
     # CasADi does not own Python callbacks: a kernel that nobody keeps cannot be called
-    model = ContactModel(EXAMPLES["6.1"](24))
+    model = ContactSolver(EXAMPLES["6.1"](24))
     gc.collect()
     assert model.solve(model.problem.mesh.p).energy < 0

@@ -17,10 +17,9 @@ from rmesh_nlp.assessment.energy import hat_integrals, load_vector, stiffness
 from rmesh_nlp.assessment.friction import friction_energy
 from rmesh_nlp.assessment.standoff import Cells, cells_of
 from rmesh_nlp.assessment.tightening import tightened
-from rmesh_nlp.contact.directions import Directions
-from rmesh_nlp.contact.model import solve
-from rmesh_nlp.contact.ordering import LARGE, elimination_order
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.contact.active_set import solve
+from rmesh_nlp.contact.solver import Directions
+from rmesh_nlp.contact.system import LARGE, ActiveSet, ContactSystem, Equilibrium, elimination_order
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import displacement_field
 from rmesh_nlp.fem.fields import Field

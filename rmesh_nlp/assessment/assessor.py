@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
-from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.discretisation.validity import least_area_ratio
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mapping.validity import least_area_ratio
 
 TOLERANCE = 1e-6
 """Largest scaled residual of a solution that may be called a success."""
@@ -52,13 +52,13 @@ class Assessor:
 
     Parameters
     ----------
-    model : ContactModel
+    model : ContactSolver
         That of the formulations, whose solutions are assessed.
     given : Equilibrium
         Its solution on the mesh as given.
     """
 
-    def __init__(self, model: ContactModel, given: Equilibrium) -> None:
+    def __init__(self, model: ContactSolver, given: Equilibrium) -> None:
         self.problem, self.model, self._given = model.problem, model, given
 
     @cached_property

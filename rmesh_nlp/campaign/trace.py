@@ -46,7 +46,7 @@ class Trace:
         if not self._moves or "flips" in solution.extra or "regularisation" in solution.extra:
             return solution.history  # flipped edges, or several programs one after the other
         outer = Outer(solution.problem, solution.objective)
-        free = outer.relocation.freedoms
+        free = outer.relocation.mesh_map
         moves = {i: q for i, q in self._moves.items() if q.size == free.n and np.all(np.isfinite(q))}
         if not moves:
             return solution.history

@@ -23,8 +23,7 @@ import numpy as np
 
 from rmesh_nlp.certificate.hybrid import Hybrid, InteriorObstacle, LocalSystems, hybrid
 from rmesh_nlp.certificate.traces import TraceSpace
-from rmesh_nlp.contact.first_guess import DualEnergy
-from rmesh_nlp.contact.model import solve
+from rmesh_nlp.contact.active_set import DualEnergy, solve
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.newton_step import BoxStep

@@ -27,7 +27,7 @@ from rmesh_nlp.certificate.shape_derivatives import (
 )
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
 from rmesh_nlp.certificate.traces import TraceSpace
-from rmesh_nlp.contact.model import solve
+from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem, Place

@@ -19,7 +19,6 @@ from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.cli.study_commands import check as check_study
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.discretisation.freedoms import Mobility
 from rmesh_nlp.display import rich_table
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -31,6 +30,7 @@ from rmesh_nlp.io.problem_messages import one_line
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.problem_template import template
 from rmesh_nlp.io.results import Results, to_json, write_single
+from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.checks import check_unknowns
@@ -75,7 +75,7 @@ def check(path: Path, picture: Path | None = None) -> int:
     problem = _load(path)
     _, keywords = _plan(path, None, {})
     parts = discretise(problem)
-    free = parts.freedoms
+    free = parts.mesh_map
     rows = problem.summary()
     if "regularisation" in keywords and problem.motion.delta is not None and problem.motion.min_angle == 0:
         rows.append(("regularisation", "a barrier in the place of the least area: areas are only positive"))

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetrations
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import holds_along_edges
@@ -66,7 +66,7 @@ class SetupWarning:
 
 def setup_warnings(
     problem: ContactProblem,
-    model: ContactModel | None = None,
+    model: ContactSolver | None = None,
     state: Equilibrium | None = None,
     accurate: Array | None = None,
 ) -> tuple[SetupWarning, ...]:
@@ -79,7 +79,7 @@ def setup_warnings(
     accurate : (n_u,) array, optional
         Nodal loads by an accurate rule; without them the rule is not looked at.
     """
-    model = model or ContactModel(problem)
+    model = model or ContactSolver(problem)
     system = model.system(problem.mesh.p)
     state = state or model.solve(problem.mesh.p)
     u = model.displacement.values(state.u)

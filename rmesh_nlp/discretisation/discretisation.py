@@ -15,13 +15,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.discretisation.freedoms import Freedoms, freedoms
-from rmesh_nlp.discretisation.validity import Validity, validity
 from rmesh_nlp.fem.assembly import Assembled, assemble
 from rmesh_nlp.fem.contact_terms import friction_terms, gap_field, gap_terms, slip_field, slip_terms
 from rmesh_nlp.fem.energy import displacement_field, load_terms, strain_terms
 from rmesh_nlp.fem.fields import ElementGroup, ElementTerm, Field
 from rmesh_nlp.fem.objective import Objective, scaled_group
+from rmesh_nlp.mapping import MeshMap
+from rmesh_nlp.mapping.validity import Validity, validity
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.vectorised import USUAL, AssemblySettings
 
@@ -41,9 +41,9 @@ class Discretisation:
     assembly: AssemblySettings = USUAL
 
     @cached_property
-    def freedoms(self) -> Freedoms:
+    def mesh_map(self) -> MeshMap:
         """The moves of the nodes: the field of positions as a function of q, and the boxes."""
-        return freedoms(self.problem)
+        return MeshMap.of(self.problem)
 
     @cached_property
     def displacement(self) -> Field:
@@ -63,7 +63,7 @@ class Discretisation:
     @property
     def n_q(self) -> int:
         """Number of moves."""
-        return self.freedoms.n
+        return self.mesh_map.n
 
     @property
     def n_u(self) -> int:
@@ -118,7 +118,7 @@ class Discretisation:
     @cached_property
     def validity(self) -> Validity:
         """Rows of the elements that the boxes alone do not keep valid."""
-        return validity(self.problem, self.freedoms, self.assembly)
+        return validity(self.problem, self.mesh_map, self.assembly)
 
     def assemble(self, groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> Assembled:
         """Sum element groups, see :func:`rmesh_nlp.fem.assembly.assemble`."""

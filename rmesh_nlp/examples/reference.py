@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples.paper import EXAMPLES
 from rmesh_nlp.problem import ContactProblem, ExactSolution
 
@@ -61,7 +61,7 @@ def reference_solution(fine: ContactProblem) -> ExactSolution:
             f"a reference solution needs nodes on a rectangular grid: {p.shape[1]} nodes lie on "
             f"{x.size} x {y.size} grid lines"
         )
-    model = ContactModel(fine)
+    model = ContactSolver(fine)
     solution = model.solve(fine.mesh.p)
     place = np.searchsorted(x, p[0]), np.searchsorted(y, p[1])
     splines = []

@@ -10,14 +10,14 @@ import meshio
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.contact.first_guess import touching_set
-from rmesh_nlp.contact.model import ContactModel, solve
-from rmesh_nlp.discretisation.freedoms import freedoms
-from rmesh_nlp.discretisation.validity import least_angles
+from rmesh_nlp.contact.active_set import solve, touching_set
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.io.files import write_text, write_whole
 from rmesh_nlp.io.vtu import fields_of, point_arrays
+from rmesh_nlp.mapping import MeshMap
+from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
@@ -52,7 +52,7 @@ def point_data(solution: Solution) -> dict[str, Array]:
     data = point_arrays(fields_of(solution))
     data["gap"] = gaps(problem, nodes, solution.displacement)
     data["motion"] = _three(nodes - solution.initial_nodes)
-    data["mobility"] = freedoms(problem).mobility.astype(np.int32)
+    data["mobility"] = MeshMap.of(problem).mobility.astype(np.int32)
     if solution.multipliers is not None:
         data["box_multiplier"] = solution.multipliers.box
     return data
@@ -185,7 +185,7 @@ class Series:
         touch.
         """
         folder = Path(folder)
-        model, free = ContactModel(self.problem), freedoms(self.problem)
+        model, free = ContactSolver(self.problem), MeshMap.of(self.problem)
         entries, active = [], None
         for step in self._chosen():
             nodes = free.positions.values(np.asarray(step.q))

@@ -36,7 +36,7 @@ def alternated(
         Of the moves that are added, in boxes; halved until the mesh is valid, which ``q`` must be.
     is_valid : callable
     """
-    bound = relocation.freedoms.bound
+    bound = relocation.mesh_map.bound
     alternate = alternating(relocation)
     step = -length * np.sign(gradient @ alternate) * alternate
     while not is_valid(np.clip(q + step, -bound, bound)):
@@ -59,7 +59,7 @@ def alternating(relocation: Relocation) -> Array:
     graph = coo_array((np.ones(strong.sum()), (coupling.row[strong], coupling.col[strong])), coupling.shape)
     steps = _steps_from_first(graph.tocsr())
     sign = np.where(steps % 2 == 0, 1.0, -1.0)
-    index = rel.freedoms.positions.index
+    index = rel.mesh_map.positions.index
     q = np.zeros(rel.n_q)
     for component in index:
         used = component != CONSTANT

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
@@ -146,7 +146,7 @@ def _is_held(problem: ContactProblem) -> bool:
     if rigid_motions(problem).size == 0:
         return True
     try:
-        ContactModel(problem)
+        ContactSolver(problem)
     except ProblemError:
         return False
     return True
@@ -269,7 +269,7 @@ class _Runner:
         self, problem: ContactProblem, gain: float, schedules: Schedules
     ) -> tuple[ReducedEnergy, Array, Status]:
         """The best end of all schedules on the coarsest mesh; the first map that there is once it is late."""
-        chosen, model = self._settings, ContactModel(problem)
+        chosen, model = self._settings, ContactSolver(problem)
         best: tuple[float, ReducedEnergy, Array, Status] | None = None
         reached: tuple[ReducedEnergy, Array, Status] | None = None
         steps: dict[tuple[float, ...], Array] = {(): np.zeros(0)}

@@ -18,12 +18,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.discretisation.validity import least_angles
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.distortion import reference_shapes
 from rmesh_nlp.fem.element import plain
 from rmesh_nlp.fem.energy import load_energy, strain_energy
+from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.decimation import shape_quality
 from rmesh_nlp.meshes.flips import flipped
 from rmesh_nlp.meshes.reading import from_arrays
@@ -68,7 +68,7 @@ def flip_edges(problem: ContactProblem, gain_to_be_had: float) -> FlippedProblem
     mean reference area around its nodes.
     """
     mesh, triangles = problem.mesh, problem.triangles
-    model = ContactModel(problem)
+    model = ContactSolver(problem)
     values = model.displacement.values(model.solve(mesh.p).u)
     energies = ElementEnergies(problem, np.asarray(mesh.p), values)
     result = flipped(
@@ -183,15 +183,15 @@ def flips_and_moves(
         Whether no other round may follow, for reasons of the caller.
     """
     done: list[Round] = []
-    energy = ContactModel(problem).solve(problem.mesh.p).energy
+    energy = ContactSolver(problem).solve(problem.mesh.p).energy
     for _ in range(rounds):
         result = flip_edges(problem, gain)
         if result.flips == 0:
             break
-        flipped_energy = ContactModel(result.problem).solve(result.problem.mesh.p).energy
+        flipped_energy = ContactSolver(result.problem).solve(result.problem.mesh.p).energy
         shapes = shapes_as_given(given, result.problem.triangles)
         moved = relocate(replace(result.problem, reference=shapes))
-        relocated = ContactModel(moved).solve(moved.mesh.p).energy
+        relocated = ContactSolver(moved).solve(moved.mesh.p).energy
         kept = moved if relocated < flipped_energy else result.problem
         problem = replace(kept, reference=shapes)
         now = min(relocated, flipped_energy)

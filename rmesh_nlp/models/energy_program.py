@@ -19,13 +19,13 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.discretisation.freedoms import Freedoms
-from rmesh_nlp.discretisation.validity import Validity
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import Field, Index
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
+from rmesh_nlp.mapping import MeshMap
+from rmesh_nlp.mapping.validity import Validity
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem
 
@@ -62,7 +62,7 @@ class Relocation:
     @cached_property
     def nlp(self) -> NLP:
         """The program with its derivatives; rows: gaps, the two slip rows of each contact node, validity."""
-        bound, rest = self.freedoms.bound, np.full(self.n_u + self.n_s, np.inf)
+        bound, rest = self.mesh_map.bound, np.full(self.n_u + self.n_s, np.inf)
         ends = np.cumsum([0, self.n_q, self.n_u, self.n_s]).tolist()
         return NLP(
             x=self.x,
@@ -83,9 +83,9 @@ class Relocation:
         return self.discretisation.problem
 
     @property
-    def freedoms(self) -> Freedoms:
+    def mesh_map(self) -> MeshMap:
         """The moves of the nodes."""
-        return self.discretisation.freedoms
+        return self.discretisation.mesh_map
 
     @property
     def n_q(self) -> int:
@@ -144,7 +144,7 @@ class Relocation:
 
     def nodes(self, q: Array) -> Array:
         """Node positions (2, nodes)."""
-        return self.freedoms.positions.values(q)
+        return self.mesh_map.positions.values(q)
 
 
 def with_lower_rule(stated: Relocation, rule: int) -> Relocation:
@@ -174,7 +174,7 @@ def relocation(problem: ContactProblem | Discretisation, objective: Objective = 
     if not objective.collapses:
         raise ValueError(f"{objective.text!r} is not the energy with terms in the positions alone")
     parts = discretise(problem)
-    free, n_u, n_s, n_contact = parts.freedoms, parts.n_u, parts.n_s, parts.n_contact
+    free, n_u, n_s, n_contact = parts.mesh_map, parts.n_u, parts.n_s, parts.n_contact
     displacement = parts.displacement.numbered_from(free.n)
     slip = parts.slip.numbered_from(free.n + n_u)
     fields = (free.positions, displacement, slip)

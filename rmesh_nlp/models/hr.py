@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
@@ -142,6 +142,6 @@ def _at(problem: ContactProblem, positions: np.ndarray) -> ContactProblem:
 
 
 def _stage(problem: ContactProblem, iterations: int, flips: int) -> Stage:
-    energy = ContactModel(problem).solve(problem.mesh.p).energy
+    energy = ContactSolver(problem).solve(problem.mesh.p).energy
     error = float(edge_gains(problem).sum()) / EFFECTIVITY
     return Stage(replace(problem, reference=None), energy, error, iterations, flips)

@@ -114,7 +114,7 @@ def bilevel(
         Units of displacement, of nodal force, and of the objective.
     """
     parts = discretise(problem)
-    free, n_u, n_c, n_s = parts.freedoms, parts.n_u, parts.n_contact, parts.n_s
+    free, n_u, n_c, n_s = parts.mesh_map, parts.n_u, parts.n_contact, parts.n_s
     first = free.n + n_u
     displacement = parts.displacement.in_units(length).numbered_from(free.n)
     normal_force = parts.contact_force.numbered_from(first)

@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rmesh_nlp.discretisation.validity import is_upright
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT
+from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.curvature import Curvature, Hessian
 from rmesh_nlp.models.energy_program import Relocation
 from rmesh_nlp.models.reduced import ReducedEnergy
@@ -74,7 +74,7 @@ class LargeMoves:
         preconditioned: Callable[[Hessian, Array], Preconditioner | None] | None = None,
     ) -> NewtonResult:
         """Descend from moves ``q``; see :func:`rmesh_nlp.optimize.local_newton.descend`."""
-        bound, before = self.relocation.freedoms.bound, self.iterations
+        bound, before = self.relocation.mesh_map.bound, self.iterations
         result = descend(
             self._evaluate,
             q,
@@ -105,7 +105,7 @@ class LargeMoves:
 
 def node_widths(relocation: Relocation, q: Array) -> Array:
     """Least height of the elements at the node behind each move, in the unit of the move."""
-    triangles, positions = relocation.problem.triangles, relocation.freedoms.positions
+    triangles, positions = relocation.problem.triangles, relocation.mesh_map.positions
     nodes = relocation.nodes(q)
     corner = nodes[:, triangles]
     edges = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=0)

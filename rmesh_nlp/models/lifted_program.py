@@ -147,7 +147,7 @@ def _pattern(relocation: Relocation) -> sp.csc_array:
     meet = _elements(relocation)
     follows = sp.csr_array(sp.eye_array(meet.shape[0]) + _beside(relocation))
     moved = meet @ follows
-    to_moves = _to_unknowns(relocation.freedoms.positions.index, relocation.n_q)
+    to_moves = _to_unknowns(relocation.mesh_map.positions.index, relocation.n_q)
     to_others = _to_unknowns(relocation.displacement.index - relocation.n_q, relocation.n_u)
     moves = to_moves.T @ (follows.T @ moved) @ to_moves + sp.eye_array(relocation.n_q)
     mixed = to_others.T @ moved @ to_moves

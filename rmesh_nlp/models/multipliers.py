@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.discretisation.freedoms import Mobility
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT
+from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.models.energy_program import Relocation
 from rmesh_nlp.models.reduced import ReducedEnergy
 from rmesh_nlp.optimize.activity import is_inside
@@ -45,7 +45,7 @@ def multipliers(energy: ReducedEnergy, q: Array, gradient: Array) -> Multipliers
     that no box stops; what then remains at the boxes is theirs.
     """
     relocation = energy.relocation
-    bound, validity = relocation.freedoms.bound, relocation.validity
+    bound, validity = relocation.mesh_map.bound, relocation.validity
     inside, rest, values = is_inside(q, -bound, bound), gradient, np.zeros(validity.size)
     if validity.size:  # a barrier may stand in the place of the rows
         rows = energy.validity.at(q)
@@ -61,7 +61,7 @@ def multipliers(energy: ReducedEnergy, q: Array, gradient: Array) -> Multipliers
 def _by_node(relocation: Relocation, q: Array, rest: Array, stopped: NDArray[np.bool_]) -> Array:
     """What the boxes hold back, as energy per length, at the nodes that own the moves."""
     pull = np.where(stopped, np.maximum(-rest * np.sign(q), 0.0), 0.0)
-    free = relocation.freedoms
+    free = relocation.mesh_map
     index, scale = free.positions.index, free.positions.slopes(q)
     moving = (index != CONSTANT) & (free.mobility != Mobility.TIED)
     rate = np.zeros(index.shape)

@@ -80,17 +80,17 @@ def prolonged(
     least = max(0.5 * float(np.min(after / before)), 1e-9)
     shift = interpolated(coarse_nodes, coarse_triangles, move, X0)
     initial = signed_areas(X0, triangles)
-    q = fine.freedoms.q_of(X0 + shift)
+    q = fine.mesh_map.q_of(X0 + shift)
     for _ in range(MENDINGS):
-        now = fine.freedoms.positions.values(q)
+        now = fine.mesh_map.positions.values(q)
         small = signed_areas(now, triangles) < min(SMALL, least) * initial
         if not np.any(small):
             break
         shift = _smoothed(now - X0, triangles, np.unique(triangles[:, small]))
-        q = fine.freedoms.q_of(X0 + shift)
-    bound = fine.freedoms.bound
+        q = fine.mesh_map.q_of(X0 + shift)
+    bound = fine.mesh_map.bound
     q = np.clip(q, -bound, bound)
-    while not np.all(signed_areas(fine.freedoms.positions.values(q), triangles) > min(1e-3, least) * initial):
+    while not np.all(signed_areas(fine.mesh_map.positions.values(q), triangles) > min(1e-3, least) * initial):
         q = 0.9 * q
         if np.max(np.abs(q), initial=0.0) < 1e-6:
             return np.zeros_like(q)

@@ -9,13 +9,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact.model import ContactModel, solve
+from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.discretisation.validity import is_upright
 from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.blocks import SecondDerivatives
 from rmesh_nlp.models.energy_program import Relocation
 from rmesh_nlp.models.validity import Validity
@@ -60,9 +61,9 @@ class ReducedEnergy:
         Of the stiffness, one per active set that these solves tried.
     """
 
-    def __init__(self, relocation: Relocation, model: ContactModel | None = None) -> None:
+    def __init__(self, relocation: Relocation, model: ContactSolver | None = None) -> None:
         self.relocation = relocation
-        self.model = model or ContactModel(relocation.discretisation)
+        self.model = model or ContactSolver(relocation.discretisation)
         self.contact_solves = self.cold_solves = self.factorisations = 0
         self._active: ActiveSet | None = None
         self._given: Equilibrium | None = None
@@ -80,7 +81,7 @@ class ReducedEnergy:
         self._gradient = Evaluator(
             ca.Function("reduced_gradient", [x, normal, tangential], [ca.densify(gradient)])
         )
-        fields = (relocation.freedoms.positions, relocation.displacement, relocation.slip)
+        fields = (relocation.mesh_map.positions, relocation.displacement, relocation.slip)
         self._position_terms = element_values(
             relocation.objective.position_groups(relocation.problem, *fields)
         )
@@ -179,7 +180,7 @@ class ReducedObjective:
     def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
         self.energy, self.objective = energy, objective
         rel = energy.relocation
-        fields = (rel.freedoms.positions, rel.displacement, rel.slip)
+        fields = (rel.mesh_map.positions, rel.displacement, rel.slip)
         groups = rel.discretisation.objective(objective, *fields)
         outer = rel.discretisation.assemble(groups, rel.x, ca.MX(0, 1), 0)
         self._kept = outer

@@ -71,7 +71,7 @@ class ReducedCertificate:
         rel = self.upper.relocation
         displacement = rel.displacement.values(self.upper.point(inner.q, upper.equilibrium))
         lower, slope = self._lower(rel.nodes(inner.q), displacement)
-        positions = rel.freedoms.positions
+        positions = rel.mesh_map.positions
         moving = positions.index != CONSTANT
         of_lower = np.bincount(
             positions.index[moving], (slope * positions.scale)[moving], minlength=inner.q.size

@@ -9,8 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.discretisation.validity import is_upright
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_program import Relocation
 from rmesh_nlp.models.outer_function import Reduced
 from rmesh_nlp.models.residual import OuterResidual
@@ -61,8 +61,8 @@ def reduced_nlp(
         p=p,
         f=value,
         g=areas.g,
-        lbx=-rel.freedoms.bound,
-        ubx=rel.freedoms.bound,
+        lbx=-rel.mesh_map.bound,
+        ubx=rel.mesh_map.bound,
         lbg=bound,
         ubg=np.full(bound.size, np.inf),
         derivatives=Derivatives(

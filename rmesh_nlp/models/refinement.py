@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.energy_flips import ElementEnergies
 from rmesh_nlp.problem import ContactProblem
@@ -34,7 +34,7 @@ def edge_gains(problem: ContactProblem) -> Array:
     """
     mesh, triangles = problem.mesh, problem.triangles
     n, facets = mesh.p.shape[1], np.asarray(mesh.facets)
-    model = ContactModel(problem)
+    model = ContactSolver(problem)
     values = model.displacement.values(model.solve(mesh.p).u)
     held = problem.held()[0]
     both = held[:, facets[0]] & held[:, facets[1]]

@@ -63,7 +63,7 @@ class OuterResidual:
             Multipliers with CasADi's sign, negative at active lower bounds.
         """
         relocation = self._energy.relocation
-        n, n_s, box = relocation.n_contact, relocation.n_s, relocation.freedoms.bound
+        n, n_s, box = relocation.n_contact, relocation.n_s, relocation.mesh_map.bound
         normal, minus, plus = np.split(-lam_g[: n + 2 * n_s], [n, n + n_s])
         q = np.clip(x[: relocation.n_q], -box, box)  # an interior point may leave them by rounding
         return self.at(q, self._energy.gradient(x, normal, plus - minus))
@@ -79,7 +79,7 @@ class OuterResidual:
         friction : (n_s,) array
             Tangential forces where friction may act.
         """
-        box = self._energy.relocation.freedoms.bound
+        box = self._energy.relocation.mesh_map.bound
         q = np.clip(q, -box, box)
         return self.at(q, self._energy.gradient(self._energy.unknowns(q, u), normal_force, friction))
 
@@ -87,7 +87,7 @@ class OuterResidual:
         """The residual at moves ``q`` with a gradient; infinite if that is not finite."""
         if not np.all(np.isfinite(gradient)):
             return float("inf")
-        box = self._energy.relocation.freedoms.bound
+        box = self._energy.relocation.mesh_map.bound
         released, law = self._released(q, gradient)
         natural = np.abs(q - np.clip(q - released / self.unit, -box, box))
         pairs = 0.0 if law is None else np.max(np.minimum(law[0], law[1] / self.unit), initial=0.0)
@@ -97,7 +97,7 @@ class OuterResidual:
         """The gradient less the pull of elements; slacks of the elements and their multipliers."""
         if not self._energy.relocation.n_valid:
             return gradient, None
-        box = self._energy.relocation.freedoms.bound
+        box = self._energy.relocation.mesh_map.bound
         rows = self._energy.validity.at(q)
         multipliers = rows.fitted(gradient, is_inside(q, -box, box))
         return gradient - rows.jacobian.T @ multipliers, (np.maximum(rows.slack, 0.0), multipliers)

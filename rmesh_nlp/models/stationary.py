@@ -120,7 +120,7 @@ def _polished(
     energy: ReducedEnergy, q: Array, residual: Callable[[ReducedPoint], float], here: float, tolerance: float
 ) -> tuple[Array, float, int]:
     """Newton steps that are judged by the residual: decreases of the value are rounding by now."""
-    curvature, bound, count = Curvature(energy), energy.relocation.freedoms.bound, 0
+    curvature, bound, count = Curvature(energy), energy.relocation.mesh_map.bound, 0
     while here > tolerance and count < POLISH:
         model, width = curvature.at(energy(q)), node_widths(energy.relocation, q)
         factor = positive_definite(*model.joint(width))

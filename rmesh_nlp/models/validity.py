@@ -1,6 +1,6 @@
 """Element validity as walls of a descent.
 
-The rows are those of :mod:`rmesh_nlp.discretisation.validity`, less their bounds: areas are
+The rows are those of :mod:`rmesh_nlp.mapping.validity`, less their bounds: areas are
 bilinear in the moves, so a step along their linearisation may invert elements. Evaluating them costs
 nothing beside a contact solve, so what a step violates is taken back on the rows themselves.
 """
@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.discretisation.validity import ROUNDING
 from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
+from rmesh_nlp.mapping.validity import ROUNDING
 from rmesh_nlp.models.energy_program import Relocation
 from rmesh_nlp.optimize.polyhedron import Polyhedron
 from rmesh_nlp.optimize.smooth_constraints import Wall

@@ -1,4 +1,4 @@
-"""What a user says about the motion of nodes, see :mod:`rmesh_nlp.discretisation.freedoms`."""
+"""What a user says about the motion of nodes, see :mod:`rmesh_nlp.mapping.mesh_map`."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
-from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
+from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.pixels import draw_field, is_fine
 from rmesh_nlp.report.states import Drawable
@@ -34,7 +34,7 @@ class Limit(Enum):
 def limits(solution: Drawable) -> NDArray[np.object_]:
     """The :class:`Limit` of each node; boxes before areas where both act."""
     problem = solution.problem
-    mobility = freedoms(problem).mobility
+    mobility = MeshMap.of(problem).mobility
     result = np.full(mobility.size, Limit.NOTHING, dtype=object)
     if solution.multipliers is not None:
         pull = solution.multipliers.area + solution.multipliers.angle

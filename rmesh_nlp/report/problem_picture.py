@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from rmesh_nlp.discretisation.freedoms import Freedoms, Mobility, freedoms
+from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.problem.units import bracketed
@@ -37,7 +37,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     has a marker for its mobility, and sliding ones a short line along which they slide. Foundations are
     drawn with the initial gap of every contact node, in red where they overlap the body.
     """
-    p, free = problem.mesh.p, freedoms(problem)
+    p, free = problem.mesh.p, MeshMap.of(problem)
     feet = [foundation.feet for foundation in foundations(problem, p) if not foundation.is_far]
     extent = np.ptp(np.hstack([p, *feet]), axis=1)
     figure = Figure(figsize=(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0)), layout="constrained")
@@ -64,7 +64,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     figure.savefig(path, dpi=150, bbox_inches="tight")
 
 
-def _draw_moves(axis: Axes, problem: ContactProblem, free: Freedoms) -> None:
+def _draw_moves(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:
     p, size = problem.mesh.p, 2000 / max(problem.mesh.p.shape[1], 100)
     for kind, (marker, label) in MARKERS.items():
         nodes = free.mobility == kind

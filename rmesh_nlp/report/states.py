@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact.first_guess import touching_set
-from rmesh_nlp.contact.model import ContactModel, solve
+from rmesh_nlp.contact.active_set import solve, touching_set
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.stress import stresses, von_mises
@@ -73,7 +73,7 @@ def before(problem: ContactProblem, pressure: Array | None = None) -> State:
 
     A contact ``pressure`` (nodes,) on a similar mesh saves it the search for the nodes that touch.
     """
-    model = ContactModel(problem)
+    model = ContactSolver(problem)
     nodes = np.asarray(problem.mesh.p)
     system = model.system(nodes)
     start = None if pressure is None else touching_set(system, pressure[model.contact_nodes] > 0)

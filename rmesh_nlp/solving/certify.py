@@ -14,7 +14,7 @@ from rmesh_nlp.certificate.bracket import Bracket
 from rmesh_nlp.certificate.domain import same_domain
 from rmesh_nlp.certificate.field import Guess
 from rmesh_nlp.certificate.refined import refined_bracket
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.optimize.status import Status
@@ -70,7 +70,7 @@ def certify(solution: Solved, *, refinements: int | None = None) -> Certificate:
             before = after
     if moved:
         given = np.asarray(problem.mesh.p)
-        before = refined_bracket(problem, given, contact_solution(ContactModel(problem), given), refinements)
+        before = refined_bracket(problem, given, contact_solution(ContactSolver(problem), given), refinements)
         if solution.assessed is not None and not problem.motion.curves and is_given:
             before = _with_upper(before, solution.assessed[0])
     if not moved:
@@ -82,7 +82,7 @@ def certify(solution: Solved, *, refinements: int | None = None) -> Certificate:
     return _certificate(before, after, why)
 
 
-def contact_solution(model: ContactModel, nodes: Array) -> Guess:
+def contact_solution(model: ContactSolver, nodes: Array) -> Guess:
     """The contact solution on a mesh with its nodes at ``nodes`` (2, nodes)."""
     problem, found = model.problem, model.solve(nodes)
     pressure, friction = np.zeros((2, nodes.shape[1]))

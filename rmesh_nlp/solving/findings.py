@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.assessment.assessor import Audit, equilibrium_residual, law_residual
-from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
@@ -44,13 +44,13 @@ def own_residuals(system: ContactSystem, own: Equilibrium, exact: Equilibrium) -
 
 
 def warnings_of(
-    model: ContactModel, initial: Equilibrium, load: Array | None, nodes: Array, state: Equilibrium
+    model: ContactSolver, initial: Equilibrium, load: Array | None, nodes: Array, state: Equilibrium
 ) -> list[str]:
     """Signs of a wrong set-up, and of foundations that pass into the relocated mesh.
 
     Parameters
     ----------
-    model : ContactModel
+    model : ContactSolver
     initial, state : Equilibrium
         On the mesh as given and at the relocated ``nodes`` (2, nodes).
     load : (n_u,) array, optional
@@ -101,11 +101,11 @@ def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state
     """An objective at moves (n_q,) and a contact solution, by the assessment's rule."""
     rel = energy.relocation
     problem = rel.problem.with_rule(ACCURATE)
-    groups = objective.groups(problem, rel.freedoms.positions, rel.displacement, rel.slip)
+    groups = objective.groups(problem, rel.mesh_map.positions, rel.displacement, rel.slip)
     return float(sum(np.sum(part) for part in element_values(groups)(energy.point(q, state))))
 
 
-def nodal_stress(model: ContactModel, force: Array, weights: Array) -> Array:
+def nodal_stress(model: ContactSolver, force: Array, weights: Array) -> Array:
     """(nodes,) contact forces over the weights omega_i of their nodes, in N/m^2; zero off the contact set."""
     stress = np.zeros(model.problem.mesh.p.shape[1])
     if force.size:

@@ -12,9 +12,9 @@ from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.quantities import Quantities, quantities
 from rmesh_nlp.assessment.verdict import Measured, verdict
 from rmesh_nlp.contact.system import Equilibrium
-from rmesh_nlp.discretisation.validity import area_ratios
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
+from rmesh_nlp.mapping.validity import area_ratios
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.multipliers import multipliers
 from rmesh_nlp.models.reduced import ReducedEnergy

@@ -9,14 +9,14 @@ from functools import cached_property
 import numpy as np
 
 from rmesh_nlp.assessment.assessor import Assessor
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.discretisation.validity import is_valid
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
+from rmesh_nlp.mapping.validity import is_valid
 from rmesh_nlp.models.energy_program import Relocation, relocation
 from rmesh_nlp.models.outer_function import Reduced, outer_function
 from rmesh_nlp.models.reduced import ReducedEnergy
@@ -62,7 +62,7 @@ class Outer:
     Attributes
     ----------
     discretisation : Discretisation
-    contact : ContactModel
+    contact : ContactSolver
         Contact solves by the problem's own rule.
     relocation : Relocation
         The program in moves, displacements and slips: of the objective where the two levels collapse for it,
@@ -82,7 +82,7 @@ class Outer:
         self.problem, self.tolerance, self.is_near = problem, tolerance, False
         self.contact_seconds = float("nan")
         self.discretisation: Discretisation = discretise(problem)
-        self.contact = ContactModel(self.discretisation)
+        self.contact = ContactSolver(self.discretisation)
         self._minimise(parse_objective(objective))
 
     def _minimise(self, objective: Objective) -> None:
@@ -162,7 +162,7 @@ class Outer:
     @property
     def bound(self) -> Array:
         """(n,) half-widths of the boxes, infinite where there is none."""
-        return self.relocation.freedoms.bound
+        return self.relocation.mesh_map.bound
 
     @property
     def spent(self) -> Work:
@@ -174,7 +174,7 @@ class Outer:
         return self.relocation.nodes(q)
 
     def is_valid(self, q: Array) -> bool:
-        """Whether all elements are valid at moves ``q``, see :mod:`rmesh_nlp.discretisation.validity`."""
+        """Whether all elements are valid at moves ``q``, see :mod:`rmesh_nlp.mapping.validity`."""
         return is_valid(self.problem, self.nodes(q), by_barrier=self.relocation.objective.has_barrier)
 
     def moves(self, positions: Array | None = None, seed: int | None = None) -> Array:
@@ -184,7 +184,7 @@ class Outer:
         that break element validity are halved until they do not.
         """
         if positions is not None:
-            q = np.clip(self.relocation.freedoms.q_of(positions), -self.bound, self.bound)
+            q = np.clip(self.relocation.mesh_map.q_of(positions), -self.bound, self.bound)
         elif seed is not None:
             q = np.random.default_rng(seed).uniform(-1, 1, self.n)
         else:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.fem.objective import Objective
@@ -80,7 +80,7 @@ def _value(problem: ContactProblem, mesh: MeshTri, objective: Objective, finer: 
     there = replace(problem, mesh=mesh, reference=None)
     try:
         stated = discretise(refined(there) if finer else there)
-        energy = ReducedEnergy(relocation(stated), ContactModel(stated))
+        energy = ReducedEnergy(relocation(stated), ContactSolver(stated))
     except ProblemError:  # refined edges on a curve may fold a thin element
         return None
     state = energy.model.solve(np.asarray(stated.problem.mesh.p))

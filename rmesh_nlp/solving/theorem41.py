@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import Field, constant_field
@@ -60,7 +60,7 @@ def error_terms_on(problem: ContactProblem, nodes: Array) -> ErrorTerms | None:
     if exact is None or not np.isfinite(exact.energy):
         return None
     accurate = replace(problem, quadrature=ACCURATE)
-    model = ContactModel(accurate)
+    model = ContactSolver(accurate)
     state = model.solve(nodes)
     fields = (
         constant_field(nodes),
@@ -72,7 +72,7 @@ def error_terms_on(problem: ContactProblem, nodes: Array) -> ErrorTerms | None:
     return ErrorTerms(values[0], values[1], sum(values[2:]), state.energy - exact.energy)
 
 
-def _slips(model: ContactModel, u: Array) -> Array:
+def _slips(model: ContactSolver, u: Array) -> Array:
     """Sizes of the slips (obstacles, nodes), zero off the contact boundaries."""
     problem = model.problem
     field = np.zeros((max(len(problem.obstacles), 1), problem.mesh.p.shape[1]))

@@ -44,7 +44,7 @@ def _difference(problem: ContactProblem, program: Relocation) -> ca.MX:
     bound = float(part.obstacle.friction)  # type: ignore[arg-type]
     nodes = problem.boundary_nodes((str(part.obstacle.boundary),))  # held ends too: edges end there
     order = nodes[np.argsort(problem.mesh.p[0, nodes])]
-    positions, slip, x = program.freedoms.positions, program.slip, program.nlp.x
+    positions, slip, x = program.mesh_map.positions, program.slip, program.nlp.x
     difference = ca.MX(0)
     for a, b in pairwise(order):
         ends = []

@@ -15,7 +15,7 @@ from matplotlib.tri import Triangulation
 from numpy.polynomial import Polynomial
 
 from best_mesh.adaptive import Laplacian
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import constant_field
@@ -58,7 +58,7 @@ class Case:
 
 def energy(problem: ContactProblem) -> float:
     """By a rule of high degree."""
-    return float(ContactModel(replace(problem, quadrature=JUDGE)).solve(problem.mesh.p).energy)
+    return float(ContactSolver(replace(problem, quadrature=JUDGE)).solve(problem.mesh.p).energy)
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def reference(problem: ContactProblem, nodes: int) -> Reference:
     found: list[tuple[int, float]] = []
     while not found or found[-1][0] < nodes:
         here = locally_refined(here, marked(edge_gains(here))) if found else here
-        found.append((int(here.mesh.p.shape[1]), float(ContactModel(here).solve(here.mesh.p).energy)))
+        found.append((int(here.mesh.p.shape[1]), float(ContactSolver(here).solve(here.mesh.p).energy)))
     last, least = found[-1]
     before, higher = next((one for one in reversed(found) if one[0] <= last / 2), found[0])
     return Reference(here, least - (higher - least) * before / (last - before))
@@ -87,7 +87,7 @@ def reference(problem: ContactProblem, nodes: int) -> Reference:
 
 def _gradients(problem: ContactProblem) -> np.ndarray:
     """(components, 2, elements) of the contact solution on the mesh as given."""
-    model = ContactModel(problem)
+    model = ContactSolver(problem)
     values = model.displacement.values(model.solve(problem.mesh.p).u)
     return gradients(problem, np.asarray(problem.mesh.p), values)
 
@@ -115,7 +115,7 @@ def local_errors(problem: ContactProblem, fine: ContactProblem) -> np.ndarray:
 def exact_errors(problem: ContactProblem) -> np.ndarray:
     """(elements,) half the squared energy norm of the error against the exact solution."""
     judged = replace(problem, quadrature=JUDGE)
-    model = ContactModel(judged)
+    model = ContactSolver(judged)
     values = model.displacement.values(model.solve(problem.mesh.p).u)
     fields = (constant_field(problem.mesh.p), constant_field(values), constant_field(values))
     return element_values(error_energy(judged, *fields))(np.zeros(0))[0]

@@ -91,7 +91,7 @@ def problem(n: int) -> rm.ContactProblem:
 def kinks(solution: rm.Solution, objective: str = OBJECTIVE) -> list[Kink]:
     """One-sided derivatives at every node of the seal, each of two contact solves."""
     outer = Outer(solution.problem, objective)
-    function, free = outer.function, outer.relocation.freedoms
+    function, free = outer.function, outer.relocation.mesh_map
     q = free.q_of(np.asarray(solution.mesh.p))
     here = function(q)
     value, gradient = here.value, here.gradient
@@ -111,7 +111,7 @@ def kinks(solution: rm.Solution, objective: str = OBJECTIVE) -> list[Kink]:
 def along(solution: rm.Solution, node: int, shifts: NDArray[np.float64]) -> NDArray[np.float64]:
     """The objective, the gap and the contact force at ``node`` as that node alone is moved by ``shifts``."""
     outer = Outer(solution.problem, OBJECTIVE)
-    function, free = outer.function, outer.relocation.freedoms
+    function, free = outer.function, outer.relocation.mesh_map
     q, row = free.q_of(np.asarray(solution.mesh.p)), free.positions.index[1, node]
     place = int(np.flatnonzero(outer.contact.contact_nodes == node)[0])
     rows = []

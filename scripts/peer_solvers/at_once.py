@@ -53,7 +53,7 @@ def program_of(problem: ContactProblem) -> Program:
     if rel.n_valid or rel.n_s:
         raise ValueError("only for boxes that exclude inverted elements, and without friction")
     return Program(
-        positions=rel.freedoms.positions,
+        positions=rel.mesh_map.positions,
         displacement=rel.displacement,
         triangles=problem.triangles.T,
         contact=problem.contact_nodes,

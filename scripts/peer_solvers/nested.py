@@ -27,7 +27,7 @@ def scipy_minimize(method: str) -> Callable[[Case], Finish]:
     def run(case: Case) -> Finish:
         began = time.process_time()
         reduced = ReducedEnergy(relocation(case.problem))
-        bound = reduced.relocation.freedoms.bound
+        bound = reduced.relocation.mesh_map.bound
         start = np.zeros(bound.size)
         unit = abs(reduced(start).value) or 1.0
         best, lowest = start, np.inf

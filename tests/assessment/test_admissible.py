@@ -10,8 +10,9 @@ import pytest
 
 from rmesh_nlp.assessment.admissible import Admissible, Continuous, admissible
 from rmesh_nlp.assessment.tightening import tightened
-from rmesh_nlp.contact.model import ContactModel, solve
+from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.penetration import penetration
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.curves import Circle
@@ -46,7 +47,7 @@ def deepest(found: Admissible) -> float:
 @pytest.mark.parametrize(("name", "n"), [("6.1", 4), ("6.2", (6, 3)), ("6.3", (6, 3))])
 def test_on_flat_foundations_it_is_the_energy_by_an_accurate_rule(name: str, n: object) -> None:
     problem = EXAMPLES[name](n=n)
-    exact = ContactModel(problem.with_rule(25)).solve(problem.mesh.p)
+    exact = ContactSolver(problem.with_rule(25)).solve(problem.mesh.p)
     found = admissible(problem, start=exact.active)
     assert found.energy == pytest.approx(exact.energy, rel=1e-9)
     assert found.energy == pytest.approx(found.strain - found.work + found.friction)
@@ -132,7 +133,7 @@ def test_nothing_passes_between_the_nodes(obstacle: Obstacle) -> None:
 
 
 def _at_nodes(problem: ContactProblem) -> np.ndarray:
-    model = ContactModel(problem)
+    model = ContactSolver(problem)
     return model.displacement.values(model.solve(problem.mesh.p).u)
 
 
@@ -140,7 +141,7 @@ def test_a_bump_narrower_than_the_triangles_is_seen_inside_them() -> None:
     problem = ContactProblem(rectangle(7, 7), Laplace(-1.0), SIDES, BUMP)  # no node at the top of the bump
     found = admissible(problem)
     assert deepest(found) < 1e-10
-    assert ContactModel(problem).solve(problem.mesh.p).energy < found.energy - 1e-3
+    assert ContactSolver(problem).solve(problem.mesh.p).energy < found.energy - 1e-3
 
 
 def test_triangles_that_are_held_as_a_whole_are_cut_where_the_foundation_rises() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from rmesh_nlp.assessment.energy import load_vector, stiffness
 from rmesh_nlp.assessment.integrals import over_edges, over_triangles
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
@@ -59,7 +59,7 @@ def test_rules_are_refined_until_a_narrow_bump_is_integrated() -> None:
 def test_stiffness_and_loads_are_those_of_the_formulations() -> None:
     load = (lambda x, y: x * y, lambda x, y: np.sin(x))
     problem = plate({"hole": HOLE}, load=load).with_rule(20)
-    body, model = Body(problem, problem.mesh.p), ContactModel(problem)
+    body, model = Body(problem, problem.mesh.p), ContactSolver(problem)
     system = model.system(problem.mesh.p)
     free = np.flatnonzero(model.displacement.index.T.ravel() >= 0)
     K, (F, doubt) = stiffness(body)[free][:, free], load_vector(body)

@@ -99,7 +99,7 @@ def test_a_traced_solve_has_the_referees_residual_in_its_history(formulation: st
     assert known[-1] <= 1e-5
     solution = outcome.solution
     outer = Outer(solution.problem)
-    q = outer.relocation.freedoms.q_of(np.asarray(solution.mesh.p))
+    q = outer.relocation.mesh_map.q_of(np.asarray(solution.mesh.p))
     assert known[-1] == pytest.approx(outer.residual(outer.energy(q)), abs=1e-5)
     list(run([case], Results(tmp_path)))
     (result,) = read_results(tmp_path)

@@ -8,8 +8,8 @@ from skfem.helpers import dot, grad
 from skfem.models.elasticity import linear_elasticity
 
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
-from rmesh_nlp.contact import model as equilibrium
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact import active_set as equilibrium
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.nlp import NLP
@@ -21,7 +21,7 @@ from support.problems import sloped_block
 
 def test_scalar_system_is_that_of_scikit_fem() -> None:
     problem = replace(EXAMPLES["6.1"](), quadrature=8)
-    model = ContactModel(problem)
+    model = ContactSolver(problem)
     system = model.system(problem.mesh.p)
     basis = Basis(problem.mesh, ElementTriP1(), intorder=8)
     source = ca.Function("f", [x := ca.SX.sym("x"), y := ca.SX.sym("y")], [problem.law.source(x, y)])
@@ -40,7 +40,7 @@ def test_scalar_system_is_that_of_scikit_fem() -> None:
 
 def test_elastic_system_is_that_of_scikit_fem(sloped: ContactProblem) -> None:
     problem = replace(sloped, quadrature=4)
-    model = ContactModel(problem)
+    model = ContactSolver(problem)
     system = model.system(problem.mesh.p)
     element = ElementVector(ElementTriP1())
     basis = Basis(problem.mesh, element, intorder=4)
@@ -78,7 +78,7 @@ def ipopt_reference(system: ContactSystem) -> tuple[np.ndarray, float]:
 
 
 def test_active_set_agrees_with_ipopt(example: ContactProblem) -> None:
-    model = ContactModel(example)
+    model = ContactSolver(example)
     system = model.system(example.mesh.p)
     ours = equilibrium.solve(system)
     u, energy = ipopt_reference(system)
@@ -89,7 +89,7 @@ def test_active_set_agrees_with_ipopt(example: ContactProblem) -> None:
 
 
 def test_sloped_block_sticks_and_slips_and_agrees_with_ipopt(sloped: ContactProblem) -> None:
-    model = ContactModel(sloped)
+    model = ContactSolver(sloped)
     system = model.system(sloped.mesh.p)
     ours = equilibrium.solve(system)
     _, energy = ipopt_reference(system)
@@ -99,7 +99,7 @@ def test_sloped_block_sticks_and_slips_and_agrees_with_ipopt(sloped: ContactProb
 
 
 def test_gaps_of_touching_nodes_are_exactly_zero(example: ContactProblem) -> None:
-    model = ContactModel(example)
+    model = ContactSolver(example)
     system, solution = model.system(example.mesh.p), model.solve(example.mesh.p)
     gap = system.normals @ solution.u + system.offset
     assert np.all(gap[solution.active.touching] == 0)
@@ -111,7 +111,7 @@ def test_gaps_of_touching_nodes_are_exactly_zero(example: ContactProblem) -> Non
 
 
 def test_warm_start_at_the_solution_takes_one_factorisation(example: ContactProblem) -> None:
-    model = ContactModel(example)
+    model = ContactSolver(example)
     cold = model.solve(example.mesh.p)
     warm = model.solve(example.mesh.p, cold.active)
     assert warm.iterations == 1
@@ -119,7 +119,7 @@ def test_warm_start_at_the_solution_takes_one_factorisation(example: ContactProb
 
 
 def test_any_warm_start_leads_to_the_same_solution(sloped: ContactProblem) -> None:
-    model = ContactModel(sloped)
+    model = ContactSolver(sloped)
     system = model.system(sloped.mesh.p)
     cold = equilibrium.solve(system)
     rng = np.random.default_rng(1)
@@ -157,7 +157,7 @@ def test_random_dense_problems_agree_with_ipopt() -> None:
 
 def test_the_iteration_limit_is_reported() -> None:
     problem = EXAMPLES["6.2"]()
-    system = ContactModel(problem).system(problem.mesh.p)
+    system = ContactSolver(problem).system(problem.mesh.p)
     n = system.offset.size
     far_off = ActiveSet(np.ones(n, dtype=bool), np.zeros(0, dtype=np.int8))
     assert equilibrium.solve(system, far_off, max_iterations=2).status is Status.ITERATION_LIMIT
@@ -181,8 +181,8 @@ def test_turned_problem_has_the_same_energy_and_forces() -> None:
         obstacle=replace(flat.obstacle, normal=tuple(Q @ [0, 1])),
         tractions=(replace(flat.tractions[0], value=tuple(load)),),
     )
-    one = ContactModel(upright).solve(upright.mesh.p)
-    two = ContactModel(turned).solve(turned.mesh.p)
+    one = ContactSolver(upright).solve(upright.mesh.p)
+    two = ContactSolver(turned).solve(turned.mesh.p)
     assert two.energy == pytest.approx(one.energy, rel=1e-10)
     np.testing.assert_allclose(two.normal_force, one.normal_force, atol=1e-9)
     np.testing.assert_allclose(two.tangential_force, one.tangential_force, atol=1e-9)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact import model as of_model
-from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.contact.ordering import LEAF, dissected, elimination_order
+from rmesh_nlp.contact import solver as of_model
 from rmesh_nlp.contact.sensitivity import adjoint
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.system import LEAF, dissected, elimination_order
 from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Traction
@@ -60,7 +60,7 @@ def test_solutions_and_adjoints_do_not_depend_on_the_order(
     results = []
     for large in (5000, 10):
         monkeypatch.setattr(of_model, "LARGE", large)
-        model = ContactModel(problem)
+        model = ContactSolver(problem)
         system = model.system(problem.mesh.p)
         assert (system.order is None) == (large == 5000)
         state = model.solve(problem.mesh.p)

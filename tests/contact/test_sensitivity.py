@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.sensitivity import TangentResponse, adjoint, weakly_active
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
@@ -29,7 +29,7 @@ PROBLEMS = {
 @pytest.fixture(params=PROBLEMS)
 def solved(request: pytest.FixtureRequest) -> tuple[ContactSystem, Equilibrium]:
     problem: ContactProblem = PROBLEMS[request.param]()
-    model = ContactModel(discretise(problem))
+    model = ContactSolver(discretise(problem))
     system = model.system(np.asarray(problem.mesh.p))
     return system, model.solve(np.asarray(problem.mesh.p))
 
@@ -59,7 +59,7 @@ def test_the_response_is_that_of_the_equilibrium_with_the_active_set_held(
 
 
 def test_a_slip_that_is_imposed_appears_at_sticking_nodes_alone() -> None:
-    model = ContactModel(discretise(sloped_block()))
+    model = ContactSolver(discretise(sloped_block()))
     nodes = np.asarray(sloped_block().mesh.p)
     system, state = model.system(nodes), model.solve(nodes)
     sticking = system.rotated.slips & (state.active.sliding == 0)

@@ -6,8 +6,8 @@ from typing import Any
 import casadi as ca
 import pytest
 
-from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.setup_warnings import setup_warnings
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.curves import Circle
@@ -87,7 +87,7 @@ def test_a_load_that_the_rule_does_not_see_is_warned_of() -> None:
         motion=Motion(0.05),
         quadrature="midpoint",
     )
-    accurate = ContactModel(replace(problem, quadrature=20)).system(problem.mesh.p).load
+    accurate = ContactSolver(replace(problem, quadrature=20)).system(problem.mesh.p).load
     assert [warning.kind for warning in setup_warnings(problem, accurate=accurate)] == ["load"]
     assert setup_warnings(replace(problem, quadrature=12), accurate=accurate) == ()
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES, PAPER
 
 
@@ -19,14 +19,14 @@ def truncate(value: float, digits: int) -> float:
 )
 def test_initial_energies_are_those_of_the_paper(name: str, energy: float) -> None:
     problem = EXAMPLES[name]()
-    found = ContactModel(problem).solve(problem.mesh.p).energy
+    found = ContactSolver(problem).solve(problem.mesh.p).energy
     assert found == pytest.approx(energy, abs=2e-6)
     assert truncate(found, 4) == pytest.approx(PAPER[name].energy_initial, abs=1e-12)
 
 
 def test_extremes_of_61_are_those_of_the_paper() -> None:
     problem = EXAMPLES["6.1"]()
-    u = ContactModel(problem).solve(problem.mesh.p).u
+    u = ContactSolver(problem).solve(problem.mesh.p).u
     # the paper's digits are rounded up or truncated, so one unit in the last place
     assert u.min() == pytest.approx(PAPER["6.1"].u_min_initial, abs=1e-4)
     assert u.max() == pytest.approx(PAPER["6.1"].u_max_initial, abs=1e-4)
@@ -52,7 +52,7 @@ def test_exact_energy_of_61_by_integration() -> None:
 @pytest.mark.parametrize(("n", "energy"), [(16, -1.699532), (32, -1.881162)])
 def test_refined_initial_energies(n: int, energy: float) -> None:
     problem = EXAMPLES["6.1"](n)
-    assert ContactModel(problem).solve(problem.mesh.p).energy == pytest.approx(energy, abs=2e-6)
+    assert ContactSolver(problem).solve(problem.mesh.p).energy == pytest.approx(energy, abs=2e-6)
 
 
 @pytest.mark.slow
@@ -61,7 +61,7 @@ def test_energy_error_of_fixed_meshes_is_of_second_order() -> None:
     errors = []
     for n in (16, 32, 64):
         problem = replace(EXAMPLES["6.1"](n), quadrature=8)
-        errors.append(ContactModel(problem).solve(problem.mesh.p).energy - EXACT_ENERGY_61)
+        errors.append(ContactSolver(problem).solve(problem.mesh.p).energy - EXACT_ENERGY_61)
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert np.all(np.abs(orders - 2) < 0.2), orders
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.edge_gaps import POWER, SAMPLES, with_edge_gaps
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.reading import from_arrays
@@ -53,7 +53,7 @@ def test_a_node_keeps_off_a_parabola_by_the_norm_of_its_heights(lengths: tuple[f
         {"bottom": [(i, i + 1) for i in range(4)], "top": [(i + 5, i + 6) for i in range(4)]},
     )
     problem = ContactProblem(mesh, LAW, ("top",), replace(PARABOLA, gap="edge"), Motion(None))
-    system = ContactModel(problem).system(mesh.p)
+    system = ContactSolver(problem).system(mesh.p)
     node = int(np.argmin(np.abs(mesh.p[0, problem.contact_nodes] - 0.7)))
     off = CURVATURE / 2 * 0.3**2 - system.offset[node]
     s = np.arange(1, SAMPLES) / SAMPLES
@@ -71,7 +71,7 @@ def test_straight_and_concave_foundations_need_nothing(obstacle: Obstacle) -> No
     problem = block(2, obstacle)
     assert with_edge_gaps(problem) is problem
     nodes, along = problem.mesh.p, replace(problem, obstacle=replace(obstacle, gap="edge"))
-    offsets = [ContactModel(p).system(nodes).offset for p in (problem, along)]
+    offsets = [ContactSolver(p).system(nodes).offset for p in (problem, along)]
     np.testing.assert_allclose(offsets[1], offsets[0], atol=1e-14)
 
 
@@ -88,7 +88,7 @@ def test_nothing_passes_between_the_nodes_of_any_mesh(obstacle: Obstacle, seed: 
     along = with_edge_gaps(at_nodes)
     depths, energies = [], []
     for problem in (at_nodes, along):
-        model, nodes = ContactModel(problem), np.asarray(problem.mesh.p)
+        model, nodes = ContactSolver(problem), np.asarray(problem.mesh.p)
         state = model.solve(nodes)
         depths.append(penetration(problem, nodes, model.displacement.values(state.u)))
         energies.append(state.energy)
@@ -103,7 +103,7 @@ def test_nothing_passes_between_the_nodes_of_any_mesh(obstacle: Obstacle, seed: 
 def test_energies_fall_to_the_limit_from_above(obstacle: Obstacle) -> None:
     energies = {
         gap: [
-            ContactModel(p).solve(p.mesh.p).energy
+            ContactSolver(p).solve(p.mesh.p).energy
             for p in (block(n, replace(obstacle, gap=gap)) for n in (4, 8, 16))
         ]
         for gap in ("node", "edge")
@@ -119,11 +119,11 @@ def test_contact_of_a_curved_body_is_where_its_true_curve_touches() -> None:
     pressed = (Dirichlet("axis", (0.0, None)), Dirichlet("top", (None, -0.2)))
     body = disc({"arc": Circle((0.0, 1.0), 1.0)})
     problem = replace(body, obstacle=Obstacle.graph("arc", 0.0), dirichlet=pressed)
-    model, nodes = ContactModel(problem), np.asarray(problem.mesh.p)
+    model, nodes = ContactSolver(problem), np.asarray(problem.mesh.p)
     state = model.solve(nodes)
     assert np.sum(state.active.touching) >= 2
     assert penetration(problem, nodes, model.displacement.values(state.u)) < 1e-12
-    at_nodes = ContactModel(replace(problem, motion=Motion(None))).solve(nodes)
+    at_nodes = ContactSolver(replace(problem, motion=Motion(None))).solve(nodes)
     assert penetration(problem, nodes, model.displacement.values(at_nodes.u)) > 1e-5
 
 
@@ -142,7 +142,7 @@ def test_nothing_passes_through_the_triangles_over_an_obstacle(seed: int) -> Non
     problem = ContactProblem(mesh, Laplace(-2.0), ("left", "right"), dome, Motion(None))
     depths = []
     for one in (problem, with_edge_gaps(problem)):
-        model = ContactModel(one)
+        model = ContactSolver(one)
         state = model.solve(nodes)
         depths.append(penetration(one, nodes, model.displacement.values(state.u)))
         assert np.sum(state.active.touching) > 5

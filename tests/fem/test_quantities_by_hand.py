@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.contact_terms import nodal_weights
@@ -22,10 +22,10 @@ def value(problem: ContactProblem, objective: Any, u: np.ndarray | None = None) 
     """The objective at the given mesh with nodal displacements u, zero by default."""
     found = discretise(problem)
     rel = relocation(found)
-    groups = parse_objective(objective).groups(problem, rel.freedoms.positions, rel.displacement, rel.slip)
+    groups = parse_objective(objective).groups(problem, rel.mesh_map.positions, rel.displacement, rel.slip)
     x = np.zeros(rel.nlp.n_x)
     if u is not None:
-        state = ContactModel(found).displacement
+        state = ContactSolver(found).displacement
         given = state.values(np.zeros(rel.n_u))
         columns = [(state.values(e) - given).ravel() for e in np.eye(rel.n_u)]
         free = np.linalg.lstsq(np.column_stack(columns), (u - given).ravel(), rcond=None)[0]

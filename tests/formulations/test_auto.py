@@ -15,7 +15,7 @@ from formulations.cascade import cascade, finished
 from formulations.confirmed import agrees
 from formulations.joint import Joint
 from formulations.nested import Nested
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objectives import ENERGY
@@ -178,7 +178,7 @@ def test_over_a_curved_foundation_gaps_hold_along_edges_and_gains_are_true() -> 
     assert "gaps along edges" in row["chosen"]
     assert row["penetration"] < 1e-12
     # below the energy of a much finer mesh with gaps at nodes, which is too low, no true gain can lead
-    finer = ContactModel(over_a_parabola(12))
+    finer = ContactSolver(over_a_parabola(12))
     assert finer.solve(finer.problem.mesh.p).energy < row["energy_audited"]
     assert row["energy_audited"] < row["energy_initial_audited"]
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from formulations import cascade as of_formulation
-from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.discretisation.freedoms import freedoms
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.models import cascade as of_cascade
 from rmesh_nlp.models.cascade import cascade
 from rmesh_nlp.models.energy_program import relocation
@@ -48,9 +48,9 @@ def test_a_cascade_that_is_late_prolongs_what_it_has(monkeypatch: pytest.MonkeyP
     assert [level.nodes for level in result.levels] == [81]
     assert result.status is Status.INTERRUPTED
     assert np.any(result.q != 0)
-    nodes = freedoms(problem).positions.values(result.q)
+    nodes = MeshMap.of(problem).positions.values(result.q)
     assert np.all(signed_areas(nodes, problem.triangles) > 0)
-    energies = [ContactModel(problem).solve(x).energy for x in (problem.mesh.p, nodes)]
+    energies = [ContactSolver(problem).solve(x).energy for x in (problem.mesh.p, nodes)]
     assert energies[1] < energies[0]
 
 

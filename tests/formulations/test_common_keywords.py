@@ -126,15 +126,15 @@ def test_no_time_is_counted_twice_or_forgotten(
 def test_the_unit_of_cost_is_one_cold_contact_solve(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
     monkeypatch.setattr("time.perf_counter", lambda: now[0])
-    from rmesh_nlp.contact.model import ContactModel
+    from rmesh_nlp.contact.solver import ContactSolver
 
-    real = ContactModel.solve
+    real = ContactSolver.solve
 
-    def solve(self: ContactModel, *arguments: Any) -> Any:
+    def solve(self: ContactSolver, *arguments: Any) -> Any:
         now[0] += 2.0
         return real(self, *arguments)
 
-    monkeypatch.setattr(ContactModel, "solve", solve)
+    monkeypatch.setattr(ContactSolver, "solve", solve)
     assert fixed.solve(SMALL).contact_time_s == 2.0
 
 

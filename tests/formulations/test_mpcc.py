@@ -13,8 +13,8 @@ from formulations.joint import Joint
 from formulations.mpcc_options import OPTIONS
 from formulations.nested import Nested
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.discretisation.validity import least_area_ratio
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.mapping.validity import least_area_ratio
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
@@ -192,7 +192,7 @@ def test_without_boxes_no_iterate_inverts_an_element(strategy: Any, name: str, n
 
 def area_at(problem: ContactProblem, q: np.ndarray) -> float:
     """The least element area at moves ``q``, over the initial one."""
-    return least_area_ratio(problem, discretise(problem).freedoms.positions.values(q))
+    return least_area_ratio(problem, discretise(problem).mesh_map.positions.values(q))
 
 
 def test_only_on_fine_meshes_the_start_is_given_alternating_moves(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,10 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
-from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.discretisation.validity import least_angles
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples.random_problems import Frame, random_problem
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
+from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
@@ -35,7 +35,7 @@ FEW = settings(max_examples=12, deadline=None, suppress_health_check=[HealthChec
 def test_energy_does_not_depend_on_the_frame(seed: int, angle: float, a: float, b: float) -> None:
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     here, there = random_problem(seed), random_problem(seed, Frame(turn, np.array([a, b])))
-    one, two = (ContactModel(p).solve(p.mesh.p) for p in (here, there))
+    one, two = (ContactSolver(p).solve(p.mesh.p) for p in (here, there))
     assert two.energy == pytest.approx(one.energy, rel=1e-8, abs=1e-10)
     np.testing.assert_allclose(two.normal_force, one.normal_force, atol=1e-7)
     np.testing.assert_allclose(two.tangential_force, one.tangential_force, atol=1e-7)
@@ -59,11 +59,11 @@ def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
         {name: place[elements] for name, elements in (mesh.subdomains or {}).items()},
     )
     other = replace(problem, mesh=renumbered)
-    one, two = ContactModel(problem).solve(mesh.p), ContactModel(other).solve(renumbered.p)
+    one, two = ContactSolver(problem).solve(mesh.p), ContactSolver(other).solve(renumbered.p)
     assert two.energy == pytest.approx(one.energy, rel=1e-10, abs=1e-12)
     np.testing.assert_allclose(
-        ContactModel(other).displacement.values(two.u)[:, new],
-        ContactModel(problem).displacement.values(one.u),
+        ContactSolver(other).displacement.values(two.u)[:, new],
+        ContactSolver(problem).displacement.values(one.u),
         atol=1e-10,
     )
 

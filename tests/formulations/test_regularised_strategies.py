@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.problem import ContactProblem, Motion
 from support.formulations import joint, mpcc, nested

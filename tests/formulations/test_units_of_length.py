@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rmesh_nlp.discretisation.validity import is_valid
+from rmesh_nlp.mapping.validity import is_valid
 from rmesh_nlp.meshes import shapes
 from rmesh_nlp.models.energy_program import relocation
 from rmesh_nlp.optimize.units import Units

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from rmesh_nlp.discretisation.freedoms import freedoms
 from rmesh_nlp.io.export import Series, element_table, gaps, node_table, write_mesh
+from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.solving.step import Step
@@ -87,7 +87,7 @@ def test_frames_are_the_first_every_so_many_and_the_last(problem: ContactProblem
         n = fixed_freedoms
         return Step(k, 0.0, 0.0, 0.0, 0.0, 0, 0.0, np.full(n, 0.1 * k) if q else None)
 
-    fixed_freedoms = freedoms(problem).n
+    fixed_freedoms = MeshMap.of(problem).n
     series = Series(problem, every=3)
     for k in range(6):
         series(step(k))
@@ -98,7 +98,7 @@ def test_frames_are_the_first_every_so_many_and_the_last(problem: ContactProblem
     series.write(tmp_path, "run")
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["run.pvd", *expected])
     last = meshio.read(tmp_path / expected[-1])
-    positions = freedoms(problem).positions.values(np.full(fixed_freedoms, 0.5))
+    positions = MeshMap.of(problem).positions.values(np.full(fixed_freedoms, 0.5))
     np.testing.assert_allclose(last.points[:, :2].T, positions)
     motion = last.point_data["motion"]
     np.testing.assert_allclose(motion[:, :2].T, positions - problem.mesh.p, atol=1e-15)

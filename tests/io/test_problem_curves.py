@@ -3,9 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.io.problem_messages import ProblemFileError
+from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.curves import Circle, Parametrised, Spline
 
 PLATE = """\
@@ -53,7 +53,7 @@ def written(folder: Path, curve: str) -> Path:
 def test_a_boundary_is_said_to_be_on_a_curve(tmp_path: Path, curve: str, kind: type) -> None:
     problem = load_problem(written(tmp_path, curve))
     assert isinstance(problem.motion.curves["hole"], kind)
-    free = freedoms(problem)
+    free = MeshMap.of(problem)
     hole = problem.boundary_nodes(("hole",))
     assert np.all(free.mobility[hole] == Mobility.SLIDING)
     q = 0.3 * np.random.default_rng(0).uniform(-1, 1, free.n)

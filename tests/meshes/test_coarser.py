@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from skfem import MeshTri
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays, named
@@ -99,7 +99,7 @@ def test_a_decimated_problem_keeps_domain_names_and_corners(seed: int) -> None:
         fine = np.abs(signed_areas(one.p, one.t))[elements].sum()
         assert np.abs(signed_areas(two.p, two.t))[two.subdomains[name]].sum() == pytest.approx(fine)
     # coarser spaces have higher energies, up to quadrature: the problem is the same one
-    assert ContactModel(replace(coarse, quadrature=12)).solve(two.p).status.value == "converged"
+    assert ContactSolver(replace(coarse, quadrature=12)).solve(two.p).status.value == "converged"
 
 
 @pytest.mark.parametrize("edges", [4, 8])

@@ -2,9 +2,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact.model import ContactModel
-from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.curves import Circle, Curve
 from rmesh_nlp.models.acceptance import accepted
 from rmesh_nlp.models.curvature import Curvature
@@ -41,7 +41,7 @@ def test_the_gradient_has_rate_2_where_nodes_slide_along_a_curve(curve: Curve) -
     load = (lambda x, y: x * y, lambda x, y: ca.sin(x))
     problem = plate({"hole": curve}, delta=0.4, load=load)
     hole = problem.boundary_nodes(("hole",))
-    assert np.all(freedoms(problem).mobility[hole] == Mobility.SLIDING)
+    assert np.all(MeshMap.of(problem).mobility[hole] == Mobility.SLIDING)
     assert np.min(verify_gradient(problem).orders) > 1.99
 
 
@@ -56,14 +56,14 @@ def test_second_derivatives_are_those_of_the_gradient() -> None:
 
 
 def test_moves_are_found_again_from_positions() -> None:
-    free = freedoms(plate({"hole": HOLE}, delta=1.0))
+    free = MeshMap.of(plate({"hole": HOLE}, delta=1.0))
     q = np.random.default_rng(0).uniform(-1, 1, free.n)
     np.testing.assert_allclose(free.q_of(free.positions.values(q)), q, atol=1e-12)
 
 
 def test_a_box_is_measured_along_the_curve() -> None:
     problem = plate({"hole": HOLE}, delta=0.3)
-    free = freedoms(problem)
+    free = MeshMap.of(problem)
     hole = problem.boundary_nodes(("hole",))
     at_bound = free.positions.values(np.ones(free.n))[:, hole] - 5
     turn = np.angle(
@@ -104,7 +104,7 @@ def test_no_map_is_taken_where_an_arc_cuts_through_its_triangle() -> None:
     inner = int(np.setdiff1d(problem.triangles[:, element], ends)[0])
     nodes = np.array(problem.mesh.p)
     nodes[:, inner] = 0.98 * nodes[:, ends].mean(axis=1) + 0.02 * nodes[:, inner]
-    q = energy.relocation.freedoms.q_of(nodes)
+    q = energy.relocation.mesh_map.q_of(nodes)
     assert np.min(signed_areas(energy.relocation.nodes(q), problem.triangles)) > 0
     assert not energy.is_defined(q)
     assert energy.is_defined(accepted(energy, q)[0])
@@ -137,7 +137,7 @@ def test_nodes_that_are_nearly_on_the_curve_are_put_onto_it_and_others_refused()
 
 def test_pinned_beats_a_curve_and_ends_of_an_arc_stay() -> None:
     problem = disc({"arc": ARC})
-    mobility = freedoms(problem).mobility
+    mobility = MeshMap.of(problem).mobility
     arc = problem.boundary_nodes(("arc",))
     assert np.sum(mobility[arc] == Mobility.PINNED) == 2
     still = ContactProblem(
@@ -147,5 +147,5 @@ def test_pinned_beats_a_curve_and_ends_of_an_arc_stay() -> None:
         problem.obstacle,
         Motion(None, pinned=("arc",), curves={"arc": ARC}),
     )
-    assert np.all(freedoms(still).mobility[arc] == Mobility.PINNED)
-    assert ContactModel(still).solve(still.mesh.p).energy > 0
+    assert np.all(MeshMap.of(still).mobility[arc] == Mobility.PINNED)
+    assert ContactSolver(still).solve(still.mesh.p).energy > 0

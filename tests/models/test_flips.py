@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
@@ -15,6 +14,7 @@ from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.distortion import distortion_group
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.io.export import cell_data, point_data
+from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.decimation import shape_quality
 from rmesh_nlp.models.energy_flips import (
     ElementEnergies,
@@ -45,9 +45,9 @@ def test_element_energies_sum_to_the_energy_of_the_body(seed: int) -> None:
 )
 def test_flips_lower_the_energy_by_at_least_what_they_say(seed: int) -> None:
     problem = no_boxes(random_problem(seed))
-    before = ContactModel(problem).solve(problem.mesh.p).energy
+    before = ContactSolver(problem).solve(problem.mesh.p).energy
     result = flip_edges(problem, gain_estimate(problem).value)
-    after = ContactModel(result.problem).solve(result.problem.mesh.p).energy
+    after = ContactSolver(result.problem).solve(result.problem.mesh.p).energy
     assert result.gain >= 0
     assert before - after >= result.gain - 1e-10 * abs(before)
     one, two = problem.mesh, result.problem.mesh
@@ -89,7 +89,7 @@ def test_flips_need_a_problem_without_boxes() -> None:
 def crooked() -> ContactProblem:
     """Example 6.1 on a mesh whose flips would make slivers: its nodes are shaken."""
     problem = replace(EXAMPLES["6.1"](n=6), motion=Motion(None), quadrature=6)
-    free = discretise(problem).freedoms
+    free = discretise(problem).mesh_map
     q = 0.3 * np.random.default_rng(2).uniform(-1, 1, free.n)
     return replace(problem, mesh=replace(problem.mesh, doflocs=free.positions.values(q)))
 
@@ -120,7 +120,7 @@ def test_a_relocation_that_raises_the_energy_is_not_kept() -> None:
         nodes[:, flipped.mesh.interior_nodes()] += 0.02
         return replace(flipped, mesh=replace(flipped.mesh, doflocs=nodes))
 
-    before = ContactModel(problem).solve(problem.mesh.p).energy
+    before = ContactSolver(problem).solve(problem.mesh.p).energy
     last, rounds = flips_and_moves(problem, 1e-3, worse, given=problem, rounds=1)
     assert rounds[0].flipped < before
     assert rounds[0].relocated == rounds[0].flipped

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -47,7 +47,7 @@ def test_solves_are_counted_and_the_last_point_is_remembered(problem: ContactPro
     second = reduced(0.5 * q)
     assert counts() == (2, 1)
     assert reduced.factorisations == first.equilibrium.iterations + second.equilibrium.iterations
-    cold = ContactModel(discretise(problem)).solve(outer.relocation.nodes(0.5 * q))
+    cold = ContactSolver(discretise(problem)).solve(outer.relocation.nodes(0.5 * q))
     assert second.value == pytest.approx(cold.energy, rel=1e-10)
     np.testing.assert_array_equal(second.weak, np.zeros(problem.contact_nodes.size, dtype=bool))
 

@@ -8,7 +8,7 @@ import pytest
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
@@ -36,7 +36,7 @@ def example(n: int = 8) -> ContactProblem:
 
 
 def error(problem: ContactProblem) -> float:
-    return ContactModel(replace(problem, quadrature=10)).solve(problem.mesh.p).energy - problem.exact.energy
+    return ContactSolver(replace(problem, quadrature=10)).solve(problem.mesh.p).energy - problem.exact.energy
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -60,7 +60,7 @@ def test_a_distortion_is_zero_at_first_grows_without_bound_and_ends_where_an_ele
     energy = reduced(PROBLEMS["6.1"](), f"energy + 1*{distortion}")
     rel = energy.relocation
     values, q = [], np.zeros(rel.n_q)
-    index = rel.freedoms.positions.index
+    index = rel.mesh_map.positions.index
     node = int(np.flatnonzero(np.all(index >= 0, axis=0))[0])
     d = np.zeros(rel.n_q)
     d[index[0, node]] = 1.0

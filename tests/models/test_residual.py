@@ -78,7 +78,7 @@ def test_a_pull_of_elements_that_have_room_is_no_equilibrium() -> None:
 def test_the_multiplier_of_a_box_on_a_slope_is_the_rate_at_its_narrower_side() -> None:
     problem = sloped_block()  # boxes of 0.1 by 0.05 over slopes of 1 and 4 %: x is the side that stops nodes
     outer = Outer(problem)
-    index, q = outer.relocation.freedoms.positions.index, np.zeros(outer.relocation.n_q)
+    index, q = outer.relocation.mesh_map.positions.index, np.zeros(outer.relocation.n_q)
     node = next(n for n in problem.contact_nodes if index[0, n] == index[1, n] >= 0)
     move = index[0, node]
     q[move], gradient = 1.0, np.where(np.arange(q.size) == move, -3.0, 0.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from rmesh_nlp.discretisation.validity import ROUNDING, least_angles
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.mapping.validity import ROUNDING, least_angles
 from rmesh_nlp.models.validity import Validity
 from rmesh_nlp.optimize.newton import minimise
 from rmesh_nlp.optimize.polyhedron import Polyhedron

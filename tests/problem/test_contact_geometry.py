@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.assessment.admissible import admissible
-from rmesh_nlp.contact.model import ContactModel
 from rmesh_nlp.contact.penetration import penetration
-from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.curvature import Curvature
 from rmesh_nlp.models.reduced import ReducedObjective
@@ -169,7 +169,7 @@ def test_a_node_of_two_foundations_obeys_both() -> None:
     solution = fixed.solve(problem)
     rows = np.flatnonzero(problem.contact_nodes == 0)
     assert rows.size == 2
-    model = ContactModel(problem)
+    model = ContactSolver(problem)
     state = model.solve(problem.mesh.p)
     system = model.system(problem.mesh.p)
     gap = system.normals @ state.u + system.offset
@@ -183,7 +183,7 @@ def test_a_node_of_two_foundations_obeys_both() -> None:
 
 def test_contact_forces_balance_the_load_of_a_body_that_only_contact_holds() -> None:
     problem = punch_held_by_symmetry()
-    state = ContactModel(problem).solve(problem.mesh.p)
+    state = ContactSolver(problem).solve(problem.mesh.p)
     assert state.normal_force.sum() == pytest.approx(200.0 + 3.0, rel=1e-10)
 
 
@@ -198,13 +198,13 @@ def test_contact_forces_balance_the_load_of_a_body_that_only_contact_holds() -> 
 def test_a_body_that_contact_does_not_hold_is_refused(change: dict, message: str) -> None:
     problem = replace(punch_held_by_symmetry(), point_loads=())
     with pytest.raises(ProblemError, match=message):
-        ContactModel(replace(problem, **change))
+        ContactSolver(replace(problem, **change))
 
 
 def test_a_body_that_floats_between_two_foundations_is_refused() -> None:
     # the gaps hold the block somewhere between the plates, and nothing says where
     with pytest.raises(ProblemError, match="not in one place"):
-        ContactModel(
+        ContactSolver(
             ContactProblem(
                 mesh=rectangle(4, 4),
                 law=LAW,
@@ -248,7 +248,7 @@ def test_friction_on_a_straight_curve_is_that_on_the_line() -> None:
     line = tilted(Obstacle.line("bottom", (0, 0), NORMAL, friction=70.0))
     curve = tilted(Obstacle.curve("bottom", lambda x, y: 3 * (NORMAL[0] * x + NORMAL[1] * y), friction=70.0))
     before, after = (joint.solve(problem) for problem in (line, curve))
-    sliding = ContactModel(curve).solve(curve.mesh.p).active.sliding
+    sliding = ContactSolver(curve).solve(curve.mesh.p).active.sliding
     assert np.any(sliding != 0)
     assert np.any(sliding == 0)
     assert after.energy == pytest.approx(before.energy, rel=1e-8)
@@ -272,7 +272,7 @@ def test_friction_on_a_wide_circle_tends_to_that_on_its_tangent() -> None:
 
 def test_friction_on_a_circle_pulls_along_its_tangent() -> None:
     problem = block_sliding_on_a_circle()
-    model = ContactModel(problem)
+    model = ContactSolver(problem)
     state = model.solve(problem.mesh.p)
     system = model.system(problem.mesh.p)
     out_of_balance = model.displacement.values(system.stiffness @ state.u - system.load)
@@ -297,7 +297,7 @@ def test_a_point_load_pins_its_node_and_does_its_work() -> None:
         motion=Motion(0.05),
         point_loads=(PointLoad(node, (3.0, -7.0)),),
     )
-    assert freedoms(problem).mobility[node] == Mobility.PINNED
+    assert MeshMap.of(problem).mobility[node] == Mobility.PINNED
     solution = fixed.solve(problem)
     # linear elasticity: the energy is minus half the work of the load (Clapeyron)
     assert solution.energy == pytest.approx(-0.5 * np.dot((3.0, -7.0), solution.displacement[:, node]))
@@ -306,7 +306,7 @@ def test_a_point_load_pins_its_node_and_does_its_work() -> None:
     with pytest.raises(ProblemError, match="names node 999"):
         replace(problem, point_loads=(PointLoad(999, (0.0, 1.0)),))
     with pytest.raises(ValueError, match="under a point load and cannot move"):
-        freedoms(replace(problem, motion=Motion(0.05, free=(node,))))
+        MeshMap.of(replace(problem, motion=Motion(0.05, free=(node,))))
 
 
 def test_a_point_load_is_not_certified() -> None:
@@ -323,7 +323,7 @@ def test_half_a_ring_that_balances_on_a_hill_is_refused() -> None:
     mesh = rectangle(8, 3, x=(np.pi, 2 * np.pi), y=(0.4, 1))
     angle, radius = mesh.p
     with pytest.raises(ProblemError, match="not in one place"):
-        ContactModel(
+        ContactSolver(
             ContactProblem(
                 mesh=replace(mesh, doflocs=radius * np.array([np.cos(angle), np.sin(angle)])),
                 law=LAW,

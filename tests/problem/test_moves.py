@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
-from rmesh_nlp.discretisation.validity import least_angles
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.mapping import MeshMap, Mobility
+from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -44,14 +44,14 @@ def node(p: ContactProblem, x: float, y: float) -> int:
 
 def test_what_is_pinned_and_what_slides_by_itself() -> None:
     p = problem(Motion(0.1))
-    mobility = freedoms(p).mobility
+    mobility = MeshMap.of(p).mobility
     for x, y in [(0, 0), (3, 1), (2, 1)]:  # corners, end of a load
         assert mobility[node(p, x, y)] == Mobility.PINNED
     for y in (0, 1):  # where the interface meets the boundary a coefficient may jump
         assert mobility[node(p, 1.5, y)] == Mobility.PINNED
     inside = [node(p, 1.5, y) for y in (0.25, 0.5, 0.75)]
     assert np.all(mobility[inside] == Mobility.SLIDING)
-    moved = freedoms(p).positions.values(np.ones(freedoms(p).n))
+    moved = MeshMap.of(p).positions.values(np.ones(MeshMap.of(p).n))
     np.testing.assert_array_equal(moved[0, inside], 1.5)
     assert np.all(moved[1, inside] != p.mesh.p[1, inside])
     assert mobility[node(p, 1.0, 0.5)] == Mobility.FREE
@@ -60,7 +60,7 @@ def test_what_is_pinned_and_what_slides_by_itself() -> None:
 def test_the_end_of_an_interface_inside_is_pinned() -> None:
     mesh = named(rectangle(4, 4), subdomains={"corner": lambda p: (p[0] > 0.5) & (p[1] > 0.5)})
     p = ContactProblem(mesh, Laplace(1.0), ("left",), motion=Motion(0.1))
-    mobility = freedoms(p).mobility
+    mobility = MeshMap.of(p).mobility
     assert mobility[node(p, 0.5, 0.5)] == Mobility.PINNED  # the corner of the interface
     assert mobility[node(p, 0.75, 0.5)] == Mobility.SLIDING
 
@@ -68,7 +68,7 @@ def test_the_end_of_an_interface_inside_is_pinned() -> None:
 def test_nodes_at_kinks_of_the_foundation_are_pinned() -> None:
     wedge = PiecewiseLinear((0.0, 1.0, 3.0), (-0.1, -0.05, -0.2))
     p = problem(Motion(0.1), law=PlaneStrain(1.0, 1.0), obstacle=Obstacle.graph("bottom", wedge))
-    mobility = freedoms(p).mobility
+    mobility = MeshMap.of(p).mobility
     assert mobility[node(p, 1.0, 0)] == Mobility.PINNED
     assert mobility[node(p, 2.0, 0)] == Mobility.SLIDING
 
@@ -76,18 +76,18 @@ def test_nodes_at_kinks_of_the_foundation_are_pinned() -> None:
 def test_nodes_held_at_a_function_of_position_are_pinned() -> None:
     held = (Dirichlet("left", (0.0,)), Dirichlet("right", (lambda x, y: y * (1 - y),)))
     p = problem(Motion(0.1), dirichlet=held)
-    mobility = freedoms(p).mobility
+    mobility = MeshMap.of(p).mobility
     assert np.all(mobility[p.boundary_nodes(("right",))] == Mobility.PINNED)
     assert mobility[node(p, 0, 0.5)] == Mobility.SLIDING
     with pytest.raises(ValueError, match="is held at a function of position and cannot move"):
-        freedoms(replace(p, motion=Motion(0.1, slides=("right",))))
+        MeshMap.of(replace(p, motion=Motion(0.1, slides=("right",))))
 
 
 def test_rules_for_names_and_numbers() -> None:
     p = problem(Motion(0.1))
     end, inner, side = node(p, 2, 1), node(p, 1.0, 0.5), node(p, 1.0, 0)
     motion = Motion(0.1, pinned=("bottom", inner), slides=(end, side), free=(node(p, 1.5, 0.5),))
-    mobility = freedoms(replace(p, motion=motion)).mobility
+    mobility = MeshMap.of(replace(p, motion=motion)).mobility
     assert mobility[end] == Mobility.SLIDING  # on a straight piece, although a part ends there
     assert mobility[inner] == Mobility.PINNED
     assert mobility[side] == Mobility.SLIDING  # a number beats a name
@@ -98,8 +98,8 @@ def test_rules_for_names_and_numbers() -> None:
 def test_a_tied_node_makes_the_moves_of_its_leader() -> None:
     p = problem(Motion(0.1))
     pairs = ((node(p, 1, 0.25), node(p, 1, 0.5)), (node(p, 1, 0), node(p, 1, 1)))
-    free = freedoms(replace(p, motion=Motion(0.1, tied=pairs)))
-    assert free.n == freedoms(p).n - 3
+    free = MeshMap.of(replace(p, motion=Motion(0.1, tied=pairs)))
+    assert free.n == MeshMap.of(p).n - 3
     move = free.positions.values(np.random.default_rng(0).uniform(-1, 1, free.n)) - p.mesh.p
     for tied, leader in pairs:
         np.testing.assert_allclose(move[:, tied], move[:, leader], atol=1e-15)
@@ -123,12 +123,12 @@ def test_a_tied_node_makes_the_moves_of_its_leader() -> None:
 def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, message: str) -> None:
     p = ContactProblem(rectangle(5, 5), Laplace(1.0), ("left",), motion=Motion(0.1))
     with pytest.raises(ValueError, match=message):
-        freedoms(replace(p, motion=motion))
+        MeshMap.of(replace(p, motion=motion))
 
 
 def test_relative_boxes_follow_the_shortest_edge() -> None:
     p = problem(Motion(Relative(0.4)))
-    free = freedoms(p)
+    free = MeshMap.of(p)
     moved = free.positions.values(np.ones(free.n))
     inner = node(p, 1.0, 0.5)
     np.testing.assert_allclose(moved[:, inner] - p.mesh.p[:, inner], 0.4 * 0.25)
@@ -137,7 +137,7 @@ def test_relative_boxes_follow_the_shortest_edge() -> None:
 @pytest.mark.slow
 def test_without_a_box_validity_alone_limits_and_says_where() -> None:
     p = problem(Motion(None, min_area_fraction=0.3), law=Laplace(lambda x, y: 100 * x**4))
-    free = freedoms(p)
+    free = MeshMap.of(p)
     assert np.all(np.isinf(free.bound))
     assert discretise(p).validity.size == p.mesh.t.shape[1]
     one = joint.solve(p)
@@ -160,7 +160,7 @@ def test_the_multiplier_of_a_box_is_the_rate_of_the_energy() -> None:
     delta, step = 0.02, 1e-5
     p = problem(Motion(delta), law=Laplace(lambda x, y: 100 * x**4))
     solution = joint.solve(p)
-    q = freedoms(p).q_of(solution.mesh.p)
+    q = MeshMap.of(p).q_of(solution.mesh.p)
     # the same q in wider boxes: moves that the boxes do not stop have no first-order effect
     wider = Outer(replace(p, motion=Motion(delta + step))).energy(q)
     assert solution.multipliers is not None

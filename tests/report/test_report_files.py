@@ -23,7 +23,7 @@ def test_nothing_is_solved_for_figures(results, tmp_path, monkeypatch):
     def refuse(*_: object) -> None:
         raise AssertionError("a solver was called")
 
-    monkeypatch.setattr("rmesh_nlp.contact.model.ContactModel.solve", refuse)
+    monkeypatch.setattr("rmesh_nlp.contact.solver.ContactSolver.solve", refuse)
     monkeypatch.setattr("casadi.nlpsol", refuse)
     assert write_figures(results, tmp_path / "figures")
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from skfem import ElementTriP1, MeshTri
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.problem.refining import refined
@@ -68,7 +68,7 @@ def test_exact_errors_element_by_element_sum_to_the_error_of_the_energy() -> Non
     cases = script("best_mesh.cases")
     problem = ContactProblem(rectangle(4, 4), Laplace(1.0), ("left", "bottom"), motion=Motion(None))
     fine = refined(refined(problem))
-    energies = [ContactModel(one).solve(one.mesh.p).energy for one in (problem, fine)]
+    energies = [ContactSolver(one).solve(one.mesh.p).energy for one in (problem, fine)]
     local = cases.local_errors(problem, fine)
     assert local.shape == (32,)
     assert local.sum() == pytest.approx(energies[0] - energies[1], rel=1e-9)

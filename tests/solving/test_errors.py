@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import assemble
 from rmesh_nlp.fem.fields import constant_field
@@ -16,7 +16,7 @@ from rmesh_nlp.problem import ContactProblem, ExactSolution, Laplace
 
 def evaluate(problem: ContactProblem, text: str, nodes: np.ndarray, u: np.ndarray) -> float:
     """Value of an objective at node positions and displacement unknowns."""
-    model = ContactModel(problem)
+    model = ContactSolver(problem)
     x = ca.MX.sym("x", 1)
     groups = parse_objective(text).groups(
         problem,
@@ -32,7 +32,7 @@ def test_errors_of_a_linear_function_are_those_by_hand() -> None:
     problem = replace(
         EXAMPLES["6.1"](4), law=Laplace(), exact=ExactSolution(lambda x, y: x, energy=float("nan"))
     )
-    u = np.zeros(ContactModel(problem).n_u)
+    u = np.zeros(ContactSolver(problem).n_u)
     p = problem.mesh.p
     assert evaluate(problem, "error-l2", p, u) == pytest.approx(1 / 3)
     assert evaluate(problem, "error-h1", p, u) == pytest.approx(1.0)
@@ -49,7 +49,7 @@ def test_contact_error_uses_the_outward_normal() -> None:
         obstacle=replace(base.obstacle, offset=0.5),
         exact=ExactSolution(lambda x, y: x, energy=float("nan")),
     )
-    u = np.zeros(ContactModel(problem).n_u)
+    u = np.zeros(ContactSolver(problem).n_u)
     assert evaluate(problem, "contact", problem.mesh.p, u) == pytest.approx(0.5)
 
 

@@ -39,7 +39,7 @@ class TestStart:
         np.testing.assert_array_equal(outer.moves(seed=seed), drawn)
 
     def test_positions_are_met_and_cut_to_the_boxes(self, problem: ContactProblem, outer: Outer) -> None:
-        free = outer.relocation.freedoms
+        free = outer.relocation.mesh_map
         q = np.random.default_rng(1).uniform(-1.5, 1.5, free.n)
         start = outer.moves(free.positions.values(q), 7)  # a seed has then no effect
         np.testing.assert_allclose(start, np.clip(q, -1, 1), atol=1e-12)
@@ -54,7 +54,7 @@ class TestStart:
         assert np.log2(factor) == round(np.log2(factor)) < 0
         assert wide.is_valid(start)
         assert not wide.is_valid(2 * start)
-        free = wide.relocation.freedoms
+        free = wide.relocation.mesh_map
         nearer = wide.moves(free.positions.values(drawn))
         part = np.max(np.abs(nearer)) / np.max(np.abs(drawn))
         assert wide.is_valid(nearer)
@@ -140,7 +140,7 @@ def test_a_point_where_an_element_is_too_small_is_not_valid() -> None:
         rectangle(2, 2), Laplace(1.0), ("left",), motion=Motion(2.0, min_area_fraction=0.2)
     )
     outer, p = Outer(problem), problem.mesh.p
-    free = outer.relocation.freedoms
+    free = outer.relocation.mesh_map
 
     def at(height: float) -> np.ndarray:
         """The middle node moved along the side x = 1/2: the areas beside it shrink in proportion."""

@@ -8,7 +8,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.certificate.field import Guess
-from rmesh_nlp.contact.model import ContactModel
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.certify import contact_solution
 
@@ -25,6 +25,6 @@ def distorted(mesh: MeshTri, amount: float, seed: int) -> MeshTri:
 def guess_on(problem: ContactProblem, displacement: np.ndarray | None = None) -> Guess:
     """The contact solution, or a displacement without contact stresses."""
     if displacement is None:
-        return contact_solution(ContactModel(problem), problem.mesh.p)
+        return contact_solution(ContactSolver(problem), problem.mesh.p)
     nothing = np.zeros(problem.mesh.p.shape[1])
     return Guess(displacement, nothing, nothing)

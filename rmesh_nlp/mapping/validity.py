@@ -16,11 +16,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.discretisation.freedoms import Freedoms
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import Assembled, assemble
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_field, without_elements
+from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.vectorised import USUAL, AssemblySettings
@@ -99,7 +99,7 @@ class Validity:
         return Validity(none.astype(np.int64), without_elements(self.group), none, self.n_q, self.assembly)
 
 
-def validity(problem: ContactProblem, free: Freedoms, assembly: AssemblySettings = USUAL) -> Validity:
+def validity(problem: ContactProblem, free: MeshMap, assembly: AssemblySettings = USUAL) -> Validity:
     """The validity rows of a problem.
 
     The signed area is affine in each coordinate by itself, so its least value over the
@@ -175,7 +175,7 @@ def least_angles(nodes: Array, triangles: NDArray) -> Array:
     return np.rad2deg(np.min(angles, axis=0))
 
 
-def _elements_at_risk(problem: ContactProblem, free: Freedoms) -> NDArray[np.int64]:
+def _elements_at_risk(problem: ContactProblem, free: MeshMap) -> NDArray[np.int64]:
     """Elements that the boxes do not keep valid; all that move if a least angle is asked for."""
     triangles = problem.triangles
     if problem.motion.min_angle > 0:
@@ -208,7 +208,7 @@ def _check_initial_angles(problem: ContactProblem) -> None:
         )
 
 
-def _least_areas(free: Freedoms, triangles: NDArray) -> Array:
+def _least_areas(free: MeshMap, triangles: NDArray) -> Array:
     """Least signed area of each element over the boxes; -infinity where a vertex has no box."""
     index = free.positions.index
     bound = np.append(free.bound, 0.0)[index]  # CONSTANT is -1, the appended zero

@@ -9,18 +9,18 @@ from hypothesis import strategies as st
 from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.discretisation.freedoms import Mobility, freedoms
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
 
 
 def test_the_paper_counts_126_degrees_of_freedom() -> None:
-    assert freedoms(EXAMPLES["6.1"]()).n == 126
+    assert MeshMap.of(EXAMPLES["6.1"]()).n == 126
 
 
 def test_corners_are_pinned_and_sides_slide() -> None:
     problem = EXAMPLES["6.1"]()
-    free = freedoms(problem)
+    free = MeshMap.of(problem)
     x, y = problem.mesh.p
     on_x, on_y = np.isin(x, (0, 1)), np.isin(y, (0, 1))
     expected = np.where(on_x & on_y, Mobility.PINNED, np.where(on_x | on_y, Mobility.SLIDING, Mobility.FREE))
@@ -33,14 +33,14 @@ def test_corners_are_pinned_and_sides_slide() -> None:
 
 def test_named_boundaries_are_pinned() -> None:
     problem = EXAMPLES["6.2"]()
-    mobility = freedoms(problem).mobility
+    mobility = MeshMap.of(problem).mobility
     assert np.all(mobility[problem.boundary_nodes(("top",))] == Mobility.PINNED)
 
 
 def test_ends_of_boundary_parts_are_pinned() -> None:
     problem = replace(EXAMPLES["6.2"](), motion=Motion((0.1, 0.05)))
     x, y = problem.mesh.p
-    mobility = freedoms(problem).mobility
+    mobility = MeshMap.of(problem).mobility
     start_of_load = np.flatnonzero(np.isclose(x, 2) & np.isclose(y, 1))
     assert mobility[start_of_load] == Mobility.PINNED
     others = np.flatnonzero(np.isclose(y, 1) & ~np.isin(np.arange(x.size), start_of_load) & (x > 0) & (x < 4))
@@ -48,7 +48,7 @@ def test_ends_of_boundary_parts_are_pinned() -> None:
 
 
 def test_nodes_slide_along_a_slope_and_stay_in_their_box(sloped: ContactProblem) -> None:
-    free = freedoms(sloped)
+    free = MeshMap.of(sloped)
     alpha = sloped.obstacle.offset
     for sign in (-1.0, 1.0):
         moved = free.positions.values(np.full(free.n, sign))
@@ -62,11 +62,11 @@ def test_nodes_slide_along_a_slope_and_stay_in_their_box(sloped: ContactProblem)
 
 def test_the_kink_of_a_slope_is_pinned(sloped: ContactProblem) -> None:
     kink = np.flatnonzero(np.isclose(sloped.mesh.p[0], 2) & np.isclose(sloped.mesh.p[1], 0.02))
-    assert freedoms(sloped).mobility[kink] == Mobility.PINNED
+    assert MeshMap.of(sloped).mobility[kink] == Mobility.PINNED
 
 
 def test_moves_are_recovered_from_positions(sloped: ContactProblem) -> None:
-    free = freedoms(sloped)
+    free = MeshMap.of(sloped)
     q = np.random.default_rng(5).uniform(-1, 1, free.n)
     np.testing.assert_allclose(free.q_of(free.positions.values(q)), q, atol=1e-12)
 
@@ -80,7 +80,7 @@ def test_small_boxes_need_no_validity_rows_and_large_ones_do() -> None:
 
 def test_scaled_areas_are_those_of_the_moved_mesh() -> None:
     problem = EXAMPLES["6.1"](4, 0.6)
-    free = freedoms(problem)
+    free = MeshMap.of(problem)
     validity = discretise(problem).validity
     value = np.random.default_rng(2).uniform(-1, 1, free.n)
     areas = signed_areas(free.positions.values(value), problem.triangles)
@@ -115,7 +115,7 @@ def test_elements_without_a_validity_row_never_fail(seed: int, fraction_of_h: fl
         dirichlet=("held",),
         motion=Motion((fraction_of_h / 4, fraction_of_h / 3)),
     )
-    free = freedoms(problem)
+    free = MeshMap.of(problem)
     watched = discretise(problem).validity.elements
     q = np.sign(rng.uniform(-1, 1, free.n))
     initial = signed_areas(problem.mesh.p, problem.triangles)
@@ -127,7 +127,7 @@ def test_elements_without_a_validity_row_never_fail(seed: int, fraction_of_h: fl
 def test_elements_with_a_validity_row_can_fail() -> None:
     """Each of them does at some corner of its boxes: none is watched for nothing."""
     problem = EXAMPLES["6.1"](4, 0.11)
-    free = freedoms(problem)
+    free = MeshMap.of(problem)
     watched = discretise(problem).validity.elements
     assert 0 < watched.size < problem.mesh.t.shape[1]
     initial = signed_areas(problem.mesh.p, problem.triangles)

@@ -1,51 +1,69 @@
-"""The inner problem: contact on a fixed mesh, solved exactly by a primal-dual active set.
-
-At fixed node positions the inner problem is a strictly convex quadratic program,
-
-    min 1/2 u^T K u - F^T u + sum_i b_i |t_i . u_i|   with   gap = N u + gamma >= 0,
-
-(5.1), (5.8), with Tresca bounds b_i = g omega_i >= 0. The active set (which nodes touch,
-which stick) is found by a semismooth Newton method [1]_; when that does not make progress,
-single least-index changes [2]_ guarantee that no set is visited for ever.
-
-References
-----------
-.. [1] M. Hintermüller, K. Ito, K. Kunisch, The primal-dual active set strategy as a
-   semismooth Newton method, SIAM J. Optim. 13 (2003) 865-888.
-.. [2] J. J. Júdice, F. M. Pires, A block principal pivoting algorithm for large-scale
-   strictly monotone linear complementarity problems, Comput. Oper. Res. 21 (1994) 587-596.
-"""
+"""The inner problem at any node positions: a contact problem becomes a quadratic program, and is solved."""
 
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact.directions import Directions
-from rmesh_nlp.contact.first_guess import first_set
-from rmesh_nlp.contact.floating import check_load, check_unique, holding
-from rmesh_nlp.contact.ordering import LARGE, elimination_order
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.contact.active_set import check_load, check_unique, solve
+from rmesh_nlp.contact.system import LARGE, ActiveSet, ContactSystem, Equilibrium, elimination_order
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
-from rmesh_nlp.fem.fields import unknown_field
-from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.fem.fields import Field, unknown_field
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.rigid import rigid_motions
-
-MAX_ITERATIONS = 100
-"""Factorisations that one contact solve may take."""
-
-PATIENCE = 3
-"""Block changes of the active set without fewer violations before single changes begin."""
+from rmesh_nlp.problem.statement import NO_NORMAL
 
 
-class ContactModel:
+@dataclass(frozen=True)
+class Directions:
+    """Normals and tangents at the contact nodes of a problem.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+    displacement : Field
+        (components, nodes), the displacement as a function of the unknowns u.
+    n_u : int
+    """
+
+    problem: ContactProblem
+    displacement: Field
+    n_u: int
+
+    def normals(self, nodes: Array) -> Array:
+        """Unit normals (components, gaps) at node positions (2, nodes)."""
+        parts = [part.obstacle.normals(nodes[:, part.nodes]) for part in self.problem.contact_sets]
+        return np.hstack([np.zeros((self.problem.components, 0)), *parts])
+
+    def rows(self, nodes: Array) -> tuple[sp.csr_array, sp.csr_array]:
+        """Sparse rows (gaps, n_u) of normals and tangents; a scalar problem has no tangents."""
+        normals = self.normals(nodes)
+        return self._rows(normals), self._tangents(normals)
+
+    def _tangents(self, normals: Array) -> sp.csr_array:
+        if self.problem.components == 1:
+            return sp.csr_array((0, self.n_u))
+        return self._rows(np.stack([normals[1], -normals[0]]))
+
+    def _rows(self, vectors: Array) -> sp.csr_array:
+        """Rows that take the component of the displacement along ``vectors`` (components, gaps)."""
+        nodes = self.problem.contact_nodes
+        if nodes.size == 0:
+            return sp.csr_array((0, self.n_u))
+        index = self.displacement.index[:, nodes]
+        row = np.broadcast_to(np.arange(index.shape[1]), index.shape)
+        used = (np.abs(vectors) > NO_NORMAL) & (index >= 0)
+        return sp.csr_array((vectors[used], (row[used], index[used])), shape=(index.shape[1], self.n_u))
+
+
+class ContactSolver:
     """Builds the contact system of a problem for any node positions.
 
     Parameters
@@ -115,7 +133,7 @@ class ContactModel:
         self._floats = rigid_motions(problem).size > 0
         self._check()
 
-    def with_rule(self, rule: str | int) -> ContactModel:
+    def with_rule(self, rule: str | int) -> ContactSolver:
         """The same with loads by another quadrature rule; all that does not depend on it is shared."""
         other = copy(self)
         other.discretisation = self.discretisation.with_rule(rule)
@@ -229,76 +247,3 @@ class _Loads:
         """Minus the work of the loads on the given displacements, and the nodal forces (n_u,)."""
         value, force = self._evaluate(self._given(nodes))
         return float(value[0]), force
-
-
-def solve(
-    system: ContactSystem, start: ActiveSet | None = None, max_iterations: int = MAX_ITERATIONS
-) -> Equilibrium:
-    """Solve the contact system exactly for its active set.
-
-    Parameters
-    ----------
-    system : ContactSystem
-    start : ActiveSet, optional
-        Warm start; by default :func:`rmesh_nlp.contact.first_guess.first_set`.
-    max_iterations : int
-        Limit on factorisations.
-
-    Returns
-    -------
-    Equilibrium
-        Gaps of touching nodes and slips of sticking nodes are exactly zero up to rounding of
-        the change of coordinates. If the status is not CONVERGED the last iterate is returned.
-    """
-    active = start or first_set(system)
-    fewest, patience = np.inf, PATIENCE
-    seen: set[bytes] = set()
-    for iteration in range(1, max_iterations + 1):
-        state = system.equilibrium(active)
-        proposal, violations = _next_set(system, state, active)
-        if violations == 0:
-            return replace(state, iterations=iteration)
-        proposal = holding(system, active, state, proposal)
-        if proposal.key() == active.key():  # nodes that pull are needed to hold the body
-            return replace(state, status=Status.CYCLED, iterations=iteration)
-        if violations < fewest:
-            fewest, patience = violations, PATIENCE
-            seen.clear()
-        elif patience > 0:
-            patience -= 1
-        else:
-            proposal = _single_change(active, proposal)
-            if proposal.key() in seen:
-                return replace(state, status=Status.CYCLED, iterations=iteration)
-            seen.add(proposal.key())
-        active = proposal
-    return replace(state, status=Status.ITERATION_LIMIT, iterations=max_iterations)
-
-
-def _next_set(system: ContactSystem, state: Equilibrium, active: ActiveSet) -> tuple[ActiveSet, int]:
-    """The active set that the signs of gaps and forces ask for, and how many signs are wrong."""
-    # rounding of the linear solve must not make a node that just touches flicker
-    small_force = 1e-13 * max(system.force_scale, float(np.max(np.abs(state.normal_force), initial=0.0)))
-    small_gap = 1e-13 * max(float(np.max(np.abs(state.u), initial=0.0)), 1e-300)
-    gap = system.normals @ state.u + system.offset
-    touching = np.where(active.touching, state.normal_force >= -small_force, gap < -small_gap)
-    sliding = active.sliding
-    if system.slip_bound.size:
-        slip, force = system.tangents @ state.u, state.tangential_force
-        onset = np.where(np.abs(force) > system.slip_bound + small_force, -np.sign(force), 0)
-        stays = active.sliding * slip >= -small_gap
-        sliding = np.where(active.sliding == 0, onset, np.where(stays, active.sliding, 0)).astype(np.int8)
-    wrong = np.sum(touching != active.touching) + np.sum(sliding != active.sliding)
-    return ActiveSet(touching, sliding), int(wrong)
-
-
-def _single_change(active: ActiveSet, proposal: ActiveSet) -> ActiveSet:
-    """Only the change of least index (normal directions first)."""
-    touching, sliding = active.touching.copy(), active.sliding.copy()
-    different = np.flatnonzero(touching != proposal.touching)
-    if different.size:
-        touching[different[0]] = proposal.touching[different[0]]
-    else:
-        first = np.flatnonzero(sliding != proposal.sliding)[0]
-        sliding[first] = proposal.sliding[first]
-    return ActiveSet(touching, sliding)

@@ -27,7 +27,7 @@ class Mobility(IntEnum):
 
 
 @dataclass(frozen=True)
-class Freedoms:
+class MeshMap:
     """The moves of all nodes as a few unknowns q: X = X0 + P q, and X = c(t0 + q) along curves.
 
     q is measured in units of the node's own box, so that its bounds are -1 <= q <= 1; without
@@ -67,47 +67,47 @@ class Freedoms:
         q = np.bincount(index[moving], shift, self.n) / np.bincount(index[moving], weight, self.n)
         return np.asarray(q)
 
+    @staticmethod
+    def of(problem: ContactProblem) -> MeshMap:
+        """Classify every node and number its moves.
 
-def freedoms(problem: ContactProblem) -> Freedoms:
-    """Classify every node and number its moves.
-
-    Raises
-    ------
-    ValueError
-        If a rule of the motion cannot be obeyed: a node is to slide where its piece is not
-        straight, or is tied to a node that is tied itself or cannot make its moves.
-    """
-    mesh = problem.mesh
-    n_nodes = mesh.p.shape[1]
-    mobility, tangent = _mobility(problem)
-    unit = _units(problem)
-    index = np.full((2, n_nodes), CONSTANT)
-    scale = np.ones((2, n_nodes))
-    count = np.where(mobility == Mobility.FREE, 2, np.where(mobility == Mobility.SLIDING, 1, 0))
-    first = np.concatenate([[0], np.cumsum(count)])
-    free, sliding = mobility == Mobility.FREE, mobility == Mobility.SLIDING
-    index[:, free] = first[:-1][free] + np.array([[0], [1]])
-    scale[:, free] = unit[:, free]
-    with np.errstate(divide="ignore"):
-        reach = np.min(unit[:, sliding] / np.abs(tangent[:, sliding]), axis=0)
-    step = reach * tangent[:, sliding]
-    index[:, sliding] = np.where(step != 0, first[:-1][sliding], CONSTANT)
-    scale[:, sliding] = np.where(step != 0, step, 1.0)
-    offset, which = np.array(mesh.p, dtype=float), np.full((2, n_nodes), STRAIGHT)
-    curves = tuple(problem.motion.curves.values())
-    along = np.where(sliding, on_curve(problem), -1)
-    for number, curve in enumerate(curves):
-        here = np.flatnonzero(along == number)
-        t, speed = parameters_of(curve, mesh.p[:, here])
-        index[:, here], offset[:, here] = first[:-1][here], t
-        scale[:, here] = np.min(unit[:, here], axis=0) / speed
-        which[:, here] = np.array([[2 * number], [2 * number + 1]])
-    for node, leader in problem.motion.tied:
-        index[:, node], scale[:, node] = index[:, leader], scale[:, leader]
-    bound = np.full(int(first[-1]), np.inf if problem.motion.delta is None else 1.0)
-    bends = Bends(which, tuple(f for curve in curves for f in curve.functions)) if curves else None
-    positions = Field(index, scale, offset, bends=bends, along=_along(problem, along, index, scale))
-    return Freedoms(mobility, positions, int(first[-1]), bound, curves)
+        Raises
+        ------
+        ValueError
+            If a rule of the motion cannot be obeyed: a node is to slide where its piece is not
+            straight, or is tied to a node that is tied itself or cannot make its moves.
+        """
+        mesh = problem.mesh
+        n_nodes = mesh.p.shape[1]
+        mobility, tangent = _mobility(problem)
+        unit = _units(problem)
+        index = np.full((2, n_nodes), CONSTANT)
+        scale = np.ones((2, n_nodes))
+        count = np.where(mobility == Mobility.FREE, 2, np.where(mobility == Mobility.SLIDING, 1, 0))
+        first = np.concatenate([[0], np.cumsum(count)])
+        free, sliding = mobility == Mobility.FREE, mobility == Mobility.SLIDING
+        index[:, free] = first[:-1][free] + np.array([[0], [1]])
+        scale[:, free] = unit[:, free]
+        with np.errstate(divide="ignore"):
+            reach = np.min(unit[:, sliding] / np.abs(tangent[:, sliding]), axis=0)
+        step = reach * tangent[:, sliding]
+        index[:, sliding] = np.where(step != 0, first[:-1][sliding], CONSTANT)
+        scale[:, sliding] = np.where(step != 0, step, 1.0)
+        offset, which = np.array(mesh.p, dtype=float), np.full((2, n_nodes), STRAIGHT)
+        curves = tuple(problem.motion.curves.values())
+        along = np.where(sliding, on_curve(problem), -1)
+        for number, curve in enumerate(curves):
+            here = np.flatnonzero(along == number)
+            t, speed = parameters_of(curve, mesh.p[:, here])
+            index[:, here], offset[:, here] = first[:-1][here], t
+            scale[:, here] = np.min(unit[:, here], axis=0) / speed
+            which[:, here] = np.array([[2 * number], [2 * number + 1]])
+        for node, leader in problem.motion.tied:
+            index[:, node], scale[:, node] = index[:, leader], scale[:, leader]
+        bound = np.full(int(first[-1]), np.inf if problem.motion.delta is None else 1.0)
+        bends = Bends(which, tuple(f for curve in curves for f in curve.functions)) if curves else None
+        positions = Field(index, scale, offset, bends=bends, along=_along(problem, along, index, scale))
+        return MeshMap(mobility, positions, int(first[-1]), bound, curves)
 
 
 def _along(problem: ContactProblem, slides: NDArray, index: NDArray, scale: Array) -> Field | None:

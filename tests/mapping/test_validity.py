@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.discretisation.validity import is_upright, is_valid
+from rmesh_nlp.mapping.validity import is_upright, is_valid
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 
@@ -70,5 +70,5 @@ def test_a_least_angle_is_a_row_of_every_element_that_moves() -> None:
     plain = discretise(problem(Motion(0.01)))
     assert plain.validity.size == 0  # boxes keep all areas
     validity = discretise(problem(Motion(0.01, min_angle=20.0))).validity
-    moves = np.any(plain.freedoms.positions.index >= 0, axis=0)
+    moves = np.any(plain.mesh_map.positions.index >= 0, axis=0)
     assert validity.elements.size == np.sum(np.any(moves[plain.problem.triangles], axis=0)) > 0

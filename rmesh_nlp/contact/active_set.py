@@ -1,0 +1,319 @@
+"""The inner problem: contact on a fixed mesh, solved exactly by a primal-dual active set.
+
+At fixed node positions the inner problem is a strictly convex quadratic program,
+
+    min 1/2 u^T K u - F^T u + sum_i b_i |t_i . u_i|   with   gap = N u + gamma >= 0,
+
+(5.1), (5.8), with Tresca bounds b_i = g omega_i >= 0. The active set (which nodes touch,
+which stick) is found by a semismooth Newton method [1]_; when that does not make progress,
+single least-index changes [2]_ guarantee that no set is visited for ever.
+
+A cold solve begins with a guess from the dual problem. The stiffness without contact is factorised once;
+the contact forces ``y = (lambda, tau)`` minimise
+
+    1/2 (F + B^T y)^T K^-1 (F + B^T y) + gamma . lambda    over    lambda >= 0, |tau| <= b,
+
+B having the rows N and T: few unknowns in a box, and one back-substitution per product with the Hessian.
+
+A body that contact holds, and not the given displacements alone, has rigid motions Z left. With f the work
+of the load in them and A the change of the gaps, an equilibrium exists if every motion that opens no gap
+into the foundation, ``A r >= 0``, is one that the load resists, ``f . r < 0``. It is unique if the nodes that
+press on the foundation prevent every motion: two solutions differ by a rigid motion that keeps those gaps
+closed.
+
+References
+----------
+.. [1] M. Hintermüller, K. Ito, K. Kunisch, The primal-dual active set strategy as a
+   semismooth Newton method, SIAM J. Optim. 13 (2003) 865-888.
+.. [2] J. J. Júdice, F. M. Pires, A block principal pivoting algorithm for large-scale
+   strictly monotone linear complementarity problems, Comput. Oper. Res. 21 (1994) 587-596.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium, factorised
+from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.newton import Evaluation, minimise
+from rmesh_nlp.optimize.status import Status
+
+MAX_ITERATIONS = 100
+"""Factorisations that one contact solve may take."""
+
+PATIENCE = 3
+"""Block changes of the active set without fewer violations before single changes begin."""
+
+GAIN = 1e-10
+"""Part of the gain so far below which a further decrease of the dual is not looked for.
+
+Nodes at the edge of the contact say little, and each that is guessed wrong costs a factorisation.
+"""
+
+DUAL_ITERATIONS = 20
+
+EXACT = 1e-14
+"""Residual of a linear solve, relative to the load, that needs no refinement."""
+
+FEW = 20
+"""Contact nodes below which guessing costs more than it saves; four times as many with friction."""
+
+
+RANK = 1e-9
+"""Singular values below this part of the largest are zero."""
+
+
+def solve(
+    system: ContactSystem, start: ActiveSet | None = None, max_iterations: int = MAX_ITERATIONS
+) -> Equilibrium:
+    """Solve the contact system exactly for its active set.
+
+    Parameters
+    ----------
+    system : ContactSystem
+    start : ActiveSet, optional
+        Warm start; by default :func:`rmesh_nlp.contact.active_set.first_set`.
+    max_iterations : int
+        Limit on factorisations.
+
+    Returns
+    -------
+    Equilibrium
+        Gaps of touching nodes and slips of sticking nodes are exactly zero up to rounding of
+        the change of coordinates. If the status is not CONVERGED the last iterate is returned.
+    """
+    active = start or first_set(system)
+    fewest, patience = np.inf, PATIENCE
+    seen: set[bytes] = set()
+    for iteration in range(1, max_iterations + 1):
+        state = system.equilibrium(active)
+        proposal, violations = _next_set(system, state, active)
+        if violations == 0:
+            return replace(state, iterations=iteration)
+        proposal = holding(system, active, state, proposal)
+        if proposal.key() == active.key():  # nodes that pull are needed to hold the body
+            return replace(state, status=Status.CYCLED, iterations=iteration)
+        if violations < fewest:
+            fewest, patience = violations, PATIENCE
+            seen.clear()
+        elif patience > 0:
+            patience -= 1
+        else:
+            proposal = _single_change(active, proposal)
+            if proposal.key() in seen:
+                return replace(state, status=Status.CYCLED, iterations=iteration)
+            seen.add(proposal.key())
+        active = proposal
+    return replace(state, status=Status.ITERATION_LIMIT, iterations=max_iterations)
+
+
+def _next_set(system: ContactSystem, state: Equilibrium, active: ActiveSet) -> tuple[ActiveSet, int]:
+    """The active set that the signs of gaps and forces ask for, and how many signs are wrong."""
+    # rounding of the linear solve must not make a node that just touches flicker
+    small_force = 1e-13 * max(system.force_scale, float(np.max(np.abs(state.normal_force), initial=0.0)))
+    small_gap = 1e-13 * max(float(np.max(np.abs(state.u), initial=0.0)), 1e-300)
+    gap = system.normals @ state.u + system.offset
+    touching = np.where(active.touching, state.normal_force >= -small_force, gap < -small_gap)
+    sliding = active.sliding
+    if system.slip_bound.size:
+        slip, force = system.tangents @ state.u, state.tangential_force
+        onset = np.where(np.abs(force) > system.slip_bound + small_force, -np.sign(force), 0)
+        stays = active.sliding * slip >= -small_gap
+        sliding = np.where(active.sliding == 0, onset, np.where(stays, active.sliding, 0)).astype(np.int8)
+    wrong = np.sum(touching != active.touching) + np.sum(sliding != active.sliding)
+    return ActiveSet(touching, sliding), int(wrong)
+
+
+def _single_change(active: ActiveSet, proposal: ActiveSet) -> ActiveSet:
+    """Only the change of least index (normal directions first)."""
+    touching, sliding = active.touching.copy(), active.sliding.copy()
+    different = np.flatnonzero(touching != proposal.touching)
+    if different.size:
+        touching[different[0]] = proposal.touching[different[0]]
+    else:
+        first = np.flatnonzero(sliding != proposal.sliding)[0]
+        sliding[first] = proposal.sliding[first]
+    return ActiveSet(touching, sliding)
+
+
+def first_set(system: ContactSystem) -> ActiveSet:
+    """The active set that a cold contact solve begins with.
+
+    With few contact nodes those with an initial gap of zero or less touch, and all stick. Where only
+    contact holds the body all touch.
+    """
+    if system.rigid is not None:
+        return ActiveSet(np.ones(system.offset.size, bool), np.zeros(system.slip_bound.size, dtype=np.int8))
+    if system.offset.size >= FEW * (4 if system.slip_bound.size else 1):
+        return predicted_set(system)
+    return ActiveSet(system.offset <= 0, np.zeros(system.slip_bound.size, dtype=np.int8))
+
+
+def touching_set(system: ContactSystem, touching: NDArray[np.bool_]) -> ActiveSet | None:
+    """The active set of contact nodes (gaps,) that touched on a similar mesh; None where friction acts.
+
+    Which nodes slide is then not known, and a guess of the whole set is better.
+    """
+    if system.slip_bound.size:
+        return None
+    return ActiveSet(np.array(touching), np.zeros(0, dtype=np.int8))
+
+
+def predicted_set(system: ContactSystem) -> ActiveSet:
+    """The active set that the dual solution suggests.
+
+    The stiffness by itself must be regular: a body that only contact holds is not a valid problem.
+    """
+    n, bound = system.offset.size, system.slip_bound
+    dual = DualEnergy(system)
+    lower = np.concatenate([np.zeros(n), -bound])
+    upper = np.concatenate([np.full(n, np.inf), bound])
+    result = minimise(
+        dual.evaluate,
+        np.zeros(upper.size),
+        lower,
+        upper,
+        tolerance=np.inf,
+        gain_tolerance=GAIN,
+        max_iterations=DUAL_ITERATIONS,
+    )
+    force, friction = result.x[:n], result.x[n:]
+    return ActiveSet(force > 0, np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8))
+
+
+class DualEnergy:
+    """The dual function, and itself its Hessian.
+
+    Parameters
+    ----------
+    system : ContactSystem
+    slip : array, optional
+        Slips at zero displacement, where displacements are counted from some other state.
+    """
+
+    def __init__(self, system: ContactSystem, slip: Array | None = None) -> None:
+        frictional = system.slip_bound.size > 0
+        rows = sp.vstack([system.normals, system.tangents]) if frictional else system.normals
+        self._rows, self._columns = sp.csr_array(rows), sp.csr_array(rows.T)
+        self._load = system.load
+        at_rest = np.zeros(system.slip_bound.size) if slip is None or not frictional else slip
+        self._gap = np.concatenate([system.offset, at_rest])
+        self._stiffness, self._order = system.stiffness, system.order
+        K = system.stiffness
+        if system.order is not None:
+            K = K[:, system.order][system.order]
+        self._factor = factorised(K, ordered=system.order is not None)
+        compliance = 1 / system.stiffness.diagonal()
+        self._diagonal = self._rows.multiply(self._rows) @ compliance + 1e-3 * np.max(compliance)
+
+    def displacement(self, y: Array) -> Array:
+        """Displacement under the load and the contact forces."""
+        return self._solved(self._load + self._columns @ y)
+
+    def _solved(self, load: Array) -> Array:
+        """Displacement under a load, without contact."""
+        if self._order is None:
+            return np.asarray(self._factor.solve(load))
+        u = np.empty_like(load)
+        u[self._order] = self._factor.solve(load[self._order])
+        return u
+
+    def refined(self, y: Array) -> Array:
+        """The same with a step of iterative refinement if that is worth while."""
+        load = self._load + self._columns @ y
+        u = self._solved(load)
+        residual = load - self._stiffness @ u
+        if np.max(np.abs(residual), initial=0.0) <= EXACT * np.max(np.abs(load), initial=0.0):
+            return u
+        return u + self._solved(residual)
+
+    def evaluate(self, y: Array) -> Evaluation:
+        """The dual function, gap and slip as its gradient."""
+        u = self.displacement(y)
+        value = 0.5 * float((self._load + self._columns @ y) @ u) + float(self._gap @ y)
+        return Evaluation(value, self._rows @ u + self._gap, lambda: self)
+
+    def __call__(self, d: Array) -> Array:
+        """Gap and slip that contact forces ``d`` alone would make."""
+        return np.asarray(self._rows @ self._solved(self._columns @ d))
+
+    def diagonal(self) -> Array:
+        """That of the Hessian, up to a factor that is much the same for all contact nodes."""
+        return np.asarray(self._diagonal)
+
+
+def check_load(system: ContactSystem) -> None:
+    """Raise a ProblemError unless the load presses the body on its foundations.
+
+    Raises
+    ------
+    ProblemError
+        If some rigid motion away from all foundations does not cost energy.
+    """
+    if system.rigid is None:
+        return
+    work, gaps = system.rigid.T @ system.load, system.normals @ system.rigid
+    scale = max(float(np.max(np.abs(work))), 1e-12 * system.force_scale)
+    work = work / scale
+    n = work.size
+    for sign, k in ((s, k) for k in range(n) for s in (1.0, -1.0)):
+        goal = np.zeros(n)
+        goal[k] = -sign
+        rows, right = np.vstack([-gaps, -work[None, :]]), np.zeros(len(gaps) + 1)
+        answer = linprog(goal, rows, right, bounds=[(-1, 1)] * n)
+        if answer.status == 0 and -answer.fun > 1e-6:
+            raise ProblemError(
+                "dirichlet",
+                "the body can move off its foundations as a rigid body, and the load does not press it on "
+                "them: give displacements that hold it, or turn the load",
+            )
+
+
+def check_unique(system: ContactSystem, state: Equilibrium) -> None:
+    """Raise a ProblemError if the nodes that press on the foundation leave a rigid motion.
+
+    Raises
+    ------
+    ProblemError
+    """
+    if system.rigid is None:
+        return
+    length = np.max(np.abs(system.offset), initial=0.0) + np.max(np.abs(state.u), initial=0.0)
+    rounding = 1e-12 * length * np.max(system.stiffness.diagonal(), initial=0.0)
+    pressing = state.normal_force > max(1e-9 * np.max(state.normal_force, initial=0.0), rounding)
+    if _rank(system.normals @ system.rigid, pressing) < system.rigid.shape[1]:
+        raise ProblemError(
+            "dirichlet",
+            "contact holds the body, but not in one place: it can still slide or turn on the nodes that "
+            "press on the foundation; give one more displacement",
+        )
+
+
+def holding(system: ContactSystem, before: ActiveSet, state: Equilibrium, proposal: ActiveSet) -> ActiveSet:
+    """The proposal, with as many nodes of the last set kept in touch as hold the body.
+
+    Those with the largest force first.
+    """
+    if system.rigid is None:
+        return proposal
+    gaps = system.normals @ system.rigid
+    touching = proposal.touching.copy()
+    leaving = np.flatnonzero(before.touching & ~touching)
+    for node in leaving[np.argsort(-state.normal_force[leaving], kind="stable")]:
+        rank = _rank(gaps, touching)
+        if rank == system.rigid.shape[1]:
+            break
+        touching[node] = True
+        if _rank(gaps, touching) == rank:
+            touching[node] = False
+    return ActiveSet(touching, proposal.sliding)
+
+
+def _rank(gaps: Array, rows: NDArray[np.bool_]) -> int:
+    return int(np.linalg.matrix_rank(gaps[rows], tol=RANK)) if np.any(rows) else 0
