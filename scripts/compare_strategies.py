@@ -15,13 +15,13 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from rmesh_nlp.campaign import run as campaign
-from rmesh_nlp.campaign.cases import make_cases
 from rmesh_nlp.cli.inputs import parse_size
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.report.figures import write_figures
 from rmesh_nlp.report.tables import frame, write_tables
+from rmesh_nlp.study import comparison as campaign
+from rmesh_nlp.study.comparison import plan_comparison
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         cases = [
             case
             for size in options.sizes
-            for case in make_cases([options.example], options.formulations, n=parse_size(size))
+            for case in plan_comparison([options.example], options.formulations, n=parse_size(size))
         ]
     except BadInputError as error:
         parser.error(str(error))

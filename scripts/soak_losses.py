@@ -3,7 +3,7 @@
     python scripts/soak_losses.py                             an hour
     python scripts/soak_losses.py --kills 3 --short-writes 2 --solves 12
 
-Rounds of two kinds. A comparison (``campaign.run`` with ``resume``) is ended by ``kill -9`` after a random
+Rounds of two kinds. A comparison (``comparison.run`` with ``resume``) is ended by ``kill -9`` after a random
 time, or gets a limit on the size of files (``RLIMIT_FSIZE``), at which the system takes a part of a write and
 then refuses, as a full disk does. A study (``rmesh study``) loses its client, a worker or a process in which
 a solve runs, and is started again. After each round the folder is read by this script's own code.
@@ -30,11 +30,12 @@ from pathlib import Path
 COMPARISON = """
 import resource, sys
 from pathlib import Path
-from rmesh_nlp.campaign.cases import make_cases
-from rmesh_nlp.campaign.run import run
+from rmesh_nlp.study.comparison import plan_comparison
+from rmesh_nlp.study.comparison import run
 from rmesh_nlp.io.results import Results
 
-cases = [case for n in (3, 4, 5) for case in make_cases(["6.2", "6.3"], ["fixed", "joint"], n=(2 * n, n))]
+sizes = [(6, 3), (8, 4), (10, 5)]
+cases = [case for n in sizes for case in plan_comparison(["6.2", "6.3"], ["fixed", "joint"], n=n)]
 print("ready", flush=True)
 limit = int(sys.argv[2])
 if limit:

@@ -8,8 +8,6 @@ from typing import Any
 
 import pandas as pd
 
-from rmesh_nlp.campaign.cases import Case
-from rmesh_nlp.campaign.run import solve
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Record
 from rmesh_nlp.problem import ContactProblem
@@ -17,6 +15,8 @@ from rmesh_nlp.report.tables import frame, markdown
 from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper
 from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.study.cases import Case
+from rmesh_nlp.study.comparison import solve
 
 COLUMNS = (
     "energy_initial_audited",

@@ -9,9 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.campaign import run as campaign
-from rmesh_nlp.campaign.cases import make_cases
-from rmesh_nlp.campaign.progress import CampaignProgress
 from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.examples import EXAMPLES
@@ -30,7 +27,10 @@ from rmesh_nlp.io.results import (
 from rmesh_nlp.report.common_costs import with_common_costs
 from rmesh_nlp.report.figures import write_figures
 from rmesh_nlp.report.tables import markdown, short_markdown, write_tables
-from rmesh_nlp.study.campaign import in_parallel
+from rmesh_nlp.study import comparison as campaign
+from rmesh_nlp.study.cases import plan_comparison
+from rmesh_nlp.study.parallel import in_parallel
+from rmesh_nlp.study.progress import CampaignProgress
 
 SUCCESS, NO_SUCCESS = 0, 1
 SINGLE = ("record.json", "solution.vtu", "history.csv")
@@ -47,7 +47,7 @@ def solve(
     voice : str
         What is printed: "text", "json" (the record) or "quiet".
     """
-    (case,) = make_cases([example], [formulation], **settings)
+    (case,) = plan_comparison([example], [formulation], **settings)
     folder = Path("results") / case.key if out is None else out
     with writable(folder, SINGLE) as results, CampaignProgress(1, quiet=voice != "text") as progress:
         progress.start(case)
@@ -125,7 +125,7 @@ def compare(
         raise BadInputError("--jobs is for the examples: put problem files into a study (rmesh new --study)")
     if jobs > 1 and settings.get("repeats", 1) > 1:
         raise BadInputError("--repeats is for times, which solves side by side would spoil: leave out --jobs")
-    cases = make_cases(examples or list(EXAMPLES), formulations, **settings, trace=jobs == 1)
+    cases = plan_comparison(examples or list(EXAMPLES), formulations, **settings, trace=jobs == 1)
     records: list[Record] = []
     with writable(out, (RECORDS, *TABLES)) as results:
         with CampaignProgress(len(cases), quiet=voice != "text") as progress:

@@ -187,7 +187,7 @@ class FormulationOptions:
         seed: str | None,
         objective: str | list[str] | None,
     ) -> dict[str, Any]:
-        """Keywords of :func:`~rmesh_nlp.campaign.cases.make_cases`; options not given are left out."""
+        """Keywords of :func:`~rmesh_nlp.study.cases.plan_comparison`; options not given are left out."""
         seeds = [] if seed is None else [parse_seed(text.strip()) for text in seed.split(",")]
         options: dict[str, Any] = {
             "seed": seeds[0] if len(seeds) == 1 else seeds or None,

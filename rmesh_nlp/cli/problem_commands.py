@@ -10,9 +10,6 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from rmesh_nlp.campaign import run as campaign
-from rmesh_nlp.campaign.cases import FLAGS, Case
-from rmesh_nlp.campaign.progress import CampaignProgress
 from rmesh_nlp.cli.commands import exit_code, read_quietly, say_certificate
 from rmesh_nlp.cli.commands import figures as draw_all
 from rmesh_nlp.cli.folders import writable
@@ -43,6 +40,9 @@ from rmesh_nlp.solving.formulation import find
 from rmesh_nlp.solving.interrupts import deferred
 from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.step import Step
+from rmesh_nlp.study import comparison as campaign
+from rmesh_nlp.study.cases import FLAGS, Case
+from rmesh_nlp.study.progress import CampaignProgress
 from rmesh_nlp.study.study_file import is_study
 
 SUCCESS = 0

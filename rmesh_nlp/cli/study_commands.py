@@ -20,10 +20,10 @@ from rmesh_nlp.report.tables import frame
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.guess import seconds_of_plan
 from rmesh_nlp.study.plan import PlannedSolve, make_plan
-from rmesh_nlp.study.progress import StudyProgress
 from rmesh_nlp.study.reproduction import reproduce as derive
 from rmesh_nlp.study.schema import StudyTable
 from rmesh_nlp.study.study_file import read_study
+from rmesh_nlp.study.study_progress import StudyProgress
 from rmesh_nlp.study.template import template
 
 SUCCESS, NO_SUCCESS = 0, 1

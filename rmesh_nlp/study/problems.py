@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from rmesh_nlp.campaign.cases import build_problem
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.study.cases import build_problem
 from rmesh_nlp.study.plan import PlannedSolve
 
 

@@ -16,11 +16,11 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.campaign import run as campaign
-from rmesh_nlp.campaign.cases import Case
 from rmesh_nlp.io.record_model import REQUIRED
 from rmesh_nlp.io.results import Record, Results, to_json
 from rmesh_nlp.solving.solution import versions
+from rmesh_nlp.study import comparison as campaign
+from rmesh_nlp.study.cases import Case
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.problems import build
 

@@ -11,22 +11,21 @@ import pytest
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from rmesh_nlp.campaign.cases import make_cases
-from rmesh_nlp.campaign.run import run
 from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.convergence import curve
 from rmesh_nlp.report.figures import block_figures, write_figures
 from rmesh_nlp.report.style import LOOKS, SETTINGS, TWO_COLUMNS, legend_columns, new_figure
+from rmesh_nlp.study.comparison import plan_comparison, run
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> list[Result]:
     """Small solves of a scalar example and of one with friction."""
     folder = tmp_path_factory.mktemp("results")
-    cases = make_cases(["6.1"], ["fixed", "nested", "joint", "mpcc"], n=4)
-    cases += make_cases(["6.3"], ["fixed", "joint"], n=(4, 3))
+    cases = plan_comparison(["6.1"], ["fixed", "nested", "joint", "mpcc"], n=4)
+    cases += plan_comparison(["6.3"], ["fixed", "joint"], n=(4, 3))
     list(run(cases, Results(folder)))
     return read_results(folder)
 

@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rmesh_nlp.campaign.cases import make_cases
-from rmesh_nlp.campaign.run import run
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.io.results import Results, read_results, to_json
 from rmesh_nlp.report.html_page import page, write_report
 from rmesh_nlp.report.study_summary import charts, summary_rows
 from rmesh_nlp.report.svg import Line, line_chart
+from rmesh_nlp.study.comparison import plan_comparison, run
 from support.reporting import failed_61, fixed_61, joint_61
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -28,7 +27,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("compared")
-    list(run(make_cases(["6.1"], ["fixed", "joint", "nested"], n=4, quadrature=6), Results(path)))
+    list(run(plan_comparison(["6.1"], ["fixed", "joint", "nested"], n=4, quadrature=6), Results(path)))
     write_report(path, read_results(path), "Which one?", "A <study>")
     return path
 

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from rmesh_nlp.campaign.cases import make_cases
-from rmesh_nlp.campaign.run import run
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.report.figures import write_figures
+from rmesh_nlp.study.comparison import plan_comparison, run
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> list[Result]:
     folder = tmp_path_factory.mktemp("results")
-    list(run(make_cases(["6.1"], ["fixed"], n=3), Results(folder)))
+    list(run(plan_comparison(["6.1"], ["fixed"], n=3), Results(folder)))
     return read_results(folder)
 
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rmesh_nlp.campaign.progress import summary as one_line
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.solving.monitor import Monitor
@@ -17,6 +16,7 @@ from rmesh_nlp.solving.outer import Outer, Work
 from rmesh_nlp.solving.solution import Solution, _gain
 from rmesh_nlp.solving.step import Step
 from rmesh_nlp.solving.step import plain as as_plain
+from rmesh_nlp.study.progress import summary as one_line
 from support.formulations import joint
 
 

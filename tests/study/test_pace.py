@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from rmesh_nlp.campaign.pace import TOLERANCE, Pace
 from rmesh_nlp.solving.step import Step
+from rmesh_nlp.study.pace import TOLERANCE, Pace
 
 
 def steps(count: int, factor: float) -> Pace:

@@ -8,25 +8,25 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.campaign.cases import Case
-from rmesh_nlp.campaign.run import Ended, Solver
 from rmesh_nlp.io.files import folder_aside
 from rmesh_nlp.io.results import Result, Results
 from rmesh_nlp.study import engine
+from rmesh_nlp.study.cases import Case
+from rmesh_nlp.study.comparison import Ended, Solver
 from rmesh_nlp.study.plan import PlannedSolve
 
 UNLIMITED_S, UNLIMITED_MB = 7 * 86400.0, 1e9
 
 
 def in_parallel(folder: Path, settings: Mapping[str, Any], jobs: int) -> Solver:
-    """Solves cases of the paper's examples in so many processes, for :func:`rmesh_nlp.campaign.run.run`.
+    """Solves cases of the paper's examples in so many processes, for :func:`rmesh_nlp.study.comparison.run`.
 
     Parameters
     ----------
     folder : Path
         Of the campaign.
     settings : mapping
-        From which the cases were made, see :func:`rmesh_nlp.campaign.cases.make_cases`.
+        From which the cases were made, see :func:`rmesh_nlp.study.cases.plan_comparison`.
     """
 
     def solver(cases: Sequence[Case]) -> Iterator[Ended]:

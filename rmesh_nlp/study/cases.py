@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
-from rmesh_nlp.campaign.file_cases import SUFFIX, own_problems, refinements
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.examples import EXAMPLES, Delta, Size
 from rmesh_nlp.examples.reference import with_reference
@@ -19,6 +18,7 @@ from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Chooser, Formulation, find
 from rmesh_nlp.solving.options import accepted
+from rmesh_nlp.study.file_cases import SUFFIX, own_problems, refinements
 
 FLAGS = {"time_limit_s": "--time-limit", "max_iterations": "--max-iterations", "tolerance": "--tolerance"}
 """Limits: who does not heed one is finite without it. Their names on the command line."""
@@ -80,7 +80,7 @@ class Case:
         }
 
 
-def make_cases(
+def plan_comparison(
     examples: Sequence[str],
     formulations: Sequence[str],
     *,
@@ -98,7 +98,7 @@ def make_cases(
     An option goes to those formulations that take it; of ``objective`` and ``seed`` there may be several, as
     lists. A formulation may have options of its own, see :func:`formulation_options`. Of a problem file,
     whose name ends with ``.toml``, also uniform refinements without motion are cases: ``refined`` of them,
-    see :func:`rmesh_nlp.campaign.file_cases.refinements`.
+    see :func:`rmesh_nlp.study.file_cases.refinements`.
 
     Raises
     ------

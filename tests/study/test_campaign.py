@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from formulations.joint import Joint
-from rmesh_nlp.campaign import run as campaign
-from rmesh_nlp.campaign.cases import Case, make_cases
-from rmesh_nlp.campaign.run import run, solve
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import REQUIRED, Results, read_results, to_json
 from rmesh_nlp.io.vtu import fields_of, read_vtu
 from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.study import comparison as campaign
+from rmesh_nlp.study.cases import Case
+from rmesh_nlp.study.comparison import plan_comparison, run, solve
 from support.planted import plant, raising
 
 
@@ -25,7 +25,7 @@ def test_a_solve_that_raises_is_a_row_and_the_next_one_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plant(monkeypatch, explode=raising(RuntimeError("the\nfactor was singular")))
-    cases = make_cases(["6.1"], ["explode", "fixed"], n=3)
+    cases = plan_comparison(["6.1"], ["explode", "fixed"], n=3)
     bad, good = run(cases, Results(tmp_path))
     assert (bad["status"], bad["success"]) == ("failed", False)
     assert bad["message"] == "RuntimeError: the factor was singular"
@@ -37,7 +37,7 @@ def test_a_solve_that_raises_is_a_row_and_the_next_one_runs(
 
 @pytest.mark.slow
 def test_records_are_on_the_disk_when_they_are_yielded(tmp_path: Path) -> None:
-    rows = run(make_cases(["6.1"], ["fixed", "joint"], n=3), Results(tmp_path))
+    rows = run(plan_comparison(["6.1"], ["fixed", "joint"], n=3), Results(tmp_path))
     for count, _ in enumerate(rows, 1):
         found = read_results(tmp_path)
         assert len(found) == count
@@ -46,7 +46,7 @@ def test_records_are_on_the_disk_when_they_are_yielded(tmp_path: Path) -> None:
 
 def test_cases_of_one_name_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"6\.1-3-fixed"):
-        list(run(make_cases(["6.1", "6.1"], ["fixed"], n=3), Results(tmp_path)))
+        list(run(plan_comparison(["6.1", "6.1"], ["fixed"], n=3), Results(tmp_path)))
 
 
 def test_which_options_a_formulation_takes() -> None:
@@ -57,7 +57,7 @@ def test_which_options_a_formulation_takes() -> None:
 
 
 def test_fields_survive_the_file(tmp_path: Path) -> None:
-    (case,) = make_cases(["6.3"], ["fixed"], n=(4, 2))
+    (case,) = plan_comparison(["6.3"], ["fixed"], n=(4, 2))
     outcome = solve(case)
     assert outcome.solution is not None
     places = Results(tmp_path).result(outcome.record)
@@ -71,7 +71,7 @@ def test_fields_survive_the_file(tmp_path: Path) -> None:
 
 
 def test_a_problem_of_one_s_own(tmp_path: Path) -> None:
-    (case,) = make_cases(["6.1"], ["fixed"], n=3)
+    (case,) = plan_comparison(["6.1"], ["fixed"], n=3)
     own = Case(replace(case.problem, name="own", size=""), "fixed")
     (row,) = run([own], Results(tmp_path))
     assert row["success"]
@@ -79,7 +79,7 @@ def test_a_problem_of_one_s_own(tmp_path: Path) -> None:
 
 
 def test_what_auto_chose_is_resumed_as_it_was_asked_for(tmp_path: Path) -> None:
-    (case,) = make_cases(["6.2"], ["auto"], n=(4, 2))
+    (case,) = plan_comparison(["6.2"], ["auto"], n=(4, 2))
     (row,) = run([case], Results(tmp_path))
     assert (row["formulation"], row["asked"]) == ("joint", {"formulation": "auto"})
     list(run([case], Results(tmp_path), resume=True, on_start=lambda _: pytest.fail("solved again")))
@@ -89,7 +89,7 @@ def test_what_auto_chose_is_resumed_as_it_was_asked_for(tmp_path: Path) -> None:
     "formulation", ["nested", *(pytest.param(name, marks=pytest.mark.slow) for name in ("joint", "mpcc"))]
 )
 def test_a_traced_solve_has_the_referees_residual_in_its_history(formulation: str, tmp_path: Path) -> None:
-    (case,) = make_cases(["6.3"], [formulation], n=(4, 2), trace=True)
+    (case,) = plan_comparison(["6.3"], [formulation], n=(4, 2), trace=True)
     outcome = solve(case)
     assert outcome.solution is not None
     residuals = np.array([step.stationarity for step in outcome.history])

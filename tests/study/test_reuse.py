@@ -11,20 +11,20 @@ from typing import Any
 
 import pytest
 
-from rmesh_nlp.campaign import run as campaign
-from rmesh_nlp.campaign.cases import Case, make_cases
-from rmesh_nlp.campaign.repeats import TIMES, joined
-from rmesh_nlp.campaign.run import Ended, Outcome, run, solve
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import RECORDS, Results, read_results
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.study import comparison as campaign
+from rmesh_nlp.study.cases import Case
+from rmesh_nlp.study.comparison import Ended, Outcome, plan_comparison, run, solve
+from rmesh_nlp.study.repeats import TIMES, joined
 from support.planted import plant, raising
 
 
 @pytest.fixture(scope="module")
 def cases() -> list[Case]:
     """Two solves that take some milliseconds each."""
-    return make_cases(["6.2"], ["fixed"], n=(4, 2)) + make_cases(["6.2"], ["fixed"], n=(2, 2))
+    return plan_comparison(["6.2"], ["fixed"], n=(4, 2)) + plan_comparison(["6.2"], ["fixed"], n=(2, 2))
 
 
 @pytest.fixture(scope="module")

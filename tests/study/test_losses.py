@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rmesh_nlp.campaign.cases import Case, make_cases
-from rmesh_nlp.campaign.run import run, solve
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.lock import FolderLock
 from rmesh_nlp.io.results import DamagedRecordsWarning, Results, read_results, to_json
 from rmesh_nlp.meshes.files import read_file
+from rmesh_nlp.study.cases import Case
+from rmesh_nlp.study.comparison import plan_comparison, run, solve
 
 
 @pytest.fixture
 def cases() -> list[Case]:
-    return make_cases(["6.2"], ["fixed", "joint"], n=(4, 2))  # no source: the rule cannot be exploited
+    return plan_comparison(["6.2"], ["fixed", "joint"], n=(4, 2))  # no source: the rule cannot be exploited
 
 
 def started(cases: list[Case], folder: Path) -> list[str]:
@@ -55,7 +55,7 @@ def test_a_success_without_its_files_is_solved_again(cases: list[Case], tmp_path
     if spoil == "missing":
         good.vtu.unlink()
     elif spoil == "other mesh":
-        (other,) = make_cases(["6.2"], ["fixed"], n=(6, 4))
+        (other,) = plan_comparison(["6.2"], ["fixed"], n=(6, 4))
         list(run([other], Results(tmp_path / "other")))
         shutil.copy(read_results(tmp_path / "other")[0].vtu, good.vtu)
     elif spoil == "history":
@@ -150,7 +150,7 @@ def test_a_problem_s_name_does_not_lead_out_of_the_folder(
 @pytest.mark.slow
 def test_figures_of_a_foreign_folder_stay_inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     inside = tmp_path / "in"
-    (case,) = make_cases(["6.1"], ["fixed"], n=3)
+    (case,) = plan_comparison(["6.1"], ["fixed"], n=3)
     list(run([case], Results(inside)))
     (row,) = (result.record for result in read_results(inside))
     (inside / "records.jsonl").write_text(to_json({**row, "example": "../../../esc"}) + "\n")
@@ -174,7 +174,7 @@ def test_an_interrupted_solve_of_a_file_leaves_no_empty_folder(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("rmesh_nlp.campaign.run.solve", interrupt)
+    monkeypatch.setattr("rmesh_nlp.study.comparison.solve", interrupt)
     assert cli.run(["solve", "my.toml", "--out", "out"]) == 130
     assert "nothing was written" in capsys.readouterr().err
     assert not Path("out").exists()

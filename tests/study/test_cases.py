@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from rmesh_nlp.campaign.cases import build_problem, make_cases
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.study.cases import build_problem, plan_comparison
 from support.problem_files import VALID
 
 
@@ -23,13 +23,13 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 @pytest.mark.parametrize("setting", [{"n": 4}, {"delta": 0.01}, {"quadrature": 4}])
 def test_sizes_are_for_the_examples(file: str, setting: dict[str, Any]) -> None:
     with pytest.raises(BadInputError, match="for the examples"):
-        make_cases([file], ["fixed"], **setting)
-    make_cases(["6.1"], ["fixed"], **{"n": 4, **setting})
+        plan_comparison([file], ["fixed"], **setting)
+    plan_comparison(["6.1"], ["fixed"], **{"n": 4, **setting})
 
 
 def test_of_a_file_uniform_refinements_without_motion_are_cases_too(file: str) -> None:
-    (given,) = make_cases([file], ["nested"], certify=True, refined=0)
-    own, finer = make_cases([file], ["nested"], certify=True, refined=1)
+    (given,) = plan_comparison([file], ["nested"], certify=True, refined=0)
+    own, finer = plan_comparison([file], ["nested"], certify=True, refined=1)
     assert [given.formulation, own.formulation, finer.formulation] == ["nested", "nested", "fixed"]
     assert finer.problem.mesh.t.shape[1] == 4 * own.problem.mesh.t.shape[1]
     assert given.certify
@@ -38,7 +38,7 @@ def test_of_a_file_uniform_refinements_without_motion_are_cases_too(file: str) -
 
 def test_keys_are_file_names() -> None:
     options = {"seed": 3, "objective": "error-l2 + 0.01*quality"}
-    (case,) = make_cases(["6.1"], ["nested"], n=4, options=options)
+    (case,) = plan_comparison(["6.1"], ["nested"], n=4, options=options)
     assert case.key == "6.1-4-nested-error-l2_+_0.01_quality-seed3"
     assert replace(case, options={}).key == "6.1-4-nested"
     assert case.identity["key"] == case.key
@@ -67,16 +67,16 @@ def test_size_and_delta_reach_the_example() -> None:
 )
 def test_options_are_checked(options: dict[str, Any], said: str) -> None:
     with pytest.raises(BadInputError, match=said):
-        make_cases(["6.1"], ["fixed"], n=4, options=options)
+        plan_comparison(["6.1"], ["fixed"], n=4, options=options)
 
 
 def test_limits_go_to_those_that_heed_them_and_are_no_error_for_others() -> None:
-    (case,) = make_cases(["6.1"], ["fixed"], n=4, options={"time_limit_s": 5.0})
+    (case,) = plan_comparison(["6.1"], ["fixed"], n=4, options={"time_limit_s": 5.0})
     assert case.options == {}
-    nested, fixed = make_cases(["6.1"], ["nested", "fixed"], n=4, options={"time_limit_s": 5.0})
+    nested, fixed = plan_comparison(["6.1"], ["nested", "fixed"], n=4, options={"time_limit_s": 5.0})
     assert (nested.options, fixed.options) == ({"time_limit_s": 5.0}, {})
 
 
 def test_an_objective_of_errors_gives_every_problem_a_reference() -> None:
-    (case,) = make_cases(["6.2"], ["fixed"], n=(4, 2), options={"objective": ["energy"]})
+    (case,) = plan_comparison(["6.2"], ["fixed"], n=(4, 2), options={"objective": ["energy"]})
     assert case.problem.exact is None

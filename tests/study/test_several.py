@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from rmesh_nlp.campaign.cases import formulation_options, make_cases
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.cli.commands import does_not_apply
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import read_results
+from rmesh_nlp.study.cases import formulation_options, plan_comparison
 from support.problem_files import VALID
 
 QUICKLY = ("--quiet", "--no-figures")
@@ -18,7 +18,7 @@ QUICKLY = ("--quiet", "--no-figures")
 
 def test_objectives_and_seeds_are_multiplied() -> None:
     options = {"objective": ["energy", "error-l2"], "seed": [1, 2]}
-    cases = make_cases(["6.1"], ["fixed", "joint"], n=4, options=options)
+    cases = plan_comparison(["6.1"], ["fixed", "joint"], n=4, options=options)
     assert len({case.key for case in cases}) == len(cases)
     joint = [case.options for case in cases if case.formulation == "joint"]
     assert [(o["objective"], o["seed"]) for o in joint] == [
@@ -35,11 +35,11 @@ def test_errors_of_a_problem_of_ones_own_need_a_solution_that_is_known(tmp_path:
     with pytest.raises(
         BadInputError, match=r"error-l2: needs an exact or reference solution, and '6\.2' has none"
     ):
-        make_cases([str(path)], ["nested"], options={"objective": ["energy", "error-l2"]})
+        plan_comparison([str(path)], ["nested"], options={"objective": ["energy", "error-l2"]})
 
 
 def test_a_formulation_may_have_options_of_its_own() -> None:
-    cases = make_cases(["6.1"], ["mpcc", "mpcc:start=joint", "nested:outer=ipopt:seed=3"], n=4)
+    cases = plan_comparison(["6.1"], ["mpcc", "mpcc:start=joint", "nested:outer=ipopt:seed=3"], n=4)
     assert [dict(case.options) for case in cases] == [{}, {"start": "joint"}, {"outer": "ipopt", "seed": 3}]
     assert len({case.key for case in cases}) == 3
 

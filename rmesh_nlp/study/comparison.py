@@ -8,9 +8,6 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
-from rmesh_nlp.campaign.cases import Case
-from rmesh_nlp.campaign.repeats import joined
-from rmesh_nlp.campaign.trace import Trace
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.files import remove_leftovers, write_whole
@@ -22,6 +19,10 @@ from rmesh_nlp.solving.options import solve_by_options
 from rmesh_nlp.solving.solution import Solution, versions
 from rmesh_nlp.solving.step import Step
 from rmesh_nlp.solving.theorem41 import error_terms
+from rmesh_nlp.study.cases import Case
+from rmesh_nlp.study.cases import plan_comparison as plan_comparison
+from rmesh_nlp.study.repeats import joined
+from rmesh_nlp.study.trace import Trace
 
 OnStep = Callable[[Step], None]
 
