@@ -8,7 +8,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.settings import Count
 from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor

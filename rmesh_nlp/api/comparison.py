@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.results import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.tables import frame, markdown
 from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper

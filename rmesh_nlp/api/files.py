@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from rmesh_nlp.io.problem_file import load_problem
-from rmesh_nlp.io.results import Record, read_results
+from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.results import read_results
 from rmesh_nlp.problem import ContactProblem
 
 

@@ -27,7 +27,7 @@ from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Body, Index
-from rmesh_nlp.problem.refining import locally_refined
+from rmesh_nlp.problem.contact_problem import locally_refined
 from rmesh_nlp.problem.rigid import rigid_motions
 
 REPEATS = 12

@@ -11,9 +11,8 @@ import scipy.sparse as sp
 from rmesh_nlp.assessment.integrals import EdgePoints, over_edges, over_triangles
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.body import Body, Index, gradients
-from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points
+from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points, polynomial_degree
 from rmesh_nlp.problem.laws import Laplace, Law
-from rmesh_nlp.problem.quadrature import polynomial_degree
 
 STIFFNESS_POINTS = 6
 """Gauss points per direction of a blended triangle."""

@@ -24,7 +24,7 @@ from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.problem.contact_problem import refined
 
 FEW = 100
 """Nodes up to which a mesh is refined twice; a larger one once, or this would cost more than the audit."""

@@ -10,7 +10,7 @@ from rmesh_nlp.assessment.integrals import over_edges
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.body import Body, Index
 from rmesh_nlp.problem.coefficients import on_points
-from rmesh_nlp.problem.statement import ContactSet
+from rmesh_nlp.problem.contact_problem import ContactSet
 
 STEPS = 3
 """Steps to the point of an edge at which the slip changes sign; one is exact on a straight foundation."""

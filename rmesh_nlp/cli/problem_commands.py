@@ -22,11 +22,11 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io import kept_problem
 from rmesh_nlp.io.export import Series, write_mesh
 from rmesh_nlp.io.files import safe_name, write_new, write_whole
-from rmesh_nlp.io.problem_file import build, read_table
+from rmesh_nlp.io.problem_file import build, read_table, template
 from rmesh_nlp.io.problem_messages import one_line
 from rmesh_nlp.io.problem_schema import ProblemTable
-from rmesh_nlp.io.problem_template import template
-from rmesh_nlp.io.results import Results, to_json, write_single
+from rmesh_nlp.io.records import to_json
+from rmesh_nlp.io.results import Results, write_single
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.problem import ContactProblem

@@ -17,8 +17,8 @@ from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
 from rmesh_nlp.fem.fields import Field, unknown_field
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.obstacle import NO_NORMAL
 from rmesh_nlp.problem.rigid import rigid_motions
-from rmesh_nlp.problem.statement import NO_NORMAL
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.files import write_whole
 from rmesh_nlp.io.problem_file import build, read_table
 from rmesh_nlp.io.problem_schema import ProblemTable
-from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.multipliers import Multipliers

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from pydantic import ValidationError
 from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.io.problem_curves import curve_of
 from rmesh_nlp.io.problem_messages import (
     ProblemFileError,
     as_text,
@@ -28,8 +28,7 @@ from rmesh_nlp.io.problem_messages import (
     unquoted,
     value_at,
 )
-from rmesh_nlp.io.problem_schema import ContactTable, MeshTable, MotionTable, ProblemTable
-from rmesh_nlp.io.problem_values import SYMMETRY
+from rmesh_nlp.io.problem_schema import SYMMETRY, ContactTable, MeshTable, MotionTable, ProblemTable
 from rmesh_nlp.meshes import named, read_mesh, shapes
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -43,13 +42,21 @@ from rmesh_nlp.problem import (
     Traction,
     Units,
 )
+from rmesh_nlp.problem.conditions import symmetric
 from rmesh_nlp.problem.laws import Laplace, Law, PlaneStrain, PlaneStress
-from rmesh_nlp.problem.symmetry import symmetric
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib  # type: ignore[import-not-found,unused-ignore]
+
+
+import casadi as ca
+
+from rmesh_nlp.expressions import value_of
+from rmesh_nlp.io.problem_schema import CurveTable
+from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline, fitted_circle, spline_through
+from rmesh_nlp.problem.lines import nodes_of
 
 LARGEST_FILE = 1_000_000
 """Bytes that a problem file may have."""
@@ -361,3 +368,51 @@ def _check_names(table: ProblemTable, mesh: MeshTri, path: Path) -> None:
         if name not in subdomains:
             expected = f"expected a subdomain of the mesh{nearest(name, subdomains)}"
             raise error_at(path, f"materials.{name}", shown(table, f"materials.{name}"), expected)
+
+
+class OfParameter:
+    """An expression of t, as a function that takes symbols and numbers."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        t = ca.SX.sym("t")
+        self._function = ca.Function("expression", [t], [value_of(text, {"t": t})])
+
+    def __call__(self, t: Any) -> Any:
+        """Its value."""
+        return self._function(t)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, OfParameter) and other.text == self.text
+
+    def __hash__(self) -> int:
+        return hash(self.text)
+
+
+def curve_of(table: CurveTable | str, mesh: MeshTri, name: str) -> Curve:
+    """The curve that the file gives the boundary ``name``.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be made, or not fitted to the nodes.
+    """
+    if table == "circle":
+        return fitted_circle(np.asarray(mesh.p[:, nodes_of(mesh, name)]))
+    if table == "spline":
+        return spline_through(np.asarray(mesh.p), mesh.facets[:, np.asarray(mesh.boundaries[name])])
+    assert not isinstance(table, str)
+    if table.circle is not None:
+        x, y, radius = table.circle
+        return Circle((x, y), radius)
+    if table.spline is not None:
+        return Spline(tuple(table.spline), table.closed)
+    return Parametrised(
+        OfParameter(str(table.x)), OfParameter(str(table.y)), table.t or (0.0, 1.0), table.closed
+    )
+
+
+def template(name: str, file: str) -> str:
+    """The commented template of ``rmesh new``: a problem ``name`` in ``file`` that solves in a second."""
+    text = files("rmesh_nlp.io").joinpath("template.toml").read_text(encoding="utf-8")
+    return text.replace("{name}", name).replace("{file}", file)

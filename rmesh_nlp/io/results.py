@@ -14,17 +14,16 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.files import append_whole, read_text, safe_name, write_text
-from rmesh_nlp.io.lock import FolderLock
+from rmesh_nlp.io.files import FolderLock, append_whole, read_text, safe_name, write_text
 from rmesh_nlp.io.manifest import Manifest
-from rmesh_nlp.io.record_lines import DamagedRecordsWarning as DamagedRecordsWarning
-from rmesh_nlp.io.record_lines import damaged_last_line as damaged_last_line
-from rmesh_nlp.io.record_lines import read_lines as read_lines
-from rmesh_nlp.io.record_lines import to_json as to_json
-from rmesh_nlp.io.record_lines import warn_of
-from rmesh_nlp.io.record_model import REQUIRED as REQUIRED
-from rmesh_nlp.io.record_model import Record as Record
-from rmesh_nlp.io.record_model import read_record as read_record
+from rmesh_nlp.io.records import (
+    Record,
+    damaged_last_line,
+    read_lines,
+    read_record,
+    to_json,
+    warn_of,
+)
 from rmesh_nlp.io.vtu import read_vtu
 
 RECORDS, SOLUTIONS, RECORD = "records.jsonl", "solutions", "record.json"

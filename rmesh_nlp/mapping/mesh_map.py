@@ -12,9 +12,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, Bends, Field
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.lines import on_curve, sliding_directions
+from rmesh_nlp.problem.lines import on_curve, parameters_of, sliding_directions
 from rmesh_nlp.problem.motion import Relative, Where
-from rmesh_nlp.problem.on_curves import parameters_of
 
 
 class Mobility(IntEnum):

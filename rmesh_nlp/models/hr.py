@@ -21,7 +21,7 @@ from rmesh_nlp.models.reduced import ReducedEnergy
 from rmesh_nlp.models.refinement import edge_gains, marked
 from rmesh_nlp.models.regularisation import regularised
 from rmesh_nlp.problem import ContactProblem, signed_areas
-from rmesh_nlp.problem.refining import locally_refined
+from rmesh_nlp.problem.contact_problem import locally_refined
 from rmesh_nlp.settings import check_positive
 
 EFFECTIVITY = 0.65

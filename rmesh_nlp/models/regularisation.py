@@ -20,7 +20,7 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.refinement import edge_gains
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.problem.contact_problem import refined
 
 EXTRAPOLATION = 4 / 3
 """Error of the energy over its decrease by one uniform refinement, if the error falls by four."""

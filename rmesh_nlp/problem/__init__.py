@@ -3,11 +3,11 @@
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, where
-from rmesh_nlp.problem.contact_problem import ContactProblem
+from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction
+from rmesh_nlp.problem.contact_problem import ContactProblem, ContactSet
 from rmesh_nlp.problem.laws import Elastic, Laplace, Law, PlaneStrain, PlaneStress
 from rmesh_nlp.problem.motion import Motion, Relative
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
-from rmesh_nlp.problem.statement import ContactSet, Dirichlet, ExactSolution, PointLoad, Traction
 from rmesh_nlp.problem.units import Units
 
 __all__ = [

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.problem.contact_problem import ContactProblem
 from rmesh_nlp.problem.obstacle import Obstacle, Place
-from rmesh_nlp.problem.statement import Statement
 
 Index = NDArray[np.int64]
 
@@ -51,7 +51,7 @@ class Arcs:
         return self.curve.at(t).reshape(shape), self.curve.velocity(t).reshape(shape) * (t1 - t0)
 
 
-def arcs_of(problem: Statement, nodes: Array) -> tuple[Arcs, ...]:
+def arcs_of(problem: ContactProblem, nodes: Array) -> tuple[Arcs, ...]:
     """The arcs behind the edges on curves, at node positions (2, nodes)."""
     found = []
     for name, curve in problem.motion.curves.items():
@@ -92,7 +92,7 @@ class Body:
         Whether an edge of the triangle is an arc.
     """
 
-    def __init__(self, problem: Statement, nodes: Array) -> None:
+    def __init__(self, problem: ContactProblem, nodes: Array) -> None:
         self.problem, self.nodes = problem, np.asarray(nodes, dtype=float)
         self.triangles = problem.triangles
         self.arcs = arcs_of(problem, self.nodes)
@@ -234,7 +234,7 @@ def _matches(sought: Index, among: Index) -> tuple[Index, Index]:
     return i, order[np.repeat(first, count) + within]
 
 
-def sides_on(problem: Statement, facets: Index) -> Sides:
+def sides_on(problem: ContactProblem, facets: Index) -> Sides:
     """The sides of triangles that are these facets, on both sides of an interface."""
     elements, ends, numbers = [], [], []
     for beside in problem.mesh.f2t[:, facets]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,11 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import overlapping, signed_areas
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
-from rmesh_nlp.problem.obstacle import Place
+from rmesh_nlp.problem.obstacle import NO_NORMAL, Place
 from rmesh_nlp.problem.rigid import NO_MOTION, rigid_motions, seen_by_contact
-from rmesh_nlp.problem.statement import NO_NORMAL, ContactSet, Statement
+
+if TYPE_CHECKING:
+    from rmesh_nlp.problem.contact_problem import ContactProblem, ContactSet
 
 ROUNDING = 1e-10
 """Part of the distances below which a gap is zero."""
@@ -27,7 +30,7 @@ LEAST_DEGREE_ON_EDGES = 4
 """That of the rule for tractions."""
 
 
-def check(problem: Statement) -> None:
+def check(problem: ContactProblem) -> None:
     """Raise a ProblemError if a problem contradicts itself."""
     _check_names(problem)
     _check_laws(problem)
@@ -43,25 +46,25 @@ def check(problem: Statement) -> None:
     _check_held(problem)
 
 
-def check_unknowns(problem: Statement) -> None:
+def check_unknowns(problem: ContactProblem) -> None:
     """Raise a ProblemError if there is nothing to solve for; such a problem may still be refined."""
     if np.all(problem.held()[0][:, np.unique(problem.mesh.t)]):
         raise ProblemError("dirichlet", "every displacement is given: leave some node free")
 
 
-def _check_obstacle(problem: Statement) -> None:
+def _check_obstacle(problem: ContactProblem) -> None:
     for contact in problem.contact_sets:
         _check_contact_set(problem, contact)
     _check_shared_nodes(problem)
 
 
-def _check_contact_set(problem: Statement, contact: ContactSet) -> None:
+def _check_contact_set(problem: ContactProblem, contact: ContactSet) -> None:
     _check_given_gaps(problem, contact)
     if contact.nodes.size == 0:
         raise ProblemError("obstacle", "no node of the contact set is free to move: it is held as a whole")
 
 
-def _check_given_gaps(problem: Statement, contact: ContactSet) -> None:
+def _check_given_gaps(problem: ContactProblem, contact: ContactSet) -> None:
     """Where given displacements fix the gap it must not be negative: no displacement would be admissible."""
     obstacle = contact.obstacle
     place = obstacle.boundary
@@ -83,7 +86,7 @@ def _check_given_gaps(problem: Statement, contact: ContactSet) -> None:
         )
 
 
-def _check_shared_nodes(problem: Statement) -> None:
+def _check_shared_nodes(problem: ContactProblem) -> None:
     """A node may meet two foundations if it can obey both gaps, and without friction."""
     nodes, count = np.unique(problem.contact_nodes, return_counts=True)
     shared = nodes[count > 1]
@@ -108,7 +111,7 @@ def _check_shared_nodes(problem: Statement) -> None:
             )
 
 
-def _check_names(problem: Statement) -> None:
+def _check_names(problem: ContactProblem) -> None:
     mesh = problem.mesh
     if type(mesh).__name__ != "MeshTri1":
         raise ProblemError(
@@ -140,7 +143,7 @@ def _check_names(problem: Statement) -> None:
             raise ProblemError(part, f"the boundary {name!r} of the mesh is empty")
 
 
-def _check_laws(problem: Statement) -> None:
+def _check_laws(problem: ContactProblem) -> None:
     if not isinstance(problem.law, Mapping):
         return
     known = sorted(problem.mesh.subdomains or {})
@@ -157,7 +160,7 @@ def _check_laws(problem: Statement) -> None:
         raise ProblemError("law", "the laws of the subdomains mix scalar and elastic problems")
 
 
-def _check_components(problem: Statement) -> None:
+def _check_components(problem: ContactProblem) -> None:
     n = problem.components
     for obstacle in problem.obstacles:
         if len(obstacle.normal) != n:
@@ -186,7 +189,7 @@ def _check_components(problem: Statement) -> None:
             )
 
 
-def _check_functions(problem: Statement) -> None:
+def _check_functions(problem: ContactProblem) -> None:
     """Functions of position must take symbols, and be finite where they are evaluated on the given mesh.
 
     These are its nodes and the points of its quadrature rules.
@@ -240,7 +243,7 @@ def _values(part: str, value: Coefficient, points: Array, what: str, name: str |
         raise ProblemError(part, str(error), name) from error
 
 
-def _inside(problem: Statement, elements: NDArray) -> Array:
+def _inside(problem: ContactProblem, elements: NDArray) -> Array:
     """The nodes of some elements and their quadrature points for loads, (2, points)."""
     p, t = problem.mesh.p, problem.mesh.t[:, elements]
     if isinstance(problem.rule, int):
@@ -251,7 +254,7 @@ def _inside(problem: Statement, elements: NDArray) -> Array:
     return np.hstack([p[:, np.unique(t)], np.einsum("cae,an->cen", p[:, t], weights).reshape(2, -1)])
 
 
-def _along(problem: Statement, boundary: str) -> Array:
+def _along(problem: ContactProblem, boundary: str) -> Array:
     """The nodes of a boundary and its quadrature points for tractions, (2, points)."""
     p, edges = problem.mesh.p, problem.mesh.facets[:, problem.mesh.boundaries[boundary]]
     degree = problem.rule if isinstance(problem.rule, int) else 0
@@ -260,7 +263,7 @@ def _along(problem: Statement, boundary: str) -> Array:
     return np.hstack([p[:, np.unique(edges)], np.einsum("cae,an->cen", p[:, edges], weights).reshape(2, -1)])
 
 
-def _check_friction(problem: Statement, held: NDArray[np.bool_], value: Array) -> None:
+def _check_friction(problem: ContactProblem, held: NDArray[np.bool_], value: Array) -> None:
     """With friction a contact node may be held along the tangent at zero, and not otherwise."""
     if not problem.frictional:
         return
@@ -278,7 +281,7 @@ def _check_friction(problem: Statement, held: NDArray[np.bool_], value: Array) -
             )
 
 
-def _check_held(problem: Statement) -> None:
+def _check_held(problem: ContactProblem) -> None:
     """Given displacements, or contact with them, must prevent every rigid motion of every part.
 
     Whether contact does so under the load, and in one place only, is a matter of the forces:

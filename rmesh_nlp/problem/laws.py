@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from skfem.models.elasticity import lame_parameters
 
+from rmesh_nlp.display import describe, figure
 from rmesh_nlp.problem.coefficients import Coefficient
 
 
@@ -32,6 +33,10 @@ class Laplace:
     def load(self) -> tuple[Coefficient, ...]:
         """Source, one coefficient per component."""
         return (self.source,)
+
+    def in_words(self, stress: str) -> str:
+        """Conductivity and source."""
+        return f"Laplace, conductivity {figure(self.conductivity)}, source {describe(self.source)}"
 
 
 E = TypeVar("E", bound="Elastic")
@@ -75,6 +80,12 @@ class Elastic(ABC):
     def load(self) -> tuple[Coefficient, ...]:
         """Body force."""
         return self.body_force
+
+    def in_words(self, stress: str) -> str:
+        """Lamé coefficients, with ``stress`` as their unit, and body force."""
+        force = ", ".join(map(describe, self.body_force))
+        lame = f"lambda {figure(self.lame_lambda)}, mu {figure(self.lame_mu)}{stress}"
+        return f"{type(self).__name__}, {lame}, body force ({force})"
 
     @property
     @abstractmethod

@@ -9,7 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.display import figure
 from rmesh_nlp.meshes.curves import Curve
+
+BY_BARRIER = "by auto, and with a regularisation: only positive"
+"""What becomes of the least area where a distortion is minimised with the energy: it is a barrier."""
 
 Where = str | int
 """A named boundary (or subdomain interface given by a boundary name), or a node number."""
@@ -108,6 +112,26 @@ class Motion:
         """All node numbers that the rules mention."""
         rules = (*self.pinned, *self.slides, *self.free, *(node for pair in self.tied for node in pair))
         return tuple(w for w in rules if not isinstance(w, str))
+
+    def in_words(self) -> str:
+        """Move limits, element validity and rules, for people."""
+        if isinstance(self.delta, Relative):
+            text = f"delta {figure(self.delta.fraction)} of the shortest edge"
+        elif self.delta is None:
+            text = "no move limits"
+        else:
+            text = "delta " + " x ".join(figure(v) for v in self.delta)  # type: ignore[union-attr]
+        text += f", areas at least {figure(self.min_area_fraction)} of the given ones"
+        if self.min_angle > 0:
+            text += f", angles at least {figure(self.min_angle)} degrees"
+        elif self.delta is None:
+            text += f" ({BY_BARRIER})"
+        for rule in ("pinned", "slides", "free"):
+            if places := getattr(self, rule):
+                text += f"; {rule}: {', '.join(map(str, places))}"
+        if self.curves:
+            text += f"; along curves: {', '.join(self.curves)}"
+        return text + (f"; {len(self.tied)} nodes tied" if self.tied else "")
 
     def delta_record(self) -> Any:
         """The delta as plain JSON values: two numbers, a mapping, or None."""

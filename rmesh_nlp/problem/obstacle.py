@@ -10,11 +10,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.display import describe, figure
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, on_points
 
 GAPS = ("node", "edge")
 """Where gaps hold: at contact nodes, or along their edges."""
+
+
+NO_NORMAL = 1e-12
+"""Components of a unit normal below this are zero."""
 
 
 class Place(Enum):
@@ -182,6 +187,15 @@ class Obstacle:
             return replace(self, offset=lambda x, y: at(offset, x - dx, y - dy), kinks=kinks)
         closer = n[0] * dx + n[1] * dy
         return replace(self, offset=lambda x, y: at(offset, x, y) - closer, kinks=self.kinks)
+
+    def in_words(self) -> str:
+        """Where contact is, along which normal and with which friction."""
+        where = "in the interior" if self.boundary is Place.INTERIOR else f"on {self.boundary}"
+        normal = f"normal ({', '.join(figure(v) for v in self.normal)})"
+        if self.level is not None:
+            normal = "the normal of the curve at each undeformed node"
+        friction = f"friction bound {describe(self.friction)}" if self.frictional else "no friction"
+        return f"{where}, {normal}, {friction}"
 
     def direction(self, x: Any, y: Any) -> Any:
         """Unit normal at a point as a CasADi column."""

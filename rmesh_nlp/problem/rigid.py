@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
@@ -9,13 +11,15 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem.statement import Statement
+
+if TYPE_CHECKING:
+    from rmesh_nlp.problem.contact_problem import ContactProblem
 
 NO_MOTION = 1e-9
 """Displacements smaller than this, of motions of unit size, are none."""
 
 
-def rigid_motions(problem: Statement, nodes: Array | None = None) -> Array:
+def rigid_motions(problem: ContactProblem, nodes: Array | None = None) -> Array:
     """A basis (motions, components, nodes) of the rigid motions that no given displacement prevents.
 
     Each belongs to one connected part of the mesh and is zero on the others. Empty if the given
@@ -39,7 +43,7 @@ def rigid_motions(problem: Statement, nodes: Array | None = None) -> Array:
     return np.array(found).reshape(-1, *held.shape)
 
 
-def parts(problem: Statement) -> list[NDArray[np.int64]]:
+def parts(problem: ContactProblem) -> list[NDArray[np.int64]]:
     """Nodes of each connected part of the mesh."""
     mesh = problem.mesh
     n_nodes = mesh.p.shape[1]
@@ -60,7 +64,7 @@ def _modes(p: Array, part: NDArray, components: int) -> Array:
     return modes
 
 
-def seen_by_contact(problem: Statement, motions: Array) -> Array:
+def seen_by_contact(problem: ContactProblem, motions: Array) -> Array:
     """Change of every gap (gaps, motions) by each motion."""
     rows = [np.zeros((0, len(motions)))]
     for part in problem.contact_sets:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rmesh_nlp.examples import PAPER, PaperValues
-from rmesh_nlp.io.results import Record
+from rmesh_nlp.io.records import Record
 
 DEFAULT_RELAXATION = "scholtes"
 BORROWED = ("joint", "nested", "without-complementarity")

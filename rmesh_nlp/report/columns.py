@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rmesh_nlp.examples import PaperValues
-from rmesh_nlp.io.results import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.report.blocks import Block, label
 
 MISSING = "-"
@@ -198,13 +198,13 @@ RESIDUALS = (
     FORMULATION,
     Column("equilibrium, own", _two("equil.,", "own"), _number("own_equilibrium_residual", ".1e")),
     Column(
-        "equilibrium, assessed", _two("equil.,", "assessed"), _number("referee_equilibrium_residual", ".1e")
+        "equilibrium, assessed", _two("equil.,", "assessed"), _number("assessed_equilibrium_residual", ".1e")
     ),
     Column("complementarity, own", _two("compl.,", "own"), _number("own_complementarity_residual", ".1e")),
     Column(
         "complementarity, assessed",
         _two("compl.,", "assessed"),
-        _number("referee_complementarity_residual", ".1e"),
+        _number("assessed_complementarity_residual", ".1e"),
     ),
     Column("first-order residual", _two("first-", "order"), _number("stationarity_residual", ".1e")),
     Column("biactive", "biactive", lambda record: _count(record.get("biactive_nodes"))),

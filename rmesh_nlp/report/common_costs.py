@@ -12,7 +12,7 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 
-from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, block_key, blocks
 

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
-from rmesh_nlp.io.results import Record, Result
+from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.results import Result
 from rmesh_nlp.problem.units import bracketed, units_of
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label
 from rmesh_nlp.report.style import TWO_COLUMNS, Look, legend_columns, look, new_figure

@@ -9,7 +9,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.vtu import Fields
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.report.blocks import label

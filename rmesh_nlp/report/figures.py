@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.io.manifest import Manifest
-from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.problem.units import units_of

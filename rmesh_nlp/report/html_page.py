@@ -18,7 +18,8 @@ import numpy as np
 from rmesh_nlp import __version__
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import write_text
-from rmesh_nlp.io.results import ROWS, Record, Result, Results
+from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.results import ROWS, Result, Results
 from rmesh_nlp.report.blocks import blocks, objective_of
 from rmesh_nlp.report.columns import MISSING, contact_units, gain_in_per_cent
 from rmesh_nlp.report.convergence import FLOOR, curve

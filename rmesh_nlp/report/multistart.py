@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 
-from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.report.blocks import audited, blocks, label, objective_of
 from rmesh_nlp.report.columns import MISSING, contact_units
 

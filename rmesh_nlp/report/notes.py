@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rmesh_nlp.examples import PAPER, PaperValues
 from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
-from rmesh_nlp.io.results import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import units_of
 from rmesh_nlp.report.blocks import Block, audited, blocks, label, objective_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label
 
 HEAD = ("mesh", "formulation", "nodes", "J audited", "gain", "time [s]")

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.io.results import Record, Result
+from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.results import Result
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label, objective_of
 from rmesh_nlp.report.columns import MISSING, contact_units, seconds_of_work
 from rmesh_nlp.report.convergence import curve

@@ -10,7 +10,7 @@ import pandas as pd
 
 from rmesh_nlp.display import for_markdown, for_spreadsheet
 from rmesh_nlp.io.files import write_text
-from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import TABLES, Results
 from rmesh_nlp.report import multistart, refinement, study_summary
 from rmesh_nlp.report.blocks import Block, blocks, names_of_solves, objective_of

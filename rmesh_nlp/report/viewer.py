@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.io.results import Record, Result
+from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING
 from rmesh_nlp.report.study_summary import variant

@@ -16,7 +16,7 @@ from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.models.cascade import cascade
 from rmesh_nlp.models.cascade_settings import CascadeSettings
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.problem.contact_problem import refined
 
 WORTHWHILE = 1.5
 """Factor by which an error must fall for relocation to be recommended."""

@@ -38,7 +38,7 @@ def own_residuals(system: ContactSystem, own: Equilibrium, exact: Equilibrium) -
     """Record entries: residuals of the formulation's own state, and of the exact contact solve."""
     return {
         f"{name}_{kind}_residual": measure(system, state.u, state.normal_force, state.tangential_force)
-        for name, state in (("own", own), ("referee", exact))
+        for name, state in (("own", own), ("assessed", exact))
         for kind, measure in (("equilibrium", equilibrium_residual), ("complementarity", law_residual))
     }
 

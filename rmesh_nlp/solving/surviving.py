@@ -22,7 +22,7 @@ from rmesh_nlp.models.outer_function import has_certificate
 from rmesh_nlp.models.reduced import ReducedEnergy
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.findings import objective_value
 from rmesh_nlp.solving.judgement import Judgement
 

@@ -12,7 +12,7 @@ from rmesh_nlp.examples import EXAMPLES, Delta, Size
 from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.files import safe_name
-from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.models.outer_solvers import OUTER_SOLVERS
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem

@@ -11,7 +11,7 @@ from functools import partial
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.files import remove_leftovers, write_whole
-from rmesh_nlp.io.record_model import REQUIRED, Record
+from rmesh_nlp.io.records import REQUIRED, Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, RECORDS, TABLES, Result, Results, write_history
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.formulation import find

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.io.results import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.runner import READY, failure
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.results import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.study import worker as workers
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import Keys, RowsFile, set_failures_aside, wait_for_workers

@@ -8,7 +8,7 @@ from pathlib import Path
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.problem.contact_problem import refined
 
 SUFFIX = ".toml"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 
-from rmesh_nlp.io.record_model import Record
+from rmesh_nlp.io.records import Record
 
 TIMES = ("build_time_s", "solve_time_s", "audit_time_s", "wall_time_s", "contact_time_s")
 """Entries of a record that are seconds."""

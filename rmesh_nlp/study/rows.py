@@ -17,7 +17,8 @@ from pathlib import Path
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import append_whole, write_text
-from rmesh_nlp.io.results import ROWS, Record, row_files, to_json
+from rmesh_nlp.io.records import Record, to_json
+from rmesh_nlp.io.results import ROWS, row_files
 
 try:
     import fcntl

@@ -16,8 +16,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.io.record_model import REQUIRED
-from rmesh_nlp.io.results import Record, Results, to_json
+from rmesh_nlp.io.records import REQUIRED, Record, to_json
+from rmesh_nlp.io.results import Results
 from rmesh_nlp.solving.solution import versions
 from rmesh_nlp.study import comparison as campaign
 from rmesh_nlp.study.cases import Case

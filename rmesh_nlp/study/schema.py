@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from rmesh_nlp.io.problem_schema import Table
-from rmesh_nlp.io.problem_values import Count, Positive, Quadrature, Seed, Text
+from rmesh_nlp.io.problem_schema import Count, Positive, Quadrature, Seed, Table, Text
 
 KINDS = ("scalar", "membrane", "elastic", "rough")
 """Kinds of :func:`rmesh_nlp.examples.random_problems.random_problem`."""

@@ -14,7 +14,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from rmesh_nlp.io.results import Record
+from rmesh_nlp.io.records import Record
 
 EVERY = 100
 """Where there is no terminal, one line per so many solves, and one per solve that did not succeed."""

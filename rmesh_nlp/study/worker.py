@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.io.results import Record
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.plan import PlannedSolve

@@ -23,7 +23,7 @@ from rmesh_nlp.fem.objectives import error_energy
 from rmesh_nlp.fem.stress import gradients
 from rmesh_nlp.models.refinement import edge_gains, marked
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
-from rmesh_nlp.problem.refining import locally_refined, refined
+from rmesh_nlp.problem.contact_problem import locally_refined, refined
 
 RULE, JUDGE = 6, 10
 REFERENCE_NODES = 12_000

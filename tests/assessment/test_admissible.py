@@ -27,7 +27,7 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     Traction,
 )
-from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.problem.contact_problem import refined
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)
 BUMP = Obstacle.interior(lambda x, y: -0.05 + 0.08 * ca.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2) / 0.0009))

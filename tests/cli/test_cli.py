@@ -17,7 +17,7 @@ import pytest
 from rmesh_nlp import __version__
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli import work
-from rmesh_nlp.io.results import REQUIRED
+from rmesh_nlp.io.records import REQUIRED
 from support.planted import plant, raising
 
 HEAVY = {"casadi", "matplotlib", "pandas", "skfem", "scipy", "meshio", "numpy"}

@@ -11,20 +11,17 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.io.manifest import MANIFEST, Manifest
+from rmesh_nlp.io.records import DamagedRecordsWarning, damaged_last_line, read_lines, to_json
 from rmesh_nlp.io.results import (
     FIGURES,
     HISTORY_FIELDS,
     RECORD,
     RECORDS,
-    DamagedRecordsWarning,
     Results,
-    damaged_last_line,
-    read_lines,
     read_results,
     read_rows,
     row_files,
     single_result,
-    to_json,
     write_history,
     write_single,
 )

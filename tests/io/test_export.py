@@ -22,7 +22,7 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
-from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.solution import Solution, Step
 from support.formulations import fixed, joint, nested
 

@@ -12,6 +12,7 @@ import pytest
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import (
     TEMPORARY,
+    FolderLock,
     append_whole,
     remove_leftovers,
     safe_name,
@@ -19,7 +20,6 @@ from rmesh_nlp.io.files import (
     write_text,
     write_whole,
 )
-from rmesh_nlp.io.lock import FolderLock
 from rmesh_nlp.io.manifest import MANIFEST, Manifest
 
 
@@ -110,7 +110,7 @@ def test_a_second_writer_is_refused_in_one_line(tmp_path: Path) -> None:
 
 def test_a_writer_that_is_killed_leaves_no_lock_and_no_files(tmp_path: Path) -> None:
     code = (
-        "import sys, time; from pathlib import Path; from rmesh_nlp.io.lock import FolderLock\n"
+        "import sys, time; from pathlib import Path; from rmesh_nlp.io.files import FolderLock\n"
         "from rmesh_nlp.io.files import folder_aside; folder = Path(sys.argv[1])\n"
         "with FolderLock(folder), folder_aside(folder / 'figures') as place:\n"
         "    (place / 'half').write_text('ha'); print(place, flush=True); time.sleep(60)"

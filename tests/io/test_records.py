@@ -10,14 +10,8 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.record_model import REQUIRED, parse_json, read_record
-from rmesh_nlp.io.results import (
-    HISTORY_FIELDS,
-    DamagedRecordsWarning,
-    Results,
-    read_results,
-    to_json,
-)
+from rmesh_nlp.io.records import REQUIRED, DamagedRecordsWarning, parse_json, read_record, to_json
+from rmesh_nlp.io.results import HISTORY_FIELDS, Results, read_results
 from support.reporting import failed_61, fixed_61, joint_61
 
 

@@ -10,7 +10,8 @@ import pytest
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.expressions import Expression
-from rmesh_nlp.io.problem_file import ProblemFileError, load_problem
+from rmesh_nlp.io.problem_file import load_problem
+from rmesh_nlp.io.problem_messages import ProblemFileError
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.nlp import NLP

@@ -20,8 +20,8 @@ from rmesh_nlp.models.energy_program import relocation
 from rmesh_nlp.models.levels import coarsened
 from rmesh_nlp.models.prolongation import interpolated, located, prolonged
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Relative
+from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.lines import sliding_directions
-from rmesh_nlp.problem.refining import refined
 
 
 def shuffled(mesh: MeshTri, seed: int) -> MeshTri:

@@ -12,7 +12,7 @@ from rmesh_nlp.models.energy_program import relocation
 from rmesh_nlp.models.levels import coarsened
 from rmesh_nlp.models.reduced import ReducedEnergy
 from rmesh_nlp.problem import ContactProblem, Motion, ProblemError, signed_areas
-from rmesh_nlp.problem.refining import locally_refined, refined
+from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.verification import verify_gradient
 from support.curved import CURVES, HOLE, disc, plate, spline_of_the_hole

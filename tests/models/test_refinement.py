@@ -25,7 +25,7 @@ from rmesh_nlp.problem import (
     Traction,
     signed_areas,
 )
-from rmesh_nlp.problem.refining import locally_refined, refined
+from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.solving import advice as advising
 from rmesh_nlp.solving.advice import advise, recommended
 from support.formulations import auto

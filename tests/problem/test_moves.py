@@ -21,8 +21,8 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     Relative,
 )
-from rmesh_nlp.problem.summary import BY_BARRIER
-from rmesh_nlp.problem.symmetry import symmetric
+from rmesh_nlp.problem.conditions import symmetric
+from rmesh_nlp.problem.motion import BY_BARRIER
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import joint, nested
 

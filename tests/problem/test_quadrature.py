@@ -10,7 +10,7 @@ import pytest
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace
-from rmesh_nlp.problem.quadrature import polynomial_degree
+from rmesh_nlp.problem.coefficients import polynomial_degree
 from support.formulations import fixed
 
 

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.cli import app as cli
-from rmesh_nlp.io.results import Results, read_results, to_json
+from rmesh_nlp.io.records import to_json
+from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.report.html_page import page, write_report
 from rmesh_nlp.report.study_summary import charts, summary_rows
 from rmesh_nlp.report.svg import Line, line_chart

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rmesh_nlp.io.results import REQUIRED
+from rmesh_nlp.io.records import REQUIRED
 from rmesh_nlp.report.blocks import names_of_solves
 from rmesh_nlp.report.markup import LINES, latex_cell, latex_table, latex_text, markdown_table
 from rmesh_nlp.report.notes import detailed_notes, main_notes

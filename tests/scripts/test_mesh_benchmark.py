@@ -13,7 +13,7 @@ from skfem import ElementTriP1, MeshTri
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
-from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.problem.contact_problem import refined
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 

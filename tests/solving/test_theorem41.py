@@ -53,8 +53,8 @@ def test_without_an_exact_solution_there_are_no_terms() -> None:
 def test_own_residuals_are_those_of_the_strategy_s_own_forces(strategy) -> None:
     record = strategy.solve(EXAMPLES["6.3"]((6, 4))).record()
     for kind in ("equilibrium", "complementarity"):
-        own, outer = record[f"own_{kind}_residual"], record[f"referee_{kind}_residual"]
+        own, outer = record[f"own_{kind}_residual"], record[f"assessed_{kind}_residual"]
         # an interior point is right to its tolerance, a contact solve to rounding: not one number twice
         assert 0 <= own <= 1e-6
         assert 0 <= outer <= 1e-9
-    assert record["own_equilibrium_residual"] != record["referee_equilibrium_residual"]
+    assert record["own_equilibrium_residual"] != record["assessed_equilibrium_residual"]

@@ -23,7 +23,7 @@ from rmesh_nlp.models.energy_flips import flip_edges
 from rmesh_nlp.models.regularisation import gain_estimate, regularised
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
-from rmesh_nlp.problem.refining import refined
+from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.judgement import judged
 from rmesh_nlp.solving.monitor import Monitor

@@ -11,7 +11,8 @@ import pytest
 
 from formulations.joint import Joint
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.results import REQUIRED, Results, read_results, to_json
+from rmesh_nlp.io.records import REQUIRED, to_json
+from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.io.vtu import fields_of, read_vtu
 from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.outer import Outer

@@ -13,8 +13,9 @@ import pytest
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
-from rmesh_nlp.io.lock import FolderLock
-from rmesh_nlp.io.results import DamagedRecordsWarning, Results, read_results, to_json
+from rmesh_nlp.io.files import FolderLock
+from rmesh_nlp.io.records import DamagedRecordsWarning, to_json
+from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.meshes.files import read_file
 from rmesh_nlp.study.cases import Case
 from rmesh_nlp.study.comparison import plan_comparison, run, solve

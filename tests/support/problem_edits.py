@@ -17,8 +17,8 @@ from pathlib import Path
 import hypothesis
 from hypothesis import strategies as st
 
-from rmesh_nlp.io.problem_file import ProblemFileError, load_problem
-from rmesh_nlp.io.problem_template import template
+from rmesh_nlp.io.problem_file import load_problem, template
+from rmesh_nlp.io.problem_messages import ProblemFileError
 
 ODD = [
     "0", "-1", "1e308", "1e-308", "nan", "inf", "true", '""', '"x"', '"1/0"', '"x**x"', "[]", "[[]]", "{}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rmesh_nlp.io.results import REQUIRED, Record
+from rmesh_nlp.io.records import REQUIRED, Record
 
 PAPER_61: Record = {
     **dict.fromkeys(REQUIRED),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rmesh_nlp.io.results import REQUIRED
+from rmesh_nlp.io.records import REQUIRED
 
 
 def record(**changes: Any) -> dict[str, Any]:
@@ -32,9 +32,9 @@ def record(**changes: Any) -> dict[str, Any]:
         "solve_time_s": 0.06,
         "audit_time_s": 0.003,
         "own_equilibrium_residual": 3.1e-9,
-        "referee_equilibrium_residual": 4.7e-13,
+        "assessed_equilibrium_residual": 4.7e-13,
         "own_complementarity_residual": 2e-10,
-        "referee_complementarity_residual": 0.0,
+        "assessed_complementarity_residual": 0.0,
         "biactive_nodes": [],
         "u_min": -0.053583,
         "u_max": 0.0094881,
@@ -59,8 +59,8 @@ UNKNOWN = (
     "stationarity_residual",
     "contact_time_s",
     *("energy_initial_audited", "gain_audited", "start", "build_time_s", "solve_time_s", "audit_time_s"),
-    *("own_equilibrium_residual", "referee_equilibrium_residual", "biactive_nodes"),
-    *("own_complementarity_residual", "referee_complementarity_residual"),
+    *("own_equilibrium_residual", "assessed_equilibrium_residual", "biactive_nodes"),
+    *("own_complementarity_residual", "assessed_complementarity_residual"),
     *("cold_contact_solves", "contact_factorisations", "kkt_factorisations"),
 )
 MEASURED = [name for name in REQUIRED[REQUIRED.index("energy_initial") :] if name not in ("versions", "seed")]

@@ -1,0 +1,108 @@
+"""Given displacements, loads and known solutions of a contact problem."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from skfem import MeshTri
+
+from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction
+
+
+@dataclass(frozen=True)
+class Traction:
+    """A load per unit length on a named boundary, one coefficient per component."""
+
+    boundary: str
+    value: tuple[Coefficient, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "value", as_tuple(self.value))
+
+
+@dataclass(frozen=True)
+class PointLoad:
+    """A force per unit thickness at one node, one number per component.
+
+    The node does not move: the load would go with it. In the plane the energy under a point load has
+    no bound as the mesh is refined, so energies of different meshes do not compare.
+
+    Attributes
+    ----------
+    node : int
+    force : tuple of float
+    """
+
+    node: int
+    force: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "force", as_tuple(self.force))
+
+
+@dataclass(frozen=True)
+class Dirichlet:
+    """Displacement given on a named boundary.
+
+    ``value`` has one entry per component: a number, a function of position, or None where the
+    component is free. Nodes held at a function of position do not move: sliding along curved
+    data would let the optimiser lower the energy by representing the data worse.
+    """
+
+    boundary: str
+    value: tuple[Coefficient | None, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "value", as_tuple(self.value))
+
+
+def as_tuple(value: Any) -> tuple[Any, ...]:
+    """One thing alone as a tuple of one."""
+    several = isinstance(value, Iterable) and not isinstance(value, str) and not callable(value)
+    return tuple(value) if several else (value,)
+
+
+@dataclass(frozen=True)
+class ExactSolution:
+    """A known solution, or a reference in its place.
+
+    Attributes
+    ----------
+    value : function of position
+        The displacement.
+    energy : float
+        Its energy J(u).
+    symbol : casadi.SX or casadi.MX
+        Kind of CasADi symbol that ``value`` takes: SX, or MX for what SX cannot express.
+    """
+
+    value: PositionFunction
+    energy: float
+    symbol: Any = ca.SX
+
+
+def symmetric(mesh: MeshTri, boundary: str, components: int = 2) -> Dirichlet:
+    """The support of a boundary on an axis: its nodes stay on it and carry no force along it.
+
+    A scalar problem has no given value there: no flux is the natural condition, so the support is
+    empty.
+
+    Raises
+    ------
+    ValueError
+        If the boundary is not parallel to an axis of coordinates.
+    """
+    nodes = np.unique(mesh.facets[:, mesh.boundaries[boundary]])
+    extent = np.ptp(mesh.p[:, nodes], axis=1)
+    flat = extent <= 1e-9 * float(np.max(np.ptp(mesh.p, axis=1)))
+    if not np.any(flat):
+        raise ValueError(
+            f"the boundary {boundary!r} is not parallel to an axis: symmetry needs one that is, turn the mesh"
+        )
+    if components == 1:
+        return Dirichlet(boundary, (None,))
+    return Dirichlet(boundary, (0.0, None) if flat[0] else (None, 0.0))
