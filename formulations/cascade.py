@@ -13,16 +13,12 @@ from formulations.confirmed import Confirmed
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.models.cascade import CascadeResult, cascade
-from rmesh_nlp.models.cascade_settings import CascadeSettings
-from rmesh_nlp.models.large_moves import LargeMoves
-from rmesh_nlp.models.levels import COARSER
-from rmesh_nlp.models.prolongation import prolonged
-from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.cascade import CascadeResult, CascadeSettings, cascade
+from rmesh_nlp.models.levels import COARSER, prolonged
+from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate
-from rmesh_nlp.models.stationary import finished
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.stopping import StoppedError
+from rmesh_nlp.models.regularised_descent import LargeMoves, finished
+from rmesh_nlp.optimize.status import Status, StoppedError
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Count, Limit, Positive
 from rmesh_nlp.solving.formulation import Formulation, Wrapper

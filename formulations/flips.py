@@ -11,7 +11,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.meshes.geometry import relocated_mesh
-from rmesh_nlp.models.energy_flips import flips_and_moves
+from rmesh_nlp.models.flips import flips_and_moves
 from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Wrapper

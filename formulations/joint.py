@@ -17,9 +17,9 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.models.alternating import alternated
-from rmesh_nlp.models.energy_program import Relocation, relocation
-from rmesh_nlp.models.interior import ROUNDING
-from rmesh_nlp.models.reduced import ReducedPoint
+from rmesh_nlp.models.energy_nlp import Relocation, relocation
+from rmesh_nlp.models.outer_solvers import ROUNDING
+from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.optimize.status import Status
@@ -188,7 +188,7 @@ class Joint(Formulation):
 
 
 def build(problem: ContactProblem) -> NLP:
-    """The symbolic NLP in ``x = (q, u, s)``, see :mod:`rmesh_nlp.models.energy_program`.
+    """The symbolic NLP in ``x = (q, u, s)``, see :mod:`rmesh_nlp.models.energy_nlp`.
 
     Extend it with :meth:`rmesh_nlp.optimize.nlp.NLP.extended`, or hand ``x``, ``f`` and ``g`` to any
     CasADi solver.

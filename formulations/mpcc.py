@@ -23,7 +23,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.alternating import alternated
-from rmesh_nlp.models.kkt_program import Bilevel, bilevel
+from rmesh_nlp.models.kkt_model import Bilevel, bilevel
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
@@ -41,7 +41,7 @@ DROPPED: Mapping[str, Any] = {"tol": 1e-8, "mu_strategy": "adaptive", "max_iter"
 
 
 def build(problem: ContactProblem, objective: str | Objective = "energy") -> MPCC:
-    """The symbolic MPCC, see :mod:`rmesh_nlp.models.kkt_program`; in N/m, m and the objective's unit."""
+    """The symbolic MPCC, see :mod:`rmesh_nlp.models.kkt_model`; in N/m, m and the objective's unit."""
     return bilevel(problem, parse_objective(objective)).mpcc
 
 

@@ -11,10 +11,8 @@ from dataclasses import dataclass, replace
 
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.models.interior import OuterResult
-from rmesh_nlp.models.nested_settings import NestedSettings
-from rmesh_nlp.models.outer_solvers import OUTER_SOLVERS
-from rmesh_nlp.models.reduced_program import reduced_nlp
+from rmesh_nlp.models.outer_solvers import OUTER_SOLVERS, NestedSettings, OuterResult
+from rmesh_nlp.models.reduced_nlp import reduced_nlp
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor

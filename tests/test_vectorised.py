@@ -12,7 +12,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.sums import Summed
-from rmesh_nlp.models.energy_program import relocation
+from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.vectorised import (
     USUAL,
     AssemblySettings,

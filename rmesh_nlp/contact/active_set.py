@@ -41,8 +41,8 @@ from scipy.optimize import linprog
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium, factorised
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.newton import Evaluation, minimise
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.trust_region import Evaluation, minimise
 
 MAX_ITERATIONS = 100
 """Factorisations that one contact solve may take."""

@@ -8,7 +8,7 @@ Errors are measured against the problem's exact solution u:
 ``contact``       I2 of (4.2), the work of the exact contact stress on the discrete gap
 ``friction``      I3 of (4.2), what friction takes on the discrete slip less the work of the exact stress
 ``certificate``   guaranteed bound of half the squared error in the energy norm of a scalar problem, see
-                  :mod:`rmesh_nlp.models.reduced_certificate`; no exact solution is needed
+                  :mod:`rmesh_nlp.models.reduced_model`; no exact solution is needed
 ``quality``, ``shape-size``, ``elastic``
                   distortion against the initial mesh, see :mod:`rmesh_nlp.fem.distortion`
 """

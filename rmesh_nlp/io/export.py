@@ -46,7 +46,7 @@ def point_data(solution: Solution) -> dict[str, Array]:
     """Fields of the nodes, by name; vectors have three components, as VTU files want them.
 
     ``motion`` is the way from the initial position, ``mobility`` 0 pinned, 1 sliding, 2 free,
-    3 tied, ``box_multiplier`` as in :class:`rmesh_nlp.models.multipliers.Multipliers`.
+    3 tied, ``box_multiplier`` as in :class:`rmesh_nlp.models.residual.Multipliers`.
     """
     problem, nodes = solution.problem, np.asarray(solution.mesh.p)
     data = point_arrays(fields_of(solution))

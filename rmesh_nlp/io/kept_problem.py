@@ -18,7 +18,7 @@ from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.geometry import relocated_mesh
-from rmesh_nlp.models.multipliers import Multipliers
+from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.problem import ContactProblem
 
 PROBLEM = "problem.toml"

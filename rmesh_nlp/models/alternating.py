@@ -17,7 +17,7 @@ from skfem.models.poisson import laplace
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT
-from rmesh_nlp.models.energy_program import Relocation
+from rmesh_nlp.models.energy_nlp import Relocation
 
 STRONG = 0.1
 """Least coupling of two nodes, relative to the strongest of the mesh, that makes them neighbours."""

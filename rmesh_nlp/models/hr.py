@@ -12,14 +12,12 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
-from rmesh_nlp.models.cascade import cascade
-from rmesh_nlp.models.cascade_settings import CascadeSettings
-from rmesh_nlp.models.energy_flips import POOR, equilateral, flip_edges, mean_around
-from rmesh_nlp.models.energy_program import relocation
-from rmesh_nlp.models.large_moves import LargeMoves
-from rmesh_nlp.models.reduced import ReducedEnergy
-from rmesh_nlp.models.refinement import edge_gains, marked
-from rmesh_nlp.models.regularisation import regularised
+from rmesh_nlp.models.cascade import CascadeSettings, cascade
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.flips import POOR, equilateral, flip_edges, mean_around
+from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.models.regularisation import edge_gains, marked, regularised
+from rmesh_nlp.models.regularised_descent import LargeMoves
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.contact_problem import locally_refined
 from rmesh_nlp.settings import check_positive

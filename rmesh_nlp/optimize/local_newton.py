@@ -1,6 +1,6 @@
 """Newton-CG with a trust region of its own for each variable, for functions that are their own barrier.
 
-The method of :mod:`rmesh_nlp.optimize.newton` with three changes for large moves of a mesh:
+The method of :mod:`rmesh_nlp.optimize.trust_region` with three changes for large moves of a mesh:
 
 - Each variable is trusted within a width of its own, given by the point (for a node: the least
   height of the elements around it). A uniform radius is held back everywhere by the smallest element;
@@ -19,11 +19,10 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.newton import Evaluation, NewtonResult
 from rmesh_nlp.optimize.newton_settings import LocalNewtonSettings
-from rmesh_nlp.optimize.newton_step import BoxStep, Model
-from rmesh_nlp.optimize.preconditioned_step import PreconditionedStep, Preconditioner
+from rmesh_nlp.optimize.newton_step import BoxStep, Model, PreconditionedStep, Preconditioner
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.trust_region import Evaluation, NewtonResult
 
 
 def descend(

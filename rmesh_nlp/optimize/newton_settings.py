@@ -74,7 +74,7 @@ class StepSettings(Settings):
 
 @dataclass(frozen=True)
 class ProjectionSettings(Settings):
-    """Projections on linearised area constraints (:mod:`rmesh_nlp.optimize.polyhedron`).
+    """Projections on linearised area constraints (:mod:`rmesh_nlp.optimize.constraints`).
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class ProjectionSettings(Settings):
 
 @dataclass(frozen=True)
 class NewtonSettings(TrustRegionSettings):
-    """Projected Newton-CG in a box (:mod:`rmesh_nlp.optimize.newton`), in a trust region.
+    """Projected Newton-CG in a box (:mod:`rmesh_nlp.optimize.trust_region`), in a trust region.
 
     docs/notes/speed.md has the benchmarks on the paper's examples that chose the method.
 

@@ -1,4 +1,7 @@
-"""How a solve ended, in one word and in one sentence."""
+"""How a solve ended, in one word and in one sentence.
+
+How a solver is ended that has no other way to be told.
+"""
 
 from __future__ import annotations
 
@@ -61,3 +64,7 @@ def success_in_words(success: bool, status: Status) -> str:
     if not success:
         return "no"
     return "yes" if status is Status.CONVERGED else f"yes: {NOT_STATIONARY_YET}"
+
+
+class StoppedError(Exception):
+    """A monitor asked to stop."""

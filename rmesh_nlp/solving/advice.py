@@ -13,8 +13,7 @@ from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.assessment.error_reduction import ErrorReduction, error_reduction
 from rmesh_nlp.display import figure
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
-from rmesh_nlp.models.cascade import cascade
-from rmesh_nlp.models.cascade_settings import CascadeSettings
+from rmesh_nlp.models.cascade import CascadeSettings, cascade
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
 

@@ -14,9 +14,8 @@ from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.models.energy_flips import mean_around
-from rmesh_nlp.models.reduced import ReducedEnergy
-from rmesh_nlp.models.reduced_certificate import ReducedCertificate
+from rmesh_nlp.models.flips import mean_around
+from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.solving.outer import Outer

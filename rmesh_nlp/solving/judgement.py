@@ -16,9 +16,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.mapping.validity import area_ratios
 from rmesh_nlp.meshes.geometry import relocated_mesh
-from rmesh_nlp.models.multipliers import multipliers
-from rmesh_nlp.models.reduced import ReducedEnergy
-from rmesh_nlp.models.residual import size_of
+from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.models.residual import multipliers, size_of
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.solving.findings import (

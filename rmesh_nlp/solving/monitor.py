@@ -16,10 +16,9 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.models.reduced import ReducedPoint
+from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.mpcc import Iterate
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.stopping import StoppedError
+from rmesh_nlp.optimize.status import Status, StoppedError
 from rmesh_nlp.solving.clock import Clock
 from rmesh_nlp.solving.interrupts import deferred
 from rmesh_nlp.solving.limits import Limits

@@ -17,9 +17,8 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping.validity import is_valid
-from rmesh_nlp.models.energy_program import Relocation, relocation
-from rmesh_nlp.models.outer_function import Reduced, outer_function
-from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.energy_nlp import Relocation, relocation
+from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, outer_function
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.checks import check_unknowns

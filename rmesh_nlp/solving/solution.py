@@ -15,7 +15,7 @@ from rmesh_nlp.assessment.assessor import Audit
 from rmesh_nlp.assessment.verdict import Measured
 from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.models.multipliers import Multipliers
+from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.optimize.status import Status, success_in_words
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving import plotting

@@ -17,9 +17,8 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.models.energy_program import relocation
-from rmesh_nlp.models.outer_function import has_certificate
-from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.reduced_model import ReducedEnergy, has_certificate
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined

@@ -14,7 +14,7 @@ from rmesh_nlp.display import Rows, html_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.outer_function import Reduced, outer_function
+from rmesh_nlp.models.reduced_model import Reduced, outer_function
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.models.energy_program import Relocation
+from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer

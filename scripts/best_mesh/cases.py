@@ -21,7 +21,7 @@ from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objectives import error_energy
 from rmesh_nlp.fem.stress import gradients
-from rmesh_nlp.models.refinement import edge_gains, marked
+from rmesh_nlp.models.regularisation import edge_gains, marked
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 

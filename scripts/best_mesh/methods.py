@@ -15,7 +15,7 @@ from best_mesh.cases import LAPLACIAN_61, RULE, Case
 from best_mesh.rows import ADAPTIVE, GIVEN, Row
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.models.hr import hr
-from rmesh_nlp.models.refinement import marked
+from rmesh_nlp.models.regularisation import marked
 from rmesh_nlp.problem.contact_problem import locally_refined
 from rmesh_nlp.solving.solution import Solution
 

@@ -14,7 +14,7 @@ from formulations import joint
 from peer_solvers.case import Case, Finish
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import Field
-from rmesh_nlp.models.energy_program import relocation
+from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.optimize.solver import IPOPT_OPTIONS, Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer

@@ -10,8 +10,8 @@ from scipy.optimize import Bounds, minimize
 
 from peer_solvers.case import Case, Finish
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.models.energy_program import relocation
-from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.reduced_model import ReducedEnergy
 
 TOLERANCE = 1e-8
 """Of SciPy's solvers."""

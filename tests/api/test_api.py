@@ -14,7 +14,7 @@ from formulations.joint import Joint
 from formulations.multistart import MultiStart
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.models import reduced
+from rmesh_nlp.models import reduced_model
 from rmesh_nlp.problem import NO_CONTACT
 
 
@@ -155,13 +155,13 @@ def test_gradients_pass_their_taylor_test(name: str, objective: str) -> None:
 
 
 def test_a_wrong_gradient_is_of_first_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    right = reduced.ReducedEnergy.__call__
+    right = reduced_model.ReducedEnergy.__call__
 
-    def wrong(self: reduced.ReducedEnergy, q: np.ndarray) -> reduced.ReducedPoint:
+    def wrong(self: reduced_model.ReducedEnergy, q: np.ndarray) -> reduced_model.ReducedPoint:
         point = right(self, q)
         return replace(point, gradient=1.001 * point.gradient)
 
-    monkeypatch.setattr(reduced.ReducedEnergy, "__call__", wrong)
+    monkeypatch.setattr(reduced_model.ReducedEnergy, "__call__", wrong)
     test = rm.verify_gradient(rm.EXAMPLES["6.1"](n=4))
     assert not test
     assert "WRONG" in dict(test.summary())["gradient"]

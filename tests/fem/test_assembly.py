@@ -5,7 +5,7 @@ import numpy as np
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.energy import triangle_rule
-from rmesh_nlp.models.energy_program import relocation
+from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem
 from support.problems import sloped_block

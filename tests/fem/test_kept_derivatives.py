@@ -7,7 +7,7 @@ import numpy as np
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.element import differentiated
 from rmesh_nlp.fem.energy import strain_energy
-from rmesh_nlp.models.energy_program import relocation
+from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.problem import PlaneStrain
 
 

@@ -14,7 +14,7 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.objective_text import _split, parse_objective
-from rmesh_nlp.models.energy_program import relocation
+from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 
 

@@ -21,8 +21,8 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.cascade import CascadeResult
-from rmesh_nlp.models.reduced import ReducedEnergy
-from rmesh_nlp.models.stationary import Finish
+from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.models.regularised_descent import Finish
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     ContactProblem,

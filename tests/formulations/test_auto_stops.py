@@ -13,8 +13,8 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.models import cascade as of_cascade
 from rmesh_nlp.models.cascade import cascade
-from rmesh_nlp.models.energy_program import relocation
-from rmesh_nlp.models.stationary import finished
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.regularised_descent import finished
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     signed_areas,

@@ -11,7 +11,7 @@ import pytest
 from formulations.joint import Joint
 from formulations.nested import Nested
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome

@@ -19,8 +19,8 @@ from formulations.nested import Nested
 from formulations.refined import Refined
 from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.models.cascade_settings import CascadeSettings
-from rmesh_nlp.models.nested_settings import NestedSettings
+from rmesh_nlp.models.cascade import CascadeSettings
+from rmesh_nlp.models.outer_solvers import NestedSettings
 from rmesh_nlp.mpcc import MPCC, Options, solve
 from rmesh_nlp.optimize.newton_settings import (
     LocalNewtonSettings,

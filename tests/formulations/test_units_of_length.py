@@ -9,7 +9,7 @@ import pytest
 
 from rmesh_nlp.mapping.validity import is_valid
 from rmesh_nlp.meshes import shapes
-from rmesh_nlp.models.energy_program import relocation
+from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.optimize.units import Units
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain, Relative, Traction
 from support.formulations import joint

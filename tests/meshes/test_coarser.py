@@ -16,9 +16,8 @@ from rmesh_nlp.meshes.flips import flipped, sum_of_cotangents
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.meshes.unrefinement import unrefined
-from rmesh_nlp.models.energy_program import relocation
-from rmesh_nlp.models.levels import coarsened
-from rmesh_nlp.models.prolongation import interpolated, located, prolonged
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.levels import coarsened, interpolated, located, prolonged
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Relative
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.lines import sliding_directions

@@ -10,15 +10,13 @@ import pytest
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.acceptance import _continuous, accepted
-from rmesh_nlp.models.cascade import cascade
-from rmesh_nlp.models.cascade_settings import CascadeSettings, Schedules
-from rmesh_nlp.models.curvature import Curvature
-from rmesh_nlp.models.energy_program import relocation
-from rmesh_nlp.models.large_moves import LargeMoves
-from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.cascade import CascadeSettings, Schedules, cascade
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.levels import _continuous, accepted
+from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised
-from rmesh_nlp.models.stationary import finished
+from rmesh_nlp.models.regularised_descent import LargeMoves, finished
+from rmesh_nlp.models.second_derivatives import Curvature
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.solving.outer import Outer

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.models.curved_program import dense, with_hessian
-from rmesh_nlp.models.reduced_program import ReducedProgram, reduced_nlp
+from rmesh_nlp.models.reduced_nlp import ReducedProgram, dense, reduced_nlp, with_hessian
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import nested
@@ -48,7 +47,7 @@ def test_the_hessian_is_that_of_the_lagrangian(name: str) -> None:
 def test_columns_in_one_block_or_in_many_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     A = np.random.default_rng(0).standard_normal((7, 7))
     A = A + A.T
-    monkeypatch.setattr("rmesh_nlp.models.curved_program.COLUMNS", 3)
+    monkeypatch.setattr("rmesh_nlp.models.reduced_nlp.COLUMNS", 3)
     np.testing.assert_allclose(dense(lambda d: A @ d, 7), A, rtol=1e-14)
 
 

@@ -6,11 +6,10 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.curves import Circle, Curve
-from rmesh_nlp.models.acceptance import accepted
-from rmesh_nlp.models.curvature import Curvature
-from rmesh_nlp.models.energy_program import relocation
-from rmesh_nlp.models.levels import coarsened
-from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.levels import accepted, coarsened
+from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.models.second_derivatives import Curvature
 from rmesh_nlp.problem import ContactProblem, Motion, ProblemError, signed_areas
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.solving.solution import Solution

@@ -10,9 +10,8 @@ import pytest
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.curvature import Curvature
-from rmesh_nlp.models.objective_curvature import ObjectiveCurvature
-from rmesh_nlp.models.reduced import ReducedObjective
+from rmesh_nlp.models.reduced_model import ReducedObjective
+from rmesh_nlp.models.second_derivatives import Curvature, ObjectiveCurvature
 from rmesh_nlp.problem import ContactProblem, ExactSolution
 from rmesh_nlp.solving.outer import Outer
 from support.problems import sloped_block

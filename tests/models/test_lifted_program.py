@@ -8,9 +8,7 @@ import pytest
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.curved_program import with_hessian
-from rmesh_nlp.models.lifted_program import STIFF, lifted
-from rmesh_nlp.models.reduced_program import ReducedProgram, reduced_nlp
+from rmesh_nlp.models.reduced_nlp import STIFF, ReducedProgram, lifted, reduced_nlp, with_hessian
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.solving.limits import TOLERANCE
 from rmesh_nlp.solving.outer import Outer

@@ -9,7 +9,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
 

@@ -11,10 +11,9 @@ import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.energy_program import relocation
-from rmesh_nlp.models.reduced import ReducedEnergy
-from rmesh_nlp.models.reduced_certificate import ReducedCertificate
-from rmesh_nlp.models.secant_curvature import SecantCurvature
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy
+from rmesh_nlp.models.second_derivatives import SecantCurvature
 from rmesh_nlp.problem import ContactProblem, Motion
 from support.formulations import fixed, joint, mpcc, nested
 

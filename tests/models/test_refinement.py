@@ -14,7 +14,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import l_shape, rectangle
 from rmesh_nlp.models.hr import EFFECTIVITY, _stage, hr, reference_as_given
-from rmesh_nlp.models.refinement import edge_gains, marked
+from rmesh_nlp.models.regularisation import edge_gains, marked
 from rmesh_nlp.problem import (
     ContactProblem,
     Dirichlet,

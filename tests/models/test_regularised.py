@@ -11,11 +11,11 @@ from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.curvature import Curvature
-from rmesh_nlp.models.energy_program import relocation
-from rmesh_nlp.models.large_moves import KEPT, LargeMoves, longest_valid, node_widths
-from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised, weights
+from rmesh_nlp.models.regularised_descent import KEPT, LargeMoves, longest_valid, node_widths
+from rmesh_nlp.models.second_derivatives import Curvature
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
 from support.problems import sloped_block
 

@@ -11,10 +11,10 @@ import pytest
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models import interior, stationary
-from rmesh_nlp.models.energy_program import relocation
-from rmesh_nlp.models.multipliers import multipliers
-from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models import outer_solvers, regularised_descent
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.models.residual import multipliers
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import fixed, joint, mpcc, nested
@@ -90,7 +90,7 @@ def test_the_multiplier_of_a_box_on_a_slope_is_the_rate_at_its_narrower_side() -
 def test_steps_that_raise_the_residual_are_not_taken() -> None:
     energy = ReducedEnergy(relocation(EXAMPLES["6.1"](n=3), parse_objective("energy + 0.01*quality")))
     given, here = np.zeros(energy.relocation.n_q), 1e-3
-    q, residual, _ = stationary._polished(energy, given, lambda point: 2 * here, here, 1e-9)
+    q, residual, _ = regularised_descent._polished(energy, given, lambda point: 2 * here, here, 1e-9)
     assert (list(q), residual) == (list(given), here)
 
 
@@ -100,9 +100,9 @@ def test_an_interior_point_never_ends_above_its_start(monkeypatch) -> None:
             x=np.ones(1), f=-1.0, converged=True, status=Status.CONVERGED, iterations=3
         )
 
-    monkeypatch.setattr(interior, "Solver", solver)
+    monkeypatch.setattr(outer_solvers, "Solver", solver)
     nlp = SimpleNamespace(n_x=1, lbx=-2 * np.ones(1), ubx=2 * np.ones(1))
     program = SimpleNamespace(nlp=nlp, function=lambda q: SimpleNamespace(value=float(q @ q)))
-    found = interior._run(program, nlp, np.array([0.5]), None, {}, "")
+    found = outer_solvers._run(program, nlp, np.array([0.5]), None, {}, "")
     assert (found.q[0], found.status) == (0.5, Status.STALLED)
-    assert interior._run(program, nlp, np.array([1.5]), None, {}, "").q[0] == 1.0
+    assert outer_solvers._run(program, nlp, np.array([1.5]), None, {}, "").q[0] == 1.0

@@ -8,11 +8,10 @@ import scipy.sparse as sp
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping.validity import ROUNDING, least_angles
-from rmesh_nlp.models.validity import Validity
-from rmesh_nlp.optimize.newton import minimise
-from rmesh_nlp.optimize.polyhedron import Polyhedron
-from rmesh_nlp.optimize.smooth_constraints import Wall
+from rmesh_nlp.models.energy_nlp import ElementConstraints
+from rmesh_nlp.optimize.constraints import Polyhedron, Wall
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.trust_region import minimise
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.solving.limits import TOLERANCE
 from rmesh_nlp.solving.outer import Outer
@@ -128,7 +127,7 @@ def with_angles() -> ContactProblem:
 @pytest.mark.parametrize("make", [LARGE_BOXES["6.2, boxes of 0.9 edges"], with_angles])
 def test_validity_rows_have_their_derivatives(make) -> None:
     relocation = Outer(make()).relocation
-    validity = Validity(relocation)
+    validity = ElementConstraints(relocation)
     rng = np.random.default_rng(2)
     q, d = 0.2 * rng.uniform(-1, 1, (2, relocation.n_q))
     multipliers = rng.random(relocation.n_valid)
@@ -141,7 +140,7 @@ def test_validity_rows_have_their_derivatives(make) -> None:
 
 def test_inverted_elements_come_back_to_their_floor() -> None:
     outer = Outer(LARGE_BOXES["6.2, boxes of 0.9 edges"]())
-    validity, n = Validity(outer.relocation), outer.relocation.n_q
+    validity, n = ElementConstraints(outer.relocation), outer.relocation.n_q
     q = 0.6 * np.random.default_rng(0).uniform(-1, 1, n)
     assert not outer.is_valid(q)
     back = validity.back(q, validity.at(np.zeros(n)), -np.ones(n), np.ones(n), np.ones(n))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.optimize.activity import ZERO, both_vanish, is_inside
-from rmesh_nlp.optimize.newton import Evaluation, minimise
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.trust_region import Evaluation, minimise
 from support.quadratics import quadratic
 
 

@@ -7,15 +7,15 @@ import pytest
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.models.nested_settings import NestedSettings
+from rmesh_nlp.models.outer_solvers import NestedSettings
 from rmesh_nlp.optimize.local_newton import descend
-from rmesh_nlp.optimize.newton import minimise
 from rmesh_nlp.optimize.newton_settings import (
     LocalNewtonSettings,
     NewtonSettings,
     StepSettings,
 )
 from rmesh_nlp.optimize.newton_step import BoxStep
+from rmesh_nlp.optimize.trust_region import minimise
 from support.formulations import nested
 from support.quadratics import Matrix, quadratic
 

@@ -3,8 +3,7 @@ import pytest
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.newton_step import BoxStep
-from rmesh_nlp.optimize.preconditioned_step import PreconditionedStep, positive_definite
+from rmesh_nlp.optimize.newton_step import BoxStep, PreconditionedStep, positive_definite
 
 
 class Quadratic:

@@ -15,8 +15,8 @@ from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.curvature import Curvature
-from rmesh_nlp.models.reduced import ReducedObjective
+from rmesh_nlp.models.reduced_model import ReducedObjective
+from rmesh_nlp.models.second_derivatives import Curvature
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     ContactProblem,

@@ -10,7 +10,7 @@ import pytest
 import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.reduced import ReducedEnergy
+from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.solving.verification import TaylorTest, verify_gradient
 

@@ -19,7 +19,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.energy_flips import flip_edges
+from rmesh_nlp.models.flips import flip_edges
 from rmesh_nlp.models.regularisation import gain_estimate, regularised
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
@@ -251,7 +251,7 @@ class TestFlips:
         """``during`` flips it is the mesh before them, in the relocation after them the flipped one."""
         script, seen = Script(0.001, tracks=True), []
         if during:
-            monkeypatch.setattr("rmesh_nlp.models.energy_flips.flip_edges", pressed)
+            monkeypatch.setattr("rmesh_nlp.models.flips.flip_edges", pressed)
         again = Ends(lambda outer, q, monitor: monitor.track(outer).exact(1, q) or pressed())
         solution = solve(crooked, Flips(script.formulation, then=again), on_step=seen.append)
         assert (solution.status, solution.success) == (Status.INTERRUPTED, True)

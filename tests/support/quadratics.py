@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rmesh_nlp.optimize.newton import Evaluation
+from rmesh_nlp.optimize.trust_region import Evaluation
 
 
 class Matrix:

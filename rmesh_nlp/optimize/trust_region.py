@@ -29,9 +29,9 @@ import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.activity import is_inside
+from rmesh_nlp.optimize.constraints import Walls
 from rmesh_nlp.optimize.newton_settings import NewtonSettings
 from rmesh_nlp.optimize.newton_step import BoxStep, Model, WalledStep
-from rmesh_nlp.optimize.smooth_constraints import Walls
 from rmesh_nlp.optimize.status import Status
 
 

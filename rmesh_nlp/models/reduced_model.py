@@ -1,25 +1,36 @@
-"""The reduced energy L(q) = min_u J(u; X(q)) with its gradient: the outer function of ``nested``."""
+"""The reduced energy L(q) = min_u J(u; X(q)) with its gradient: the outer function of ``nested``.
+
+The guaranteed bound of the error as an outer objective: upper less lower bound of the least energy.
+
+The upper bound is the energy of the displacement by the rule of the audit, the lower one the dual energy of a
+flux in equilibrium (:mod:`rmesh_nlp.certificate.lower_bound`). Half the square of the error in the energy
+norm is at most their difference. Both are minima or maxima over the mesh, and both are differentiated with
+what attains them held.
+
+The outer objective of a problem as a function of the moves alone, by what it consists of.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from rmesh_nlp.certificate.lower_bound import LowerBound
+from rmesh_nlp.certificate.shape_derivatives import DEGREE
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.fem.assembly import element_values
+from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.mapping.validity import is_upright
-from rmesh_nlp.models.blocks import SecondDerivatives
-from rmesh_nlp.models.energy_program import Relocation
-from rmesh_nlp.models.validity import Validity
+from rmesh_nlp.models.energy_nlp import ElementConstraints, Relocation, SecondDerivatives, relocation
 
 
 @dataclass(frozen=True)
@@ -87,9 +98,9 @@ class ReducedEnergy:
         )
 
     @cached_property
-    def validity(self) -> Validity:
+    def validity(self) -> ElementConstraints:
         """Element validity as a function of the moves."""
-        return Validity(self.relocation)
+        return ElementConstraints(self.relocation)
 
     def of_positions(self, q: Array) -> float:
         """The terms of the objective in the positions alone; NaN where they are not defined."""
@@ -220,3 +231,81 @@ class ReducedObjective:
             total -= blocks.qs @ (state.active.sliding[rows] * (tangents @ p))
             total += blocks.slip.T @ (by_slip - friction[rows])
         return ReducedPoint(np.array(q), float(value[0]), total, system, state, False)
+
+
+CERTIFICATE = "certificate"
+"""Of the term in an objective."""
+
+
+class ReducedCertificate:
+    """An outer objective with the bound of the error among its terms, with its gradient.
+
+    Attributes
+    ----------
+    energy : ReducedEnergy
+        Of the problem with its own rule.
+    objective : Objective
+    upper : ReducedEnergy
+        By the rule of the audit.
+    weight : float
+        Of the bound in the objective.
+
+    Raises
+    ------
+    ValueError
+        If the problem is not scalar, or is of a kind for which no certificate is known.
+    """
+
+    def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
+        self.energy, self.objective = energy, objective
+        problem = energy.relocation.problem
+        self._lower = LowerBound(problem)
+        self.upper = ReducedEnergy(relocation(replace(problem, quadrature=DEGREE)))
+        self.weight = sum(weight for weight, term in objective.terms if term.name == CERTIFICATE)
+        others = tuple((weight, term) for weight, term in objective.terms if term.name != CERTIFICATE)
+        self._others = ReducedObjective(energy, Objective(others)) if others else None
+
+    @property
+    def contact_solves(self) -> int:
+        """Number of contact solves so far, equilibrations included."""
+        return self.energy.contact_solves + self.upper.contact_solves + self._lower.solves
+
+    def is_defined(self, q: Array) -> bool:
+        """Whether a distortion in the objective is defined: no element is inverted."""
+        return self._others is None or self._others.is_defined(q)
+
+    def __call__(self, q: Array) -> ReducedPoint:
+        """Evaluate at moves ``q``."""
+        return self.of(self.energy(q))
+
+    def of(self, inner: ReducedPoint) -> ReducedPoint:
+        """The objective where the energy and its contact solution are known."""
+        upper = self.upper(inner.q)
+        rel = self.upper.relocation
+        displacement = rel.displacement.values(self.upper.point(inner.q, upper.equilibrium))
+        lower, slope = self._lower(rel.nodes(inner.q), displacement)
+        positions = rel.mesh_map.positions
+        moving = positions.index != CONSTANT
+        of_lower = np.bincount(
+            positions.index[moving], (slope * positions.scale)[moving], minlength=inner.q.size
+        )
+        value, gradient = self.weight * (upper.value - lower), self.weight * (upper.gradient - of_lower)
+        if self._others is not None:
+            rest = self._others.of(inner)
+            value, gradient = value + rest.value, gradient + rest.gradient
+        return ReducedPoint(inner.q, value, gradient, inner.system, inner.equilibrium, False)
+
+
+Reduced = ReducedEnergy | ReducedObjective | ReducedCertificate
+"""An outer objective as a function of the moves alone."""
+
+
+def has_certificate(objective: Objective) -> bool:
+    """Whether the bound of the error is among the terms of an objective."""
+    return any(term.name == CERTIFICATE for _, term in objective.terms)
+
+
+def outer_function(energy: ReducedEnergy, objective: Objective) -> ReducedObjective | ReducedCertificate:
+    """Any outer objective but the energy by itself."""
+    kind = ReducedCertificate if has_certificate(objective) else ReducedObjective
+    return kind(energy, objective)

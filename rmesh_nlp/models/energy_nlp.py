@@ -8,24 +8,36 @@ the minimum over both,
 in ``x = (q, u, s)``: node moves in units of their boxes, displacement unknowns, and one slip
 magnitude per contact node with friction. This program is what ``joint`` solves; its
 derivatives also give the energy gradient (5.7), (5.11) of ``nested`` and the audit.
+
+Second derivatives of the energy program at a contact solution, block by block.
+
+Element validity as walls of a descent.
+
+The rows are those of :mod:`rmesh_nlp.mapping.validity`, less their bounds: areas are
+bilinear in the moves, so a step along their linearisation may invert elements. Evaluating them costs
+nothing beside a contact solve, so what a step violates is taken back on the rows themselves.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
+import scipy.sparse as sp
 
+from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import Field, Index
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping import MeshMap
-from rmesh_nlp.mapping.validity import Validity
+from rmesh_nlp.mapping.validity import ROUNDING, Validity
+from rmesh_nlp.optimize.constraints import Polyhedron, Wall
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem
 
@@ -193,3 +205,115 @@ def relocation(problem: ContactProblem | Discretisation, objective: Objective = 
     x = ca.MX.sym("x", free.n + n_u + n_s)
     assembled = parts.assemble(groups, x, ca.MX(0, 1), n_rows + validity.size)
     return Relocation(parts, x, assembled, displacement, slip, validity, objective)
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Blocks of the Hessian of ``J - lambda . gap - tau . u_t`` in moves q, displacement u and slip s.
+
+    Attributes
+    ----------
+    qq, qu, qs : sparse arrays
+    gap : (contact nodes, n_q) sparse array
+        Derivative of the gaps by the moves.
+    slip : (n_s, n_q) sparse array
+        Derivative of the slips u_t by the moves; zero where no foundation is curved.
+    """
+
+    qq: sp.csc_array
+    qu: sp.csc_array
+    qs: sp.csc_array
+    gap: sp.csc_array
+    slip: sp.csc_array
+
+
+class SecondDerivatives:
+    """Evaluates the blocks; where they are in the whole is found once.
+
+    Parameters
+    ----------
+    relocation : Relocation
+    rule : int, optional
+        Degree of the quadrature rule of the loads in the Hessian, if that of the problem is higher.
+    """
+
+    def __init__(self, relocation: Relocation, rule: int | None = None) -> None:
+        self._relocation = rel = relocation
+        self._modelled = rel if rule is None else with_lower_rule(rel, rule)
+        hessian, jacobian = self._modelled.assembled.hess_lag, rel.assembled.jac_g
+        self._hessian, self._jacobian = Evaluator(hessian), Evaluator(jacobian)
+        q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
+        upper = numbered(hessian.sparsity_out(0))
+        self._qq = Symmetric(upper, rel.n_q)
+        self._qu, self._qs = Block(upper, q, u), Block(upper, q, s)
+        first = numbered(jacobian.sparsity_out(1))
+        self._gap, self._slip = Block(first, rel.gap_rows, q), Block(first, rel.slip_rows, q)
+
+    def __call__(self, x: Array, equilibrium: Equilibrium) -> Blocks:
+        """At unknowns ``x = (q, u, s)`` of a contact solution."""
+        rel = self._relocation
+        rows = np.zeros(rel.n_rows)
+        rows[rel.gap_rows] = -equilibrium.normal_force
+        if rel.n_s:
+            rows[rel.slip_rows] = -equilibrium.tangential_force[rel.friction_rows]
+        (values,) = self._hessian(x, [], 1.0, rows)
+        _, first = self._jacobian(x, [])
+        return Blocks(
+            self._qq(values), self._qu(values), self._qs(values), self._gap(first), self._slip(first)
+        )
+
+
+KEPT = 0.01
+"""Part of its slack that a step leaves to an element: far away the linearisation is not to be trusted ..."""
+
+NEAR_BOUND = 1e-2
+"""... unless it has no more slack than this."""
+
+CROWDED = 20
+"""Rows that are not obeyed beyond which there is no way back: a shorter step is cheaper."""
+
+RETURNS = 10
+"""Linearisations on the way back."""
+
+
+class ElementConstraints:
+    """The validity rows of one problem as functions of the moves q.
+
+    Parameters
+    ----------
+    relocation : Relocation
+    """
+
+    def __init__(self, relocation: Relocation) -> None:
+        self._validity = relocation.validity
+        rows, self._bound = relocation.validity.assembled, relocation.validity.bound
+        self._first, self._second = Evaluator(rows.jac_g), Evaluator(rows.hess_lag)
+        self._jacobian = Block(numbered(rows.jac_g.sparsity_out(1)), slice(None), slice(None))
+        self._hessian = Symmetric(numbered(rows.hess_lag.sparsity_out(0)))
+
+    def at(self, q: Array) -> Wall:
+        """The rows at valid moves ``q``."""
+        slack, jacobian = self._rows(q)
+        return Wall(slack, np.where(slack > NEAR_BOUND, KEPT * slack, np.minimum(ROUNDING, slack)), jacobian)
+
+    def hessian(self, q: Array, multipliers: Array) -> sp.csc_array:
+        """The Hessian of ``multipliers . rows``."""
+        (values,) = self._second(q, [], 0.0, multipliers)
+        return self._hessian(values)
+
+    def back(self, q: Array, wall: Wall, lower: Array, upper: Array, scale: Array) -> Array | None:
+        """Moves near ``q`` that are valid, by Newton's method on the rows; None if it fails."""
+        enough = np.minimum(wall.floor, 0.5 * ROUNDING)
+        for _ in range(RETURNS):
+            slack, jacobian = self._rows(q)
+            if np.all(slack >= enough):
+                return q
+            if np.count_nonzero(slack < enough) > CROWDED:
+                return None
+            steps = Polyhedron(lower - q, upper - q, slack - wall.floor, jacobian, scale)
+            q = np.clip(q + steps.project(np.zeros(q.size)), lower, upper)
+        return None
+
+    def _rows(self, q: Array) -> tuple[Array, sp.csr_array]:
+        value, jacobian = self._first(q, [])
+        return value - self._bound, sp.csr_array(self._jacobian(jacobian))

@@ -1,0 +1,348 @@
+"""Second derivatives of the reduced energy L(q), as products with a vector.
+
+With the active set of the contact solution held, and Lambda the Lagrangian of the energy program,
+
+    L'' d = Lambda_qq d + Lambda_qu u' + Lambda_qs s' - gamma_q^T lambda' - sigma_q^T tau',
+
+where ``u', s', lambda', tau'`` are the first-order changes of displacement, slip, normal and tangential
+contact force when the nodes move along d: one more solve with the factorised stiffness of the contact
+solve. The slips at fixed displacement, sigma, move where a foundation is curved.
+
+Second derivatives of any outer objective F(X, u(X)), as products with a vector.
+
+With the active set of the contact solution held, displacement, slip and forces y are a smooth function
+of the moves q, given by as many equations C(q, y) = 0: equilibrium, and of each pair the member that is
+zero. With the adjoint multipliers nu, ``C_y^T nu = -F_y``, and the Lagrangian ``Lambda = F + nu^T C``,
+
+    F' = F_q + C_q^T nu,      F'' d = Lambda_qq d + Lambda_qy y' + C_q^T nu',
+    C_y y' = -C_q d,          C_y^T nu' = -(Lambda_yq d + Lambda_yy y'),
+
+one factorisation of C_y and two solves with it for each product (the second-order adjoint).
+
+Second derivatives of an objective with the bound of the error: exact where known, else by secants.
+
+The bound is the upper less the lower bound of the energy. The second derivative of the upper one, the reduced
+energy, is known; that of the rest is approximated by the symmetric rank-one formula [1]_ from the gradients
+at the points that a descent passes,
+
+    B + r r^T / (r . s),    r = y - B s,
+
+s the step and y the change of the gradient, beginning with B = 0: the lower bound lies much closer to the
+exact energy than the upper one, and changes less with the nodes.
+
+References
+----------
+.. [1] J. Nocedal, S. J. Wright, Numerical optimization, Springer 2006, section 6.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from rmesh_nlp.contact.sensitivity import TangentResponse
+from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
+from rmesh_nlp.fem.fields import Index
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.models.energy_nlp import Blocks, SecondDerivatives
+from rmesh_nlp.models.kkt_model import bilevel
+from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, ReducedPoint
+
+
+class Curvature:
+    """Evaluates L'' at contact solutions of one problem.
+
+    Parameters
+    ----------
+    energy : ReducedEnergy
+    rule : int, optional
+        See :class:`~rmesh_nlp.models.energy_nlp.SecondDerivatives`; None for exact second derivatives.
+    """
+
+    def __init__(self, energy: ReducedEnergy, rule: int | None = None) -> None:
+        self._energy, self._derivatives = energy, SecondDerivatives(energy.relocation, rule)
+
+    def at(self, point: ReducedPoint) -> Hessian:
+        """L'' at a point, ready for products."""
+        x = self._energy.point(point.q, point.equilibrium)
+        rows = self._energy.relocation.friction_rows
+        return Hessian(point, self._derivatives(x, point.equilibrium), rows)
+
+
+DENSE = 200
+"""Moves up to which all products are formed at once: one solve with as many right sides costs less than the
+products of a step one by one (7 against 25 on Example 6.1 with 126 moves; as much with 286)."""
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """L'' as a Schur complement, ``moves - mixed^T stiffness^-1 mixed``, all three of them sparse.
+
+    Where the change of a displacement is known from the moves, at touching and at sticking nodes, it is put
+    in; what is left is the stiffness over the displacements that contact leaves free.
+
+    Attributes
+    ----------
+    moves : (n_q, n_q) sparse array
+    mixed : (free, n_q) sparse array
+    stiffness : (free, free) sparse array
+    free : (free,) int array
+        Numbers of these displacements, in the coordinates of the contact system.
+    n_u : int
+        Number of all displacements.
+    """
+
+    moves: sp.csc_array
+    mixed: sp.csc_array
+    stiffness: sp.csc_array
+    free: Index
+    n_u: int
+
+
+class Hessian:
+    """L'' at one point."""
+
+    def __init__(self, point: ReducedPoint, blocks: Blocks, friction_rows: Index) -> None:
+        self.qq = blocks.qq.T  # the same matrix, but by rows: a product takes half the time
+        self._qu, self._qs = blocks.qu, blocks.qs
+        self._uq, self._sq, self._gap, self._gap_q = blocks.qu.T, blocks.qs.T, blocks.gap, blocks.gap.T
+        self._slip, self._slip_q = blocks.slip, blocks.slip.T
+        self._active = point.equilibrium.active
+        self._rows = friction_rows
+        self._tangents = point.system.tangents[friction_rows]
+        self._sliding = (
+            self._active.sliding[friction_rows].astype(float) if friction_rows.size else np.zeros(0)
+        )
+        self._respond = TangentResponse(point.system, self._active)
+        self._rotated = point.system.rotated
+        self._whole: Array | None = None
+
+    def diagonal(self) -> Array:
+        """Size of the diagonal of Lambda_qq, kept away from zero."""
+        diagonal = np.abs(self.qq.diagonal())
+        return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
+
+    def lifted(self) -> Lifted:
+        """The sparse matrix in moves and displacements whose Schur complement is L''."""
+        rotated, active = self._rotated, self._active
+        mixed = self._uq
+        moves = self.qq
+        n_contact, n_q = active.touching.size, moves.shape[0]
+        slip = sp.csr_array((n_contact, n_q))
+        if self._rows.size:
+            at_contact = sp.csr_array(
+                (np.ones(self._rows.size), (self._rows, np.arange(self._rows.size))),
+                shape=(n_contact, self._rows.size),
+            )
+            slip = sp.csr_array(at_contact @ self._slip)
+            friction = self._qs @ sp.diags_array(self._sliding)
+            mixed = mixed + self._tangents.T @ friction.T
+            moves = moves + friction @ self._slip + (friction @ self._slip).T
+        if rotated.basis is not None:
+            mixed = rotated.basis.T @ mixed
+        mixed = sp.csr_array(mixed)
+        held, by_moves = self._respond.held, sp.csr_array(self._respond.held_by(self._gap, slip))
+        inside, _ = rotated.factor(active)
+        stiffness = sp.csr_array(rotated.K)
+        coupled = by_moves.T @ mixed[held]
+        moves = moves - coupled - coupled.T + by_moves.T @ stiffness[held][:, held] @ by_moves
+        mixed = mixed[inside] - stiffness[inside][:, held] @ by_moves
+        corner = rotated.K[:, inside][inside]
+        return Lifted(sp.csc_array(moves), sp.csc_array(mixed), corner, inside, rotated.F.size)
+
+    def joint(self, width: Array) -> tuple[sp.csc_array, int]:
+        """The matrix of :meth:`lifted` with the moves in units of ``width``.
+
+        Returns
+        -------
+        matrix : sparse array
+        n : int
+            The first n unknowns are the moves.
+        """
+        lifted, scale = self.lifted(), sp.diags_array(width)
+        mixed = lifted.mixed @ scale
+        matrix = sp.block_array([[scale @ lifted.moves @ scale, mixed.T], [mixed, lifted.stiffness]])
+        return sp.csc_array(matrix), width.size
+
+    def __call__(self, d: Array) -> Array:
+        """``L'' d`` for a vector (n,), or for each column of a matrix (n, k)."""
+        if d.ndim == 1 and d.size <= DENSE:
+            if self._whole is None:
+                self._whole = self._products(np.eye(d.size))
+            return np.asarray(self._whole @ d)
+        return self._products(d)
+
+    def _products(self, d: Array) -> Array:
+        sliding = self._sliding if d.ndim == 1 else self._sliding[:, None]
+        out_of_balance, slip = self._uq @ d, np.zeros((self._active.touching.size, *d.shape[1:]))
+        if sliding.size:
+            bound = sliding * (self._sq @ d)  # change of the friction of sliding nodes
+            out_of_balance = out_of_balance + self._tangents.T @ bound
+            slip[self._rows] = self._slip @ d
+        u, normal, tangential = self._respond(out_of_balance, self._gap @ d, slip)
+        result = self.qq @ d + self._qu @ u - self._gap_q @ normal
+        if sliding.size:
+            result += self._qs @ (sliding * (self._tangents @ u + slip[self._rows]))
+            result += self._slip_q @ (bound - tangential[self._rows])
+        return np.asarray(result)
+
+
+class ObjectiveCurvature:
+    """Evaluates F'' at contact solutions of one problem.
+
+    Parameters
+    ----------
+    energy : ReducedEnergy
+    objective : Objective
+    """
+
+    def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
+        start = energy(np.zeros(energy.relocation.n_q))
+        self._program = bilevel(
+            energy.relocation.problem,
+            objective,
+            length=float(np.max(np.abs(start.equilibrium.u), initial=0.0)) or 1.0,
+            force=start.system.force_scale or 1.0,
+        )
+        mpcc = self._program.mpcc
+        assert mpcc.derivatives is not None
+        assert mpcc.derivatives.hess_lag is not None
+        self._kept = mpcc.derivatives
+        self._n_g, self._n_pairs = mpcc.n_g, mpcc.n_pairs
+        self._equations = np.flatnonzero(np.asarray(mpcc.lbg) == np.asarray(mpcc.ubg))
+        self._gradient = Evaluator(mpcc.derivatives.grad_f)
+        self._jacobian = Evaluator(mpcc.derivatives.jac_g)
+        self._hessian = Evaluator(mpcc.derivatives.hess_lag)
+        self._jacobian_at = _coordinates(mpcc.derivatives.jac_g.sparsity_out(1))
+        self._symmetric = Symmetric(numbered(mpcc.derivatives.hess_lag.sparsity_out(0)))
+
+    def at(self, point: ReducedPoint) -> ObjectiveHessian:
+        """F'' at a point, ready for products."""
+        x = self._program.point(point.q, point.equilibrium, point.system)
+        values, nonzeros = self._jacobian(x, [])
+        G, H = np.split(values[self._n_g :], 2)
+        first = self._n_g + np.arange(self._n_pairs)
+        held = np.concatenate([self._equations, np.where(G <= H, first, first + self._n_pairs)])
+        jacobian = sp.csr_matrix((nonzeros, self._jacobian_at), shape=(values.size, x.size))[held]
+        n_q = self._program.n_q
+        of_q, of_y = jacobian[:, :n_q].tocsr(), jacobian[:, n_q:].tocsc()
+        factors = splu(of_y)
+        _, slope = self._gradient(x, [])
+        nu = factors.solve(-slope[n_q:], "T")
+        multipliers = np.zeros(values.size)
+        multipliers[held] = nu
+        (curvature,) = self._hessian(x, [], 1.0, multipliers)
+        return ObjectiveHessian(
+            slope[:n_q] + of_q.T @ nu, sp.csr_matrix(self._symmetric(curvature)), of_q, factors
+        )
+
+
+class ObjectiveHessian:
+    """F'' at one point.
+
+    Attributes
+    ----------
+    gradient : (n_q,) array
+        F', by the same adjoint.
+    """
+
+    def __init__(
+        self, gradient: Array, lagrangian: sp.csr_matrix, of_q: sp.csr_matrix, factors: splu
+    ) -> None:
+        self.gradient = gradient
+        n_q = gradient.size
+        self.qq = lagrangian[:n_q, :n_q]
+        self._qy, self._yy = lagrangian[:n_q, n_q:], lagrangian[n_q:, n_q:]
+        self._yq = self._qy.T.tocsr()
+        self._of_q, self._of_q_t, self._factors = of_q, of_q.T.tocsr(), factors
+
+    def diagonal(self) -> Array:
+        """Size of the diagonal of Lambda_qq, kept away from zero."""
+        diagonal = np.abs(self.qq.diagonal())
+        return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
+
+    def __call__(self, d: Array) -> Array:
+        """``F'' d`` for a vector (n,), or for each column of a matrix (n, k)."""
+        y = -self._factors.solve(self._of_q @ d)
+        nu = -self._factors.solve(self._yq @ d + self._yy @ y, "T")
+        return np.asarray(self.qq @ d + self._qy @ y + self._of_q_t @ nu)
+
+
+def _coordinates(sparsity: ca.Sparsity) -> tuple[Array, Array]:
+    rows, columns = sparsity.get_triplet()
+    return np.asarray(rows), np.asarray(columns)
+
+
+MEMORY = 100
+"""Secants that are kept; then they are forgotten all at once."""
+
+SKIPPED = 1e-8
+"""Cosine of the angle between r and s below which a secant is skipped, as in [1]_, (6.26)."""
+
+
+class SecantCurvature:
+    """Evaluates the approximation at the points of a descent, one after the other.
+
+    Parameters
+    ----------
+    function : ReducedCertificate
+    """
+
+    def __init__(self, function: ReducedCertificate) -> None:
+        self._function, self._upper = function, Curvature(function.upper)
+        self._last: tuple[Array, Array] | None = None
+        self._rest = _RankOnes((), ())
+
+    def at(self, point: ReducedPoint) -> SecantHessian:
+        """The approximation at a point, with the secant from the last one."""
+        function = self._function
+        upper = function.upper(point.q)
+        rest = point.gradient - function.weight * upper.gradient
+        if self._last is not None:
+            self._rest = self._rest.with_secant(point.q - self._last[0], rest - self._last[1])
+        self._last = point.q.copy(), rest
+        return SecantHessian(function.weight, self._upper.at(upper), self._rest)
+
+
+@dataclass(frozen=True)
+class _RankOnes:
+    """``sum_k r_k r_k^T / d_k``."""
+
+    vectors: tuple[Array, ...]
+    divisors: tuple[float, ...]
+
+    def __call__(self, d: Array) -> Array:
+        result = np.zeros_like(d)
+        for r, divisor in zip(self.vectors, self.divisors, strict=True):
+            result += np.multiply.outer(r, r @ d) / divisor
+        return result
+
+    def with_secant(self, s: Array, y: Array) -> _RankOnes:
+        r = y - self(s)
+        divisor = float(r @ s)
+        if not abs(divisor) > SKIPPED * float(np.linalg.norm(r) * np.linalg.norm(s)):
+            return self
+        if len(self.vectors) == MEMORY:
+            return _RankOnes((), ()).with_secant(s, y)
+        return _RankOnes((*self.vectors, r), (*self.divisors, divisor))
+
+
+@dataclass(frozen=True)
+class SecantHessian:
+    """The second derivative at one point."""
+
+    weight: float
+    upper: Hessian
+    rest: _RankOnes
+
+    def diagonal(self) -> Array:
+        """Size of the diagonal, that of the upper bound."""
+        return abs(self.weight) * self.upper.diagonal()
+
+    def __call__(self, d: Array) -> Array:
+        """The product with a vector, or with the columns of a matrix."""
+        return self.weight * self.upper(d) + self.rest(d)
