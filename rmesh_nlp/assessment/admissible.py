@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.assessment.energy import hat_integrals, load_vector, stiffness
-from rmesh_nlp.assessment.friction import friction_energy
+from rmesh_nlp.assessment.energy import friction_energy, hat_integrals, load_vector, stiffness
 from rmesh_nlp.assessment.standoff import Cells, cells_of
 from rmesh_nlp.assessment.tightening import tightened
 from rmesh_nlp.contact.active_set import solve

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
-from rmesh_nlp.assessment.quantities import Quantities, quantities
+from rmesh_nlp.assessment.assessor import Quantities, quantities
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.display import figure
 from rmesh_nlp.errors import ProblemError

@@ -21,12 +21,73 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rmesh_nlp.certificate.hybrid import Hybrid, InteriorObstacle, LocalSystems, hybrid
-from rmesh_nlp.certificate.traces import TraceSpace
+from rmesh_nlp.certificate.hybrid import Hybrid, InteriorObstacle, LocalSystems, TraceSpace, hybrid
 from rmesh_nlp.contact.active_set import DualEnergy, solve
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.newton_step import BoxStep
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What the computed solution knows: where the equilibration begins.
+
+    Attributes
+    ----------
+    displacement : (components, nodes) array
+    pressure, friction : (nodes,) arrays
+        Contact pressure and friction at the nodes.
+    """
+
+    displacement: Array
+    pressure: Array
+    friction: Array
+
+
+@dataclass(frozen=True)
+class EquilibratedField:
+    """A flux or stress in equilibrium, element by element.
+
+    Attributes
+    ----------
+    values : (2 or 3, elements) array
+        Mean flux, or mean stress xx, yy, xy.
+    energy : (elements,) array
+        Complementary energy, half the square of the energy norm of the field.
+    defect : (elements,) array
+        Distance in the energy norm from the flux or stress of the computed displacement.
+    variation : (elements,) array
+        Distance in the energy norm from the nearest field that is constant on the element.
+    forces : (elements, local traces) array
+        Tractions at the ends of the edges of each element times the length of the edge.
+    balance : Balance
+    residual : float
+        Largest violation of equilibrium inside elements, relative to the largest force.
+    load_remainder : (elements,) array
+        L2 norm of the load less what the field balances, its best linear approximation.
+    load_doubt : float
+        What quadrature of the load may have changed in the energy.
+    gradient_by_energy : (elements,) array
+        See :func:`rmesh_nlp.certificate.oscillation.oscillation`.
+    obstacle_work, obstacle_gap : (elements,) arrays
+        Work of the reaction of an obstacle in the interior, on the obstacle and on the gap.
+    obstacle_doubt : float
+    """
+
+    values: Array
+    energy: Array
+    defect: Array
+    variation: Array
+    forces: Array
+    balance: Balance
+    residual: float
+    load_remainder: Array
+    load_doubt: float
+    gradient_by_energy: Array
+    obstacle_work: Array
+    obstacle_gap: Array
+    obstacle_doubt: float = 0.0
+
 
 SOFTER = 10.0
 """By how much the compliance of a trace exceeds that of its diagonal entry, roughly.

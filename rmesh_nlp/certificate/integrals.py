@@ -3,6 +3,8 @@
 Constants are integrated exactly. Anything else is integrated by rules of increasing degree until two
 of them agree, as for any polynomial, or there are none left, as for a coefficient that jumps
 inside an element. The difference between the last two is the doubt.
+
+x
 """
 
 from __future__ import annotations
@@ -13,8 +15,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import triangle_rule
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import Coefficient
 from rmesh_nlp.vectorised import columnwise
 
@@ -103,3 +107,53 @@ def _by_rule(
 ) -> tuple[Array, Array]:
     values = values_at(coefficient, corners, barycentric)
     return (barycentric * weights) @ values, weights @ values**2
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Sources or body forces, component by component, and their sums over elements.
+
+    Attributes
+    ----------
+    moments, doubt : (components, 3, elements) arrays
+        As in :class:`rmesh_nlp.certificate.integrals.Integrals`.
+    square : (elements,) array
+        Mean of |f|^2.
+    constant : (elements,) bool array
+    """
+
+    moments: Array
+    doubt: Array
+    square: Array
+    constant: Array
+
+
+def loads(problem: ContactProblem, skeleton: Skeleton) -> Loads:
+    """Moments of the load of a problem on each element."""
+    n, count = problem.components, skeleton.triangles.shape[1]
+    moments, doubt = np.zeros((2, n, 3, count))
+    square, constant = np.zeros(count), np.ones(count, dtype=bool)
+    corners = skeleton.nodes[:, skeleton.triangles]
+    for law, elements in problem.regions:
+        for i, coefficient in enumerate(law.load):
+            part: Integrals = over_triangles(coefficient, corners[:, :, elements])
+            moments[i][:, elements], doubt[i][:, elements] = part.moments, part.doubt
+            square[elements] += part.square
+            if callable(coefficient):
+                constant[elements] = False
+    return Loads(moments, doubt, square, constant)
+
+
+def work(moments: Array, displacement: Array, skeleton: Skeleton) -> Array:
+    """(elements,) integrals of f . u for a displacement (components, nodes)."""
+    local = displacement[:, skeleton.triangles]
+    return np.asarray(np.einsum("cie,cie,e->e", moments, local, skeleton.areas))
+
+
+def doubtful_work(doubt: Array, displacement: Array, skeleton: Skeleton) -> float:
+    """How much the energy may be wrong by the doubt of the moments of the load."""
+    if not np.any(doubt):
+        return 0.0
+    largest = float(np.max(np.abs(displacement)))
+    local = np.abs(displacement[:, skeleton.triangles]) + largest
+    return float(np.einsum("cie,cie,e->", doubt, local, skeleton.areas))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, Place
 
 Index = NDArray[np.int64]
 
@@ -85,3 +85,45 @@ def skeleton_of(problem: ContactProblem, nodes: Array) -> Skeleton:
     tail_is_first = ends[0, edges] == tails
     place = np.stack([np.where(tail_is_first, 0, 1), np.where(tail_is_first, 1, 0)], axis=1)
     return Skeleton(np.asarray(nodes, dtype=float), triangles, ends, edges, place)
+
+
+SAME = 1e-10
+"""Relative difference of areas, lengths and first moments up to which they are the same."""
+
+
+def same_domain(problem: ContactProblem, nodes: Array) -> bool:
+    """Whether regions and named boundaries in use have the same measures and moments as on the given mesh.
+
+    Nodes that slide along straight pieces, and interior nodes, change none of them. A node that
+    moves off its piece, or the end of a part that slides, changes its length, its area or a moment.
+    """
+    given, moved = (_moments(problem, skeleton_of(problem, x)) for x in (problem.mesh.p, nodes))
+    return all(
+        np.max(np.abs(a - b)) <= SAME * max(float(np.max(np.abs(a))), 1e-300)
+        for a, b in zip(given, moved, strict=True)
+    )
+
+
+def _moments(problem: ContactProblem, skeleton: Skeleton) -> list[Array]:
+    corner = skeleton.nodes.min(axis=1, keepdims=True)
+    areas, centres = skeleton.areas, skeleton.centres - corner
+    result = [np.array([areas[part].sum(), *(centres[:, part] @ areas[part])]) for _, part in problem.regions]
+    names = {load.boundary for load in problem.tractions} | {s.boundary for s in problem.supports}
+    names |= {o.boundary for o in problem.obstacles if not isinstance(o.boundary, Place)}
+    middle = skeleton.nodes[:, skeleton.ends].mean(axis=1) - corner
+    lengths = skeleton.lengths
+    for name in sorted(names):
+        edges = np.unique(problem.mesh.boundaries[name])
+        result.append(np.array([lengths[edges].sum(), *(middle[:, edges] @ lengths[edges])]))
+    return result
+
+
+def gradients(displacement: Array, skeleton: Skeleton) -> Array:
+    """(components, 2, elements) gradients of a piecewise linear displacement."""
+    local = displacement[:, skeleton.triangles]
+    return np.asarray(-np.einsum("cie,die->cde", local, skeleton.normals) / (2 * skeleton.areas))
+
+
+def end_values(nodal: Array, skeleton: Skeleton, edges: NDArray[np.int64]) -> Array:
+    """(2, edges) values of a nodal field at the ends of some edges."""
+    return np.asarray(nodal[skeleton.ends[:, edges]])

@@ -19,8 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.certificate.lower_bound import LowerBound
-from rmesh_nlp.certificate.shape_derivatives import DEGREE
+from rmesh_nlp.certificate.lower_bound import DEGREE, LowerBound
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
 from rmesh_nlp.contact.solver import ContactSolver

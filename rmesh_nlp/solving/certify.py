@@ -9,11 +9,10 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.certificate.admissibility import GIVEN
-from rmesh_nlp.certificate.bracket import Bracket
-from rmesh_nlp.certificate.domain import same_domain
-from rmesh_nlp.certificate.field import Guess
-from rmesh_nlp.certificate.refined import refined_bracket
+from rmesh_nlp.certificate.bracket import Bracket, refined_bracket
+from rmesh_nlp.certificate.displacement import GIVEN
+from rmesh_nlp.certificate.equilibration import Guess
+from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
@@ -47,7 +46,7 @@ def certify(solution: Solved, *, refinements: int | None = None) -> Certificate:
     refinements : int, optional
         How often the mesh is refined for the field that proves the lower bound; more make the bounds
         closer and cost four times as much each. By default once on small meshes, see
-        :func:`rmesh_nlp.certificate.refined.refined_bracket`.
+        :func:`rmesh_nlp.certificate.bracket.refined_bracket`.
 
     Raises
     ------

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.assessment.assessor import Quantities, worse
 from rmesh_nlp.assessment.error_reduction import error_reduction
-from rmesh_nlp.assessment.quantities import Quantities, worse
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.status import Status

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.assessment.quantities import Quantities, quantities
-from rmesh_nlp.assessment.verdict import Measured, verdict
+from rmesh_nlp.assessment.assessor import Quantities, quantities
+from rmesh_nlp.assessment.conclusion import Measured, conclusion
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
@@ -146,7 +146,7 @@ def judged(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Judgeme
             name: value - begin.assessor.initial_corrections[name] for name, value in corrections.items()
         },
     )
-    end = verdict(outcome.status, measured)
+    end = conclusion(outcome.status, measured)
     label = outcome.label
     if label is None:
         label = "KKT" if residual <= outer.tolerance else ""

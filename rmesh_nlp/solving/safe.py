@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import admissible
-from rmesh_nlp.assessment.verdict import ROUNDING
+from rmesh_nlp.assessment.conclusion import ROUNDING
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem

@@ -12,7 +12,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.assessor import Audit
-from rmesh_nlp.assessment.verdict import Measured
+from rmesh_nlp.assessment.conclusion import Measured
 from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.residual import Multipliers
@@ -51,7 +51,7 @@ class Solution:
     audit : Audit
     status : Status
     valid, improved, success : bool
-        See :mod:`rmesh_nlp.assessment.verdict`; a success is valid and improved.
+        See :mod:`rmesh_nlp.assessment.conclusion`; a success is valid and improved.
     stationarity : str
         "KKT" or an MPCC label (W, C, M, S, B) where it was computed, else "".
     stationarity_residual : float

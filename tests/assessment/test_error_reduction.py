@@ -11,8 +11,8 @@ import pytest
 
 from rmesh_nlp.assessment import error_reduction as module
 from rmesh_nlp.assessment.admissible import Admissible, admissible
+from rmesh_nlp.assessment.assessor import Quantities, quantities, worse
 from rmesh_nlp.assessment.error_reduction import by_certificate, error_reduction
-from rmesh_nlp.assessment.quantities import Quantities, quantities, worse
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle

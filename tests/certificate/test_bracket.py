@@ -10,13 +10,11 @@ import pytest
 from scipy.linalg import null_space
 
 from rmesh_nlp.certificate import bracket as module
-from rmesh_nlp.certificate.bracket import Bracket, bracket, edge_residual
+from rmesh_nlp.certificate.bracket import Bracket, bracket, edge_residual, refined_bracket
 from rmesh_nlp.certificate.conditions import NotCertifiableError, conditions_of
-from rmesh_nlp.certificate.elastic import equilibrated_stress
-from rmesh_nlp.certificate.field import loads
-from rmesh_nlp.certificate.integrals import over_triangles
+from rmesh_nlp.certificate.integrals import loads, over_triangles
+from rmesh_nlp.certificate.johnson_mercier import equilibrated_stress
 from rmesh_nlp.certificate.oscillation import korn
-from rmesh_nlp.certificate.refined import refined_bracket
 from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import EXACT_ENERGY_61

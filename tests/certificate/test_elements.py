@@ -10,7 +10,7 @@ import pytest
 from rmesh_nlp.certificate import johnson_mercier as jm
 from rmesh_nlp.certificate import raviart_thomas as rt
 from rmesh_nlp.certificate.bracket import bracket
-from rmesh_nlp.certificate.elastic import residual
+from rmesh_nlp.certificate.johnson_mercier import residual
 from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.meshes.shapes import rectangle

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.certificate.field import Guess
+from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.certify import contact_solution

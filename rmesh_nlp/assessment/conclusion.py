@@ -123,7 +123,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Conclusion:
     """Three things apart, and what follows from them.
 
     Whatever was measured, and whatever the solver said,
@@ -143,22 +143,22 @@ class Verdict:
     status: Status
 
 
-def verdict(said: Status, measured: Measured) -> Verdict:
+def conclusion(said: Status, measured: Measured) -> Conclusion:
     """Judge what was measured; ``said`` is how the solver says that it ended."""
     fault, improved, stationary = measured.fault, measured.improved, measured.stationary
     if fault is None and said in MET and not measured.consistent:
         fault = Status.INACCURATE
     if fault is not None:
-        return Verdict(False, improved, stationary, False, fault)
+        return Conclusion(False, improved, stationary, False, fault)
     if not improved:
         rose = Status.EXPLOITED if measured.is_exploited else Status.WORSE
-        return Verdict(True, False, stationary, False, rose)
+        return Conclusion(True, False, stationary, False, rose)
     if stationary:
-        return Verdict(True, True, True, True, Status.CONVERGED)
+        return Conclusion(True, True, True, True, Status.CONVERGED)
     if said in MET:
-        return Verdict(True, True, False, True, Status.NOT_STATIONARY)
+        return Conclusion(True, True, False, True, Status.NOT_STATIONARY)
     if said in LIMITS:
-        return Verdict(True, True, False, True, said)
+        return Conclusion(True, True, False, True, said)
     if measured.decrease > ROUNDING * measured.size:  # the solver failed on the way from a valid, better mesh
-        return Verdict(True, True, False, True, Status.STALLED)
-    return Verdict(True, True, False, False, said if said in FAILURES else Status.FAILED)
+        return Conclusion(True, True, False, True, Status.STALLED)
+    return Conclusion(True, True, False, False, said if said in FAILURES else Status.FAILED)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rmesh_nlp.assessment.assessor import EXPLOITS, Audit, equilibrium_residual, law_residual
-from rmesh_nlp.assessment.verdict import FAILURES, Measured, Verdict, verdict
+from rmesh_nlp.assessment.conclusion import FAILURES, Conclusion, Measured, conclusion
 from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
@@ -23,8 +23,8 @@ from rmesh_nlp.solving import driver, judgement, limits
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
+from support.conclusions import GOOD
 from support.endings import Ends, ended
-from support.verdicts import GOOD
 
 
 def with_audit(**changes: Any) -> Measured:
@@ -49,7 +49,7 @@ def with_audit(**changes: Any) -> Measured:
 def test_each_finding_has_a_status_and_is_no_success(
     measured: Measured, status: Status, valid: bool, improved: bool
 ) -> None:
-    assert verdict(Status.CONVERGED, measured) == Verdict(valid, improved, True, False, status)
+    assert conclusion(Status.CONVERGED, measured) == Conclusion(valid, improved, True, False, status)
 
 
 @pytest.mark.parametrize("name", EXPLOITS)
@@ -60,23 +60,23 @@ def test_what_was_exploited_is_the_correction_that_costs_most(name: str) -> None
     assert replace(rose, gain_audited=0.1, decrease=0.1).exploits == ""
     # one's own measure says the same: nothing was exploited, the mesh is worse
     assert replace(rose, gain=-0.05).exploits == ""
-    assert verdict(Status.CONVERGED, replace(rose, gain=-0.05)).status is Status.WORSE
+    assert conclusion(Status.CONVERGED, replace(rose, gain=-0.05)).status is Status.WORSE
 
 
 def test_differences_of_rounding_are_none() -> None:
     tiny = replace(GOOD, gain=1e-10, gain_audited=-1e-10, decrease=-1e-10)
-    assert verdict(Status.CONVERGED, tiny).success
+    assert conclusion(Status.CONVERGED, tiny).success
     # relative to the objective's size, whatever its unit
     for unit in (1e-6, 1e6):
         figures = {"gain": 5e-10 * unit, "gain_audited": -5e-10 * unit, "decrease": -5e-10 * unit}
-        assert verdict(Status.CONVERGED, replace(GOOD, size=unit, **figures)).success
+        assert conclusion(Status.CONVERGED, replace(GOOD, size=unit, **figures)).success
         larger = {name: 10 * figure for name, figure in figures.items()}
-        assert not verdict(Status.CONVERGED, replace(GOOD, size=unit, **larger)).success
+        assert not conclusion(Status.CONVERGED, replace(GOOD, size=unit, **larger)).success
 
 
 @pytest.mark.parametrize("said", list(Status))
 def test_a_stationary_point_is_converged_whatever_the_solver_says(said: Status) -> None:
-    judged = verdict(said, GOOD)
+    judged = conclusion(said, GOOD)
     assert judged.status is Status.CONVERGED
     assert judged.success
 
@@ -94,26 +94,26 @@ def test_a_stationary_point_is_converged_whatever_the_solver_says(said: Status) 
 def test_a_point_that_is_not_stationary_keeps_its_limit_and_may_be_a_success(
     said: Status, status: Status
 ) -> None:
-    judged = verdict(said, replace(GOOD, stationary=False))
+    judged = conclusion(said, replace(GOOD, stationary=False))
     assert (judged.status, judged.success, judged.stationary) == (status, True, False)
 
 
 @pytest.mark.parametrize("said", [*FAILURES, Status.CYCLED, Status.INACCURATE, Status.INVALID_MESH])
 def test_a_failed_solver_needs_a_gain(said: Status) -> None:
     still = replace(GOOD, stationary=False, gain=0.0, gain_audited=0.0, decrease=0.0)
-    judged = verdict(said, still)
+    judged = conclusion(said, still)
     assert not judged.success
     assert judged.status is (said if said in FAILURES else Status.FAILED)
     # a success is never called infeasible: the better mesh is one at which the solver got stuck
-    gained = verdict(said, replace(GOOD, stationary=False))
+    gained = conclusion(said, replace(GOOD, stationary=False))
     assert (gained.status, gained.success) == (Status.STALLED, True)
 
 
 def test_an_energy_that_the_solver_made_up_is_a_fault() -> None:
-    judged = verdict(Status.CONVERGED, replace(GOOD, consistent=False))
+    judged = conclusion(Status.CONVERGED, replace(GOOD, consistent=False))
     assert (judged.status, judged.valid, judged.success) == (Status.INACCURATE, False, False)
     # of a point where a limit stopped a solver it is no claim
-    assert verdict(Status.TIME_LIMIT, replace(GOOD, consistent=False)).success
+    assert conclusion(Status.TIME_LIMIT, replace(GOOD, consistent=False)).success
 
 
 figures = st.one_of(
@@ -162,7 +162,7 @@ FAULTS = {"invalid_mesh", "cycled", "iteration_limit", "inaccurate", "evaluation
 @settings(max_examples=250, deadline=None)
 @given(st.sampled_from(list(Status)), st.one_of(measurements, sound))
 def test_no_verdict_contradicts_itself(said: Status, measured: Measured) -> None:
-    judged = verdict(said, measured)
+    judged = conclusion(said, measured)
     word = judged.status.value
     assert judged.stationary == measured.stationary
     assert (word == "converged") == (judged.success and judged.stationary)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rmesh_nlp.assessment.assessor import Audit
-from rmesh_nlp.assessment.verdict import Measured
+from rmesh_nlp.assessment.conclusion import Measured
 from rmesh_nlp.optimize.status import Status
 
 GOOD = Measured(
