@@ -14,7 +14,7 @@ from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer, Work
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.parts import Step
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.outer_solvers import OUTER_SOLVERS, NestedSettings, OuterResult
 from rmesh_nlp.models.reduced_nlp import reduced_nlp
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solving.clock import Falling
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer, Work
-from rmesh_nlp.solving.time_left import Falling
 
 
 @dataclass(frozen=True)

@@ -49,9 +49,9 @@ _NAMES = {
     "certify": "rmesh_nlp.solving.certify",
     "compare": "rmesh_nlp.api.comparison",
     "objective": "rmesh_nlp.fem.objective_text",
-    "solve": "rmesh_nlp.api.solving",
-    "formulations": "rmesh_nlp.api.solving",
-    "Limits": "rmesh_nlp.solving.limits",
+    "solve": "rmesh_nlp.solving.driver",
+    "formulations": "rmesh_nlp.solving.formulation",
+    "Limits": "rmesh_nlp.solving.clock",
     "verify_gradient": "rmesh_nlp.solving.verification",
     # looking at results
     "plot": "rmesh_nlp.api.pictures",

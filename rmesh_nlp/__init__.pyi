@@ -6,8 +6,6 @@ from rmesh_nlp.api.comparison import compare as compare
 from rmesh_nlp.api.files import read_problem as read_problem
 from rmesh_nlp.api.files import read_records as read_records
 from rmesh_nlp.api.pictures import plot as plot
-from rmesh_nlp.api.solving import formulations as formulations
-from rmesh_nlp.api.solving import solve as solve
 from rmesh_nlp.examples import EXAMPLES as EXAMPLES
 from rmesh_nlp.fem import objective_text
 from rmesh_nlp.fem import quantities as quantities
@@ -33,7 +31,9 @@ from rmesh_nlp.problem import Traction as Traction
 from rmesh_nlp.problem import Units as Units
 from rmesh_nlp.problem import where as where
 from rmesh_nlp.solving.certify import certify as certify
-from rmesh_nlp.solving.limits import Limits as Limits
+from rmesh_nlp.solving.clock import Limits as Limits
+from rmesh_nlp.solving.driver import solve as solve
+from rmesh_nlp.solving.formulation import formulations as formulations
 from rmesh_nlp.solving.solution import Solution as Solution
 from rmesh_nlp.solving.verification import verify_gradient as verify_gradient
 

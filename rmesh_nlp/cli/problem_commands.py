@@ -36,10 +36,10 @@ from rmesh_nlp.report.page import Page
 from rmesh_nlp.report.problem_picture import draw_problem
 from rmesh_nlp.report.states import Drawable
 from rmesh_nlp.solving.advice import advise as advice
+from rmesh_nlp.solving.clock import deferred
 from rmesh_nlp.solving.formulation import find
-from rmesh_nlp.solving.interrupts import deferred
 from rmesh_nlp.solving.options import accepted
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.study import comparison as campaign
 from rmesh_nlp.study.cases import FLAGS, Case
 from rmesh_nlp.study.progress import CampaignProgress

@@ -21,9 +21,8 @@ from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
-from rmesh_nlp.solving.certificate import Certificate
+from rmesh_nlp.solving.parts import Certificate, Step
 from rmesh_nlp.solving.solution import Solution
-from rmesh_nlp.solving.step import Step
 
 if TYPE_CHECKING:
     import pandas as pd

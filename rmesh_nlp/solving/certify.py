@@ -18,7 +18,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.certificate import Certificate
+from rmesh_nlp.solving.parts import Certificate
 
 
 class Solved(Protocol):

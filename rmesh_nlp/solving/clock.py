@@ -1,12 +1,42 @@
-"""The one clock of all strategies: wall time by what it was spent on."""
+"""Time of one solve: its limits, its clock, Ctrl-C in critical sections, and guesses of the time left."""
 
 from __future__ import annotations
 
+import math
+import signal
 import statistics
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
 from typing import Literal, TypeVar
+
+import numpy as np
+
+from rmesh_nlp.settings import Limit, Seconds, Settings
+
+TOLERANCE = 1e-6
+"""Default of ``tolerance``: the largest first-order residual of a point that is called stationary."""
+
+
+@dataclass(frozen=True)
+class Limits(Settings):
+    """Limits of one solve, after which its best valid mesh is the solution.
+
+    Attributes
+    ----------
+    seconds : float
+        Of building and solving together, looked at after each iteration.
+    iterations : int, optional
+        Over everything that a formulation runs.
+    """
+
+    seconds: Seconds = 600.0
+    iterations: Limit | None = None
+
 
 T = TypeVar("T")
 
@@ -69,3 +99,67 @@ class Clock:
     def elapsed(self) -> float:
         """Build and solve so far: what the strategy itself has cost."""
         return self.seconds("build") + self._seconds["solve"]
+
+
+@contextmanager
+def deferred() -> Iterator[Callable[[], bool]]:
+    """Note a first Ctrl-C instead of raising KeyboardInterrupt; a second one raises.
+
+    Yields a function that says whether there was one. Outside the main thread, and where Ctrl-C does not
+    raise anyway, nothing changes.
+    """
+    pressed = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal pressed
+        if pressed:
+            signal.default_int_handler(number, frame)
+        pressed = True
+
+    main = threading.current_thread() is threading.main_thread()
+    raises = main and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if raises:
+        signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: pressed
+    finally:
+        if raises:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+MEMORY = 12
+"""Steps that a guess is made from."""
+
+LONGEST = 86400.0
+"""A guess of more seconds than this is none."""
+
+
+class Falling:
+    """Follows a quantity that falls in time about like a geometric sequence.
+
+    Parameters
+    ----------
+    target : float
+        Value at which the descent ends.
+    """
+
+    def __init__(self, target: float) -> None:
+        self._target = math.log10(target)
+        self._last: deque[tuple[float, float]] = deque(maxlen=MEMORY)
+
+    def __call__(self, seconds: float, value: float) -> None:
+        """Note a value; one that is not positive and finite is passed over."""
+        if math.isfinite(value) and value > 0:
+            self._last.append((seconds, math.log10(value)))
+
+    @property
+    def seconds_left(self) -> float | None:
+        """A guess: it falls on as it did over the last steps; None where it does not, or few are known."""
+        if len(self._last) < MEMORY // 2:
+            return None
+        seconds, logs = np.array(self._last).T
+        if np.ptp(seconds) == 0:
+            return None
+        rate = np.polyfit(seconds - seconds[0], logs, 1)[0]
+        left = (logs[-1] - self._target) / -rate if rate < 0 else math.inf
+        return float(max(left, 0.0)) if left < LONGEST else None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -15,18 +17,24 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.settings import check_positive
+from rmesh_nlp.solving.assess import Assessment, assess
 from rmesh_nlp.solving.certify import certified
-from rmesh_nlp.solving.clock import timed
+from rmesh_nlp.solving.clock import TOLERANCE, Limits, timed
+from rmesh_nlp.solving.exploited import (
+    SAFE_DEGREE,
+    back,
+    better,
+    damped,
+    is_hollow,
+    safe_discretisation,
+    surviving_gain,
+)
 from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper, composed
-from rmesh_nlp.solving.judgement import Judgement, judged
-from rmesh_nlp.solving.limits import TOLERANCE, Limits
 from rmesh_nlp.solving.monitor import Monitor, OnStep
+from rmesh_nlp.solving.options import LIMITS, Start, beginning, request
 from rmesh_nlp.solving.outer import Outer, Work
-from rmesh_nlp.solving.safe import SAFE_DEGREE, back, better, damped, is_hollow, safe_discretisation
+from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.solution import Solution
-from rmesh_nlp.solving.start import Start, beginning
-from rmesh_nlp.solving.step import Step
-from rmesh_nlp.solving.surviving import surviving_gain
 
 
 def solve(
@@ -40,7 +48,7 @@ def solve(
     limits: Limits | None = None,
     on_step: OnStep | None = None,
     certify: bool = False,
-    safely: bool = True,
+    **settings: Any,
 ) -> Solution:
     """Relocate the nodes of a problem and solve the contact problem there.
 
@@ -48,14 +56,15 @@ def solve(
     ----------
     problem : ContactProblem
     formulation : str or Formulation
-        A name, or an object whose fields are its settings. ``auto`` chooses for the problem and says so in
-        the record; ``fixed`` moves no node, ``nested`` solves a contact problem per step, ``joint`` and
-        ``mpcc`` find positions and displacement at once.
+        A name of :func:`rmesh_nlp.formulations`, or an object whose fields are its settings, such as
+        ``Joint(first_barrier=1e-2)`` of ``formulations.joint``. ``auto`` chooses for the problem and the
+        record has the reason; ``fixed`` moves no node, ``nested`` solves a contact problem per step,
+        ``joint`` and ``mpcc`` find positions and displacement at once.
     objective : str or Objective
         What is minimised: "energy", another one such as "error-l2 + 0.01*quality" or "mean(top, -uy)", see
         :mod:`rmesh_nlp.fem.objective_text`, or an object of :mod:`rmesh_nlp.fem.quantities`.
     start : positions (2, nodes), "given", name of a formulation, or Solution, optional
-        See :func:`rmesh_nlp.solving.start.beginning`.
+        See :func:`rmesh_nlp.solving.options.beginning`.
     seed : int, optional
         Random start; by default the mesh as given.
     tolerance : float
@@ -65,20 +74,32 @@ def solve(
     on_step : callable, optional
         Called with each step of the history.
     certify : bool
-        Bound the error of the solution.
-    safely : bool
-        Solve once more with a safe discretisation where an error of the discretisation was exploited.
+        Bound the error of the solution: ``solution.certificate``.
+    settings
+        Settings of a formulation that is named, and of what takes one, as on the command line:
+        ``flips=True``, ``starts=8``. ``time_limit_s`` and ``max_iterations``, the limits of 0.1, still work
+        and warn.
 
     Returns
     -------
     Solution
-        Judged by what is measured on the problem; see ``status`` and ``success``.
+        Assessed by what is measured on the problem; see ``status`` and ``success``.
 
     Raises
     ------
     BadInputError
-        If there is no such formulation, or it does not take the problem, the objective or the start.
+        If there is no such formulation, or it does not take the problem or an option.
     """
+    if settings:
+        return _by_settings(
+            problem,
+            formulation,
+            settings,
+            limits,
+            on_step,
+            certify,
+            {"objective": objective, "start": start, "seed": seed, "tolerance": tolerance},
+        )
     check_positive(tolerance=tolerance)
     monitor, outer_objective = Monitor(limits, on_step), parse_objective(objective)
     asked = composed(formulation, {}) if isinstance(formulation, str) else formulation
@@ -88,7 +109,7 @@ def solve(
     name = asked.name
     first, begin, found, spent = _once(chosen, stated, outer_objective, start, seed, tolerance, monitor)
     details: dict[str, Any] = {}
-    if safely and is_hollow(found):
+    if is_hollow(found):
         is_safe = safe_discretisation(found.outcome.outer.problem) is found.outcome.outer.problem
         said = f"{found.measured.costliest} was exploited" if found.measured else ""
         if monitor.stopped is None and not is_safe:
@@ -108,6 +129,38 @@ def solve(
     if why:
         details |= {"chosen_by": name, "chosen": "; ".join((why, *found.details.get("said", ())))}
     return _made(chosen, found, first, begin, monitor, spent, details, seed, certify, bool(why))
+
+
+def solve_by_options(
+    problem: ContactProblem,
+    formulation: str | Formulation | Chooser,
+    options: Mapping[str, Any],
+    *,
+    on_step: OnStep | None = None,
+    certify: bool = False,
+) -> Solution:
+    """:func:`solve` with options by name, see :func:`rmesh_nlp.solving.options.request`."""
+    return solve(problem, **request(formulation, options), on_step=on_step, certify=certify)
+
+
+def _by_settings(
+    problem: ContactProblem,
+    formulation: str | Formulation | Chooser,
+    settings: dict[str, Any],
+    limits: Limits | None,
+    on_step: OnStep | None,
+    certify: bool,
+    asked: dict[str, Any],
+) -> Solution:
+    if not isinstance(formulation, str):
+        example = f"{type(formulation).__name__}({next(iter(settings))}=...)"
+        raise TypeError(f"settings are fields of the formulation: {example}")
+    for old in LIMITS:
+        if old in settings:
+            warnings.warn(f"{old} is now a part of limits=Limits(...)", DeprecationWarning, stacklevel=3)
+    if limits is not None:
+        settings = {"time_limit_s": limits.seconds, "max_iterations": limits.iterations, **settings}
+    return solve_by_options(problem, formulation, {**settings, **asked}, on_step=on_step, certify=certify)
 
 
 def _chosen(
@@ -131,7 +184,7 @@ def _once(
     seed: int | None,
     tolerance: float,
     monitor: Monitor,
-) -> tuple[Outer, str, Judgement, Work]:
+) -> tuple[Outer, str, Assessment, Work]:
     """The outer problem, the name of the start, where the formulation ended, and the work until then."""
     clock, monitor.mesh = monitor.clock, problem.mesh
     with clock.during("build"):
@@ -151,13 +204,13 @@ def _once(
     if monitor.stopped is not None and formulation.relocates:  # one contact solve is finite
         outcome = replace(outcome, status=monitor.stopped)
     with clock.during("audit"):
-        found = monitor.to_its_end(lambda: judged(outer, outcome, relocates=formulation.relocates))
+        found = monitor.to_its_end(lambda: assess(outer, outcome, relocates=formulation.relocates))
     return outer, begin.name, found, spent
 
 
 def _made(
     formulation: Formulation,
-    found: Judgement,
+    found: Assessment,
     first: Outer,
     begin: str,
     monitor: Monitor,
@@ -229,7 +282,7 @@ def _counts(spent: Work) -> dict[str, int]:
     return {name: count for name, count in vars(spent).items() if name != "contact_solves" and count}
 
 
-def _reduction(found: Judgement, extra: dict[str, Any], spent: Work) -> dict[str, Any]:
+def _reduction(found: Assessment, extra: dict[str, Any], spent: Work) -> dict[str, Any]:
     """Record entries: by how much the error fell, and quantities on a refined mesh."""
     if found.assessed is None:
         return {}
@@ -245,7 +298,7 @@ def _reduction(found: Judgement, extra: dict[str, Any], spent: Work) -> dict[str
     return entries
 
 
-def _ending(monitor: Monitor, found: Judgement) -> tuple[Step, ...]:
+def _ending(monitor: Monitor, found: Assessment) -> tuple[Step, ...]:
     """The history, with the measured residual in its last step if that is where the solve ended.
 
     Where each step of an all-at-once solver would need an adjoint to know it, the history has this one only.

@@ -141,6 +141,11 @@ def available() -> dict[str, EntryPoint]:
     return {entry.name: entry for entry in entry_points(group=GROUP)}
 
 
+def formulations() -> tuple[str, ...]:
+    """Names of the installed formulations, those of other packages included."""
+    return tuple(sorted(available()))
+
+
 def wrappers() -> dict[str, EntryPoint]:
     """Installed formulations that take one, by the option that asks for them."""
     return {entry.name: entry for entry in entry_points(group=WRAPPERS)}

@@ -19,12 +19,10 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.mpcc import Iterate
 from rmesh_nlp.optimize.status import Status, StoppedError
-from rmesh_nlp.solving.clock import Clock
-from rmesh_nlp.solving.interrupts import deferred
-from rmesh_nlp.solving.limits import Limits
+from rmesh_nlp.solving.clock import Clock, Limits, deferred
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer, Work
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.parts import Step
 
 NAN = float("nan")
 

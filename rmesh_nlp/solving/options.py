@@ -1,38 +1,112 @@
-"""A solve by names and plain values, as files and the command line state it."""
+"""What a solve is asked for: where it starts, and options by name as files and the command line have them."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
-from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.driver import solve
-from rmesh_nlp.solving.formulation import Chooser, Formulation, composed, find, wrappers
-from rmesh_nlp.solving.limits import Limits
-from rmesh_nlp.solving.monitor import OnStep
+import numpy as np
+
+from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.solving.clock import Limits
+from rmesh_nlp.solving.formulation import Chooser, Formulation, available, composed, find, wrappers
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
+
+Start = str | Array | Solution | None
+"""Node positions (2, nodes), "given", the name of a formulation, a Solution; None for the usual start."""
+
+GIVEN = "given"
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """A resolved start.
+
+    Attributes
+    ----------
+    outer : Outer
+        The outer problem, told whether the start is close to a minimiser.
+    q : (n,) array
+        Admissible moves.
+    name : str
+        For the record: "given", "random", "positions", the name of a formulation, or "solution of" it.
+    """
+
+    outer: Outer
+    q: Array
+    name: str
+
+
+def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) -> Beginning:
+    """The moves to start from.
+
+    Parameters
+    ----------
+    outer : Outer
+    start : see :data:`Start`
+        None is the mesh as given, or with a seed random moves. The name of a formulation runs it first, from
+        where ``seed`` says; its time and contact solves count.
+    seed : int, optional
+    monitor : Monitor
+
+    Raises
+    ------
+    BadInputError
+        If there is no such formulation, it does not take the problem, or positions are not (2, nodes).
+    """
+    if start is None:
+        return Beginning(outer, outer.moves(seed=seed), GIVEN if seed is None else "random")
+    if isinstance(start, str):
+        if start == GIVEN:
+            return Beginning(outer, outer.moves(), GIVEN)
+        if start not in available():
+            raise unknown("start", start, [GIVEN, *sorted(available())])
+        first = composed(start, {})
+        if not isinstance(first, Formulation):
+            raise BadInputError(f"start must be a formulation that is no choice of others, got {start!r}")
+        first.accepts(outer.problem, outer.objective)
+        found = monitor.run(first, outer, outer.moves(seed=seed))
+        return Beginning(outer.near(), found.q, start)
+    if isinstance(start, Solution):
+        q = outer.moves(positions(outer, start.mesh.p))
+        return Beginning(outer.near(), q, f"solution of {start.formulation}")
+    return Beginning(outer, outer.moves(positions(outer, start)), "positions")
+
+
+def positions(outer: Outer, nodes: Any) -> Array:
+    """Node positions as an array, checked to be those of the problem's mesh."""
+    found, wanted = np.asarray(nodes, dtype=float), outer.problem.mesh.p.shape
+    if found.ndim != 2 or found.shape[0] != 2:
+        raise BadInputError(f"start must hold positions (2, nodes), got an array of shape {found.shape}")
+    if found.shape != wanted:
+        raise BadInputError(f"the start has {found.shape[1]} nodes, the problem {wanted[1]}")
+    if not np.all(np.isfinite(found)):
+        raise BadInputError(
+            f"start: node {int(np.argwhere(~np.isfinite(found))[0][1])} has no finite position"
+        )
+    return found
+
 
 ASKED = ("objective", "start", "seed", "tolerance")
 """Options of every solve that relocates, ..."""
 
 LIMITS = {"time_limit_s": "seconds", "max_iterations": "iterations"}
-"""... and its limits, by the fields of :class:`rmesh_nlp.solving.limits.Limits`."""
+"""... and its limits, by the fields of :class:`rmesh_nlp.solving.clock.Limits`."""
 
 
-def solve_by_options(
-    problem: ContactProblem,
-    formulation: str | Formulation | Chooser,
-    options: Mapping[str, Any],
-    *,
-    on_step: OnStep | None = None,
-    certify: bool = False,
-    safely: bool = True,
-) -> Solution:
-    """Solve with options by name: ``ASKED``, ``LIMITS``, fields of the formulation, and of what takes one.
+def request(formulation: str | Formulation | Chooser, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Keywords of :func:`rmesh_nlp.solving.driver.solve` from options by name.
 
-    A formulation that is given as an object has its settings already, and takes the first two only.
+    Parameters
+    ----------
+    formulation : str, Formulation or Chooser
+        An object has its settings already: it takes ``ASKED`` and ``LIMITS`` only.
+    options : mapping
+        ``ASKED``, ``LIMITS``, fields of the formulation, and of what takes one; None stands for the default.
 
     Raises
     ------
@@ -51,7 +125,7 @@ def solve_by_options(
             said = f"the formulation {name!r} takes no {key}, got {key}={value!r}"
             raise BadInputError(f"{said}; it takes {', '.join(sorted(known))}")
     made = composed(formulation, rest) if isinstance(formulation, str) else formulation
-    return solve(problem, made, limits=limits, on_step=on_step, certify=certify, safely=safely, **asked)
+    return {**asked, "formulation": made, "limits": limits}
 
 
 def accepted(formulation: str | Formulation | Chooser, names: Collection[str]) -> set[str]:

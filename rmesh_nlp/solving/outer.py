@@ -22,7 +22,7 @@ from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, outer_functio
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.checks import check_unknowns
-from rmesh_nlp.solving.limits import TOLERANCE
+from rmesh_nlp.solving.clock import TOLERANCE
 
 
 @dataclass(frozen=True)

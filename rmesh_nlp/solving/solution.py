@@ -19,8 +19,7 @@ from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.optimize.status import Status, success_in_words
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving import plotting
-from rmesh_nlp.solving.certificate import Certificate
-from rmesh_nlp.solving.step import Step, plain
+from rmesh_nlp.solving.parts import Certificate, Step, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

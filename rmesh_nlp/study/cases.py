@@ -38,7 +38,7 @@ class Case:
     formulation : str
         Name of an installed formulation.
     options : mapping
-        Of :func:`rmesh_nlp.solving.options.solve_by_options`: ``objective``, ``relaxation``, ``seed``, ...
+        Of :func:`rmesh_nlp.solving.driver.solve_by_options`: ``objective``, ``relaxation``, ``seed``, ...
     certify : bool
         Whether to bound the error of the solution.
     repeats : int

@@ -14,11 +14,11 @@ from rmesh_nlp.io.files import remove_leftovers, write_whole
 from rmesh_nlp.io.records import REQUIRED, Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, RECORDS, TABLES, Result, Results, write_history
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solving.driver import solve_by_options
 from rmesh_nlp.solving.formulation import find
-from rmesh_nlp.solving.options import solve_by_options
+from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.solution import Solution, versions
-from rmesh_nlp.solving.step import Step
-from rmesh_nlp.solving.theorem41 import error_terms
+from rmesh_nlp.solving.verification import error_terms
 from rmesh_nlp.study.cases import Case
 from rmesh_nlp.study.cases import plan_comparison as plan_comparison
 from rmesh_nlp.study.repeats import joined

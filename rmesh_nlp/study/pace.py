@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from rmesh_nlp.solving.step import Step
-from rmesh_nlp.solving.time_left import Falling
+from rmesh_nlp.solving.clock import Falling
+from rmesh_nlp.solving.parts import Step
 
 TOLERANCE = 1e-6
 """Residual at which formulations stop by default."""

@@ -38,7 +38,7 @@ class PlannedSolve:
     formulation : str
         Name of an installed formulation.
     options : dict
-        Of :func:`rmesh_nlp.solving.options.solve_by_options`.
+        Of :func:`rmesh_nlp.solving.driver.solve_by_options`.
     repeat : int
         Number of the repetition, from 0.
     time_s, memory_mb : float

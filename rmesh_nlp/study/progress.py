@@ -11,8 +11,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.solving.limits import Limits
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.clock import Limits
+from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.study.cases import Case
 from rmesh_nlp.study.pace import Pace
 

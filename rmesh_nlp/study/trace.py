@@ -14,8 +14,8 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.solution import Solution
-from rmesh_nlp.solving.step import Step
 
 MEASURED = 60
 """Steps at most that are measured, evenly spread, the last one among them."""

@@ -19,12 +19,14 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, ProblemError
-from rmesh_nlp.solving import driver, judgement, limits
+from rmesh_nlp.solving import assess as assessing
+from rmesh_nlp.solving import clock, driver
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from support.conclusions import GOOD
 from support.endings import Ends, ended
+from support.solved import solve_once
 
 
 def with_audit(**changes: Any) -> Measured:
@@ -220,11 +222,11 @@ def test_ctrl_c_hides_no_fault_and_no_fault_hides_it(
         if when == "during":
             monitor.stop(KeyboardInterrupt())
         else:
-            assess = driver.judged
-            monkeypatch.setattr(driver, "judged", lambda *a, **k: pressed() or assess(*a, **k))
+            assess = driver.assess
+            monkeypatch.setattr(driver, "assess", lambda *a, **k: pressed() or assess(*a, **k))
         return Outcome(outer, to, Status.CONVERGED)
 
-    found = driver.solve(EXAMPLES["6.2"]((4, 2)), Ends(end), safely=False)
+    found = solve_once(EXAMPLES["6.2"]((4, 2)), Ends(end))
     good = sign == 0 or when == "during"
     assert (found.status, found.success, found.improved) == (Status.INTERRUPTED, good, good)
     assert ("no success, worse" in found.message) == (not good)
@@ -288,5 +290,5 @@ def test_given_displacements_that_violate_a_gap_are_refused(law, dirichlet, obst
 
 
 def test_the_default_tolerance_is_what_docs_promise() -> None:
-    assert limits.TOLERANCE == 1e-6
-    assert judgement.ENERGY_AGREEMENT == 1e-6
+    assert clock.TOLERANCE == 1e-6
+    assert assessing.ENERGY_AGREEMENT == 1e-6

@@ -12,8 +12,9 @@ import pytest
 from matplotlib import image
 
 from rmesh_nlp.cli import app as cli
-from rmesh_nlp.solving import driver, judgement
-from rmesh_nlp.solving.judgement import Judgement
+from rmesh_nlp.solving import assess as assessing
+from rmesh_nlp.solving import driver
+from rmesh_nlp.solving.assess import Assessment
 
 BLOCK = """
 [mesh]
@@ -141,11 +142,11 @@ def test_ctrl_c_during_the_audit_keeps_the_solution(
 ) -> None:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored in the background
 
-    def judged(*args: Any, **options: Any) -> Judgement:
+    def assess(*args: Any, **options: Any) -> Assessment:
         os.kill(os.getpid(), signal.SIGINT)
-        return judgement.judged(*args, **options)
+        return assessing.assess(*args, **options)
 
-    monkeypatch.setattr(driver, "judged", judged)
+    monkeypatch.setattr(driver, "assess", assess)
     try:
         assert cli.run(["solve", str(block), "--out", "one"]) == 130
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

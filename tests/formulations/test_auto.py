@@ -36,7 +36,7 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.parts import Step
 from support.formulations import auto
 from support.problems import no_boxes
 

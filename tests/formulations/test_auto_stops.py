@@ -21,7 +21,7 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.solving import outer as of_outer
 from rmesh_nlp.solving.monitor import Monitor
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.parts import Step
 from support.formulations import auto
 from support.problems import no_boxes
 

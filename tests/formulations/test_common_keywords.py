@@ -15,7 +15,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import Motion
 from rmesh_nlp.solving.clock import Clock
 from rmesh_nlp.solving.options import accepted
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.parts import Step
 from support.formulations import auto, fixed, joint, mpcc, nested
 from support.problems import no_boxes
 from support.solved import example, solved

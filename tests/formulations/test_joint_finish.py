@@ -16,7 +16,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.parts import Step
 from support.formulations import joint
 
 LOOSE = {"tol": 1e-3, "acceptable_tol": 1e-3, "tol_areas": 1e-6, "acceptable_tol_areas": 1e-6}

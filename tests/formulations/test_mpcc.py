@@ -10,7 +10,7 @@ import pytest
 
 from formulations import mpcc as module
 from formulations.joint import Joint
-from formulations.mpcc_options import OPTIONS
+from formulations.mpcc import OPTIONS
 from formulations.nested import Nested
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES

@@ -30,7 +30,7 @@ from rmesh_nlp.optimize.newton_settings import (
     TrustRegionSettings,
 )
 from rmesh_nlp.settings import Settings
-from rmesh_nlp.solving.limits import Limits
+from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.vectorised import AssemblySettings
 
 NEWTON = (TrustRegionSettings, NewtonSettings, LocalNewtonSettings, StepSettings, ProjectionSettings)

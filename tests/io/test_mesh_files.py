@@ -15,7 +15,7 @@ from rmesh_nlp.io.export import Series, element_table, gaps, node_table, write_m
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.parts import Step
 from support.formulations import fixed
 
 

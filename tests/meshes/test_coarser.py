@@ -10,12 +10,11 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays, named
+from rmesh_nlp.meshes.coarsening import unrefined
 from rmesh_nlp.meshes.curves import Circle
-from rmesh_nlp.meshes.decimation import shape_quality
 from rmesh_nlp.meshes.flips import flipped, sum_of_cotangents
-from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
+from rmesh_nlp.meshes.geometry import counter_clockwise, shape_quality, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.levels import coarsened, interpolated, located, prolonged
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Relative

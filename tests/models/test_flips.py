@@ -15,7 +15,7 @@ from rmesh_nlp.fem.distortion import distortion_group
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.io.export import cell_data, point_data
 from rmesh_nlp.mapping.validity import least_angles
-from rmesh_nlp.meshes.decimation import shape_quality
+from rmesh_nlp.meshes.geometry import shape_quality
 from rmesh_nlp.models.flips import (
     ElementEnergies,
     flip_edges,

@@ -10,7 +10,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_nlp import STIFF, ReducedProgram, lifted, reduced_nlp, with_hessian
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
-from rmesh_nlp.solving.limits import TOLERANCE
+from rmesh_nlp.solving.clock import TOLERANCE
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import nested
 

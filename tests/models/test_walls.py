@@ -13,7 +13,7 @@ from rmesh_nlp.optimize.constraints import Polyhedron, Wall
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import minimise
 from rmesh_nlp.problem import ContactProblem, Motion
-from rmesh_nlp.solving.limits import TOLERANCE
+from rmesh_nlp.solving.clock import TOLERANCE
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import joint, nested
 from support.quadratics import quadratic

@@ -15,13 +15,13 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Count, Positive
+from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.formulation import Formulation
-from rmesh_nlp.solving.limits import Limits
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.parts import Step
 from support.endings import Ends
 
 

@@ -13,9 +13,9 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer, Work
+from rmesh_nlp.solving.parts import Step
+from rmesh_nlp.solving.parts import plain as as_plain
 from rmesh_nlp.solving.solution import Solution, _gain
-from rmesh_nlp.solving.step import Step
-from rmesh_nlp.solving.step import plain as as_plain
 from rmesh_nlp.study.progress import summary as one_line
 from support.formulations import joint
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.solving.theorem41 import error_terms, error_terms_on
+from rmesh_nlp.solving.verification import error_terms, error_terms_on
 from support.formulations import fixed, joint, mpcc
 from support.sliding import sliding_block
 

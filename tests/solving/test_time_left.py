@@ -5,8 +5,8 @@ import math
 import pytest
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.solving.step import Step
-from rmesh_nlp.solving.time_left import Falling
+from rmesh_nlp.solving.clock import Falling
+from rmesh_nlp.solving.parts import Step
 from support.formulations import nested
 
 

@@ -24,13 +24,13 @@ from rmesh_nlp.models.regularisation import gain_estimate, regularised
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
 from rmesh_nlp.problem.contact_problem import refined
-from rmesh_nlp.solving.driver import solve
-from rmesh_nlp.solving.judgement import judged
+from rmesh_nlp.solving.assess import assess
+from rmesh_nlp.solving.driver import solve, solve_by_options
 from rmesh_nlp.solving.monitor import Monitor
-from rmesh_nlp.solving.options import solve_by_options
 from rmesh_nlp.solving.outcome import Outcome, continuous_energy
 from rmesh_nlp.solving.outer import Outer
 from support.endings import Ends
+from support.solved import solve_once
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ class TestMultiStart:
 
     def test_an_interrupted_start_is_the_last_and_is_said(self, problem: ContactProblem) -> None:
         script = Script(0.3, 0.1, 0.1, stop=2)
-        solution = solve(problem, MultiStart(script.formulation, 5), safely=False)
+        solution = solve_once(problem, MultiStart(script.formulation, 5))
         assert len(script.begun) == 2
         assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
         assert solution.extra["start_seeds"] == [None, 1]
@@ -157,7 +157,7 @@ class TestRefined:
 
     def test_each_level_begins_where_the_one_before_ended(self, problem: ContactProblem) -> None:
         script = Script(0.1, 0.2, 0.3)
-        solution = solve(problem, Refined(script.formulation, 2), safely=False)
+        solution = solve_once(problem, Refined(script.formulation, 2))
         assert [outer.problem.mesh.t.shape[1] for outer, _ in script.begun] == [8, 32, 128]
         for before, (fine, q) in zip(script.ends, script.begun[1:], strict=False):
             coarse = before.outer
@@ -171,7 +171,7 @@ class TestRefined:
 
     def test_levels_end_where_one_is_interrupted(self, problem: ContactProblem) -> None:
         script = Script(0.1, 0.2, stop=1)
-        solution = solve(problem, Refined(script.formulation, 3), safely=False)
+        solution = solve_once(problem, Refined(script.formulation, 3))
         assert len(script.begun) == len(solution.extra["level_energies"]) == 1
         assert solution.status is Status.INTERRUPTED
         with pytest.raises(BadInputError, match="levels must be positive and finite, got -1"):
@@ -182,7 +182,7 @@ def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: Co
     free, steps = replace(problem, motion=Motion(None)), []
     script = Script(0.01, 0.02, 0.03, tracks=True)
     formulation = Schedule(script.formulation, (1.0, 0.1, 0.0))
-    solution = solve(free, formulation, safely=False, on_step=steps.append)
+    solution = solve_once(free, formulation, on_step=steps.append)
     assert not np.any(script.begun[0][1])
     for before, (_, q) in zip(script.ends, script.begun[1:], strict=False):
         np.testing.assert_array_equal(q, before.q)
@@ -233,7 +233,7 @@ class TestFlips:
     def test_edges_are_flipped_until_neither_flips_nor_moves_gain(self, crooked: ContactProblem) -> None:
         first = Ends(lambda outer, q, _: Outcome(outer, q, Status.CONVERGED, details={"kept": 1}))
         again = Script(*[0.001] * 9)
-        solution = solve(crooked, Flips(first, then=again.formulation), safely=False)
+        solution = solve_once(crooked, Flips(first, then=again.formulation))
         row = solution.record()
         assert again.begun
         assert row["kept"] == 1
@@ -262,14 +262,14 @@ class TestFlips:
 
     def test_after_flips_a_schedule_is_not_gone_through_again(self, crooked: ContactProblem) -> None:
         script = Script(*[0.001] * 12)
-        solve(crooked, Flips(Schedule(script.formulation, (1.0, 0.01))), safely=False)
+        solve_once(crooked, Flips(Schedule(script.formulation, (1.0, 0.01))))
         weights = [outer.objective.text for outer, _ in script.begun]
         assert len(weights) > 2
         assert set(weights[1:]) == {weights[1]} != {weights[0]}
 
     def test_the_gain_is_that_of_all_rounds(self, ends: Any) -> None:
         first, there = ends[0], ends[1]()
-        found = judged(first, Outcome(there, there.moves(), Status.CONVERGED))
+        found = assess(first, Outcome(there, there.moves(), Status.CONVERGED))
         gain = first.given.energy - there.given.energy
         assert found.measured is not None
         assert found.measured.gain == pytest.approx(gain, rel=1e-9)
@@ -285,18 +285,18 @@ class TestFlips:
         raised = first.assessor.initial.energy + (1e-3 if higher else -1e-6)
         after = replace(there.assessor.initial, energy=raised)
         there.assessor.solve = lambda *_: after
-        found = judged(first, Outcome(there, there.moves(), Status.STALLED))
+        found = assess(first, Outcome(there, there.moves(), Status.STALLED))
         assert (found.status is Status.EXPLOITED) == higher
 
     def test_faults_of_the_last_mesh_stay_faults(self, ends: Any) -> None:
         first, there = ends[0], ends[1]()
         rough = replace(there.given, u=1.01 * there.given.u)
-        found = judged(first, Outcome(there, there.moves(), Status.CONVERGED, own=rough, decides=True))
+        found = assess(first, Outcome(there, there.moves(), Status.CONVERGED, own=rough, decides=True))
         assert (found.status, found.valid) == (Status.INACCURATE, False)
         lower = Outer(first.problem)
         lower.knows(replace(lower.given, energy=-5.0), 1.0)
         lower.assessor.__dict__["initial"] = replace(lower.assessor.initial, energy=-5.0)
-        found = judged(lower, Outcome(there, there.moves(), Status.CONVERGED))
+        found = assess(lower, Outcome(there, there.moves(), Status.CONVERGED))
         assert (found.status, found.valid, found.improved) == (Status.WORSE, True, False)
 
     def test_boxes_are_refused(self, problem: ContactProblem) -> None:

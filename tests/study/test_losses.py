@@ -16,7 +16,7 @@ from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.files import FolderLock
 from rmesh_nlp.io.records import DamagedRecordsWarning, to_json
 from rmesh_nlp.io.results import Results, read_results
-from rmesh_nlp.meshes.files import read_file
+from rmesh_nlp.meshes.reading import read_file
 from rmesh_nlp.study.cases import Case
 from rmesh_nlp.study.comparison import plan_comparison, run, solve
 
@@ -189,7 +189,7 @@ def test_an_interrupted_solve_of_a_file_leaves_no_empty_folder(
 def test_a_reader_that_never_ends_is_stopped(
     tmp_path: Path, name: str, content: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rmesh_nlp.meshes.files.SECONDS", 0.3)
+    monkeypatch.setattr("rmesh_nlp.meshes.reading.SECONDS", 0.3)
     (tmp_path / name).write_text(content)
     with pytest.raises(ValueError, match="cannot be read as a mesh"):
         read_file(tmp_path / name)
@@ -199,7 +199,7 @@ def test_a_reader_that_never_ends_is_stopped(
 def test_a_reader_that_waits_for_the_processor_is_not_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rmesh_nlp.meshes.files.SECONDS", 0.1)
+    monkeypatch.setattr("rmesh_nlp.meshes.reading.SECONDS", 0.1)
     monkeypatch.setattr("meshio.read", lambda *_: time.sleep(0.3) or "a mesh")
     (tmp_path / "a.vtk").write_text("x")
     assert read_file(tmp_path / "a.vtk") == "a mesh"
@@ -211,7 +211,7 @@ def test_only_formats_of_the_extension_and_files_of_moderate_size_are_read(
     (tmp_path / "a.xyz").write_text("$MeshFormat")
     with pytest.raises(ValueError, match=r"the extension '\.xyz' is none of"):
         read_file(tmp_path / "a.xyz")
-    monkeypatch.setattr("rmesh_nlp.meshes.files.LARGEST_FILE", 5)
+    monkeypatch.setattr("rmesh_nlp.meshes.reading.LARGEST_FILE", 5)
     (tmp_path / "a.vtk").write_text("too long")
     with pytest.raises(ValueError, match="has 8 bytes"):
         read_file(tmp_path / "a.vtk")

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from rmesh_nlp.solving.step import Step
+from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.study.pace import TOLERANCE, Pace
 
 

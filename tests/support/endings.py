@@ -7,8 +7,8 @@ from typing import Any
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solving.assess import Assessment, assess
 from rmesh_nlp.solving.formulation import Formulation
-from rmesh_nlp.solving.judgement import Judgement, judged
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
@@ -26,6 +26,6 @@ class Ends(Formulation):
 
 def ended(
     outer: Outer, q: Array, status: Status = Status.CONVERGED, *, relocates: bool = True, **fields: Any
-) -> Judgement:
-    """What is judged of an end at moves ``q``."""
-    return judged(outer, Outcome(outer, q, status, **fields), relocates=relocates)
+) -> Assessment:
+    """What is assess of an end at moves ``q``."""
+    return assess(outer, Outcome(outer, q, status, **fields), relocates=relocates)

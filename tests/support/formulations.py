@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.options import solve_by_options
+from rmesh_nlp.solving.options import request
 from rmesh_nlp.solving.solution import Solution
+from support.solved import solve_once
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class Named:
         self, problem: ContactProblem, *, on_step: Any = None, certify: bool = False, **options: Any
     ) -> Solution:
         """Solve with the options of the command line."""
-        return solve_by_options(problem, self.name, options, on_step=on_step, certify=certify, safely=False)
+        return solve_once(problem, **request(self.name, options), on_step=on_step, certify=certify)
 
     @property
     def __name__(self) -> str:
