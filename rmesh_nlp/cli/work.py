@@ -31,4 +31,4 @@ def study_commands() -> ModuleType:
 
 def mpcc_commands() -> ModuleType:
     """The MPCC solver."""
-    return importlib.import_module("rmesh_nlp.mpcc.command")
+    return importlib.import_module("rmesh_nlp.mpcc.__main__")

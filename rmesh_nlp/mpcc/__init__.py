@@ -3,16 +3,14 @@
 >>> from rmesh_nlp.mpcc import MPCC, solve
 """
 
-from rmesh_nlp.mpcc.classify import Classification, classify
-from rmesh_nlp.mpcc.mpccsol import mpccsol
-from rmesh_nlp.mpcc.multistart import MultiStart, multistart
+from rmesh_nlp.mpcc.interfaces import MultiStart, mpccsol, multistart
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.reading import Problem, read
 from rmesh_nlp.mpcc.relaxations import RELAXATIONS
-from rmesh_nlp.mpcc.result import Duals, MPCCResult, Step
-from rmesh_nlp.mpcc.run import Iterate
+from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Step
 from rmesh_nlp.mpcc.solver import MPCCSolver, solve
+from rmesh_nlp.mpcc.stationarity import Classification, classify
 
 __all__ = [
     "MPCC",

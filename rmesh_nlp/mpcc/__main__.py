@@ -1,8 +1,84 @@
-"""``python -m rmesh_nlp.mpcc``."""
+"""The command ``python -m rmesh_nlp.mpcc``, which is also ``rmesh mpcc``."""
 
+from __future__ import annotations
+
+import argparse
+import json
 import sys
+from collections.abc import Sequence
+from pathlib import Path
 
-from rmesh_nlp.mpcc.command import main
+from rmesh_nlp.mpcc.options import Options
+from rmesh_nlp.mpcc.reading import read
+from rmesh_nlp.mpcc.relaxations import RELAXATIONS
+from rmesh_nlp.mpcc.solver import solve
+
+_ABOUT = """Solve mathematical programs with complementarity constraints from files: AMPL .nl, and .json
+with CasADi Functions as NOSBENCH writes them. The exit code is 0 only if every solve succeeded."""
+_EXAMPLES = """examples:
+  rmesh mpcc problem.nl
+  rmesh mpcc problem.nl --relaxation kanzow-schwartz --time-limit 30 --log
+  rmesh mpcc problem.nl --json > result.json
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The options of the command."""
+    options = argparse.ArgumentParser(
+        prog="rmesh mpcc", description=_ABOUT, epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    add = options.add_argument
+    add("paths", nargs="*", type=Path, metavar="FILE")
+    add("--relaxation", default="scholtes", choices=list(RELAXATIONS))
+    add("--time-limit", type=float, default=float("inf"), metavar="S", help="seconds per problem (none)")
+    add("--max-iterations", type=int, metavar="N", help="Ipopt iterations per problem (no limit)")
+    add("--log", action="store_true", help="a line per nonlinear program")
+    add("--json", action="store_true", help="a JSON object per problem, with the solution")
+    return options
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; 0 if every solve succeeded, 1 if one did not, 2 for bad input."""
+    given = parser().parse_args(arguments)
+    try:
+        settings = Options(
+            relaxation=given.relaxation, max_iterations=given.max_iterations, time_limit_s=given.time_limit
+        )
+        if not given.paths:
+            raise ValueError("no file given; see rmesh mpcc --help")
+        return max(_solve(path, given, settings) for path in given.paths)
+    except (ValueError, OSError, ImportError) as error:
+        print(f"rmesh mpcc: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+
+
+def _solve(path: Path, given: argparse.Namespace, settings: Options) -> int:
+    """Solve one file and print status, label, residuals."""
+    problem = read(path)
+    result = solve(problem.mpcc, problem.x0, p=problem.p0, options=settings, progress=given.log)
+    f, seconds = problem.sign * result.f, result.seconds["total"]
+    iterations, solves = result.counts["ipopt_iterations"], result.counts["nlp_solves"]
+    if given.json:
+        words = {
+            "problem": problem.name, "status": result.status.value, "success": result.success, "f": f,
+            "constraint_violation": result.constraint_violation, "complementarity": result.complementarity,
+            "stationarity": result.stationarity, "n_biactive": result.n_biactive,
+            "b_stationary": result.b_stationary, "iterations": iterations, "seconds": seconds,
+            "x": result.x[: problem.mpcc.n_own].tolist(),
+        }  # fmt: skip
+        print(json.dumps(words))
+    else:
+        mpcc = problem.mpcc
+        print(f"{problem.name}: {mpcc.n_own} unknowns, {mpcc.n_g} rows, {mpcc.n_pairs} pairs")
+        print(f"  status           {result.status.value}: {result.message}")
+        print(f"  objective        {f:.12g}")
+        print(f"  stationarity     {result.label}")
+        print(f"  residuals        violation {result.constraint_violation:.1e}, "
+              f"min(G, H) {result.complementarity:.1e}")  # fmt: skip
+        print(f"  cost             {iterations} iterations in {solves} steps, {seconds:.2f} s")
+    return 0 if result.success else 1
+
 
 if __name__ == "__main__":
     sys.exit(main())

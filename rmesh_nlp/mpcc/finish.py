@@ -16,12 +16,11 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.classify import Verdict, judge
-from rmesh_nlp.mpcc.linearisation import Linearisation, linearisation
-from rmesh_nlp.mpcc.lpec import Direction, nearest_branch
+from rmesh_nlp.mpcc.lifting import BoolArray
+from rmesh_nlp.mpcc.lpec import Direction, Linearisation, linearise, nearest_branch
 from rmesh_nlp.mpcc.polish import polish, project
-from rmesh_nlp.mpcc.programs import BoolArray
 from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.mpcc.stationarity import Stationarity, stationarity
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
@@ -43,9 +42,11 @@ class Finish:
     z : array
         Lifted point.
     f : float
+        Weighted objective.
     status : Status
         CONVERGED: S- or B-stationary; ACCEPTABLE: a label, B undecided; otherwise why it stopped.
-    verdict : Verdict or None
+    stationarity : Stationarity or None
+        None unless the point is exact.
     lin : Linearisation or None
     pivots, lpecs : int
     """
@@ -53,7 +54,7 @@ class Finish:
     z: Array
     f: float
     status: Status
-    verdict: Verdict | None = None
+    stationarity: Stationarity | None = None
     lin: Linearisation | None = None
     pivots: int = 0
     lpecs: int = 0
@@ -66,45 +67,7 @@ class Finish:
     @property
     def rank(self) -> tuple[bool, bool, float]:
         """Sort key: solved before exact but not stationary before inexact, then the lower objective."""
-        return self.solved, self.verdict is not None, -self.f if np.isfinite(self.f) else -np.inf
-
-
-def polished(
-    run: Run, z: Array, warm: NLPResult, corner: float = 0.0, ceiling: float = np.inf
-) -> Finish | None:
-    """The exact point next to a relaxed one by Newton's method, judged; None if there is none.
-
-    ``warm`` holds multipliers of the lifted program. Pairs with both members below ``corner`` are put into it
-    if the branch itself gives no stationary point: at a biactive pair that is not S-stationary the relaxed
-    solution stays at the distance sqrt(t), and the relaxations become ever harder to solve. Points above
-    ``ceiling`` are not judged.
-    """
-    lifted = run.programs.lifted
-    G, H = z[lifted.first], z[lifted.second]
-    found = _polished(run, z, warm, G <= H, G > H, ceiling)
-    if found is not None and found.solved:
-        return found
-    near = np.maximum(G, H) <= corner
-    if not np.any(near):
-        return found
-    inside = _polished(run, z, warm, (G <= H) | near, (G > H) | near, ceiling)
-    return found if inside is None or (found is not None and found.rank >= inside.rank) else inside
-
-
-def _faithful(run: Run, near: Finish, z: Array) -> bool:
-    """Whether Newton's method has not gone to another, worse branch than the relaxed point belongs to."""
-    f = float(run.programs.lifted.value(z, run.p)[0][0])
-    return near.f - f <= _FAITHFUL * max(abs(near.f), abs(f)) + _FAITHFUL**2
-
-
-def _polished(
-    run: Run, z: Array, warm: NLPResult, fix_G: BoolArray, fix_H: BoolArray, ceiling: float
-) -> Finish | None:
-    found = polish(run, z, fix_G, warm.lam_g, warm.lam_x, fix_H)
-    if found is None or found.f > ceiling:
-        return None
-    run.polished(found.z)
-    return _judged(run, found.z, found.f, (found.lam_rows, found.lam_z))
+        return self.solved, self.stationarity is not None, -self.f if np.isfinite(self.f) else -np.inf
 
 
 def finish(
@@ -118,16 +81,13 @@ def finish(
 ) -> Finish:
     """Make the pairs of a relaxed point exact and descend to a stationary branch.
 
-    ``warm`` holds multipliers of the lifted program at ``z``; with them Newton's method is tried
+    ``warm`` holds multipliers of the lifted problem at ``z``; with them Newton's method is tried
     before the interior point, or the interior point begins with them. ``search`` looks for another branch
-    if the one next to the point is infeasible. An exact point above ``ceiling`` is neither judged nor
+    if the one next to the point is infeasible. An exact point above ``ceiling`` is neither labelled nor
     improved: its status is WORSE.
     """
-    lifted = run.programs.lifted
-    fix_G = z[lifted.first] <= z[lifted.second]
-    options = run.programs.options
-    warm = warm if options.warm_finish else None
-    if warm is not None and options.newton_finish:
+    fix_G = run.lifted.on_first(z)
+    if warm is not None and run.options.newton_finish:
         near = polished(run, z, warm, corner, ceiling)
         if near is not None and _faithful(run, near, z):
             near = pivot(run, near)
@@ -139,59 +99,75 @@ def finish(
         result = run.branch(z, fix_G)
     if search and not run.exact(result.x):
         result, fix_G = _other_branch(run, z, fix_G, result)
-    if result.status is Status.UNBOUNDED and run.exact(result.x):
-        return Finish(result.x, result.f, Status.UNBOUNDED)
-    if run.exact(result.x) and result.f > ceiling:
-        return Finish(result.x, result.f, Status.WORSE)
-    if run.exact(result.x):
-        result = _tighten(run, result, fix_G)
-        end = pivot(run, _judged(run, result.x, result.f, (result.lam_g, result.lam_x)))
-    else:
+    if not run.exact(result.x):
         end = Finish(result.x, result.f, Status.INACCURATE if result.converged else result.status)
+    elif result.status is Status.UNBOUNDED:
+        return Finish(result.x, result.f, Status.UNBOUNDED)
+    elif result.f > ceiling:
+        return Finish(result.x, result.f, Status.WORSE)
+    else:
+        result = _tighten(run, result, fix_G)
+        end = pivot(run, _labelled(run, result.x, result.f, (result.lam_g, result.lam_x)))
     return end if end.solved or not search else _projected(run, z, end)
 
 
-def _judged(run: Run, z: Array, f: float, multipliers: tuple[Array, Array] | None) -> Finish:
-    """Label an exact point."""
-    options = run.programs.options
-    lin = linearisation(run.programs.lifted, z, run.p, options.activity, options.corner)
-    verdict = judge(run.programs.lifted, lin, options.stationarity, multipliers, run.seconds_left)
-    return Finish(z, f, verdict.status, verdict, lin, 0, int(verdict.label.name != "S"))
+def polished(
+    run: Run, z: Array, warm: NLPResult, corner: float = 0.0, ceiling: float = np.inf
+) -> Finish | None:
+    """The exact point next to a relaxed one by Newton's method, labelled; None if there is none.
+
+    ``warm`` holds multipliers of the lifted problem. Pairs with both members below ``corner`` are put into it
+    if the branch itself gives no stationary point: at a biactive pair that is not S-stationary the relaxed
+    solution stays at the distance sqrt(t), and the relaxations become ever harder to solve. Points above
+    ``ceiling`` are not labelled.
+    """
+    on_G = run.lifted.on_first(z)
+    found = _polished(run, z, warm, on_G, ~on_G, ceiling)
+    near = np.maximum(*run.lifted.members(z)) <= corner
+    if (found is not None and found.solved) or not np.any(near):
+        return found
+    inside = _polished(run, z, warm, on_G | near, ~on_G | near, ceiling)
+    return found if inside is None or (found is not None and found.rank >= inside.rank) else inside
+
+
+def _polished(
+    run: Run, z: Array, warm: NLPResult, fix_G: BoolArray, fix_H: BoolArray, ceiling: float
+) -> Finish | None:
+    found = polish(run, z, fix_G, warm.lam_g, warm.lam_x, fix_H)
+    if found is None or found.f > ceiling:
+        return None
+    run.polished(found.z)
+    return _labelled(run, found.z, found.f, (found.lam_rows, found.lam_z))
+
+
+def _faithful(run: Run, near: Finish, z: Array) -> bool:
+    """Whether Newton's method has not gone to another, worse branch than the relaxed point belongs to."""
+    f = float(run.lifted.value(z, run.p)[0][0])
+    return near.f - f <= _FAITHFUL * max(abs(near.f), abs(f)) + _FAITHFUL**2
+
+
+def _labelled(run: Run, z: Array, f: float, offered: tuple[Array, Array] | None) -> Finish:
+    """Label an exact point; ``offered`` multipliers of an NLP may prove S."""
+    lin = linearise(run.lifted, z, run.p, run.options.activity, run.options.corner)
+    found = stationarity(run.lifted, lin, run.options.stationarity, offered, run.seconds_left)
+    return Finish(z, f, found.status, found, lin, 0, int(found.label != "S"))
 
 
 def pivot(run: Run, here: Finish) -> Finish:
     """Descend over the branches, from one that is not B-stationary to the one its LPEC names."""
     lpecs = here.lpecs
-    for pivots in range(run.programs.options.max_pivots):
+    for pivots in range(run.options.max_pivots):
         here = replace(here, pivots=pivots, lpecs=lpecs)
-        direction = None if here.verdict is None else here.verdict.direction
-        if direction is None:
-            return here
-        better = _descend(run, here, direction)
-        if better is None:
+        direction = None if here.stationarity is None else here.stationarity.direction
+        better = None if direction is None else _descend(run, here, direction)
+        if direction is None or better is None:
             return here
         if better.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
             return Finish(better.x, better.f, Status.UNBOUNDED, pivots=pivots + 1, lpecs=lpecs)
         better = _tighten(run, better, direction.G_fixed)
-        here = _judged(run, better.x, better.f, (better.lam_g, better.lam_x))
+        here = _labelled(run, better.x, better.f, (better.lam_g, better.lam_x))
         lpecs += here.lpecs
-    return replace(here, pivots=run.programs.options.max_pivots, lpecs=lpecs, status=Status.ITERATION_LIMIT)
-
-
-def _projected(run: Run, z: Array, end: Finish) -> Finish:
-    """The relaxed point itself, put onto its branch: what is left where the interior point fails.
-
-    A branch with more equations than free unknowns (discretised dynamics) has hardly any freedom: the
-    relaxed point is right, and solving for it again only loses it.
-    """
-    lifted = run.programs.lifted
-    near = project(run, z, z[lifted.first] <= z[lifted.second])
-    if near is None:
-        return end
-    run.polished(near)
-    f = float(lifted.value(near, run.p)[0][0])
-    here = _judged(run, near, f, None)
-    return here if here.rank > end.rank else end
+    return replace(here, pivots=run.options.max_pivots, lpecs=lpecs, status=Status.ITERATION_LIMIT)
 
 
 def _descend(run: Run, here: Finish, direction: Direction) -> NLPResult | None:
@@ -205,17 +181,29 @@ def _descend(run: Run, here: Finish, direction: Direction) -> NLPResult | None:
     return None
 
 
+def _projected(run: Run, z: Array, end: Finish) -> Finish:
+    """The relaxed point itself, put onto its branch: what is left where the interior point fails.
+
+    A branch with more equations than free unknowns (discretised dynamics) has hardly any freedom: the
+    relaxed point is right, and solving for it again only loses it.
+    """
+    near = project(run, z, run.lifted.on_first(z))
+    if near is None:
+        return end
+    run.polished(near)
+    here = _labelled(run, near, float(run.lifted.value(near, run.p)[0][0]), None)
+    return here if here.rank > end.rank else end
+
+
 def _other_branch(run: Run, z: Array, fix_G: BoolArray, result: NLPResult) -> tuple[NLPResult, BoolArray]:
     """A feasible branch near the relaxed point: first by signs, which is cheap, then by elastic LPECs."""
-    lifted = run.programs.lifted
     by_signs = _follow_signs(run, z, fix_G)
     if by_signs is not None:
         return by_signs
-    distance = float(np.max(np.minimum(z[lifted.first], z[lifted.second]), initial=0.0))
+    distance = float(np.max(np.minimum(*run.lifted.members(z)), initial=0.0))
     for reach in _REACHES:
-        near = nearest_branch(
-            lifted, z, run.p, reach * max(distance, run.programs.options.corner), run.seconds_left
-        )
+        radius = reach * max(distance, run.options.corner)
+        near = nearest_branch(run.lifted, z, run.p, radius, run.seconds_left)
         if near is None or np.array_equal(near[1], fix_G):
             continue
         fix_G = near[1]
@@ -232,14 +220,13 @@ def _follow_signs(run: Run, z: Array, fix_G: BoolArray) -> tuple[NLPResult, Bool
     node by node. M. Hintermueller, K. Ito, K. Kunisch, The primal-dual active set strategy as a
     semismooth Newton method, SIAM J. Optim. 13 (2002) 865-888. None if it does not end in an exact point.
     """
-    lifted = run.programs.lifted
     worst = np.inf
     for _ in range(_SIGN_STEPS):
         result = run.branch(z, fix_G, phase="signs", free_signs=True)
         z = result.x
-        free = np.where(fix_G, z[lifted.second], z[lifted.first])
-        wrong = free < -run.programs.options.complementarity
-        lowest = -float(np.min(free, initial=0.0))
+        G, H = run.lifted.members(z)
+        free = np.where(fix_G, H, G)
+        wrong, lowest = free < -run.options.complementarity, -float(np.min(free, initial=0.0))
         if not result.converged or lowest > worst:
             return None
         worst = lowest
@@ -256,14 +243,13 @@ def _tighten(run: Run, result: NLPResult, fix_G: BoolArray) -> NLPResult:
     A weakly active member stops at a distance of the square root of the solver's tolerance from zero:
     too far to be called zero, near enough to hide a biactive pair and with it a descent direction.
     """
-    lifted, options = run.programs.lifted, run.programs.options
-    free = np.maximum(result.x[lifted.first], result.x[lifted.second])
-    near = (free <= _NEAR_BIACTIVE) & (free > options.complementarity)
+    free = np.maximum(*run.lifted.members(result.x))
+    near = (free <= _NEAR_BIACTIVE) & (free > run.options.complementarity)
     if not np.any(near) or not _can_close(run, result.x, fix_G, near):
         return result
     tight = run.branch(result.x, fix_G | near, ~fix_G | near, phase="tightened")
-    cost = tight.f - result.f
-    return tight if run.exact(tight.x) and cost <= _DECREASE * (1 + abs(result.f)) else result
+    is_free = tight.f - result.f <= _DECREASE * (1 + abs(result.f))
+    return tight if is_free and run.exact(tight.x) else result
 
 
 def _can_close(run: Run, z: Array, fix_G: BoolArray, near: BoolArray) -> bool:
@@ -272,17 +258,16 @@ def _can_close(run: Run, z: Array, fix_G: BoolArray, near: BoolArray) -> bool:
     The least-norm step that keeps the active rows and the zero members and closes the near pairs, from one
     regularised KKT system; inconsistent demands leave a residual.
     """
-    lifted, options = run.programs.lifted, run.programs.options
-    lin = linearisation(lifted, z, run.p, options.activity, options.corner)
+    lifted = run.lifted
+    lin = linearise(lifted, z, run.p, run.options.activity, run.options.corner)
     eye = sp.identity(z.size, format="csr")
-    places = np.unique(np.concatenate([lifted.first[fix_G | near], lifted.second[~fix_G | near]]))
+    places = np.unique(np.append(lifted.first[fix_G | near], lifted.second[~fix_G | near]))
     A = sp.vstack([lin.jacobian[np.flatnonzero(lin.row_lower | lin.row_upper)], eye[places]], format="csr")
     size = np.maximum(1.0, np.sqrt(np.asarray(A.multiply(A).sum(axis=1)).ravel()))
     A = sp.diags(1.0 / size) @ A
     aim = np.zeros(A.shape[0])
     aim[-places.size :] = -z[places]
-    regular = sp.identity(A.shape[0]) * _REGULAR
-    system = sp.bmat([[sp.identity(z.size), A.T], [A, -regular]], format="csc")
-    step = spsolve(system, np.concatenate([np.zeros(z.size), aim]))[: z.size]
+    system = sp.bmat([[eye, A.T], [A, -_REGULAR * sp.identity(aim.size)]], format="csc")
+    step = spsolve(system, np.append(np.zeros(z.size), aim))[: z.size]
     gap = float(np.max(np.abs(aim)))
     return bool(np.max(np.abs(A @ step - aim)) <= _CONSISTENT * gap and np.max(np.abs(step)) <= 1e3 * gap)

@@ -8,7 +8,7 @@ sparsity of the NLP never changes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,7 +24,9 @@ from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
+BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
+_DENSE = 0.1  # part of the entries of a Jacobian that are not zero, from which on it counts as dense
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,22 +37,20 @@ class Lifted:
     ----------
     source : MPCC
     nlp : NLP
-        Unknowns ``z``; constraint rows without any complementarity; ``z >= 0`` for members.
+        Unknowns ``z``; constraint rows without any complementarity; ``z >= 0`` for members. The last
+        parameter is the weight of the objective.
     first, second : int arrays
         Pair i is ``z[first[i]] _|_ z[second[i]]``. An unknown may be in several pairs, also in both
         places of one.
     rows : int array
         Row of ``vertcat(g, G, H)`` behind each constraint row; the first ``n_g`` are ``g``.
-    value, jacobian, hessian : Evaluator
-        ``(z, p) -> (f, gradient)``, ``(z, p) -> (rows, nonzeros of their Jacobian)`` and ``(z, p, lam_f,
-        lam_rows) -> nonzeros of the upper triangle`` of the Lagrangian's Hessian (None: not known). The last
-        parameter is the weight of the objective.
     base : Derivatives
         Of the source problem, its rows ``vertcat(g, G, H)``.
+    value, jacobian, hessian : Evaluator
+        ``(z, p) -> (f, gradient)``, ``(z, p) -> (rows, nonzeros of their Jacobian)`` and ``(z, p, lam_f,
+        lam_rows) -> nonzeros of the upper triangle`` of the Lagrangian's Hessian (None: not known).
     source_values : Evaluator
         ``(x, p) -> (f, vertcat(g, G, H))`` of the source problem.
-    member : bool array
-        Whether an unknown is a member of a pair.
     """
 
     source: MPCC
@@ -58,12 +58,16 @@ class Lifted:
     first: IntArray
     second: IntArray
     rows: IntArray
+    base: Derivatives
     value: Evaluator
     jacobian: Evaluator
     hessian: Evaluator | None
-    base: Derivatives
     source_values: Evaluator
-    member: NDArray[np.bool_]
+
+    @cached_property
+    def member(self) -> BoolArray:
+        """Whether an unknown is a member of a pair."""
+        return np.isin(np.arange(self.nlp.n_x), np.append(self.first, self.second))
 
     @cached_property
     def pattern(self) -> tuple[IntArray, IntArray]:
@@ -71,8 +75,16 @@ class Lifted:
         rows, columns = self.jacobian.function.sparsity_out(1).get_triplet()
         return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
 
+    def members(self, z: Array) -> tuple[Array, Array]:
+        """Values of the members of all pairs."""
+        return z[self.first], z[self.second]
+
+    def on_first(self, z: Array) -> BoolArray:
+        """Pairs whose first member is the smaller one."""
+        return np.asarray(z[self.first] <= z[self.second])
+
     def curvature(self, z: Array, p: Array, lam_rows: Array) -> sp.csc_matrix:
-        """Hessian of the Lagrangian; raises AttributeError where ``hessian`` is None."""
+        """Hessian of the Lagrangian, where ``hessian`` is known."""
         assert self.hessian is not None
         (values,) = self.hessian(z, p, 1.0, lam_rows)
         sparsity = self.hessian.function.sparsity_out(0)
@@ -87,21 +99,17 @@ class Lifted:
         tolerances.
         """
         random = np.random.default_rng(0)
-        lower, upper = np.asarray(self.source.lbx), np.asarray(self.source.ubx)
-        points = [x0]
-        points += [
-            np.clip(x0 + random.uniform(-0.5, 0.5, x0.size) * (1 + np.abs(x0)), lower, upper) for _ in "ab"
-        ]
-        slopes = []
-        for x in points:
-            z = np.concatenate([x, np.zeros(self.nlp.n_x - x.size)])
-            slopes.append(float(np.max(np.abs(self.value(z, np.append(p, 1.0))[1]), initial=0.0)))
-        largest = max((slope for slope in slopes if np.isfinite(slope)), default=0.0)
+        near = [x0 + random.uniform(-0.5, 0.5, x0.size) * (1 + np.abs(x0)) for _ in range(2)]
+        largest = 0.0
+        for x in [x0, *(np.clip(x, self.source.lbx, self.source.ubx) for x in near)]:
+            z = np.append(x, np.zeros(self.nlp.n_x - x.size))
+            slope = float(np.max(np.abs(self.value(z, np.append(p, 1.0))[1]), initial=0.0))
+            largest = max(largest, slope if np.isfinite(slope) else 0.0)
         return 1.0 / largest if 0.0 < largest < 1.0 else 1.0
 
     def start(self, x0: Array, p: Array) -> Array:
         """Extend a start by slacks that satisfy their rows, as far as the signs allow; p without weight."""
-        z = np.concatenate([x0, np.zeros(self.nlp.n_x - x0.size)])
+        z = np.append(x0, np.zeros(self.nlp.n_x - x0.size))
         rows, _ = self.jacobian(z, np.append(p, 1.0))
         z[x0.size :] = np.maximum(np.nan_to_num(rows[self.source.n_g :], posinf=0.0, neginf=0.0), 0.0)
         return z
@@ -117,9 +125,9 @@ class Lifted:
 def lift(mpcc: MPCC) -> Lifted:
     """Lift the pairs of ``mpcc``; a member that is an unknown with room at zero keeps its place."""
     x, p, column, f = _pure(mpcc)
-    derivatives = mpcc.derivatives or automatic_derivatives(x, p, f, column)
+    base = mpcc.derivatives or automatic_derivatives(x, p, f, column)
     n_x, n_g, n_pairs = mpcc.n_x, mpcc.n_g, mpcc.n_pairs
-    plain = _plain_unknowns(derivatives, n_x, n_g, x.is_empty())
+    plain = _plain_unknowns(base, n_x, n_g)
     # a slack takes the sign of an unknown whose own bounds exclude zero: its row then shows the conflict
     room = np.append((np.asarray(mpcc.ubx) >= 0) & (np.asarray(mpcc.lbx) <= 0), False)
     usable = (plain >= 0) & room[plain]
@@ -128,33 +136,21 @@ def lift(mpcc: MPCC) -> Lifted:
     place = np.where(usable, plain, 0)
     place[slack_rows] = n_x + np.arange(n_s)
     rows = np.concatenate([np.arange(n_g), n_g + slack_rows]).astype(np.int64)
-    lower = np.concatenate([np.asarray(mpcc.lbx), np.zeros(n_s)])
+    lower = np.append(mpcc.lbx, np.zeros(n_s))
     lower[place] = np.maximum(lower[place], 0.0)
-    objective, constraints = ca.Function("f", [x, p], [f]), ca.Function("c", [x, p], [column])
-    nlp = _lifted_nlp(objective, constraints, derivatives, rows, n_g, n_s)
-    nlp = NLP(
-        x=nlp.x, p=nlp.p, f=nlp.f, g=nlp.g, derivatives=nlp.derivatives,
-        lbx=lower,
-        ubx=np.concatenate([np.asarray(mpcc.ubx), np.full(n_s, np.inf)]),
-        lbg=np.concatenate([np.asarray(mpcc.lbg), np.zeros(n_s)]),
-        ubg=np.concatenate([np.asarray(mpcc.ubg), np.zeros(n_s)]),
+    nlp = replace(
+        _lifted_nlp(mpcc, x, p, f, column, base, rows, n_s),
+        lbx=lower, ubx=np.append(mpcc.ubx, np.full(n_s, np.inf)),
+        lbg=np.append(mpcc.lbg, np.zeros(n_s)), ubg=np.append(mpcc.ubg, np.zeros(n_s)),
     )  # fmt: skip
     assert nlp.derivatives is not None
-    member = np.zeros(nlp.n_x, dtype=bool)
-    member[place] = True
+    own = nlp.derivatives
     return Lifted(
-        source=mpcc,
-        nlp=nlp,
-        first=place[:n_pairs],
-        second=place[n_pairs:],
-        rows=rows,
-        value=Evaluator(nlp.derivatives.grad_f),
-        jacobian=Evaluator(nlp.derivatives.jac_g),
-        hessian=None if nlp.derivatives.hess_lag is None else Evaluator(nlp.derivatives.hess_lag),
-        base=derivatives,
+        mpcc, nlp, place[:n_pairs], place[n_pairs:], rows, base,
+        value=Evaluator(own.grad_f), jacobian=Evaluator(own.jac_g),
+        hessian=None if own.hess_lag is None else Evaluator(own.hess_lag),
         source_values=Evaluator(ca.Function("source", [x, p], [f, column])),
-        member=member,
-    )
+    )  # fmt: skip
 
 
 def warm_start(lifted: Lifted, z0: Array, weight: float, known: MPCCResult | Duals) -> NLPResult:
@@ -167,26 +163,11 @@ def warm_start(lifted: Lifted, z0: Array, weight: float, known: MPCCResult | Dua
     column = weight * np.nan_to_num(np.concatenate([known.lam_g, known.lam_G, known.lam_H]))
     lam_z = np.zeros(lifted.nlp.n_x)
     lam_z[: source.n_x] = weight * np.nan_to_num(known.lam_x)
-    np.add.at(lam_z, np.concatenate([lifted.first, lifted.second]), column[source.n_g :])
+    np.add.at(lam_z, np.append(lifted.first, lifted.second), column[source.n_g :])
     return NLPResult(
         x=z0, f=0.0, g=np.zeros(lifted.nlp.n_g), lam_x=lam_z, lam_g=column[lifted.rows],
         status=Status.CONVERGED, solver_message="", iterations=0, history={}, seconds=0.0,
     )  # fmt: skip
-
-
-def _pure(mpcc: MPCC) -> tuple[Any, Any, Any, Any]:
-    """x, p, vertcat(g, G, H), f; an MX of several symbols becomes one, so that CasADi can derive."""
-    column = ca.vertcat(mpcc.g, mpcc.G, mpcc.H)
-    if isinstance(mpcc.x, ca.SX) or (mpcc.x.is_symbolic() and (mpcc.p.is_symbolic() or mpcc.p.is_empty())):
-        return mpcc.x, mpcc.p, column, mpcc.f
-    oracle = ca.Function("oracle", [mpcc.x, mpcc.p], [column, mpcc.f])
-    x, p = ca.MX.sym("x", mpcc.n_x), ca.MX.sym("p", mpcc.p.shape[0])
-    column, f = oracle.call([x, p], True, False)
-    return x, p, column, f
-
-
-DENSE = 0.1
-"""Part of the entries of a Jacobian that are not zero, from which on it counts as dense."""
 
 
 def automatic_derivatives(x: Any, p: Any, f: Any, g: Any) -> Derivatives:
@@ -213,25 +194,35 @@ def automatic_derivatives(x: Any, p: Any, f: Any, g: Any) -> Derivatives:
 
 
 def _constant_jacobian(rows: Any, x: Any, p: Any) -> ca.DM | None:
-    """The Jacobian of rows that are linear in x and know no parameter; else nothing.
+    """The Jacobian of dense rows that are linear in x and know no parameter; else nothing.
 
-    Nor of sparse ones, whose symbolic Jacobian takes few sweeps and less time than a sweep per unknown.
+    The symbolic Jacobian of sparse rows takes few sweeps and less time than a sweep per unknown.
     """
     if rows.is_empty() or x.is_empty() or not p.is_empty() or any(ca.which_depends(rows, x, 2, True)):
         return None
     function = ca.Function("rows", [x], [rows])
-    if function.jac_sparsity(0, 0).density() < DENSE:
+    sparsity = function.jac_sparsity(0, 0)
+    if sparsity.density() < _DENSE:
         return None
     n, origin = x.shape[0], ca.DM.zeros(x.shape[0])
     columns = function.forward(1).map(n)(
         ca.repmat(origin, 1, n), ca.repmat(function(origin), 1, n), ca.DM.eye(n)
     )
-    if not columns.is_regular():
-        return None
-    return ca.project(columns, function.jac_sparsity(0, 0))
+    return ca.project(columns, sparsity) if columns.is_regular() else None
 
 
-def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int, empty: bool) -> IntArray:
+def _pure(mpcc: MPCC) -> tuple[Any, Any, Any, Any]:
+    """x, p, vertcat(g, G, H), f; an MX of several symbols becomes one, so that CasADi can derive."""
+    column = ca.vertcat(mpcc.g, mpcc.G, mpcc.H)
+    if isinstance(mpcc.x, ca.SX) or (mpcc.x.is_symbolic() and (mpcc.p.is_symbolic() or mpcc.p.is_empty())):
+        return mpcc.x, mpcc.p, column, mpcc.f
+    oracle = ca.Function("oracle", [mpcc.x, mpcc.p], [column, mpcc.f])
+    x, p = ca.MX.sym("x", mpcc.n_x), ca.MX.sym("p", mpcc.p.shape[0])
+    column, f = oracle.call([x, p], True, False)
+    return x, p, column, f
+
+
+def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int) -> IntArray:
     """For each row of (G, H) the unknown it equals, or -1.
 
     A row equals ``x_j`` if its Jacobian has the single structural entry j, with value 1 at two random
@@ -240,61 +231,59 @@ def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int, empty: bool) -
     sparsity = derivatives.jac_g.sparsity_out(1)
     n_rows = sparsity.size1()
     plain = np.full(n_rows, -1, dtype=np.int64)
-    if empty or n_rows == n_g:
-        return plain[n_g:]
     row_of, column_of = (np.asarray(part, dtype=np.int64) for part in sparsity.get_triplet())
-    single = np.bincount(row_of, minlength=n_rows) == 1
+    if n_rows == n_g or row_of.size == 0:
+        return plain[n_g:]
     entry = np.zeros(n_rows, dtype=np.int64)
     entry[row_of] = np.arange(row_of.size)
-    candidate = single.copy()
-    jacobian = Evaluator(derivatives.jac_g)
-    random = np.random.default_rng(0)
-    unknown = column_of[entry] if row_of.size else entry
+    unknown = column_of[entry]
+    candidate = np.bincount(row_of, minlength=n_rows) == 1
+    jacobian, random = Evaluator(derivatives.jac_g), np.random.default_rng(0)
     for _ in range(2):
         x = random.uniform(0.3, 1.3, n_x)
-        p = random.uniform(0.3, 1.3, derivatives.jac_g.numel_in(1))
-        value, nonzeros = jacobian(x, p)
-        if row_of.size:
-            candidate &= (nonzeros[entry] == 1.0) & (value == x[unknown])
+        value, nonzeros = jacobian(x, random.uniform(0.3, 1.3, derivatives.jac_g.numel_in(1)))
+        candidate &= (nonzeros[entry] == 1.0) & (value == x[unknown])
     plain[candidate] = unknown[candidate]
     return plain[n_g:]
 
 
 def _lifted_nlp(
-    objective: ca.Function, constraints: ca.Function, base: Derivatives, rows: IntArray, n_g: int, n_s: int
+    mpcc: MPCC, x: Any, p: Any, f: Any, column: Any, base: Derivatives, rows: IntArray, n_s: int
 ) -> NLP:
     """Select the kept rows of the oracle, subtract the slacks, weight the objective by a last parameter.
 
-    In MX whatever the source is: the oracle stays one call, its graph is not copied.
+    In MX whatever the source is: the oracle stays one call, its graph is not copied. Without bounds.
     """
-    n_x, n_rows, kept = objective.numel_in(0), constraints.numel_out(0), rows.tolist()
-    n_p = objective.numel_in(1)
+    objective, constraints = ca.Function("f", [x, p], [f]), ca.Function("c", [x, p], [column])
+    n_x, n_p, kept = mpcc.n_x, int(mpcc.p.shape[0]), rows.tolist()
     z, weighted = ca.MX.sym("z", n_x + n_s), ca.MX.sym("p", n_p + 1)
     p, w = ca.vertsplit(weighted, [0, n_p, n_p + 1])
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(kept))
     x, s = ca.vertsplit(z, [0, n_x, n_x + n_s])
-    slack_rows, every = list(range(n_g, n_g + n_s)), list(range(len(kept)))
-    shift = ca.MX(ca.DM(ca.Sparsity.triplet(len(kept), n_s, slack_rows, list(range(n_s))), 1.0))
-    scatter = ca.MX(ca.DM(ca.Sparsity.triplet(n_rows, len(kept), kept, every), 1.0))
+
+    def ones(n_rows: int, n_columns: int, row_of: list[int]) -> ca.MX:
+        at = ca.Sparsity.triplet(n_rows, n_columns, row_of, list(range(n_columns)))
+        return ca.MX(ca.DM(at, 1.0))
+
+    shift = ones(len(kept), n_s, list(range(mpcc.n_g, mpcc.n_g + n_s)))
+    slack = ca.mtimes(shift, s)
     f_value, gradient = (w * ca.densify(part) for part in base.grad_f(x, p))
     g_value, jacobian = base.jac_g(x, p)
-    slack = ca.mtimes(shift, s)
     hess_lag = None
     if base.hess_lag is not None:
-        hessian = base.hess_lag(x, p, w * lam_f, ca.densify(ca.mtimes(scatter, lam_g)))
-        hess_lag = ca.Function(
-            "nlp_hess_l", [z, weighted, lam_f, lam_g], [ca.diagcat(hessian, ca.MX(n_s, n_s))]
-        )
-    derivatives = Derivatives(
-        grad_f=ca.Function("nlp_grad_f", [z, weighted], [f_value, ca.vertcat(gradient, ca.MX.zeros(n_s, 1))]),
-        jac_g=ca.Function(
-            "nlp_jac_g",
-            [z, weighted],
-            [ca.densify(g_value[kept] - slack), ca.horzcat(jacobian[kept, :], -shift)],
-        ),
-        hess_lag=hess_lag,
-        kernels=base.kernels,
-    )
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(kept))
+        scattered = ca.densify(ca.mtimes(ones(constraints.numel_out(0), len(kept), kept), lam_g))
+        hessian = ca.diagcat(base.hess_lag(x, p, w * lam_f, scattered), ca.MX(n_s, n_s))
+        hess_lag = ca.Function("nlp_hess_l", [z, weighted, lam_f, lam_g], [hessian])
+    gradient = ca.vertcat(gradient, ca.MX.zeros(n_s, 1))
+    lifted = [ca.densify(g_value[kept] - slack), ca.horzcat(jacobian[kept, :], -shift)]
     none = np.zeros(0)
-    f, g = w * ca.densify(objective(x, p)), ca.densify(constraints(x, p)[kept] - slack)
-    return NLP(x=z, p=weighted, f=f, g=g, lbx=none, ubx=none, lbg=none, ubg=none, derivatives=derivatives)
+    return NLP(
+        x=z, p=weighted, f=w * ca.densify(objective(x, p)), g=ca.densify(constraints(x, p)[kept] - slack),
+        lbx=none, ubx=none, lbg=none, ubg=none,
+        derivatives=Derivatives(
+            grad_f=ca.Function("nlp_grad_f", [z, weighted], [f_value, gradient]),
+            jac_g=ca.Function("nlp_jac_g", [z, weighted], lifted),
+            hess_lag=hess_lag,
+            kernels=base.kernels,
+        ),
+    )  # fmt: skip

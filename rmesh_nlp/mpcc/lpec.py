@@ -1,6 +1,7 @@
-"""Linear programs with equilibrium constraints: descent directions over all branches.
+"""The linearised MPCC at a point, and descent directions over all its branches.
 
-A feasible point is B-stationary (in the linearised sense) if ``d = 0`` solves::
+A feasible point is B-stationary (in the linearised sense) if ``d = 0`` solves the linear program with
+equilibrium constraints (LPEC)::
 
     minimise gradient^T d   subject to   the active rows and bounds, linearised,   |d_j| <= 1,
         d_G = 0 (d_H = 0) where only G (only H) is zero,
@@ -18,15 +19,75 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
-from scipy.optimize import Bounds, LinearConstraint, linprog, milp
+from scipy.optimize import Bounds, LinearConstraint, milp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import IntArray, Lifted
-from rmesh_nlp.mpcc.linearisation import Linearisation
+from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted
 
 _ENUMERATE = 3  # up to 2^3 small linear programs are cheaper than a MILP
 _NODES, _LEAST_NODES, _WORK = 5_000, 50, 1_000_000  # branch and bound is given up after so many, by size
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """First-order data of the lifted problem at a point, with its active sets.
+
+    Attributes
+    ----------
+    gradient : array
+    jacobian : csr_matrix
+    row_lower, row_upper, z_lower, z_upper : bool arrays
+        Which bounds of rows and unknowns are active; the zero bound of a member is left to its pair.
+    G_zero, H_zero : bool arrays
+        Which members are at zero. Biactive: both.
+    """
+
+    gradient: Array
+    jacobian: sp.csr_matrix
+    row_lower: BoolArray
+    row_upper: BoolArray
+    z_lower: BoolArray
+    z_upper: BoolArray
+    G_zero: BoolArray
+    H_zero: BoolArray
+
+    @property
+    def biactive(self) -> IntArray:
+        """Pairs with both members at zero."""
+        return np.flatnonzero(self.G_zero & self.H_zero).astype(np.int64)
+
+    @property
+    def scale(self) -> float:
+        """``max(1, |gradient|_inf)``: the unit of a stationarity residual."""
+        return max(1.0, float(np.max(np.abs(self.gradient), initial=0.0)))
+
+
+def linearise(lifted: Lifted, z: Array, p: Array, tolerance: float, corner: float) -> Linearisation:
+    """Derivatives and active sets at ``z``.
+
+    A row or bound is active within ``tolerance (1 + |bound|)``, a member is zero below ``corner``. A row with
+    a steep gradient is measured in units of it: what counts is how far away in the unknowns the bound is.
+    """
+    _, gradient, rows, jacobian = lifted.linearise(z, p)
+    steep, nlp = steepness(jacobian), lifted.nlp
+
+    def active(value: Array, bound: Array) -> BoolArray:
+        finite = np.where(np.isfinite(bound), bound, 0.0)
+        return np.isfinite(bound) & (np.abs(value - finite) <= tolerance * (1 + np.abs(finite)))
+
+    return Linearisation(
+        gradient, jacobian, active(rows / steep, nlp.lbg / steep), active(rows / steep, nlp.ubg / steep),
+        active(z, nlp.lbx) & ~(lifted.member & (nlp.lbx == 0)), active(z, nlp.ubx),
+        np.abs(z[lifted.first]) <= corner, np.abs(z[lifted.second]) <= corner,
+    )  # fmt: skip
+
+
+def steepness(jacobian: sp.csr_matrix) -> Array:
+    """Largest entry of each row, at least 1."""
+    if jacobian.shape[1] == 0:
+        return np.ones(jacobian.shape[0])
+    largest: Array = abs(jacobian).max(axis=1).toarray().ravel()
+    return np.maximum(1.0, largest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +99,7 @@ class Direction:
 
     decrease: float
     step: Array
-    G_fixed: NDArray[np.bool_]
+    G_fixed: BoolArray
 
 
 def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Direction | None:
@@ -46,120 +107,39 @@ def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Dire
 
     ``seconds`` is what a user's time limit leaves.
     """
-    lower, upper = np.full(lifted.nlp.n_x, -1.0), np.ones(lifted.nlp.n_x)
-    lower[lin.z_lower] = 0.0
-    upper[lin.z_upper] = 0.0
-    lower[lifted.first[lin.G_zero]] = np.maximum(lower[lifted.first[lin.G_zero]], 0.0)
-    lower[lifted.second[lin.H_zero]] = np.maximum(lower[lifted.second[lin.H_zero]], 0.0)
-    only_G, only_H = lin.G_zero & ~lin.H_zero, lin.H_zero & ~lin.G_zero
-    upper[lifted.first[only_G]] = 0.0
-    upper[lifted.second[only_H]] = 0.0
+    n = lifted.nlp.n_x
+    lower, upper = np.where(lin.z_lower, 0.0, -1.0), np.where(lin.z_upper, 0.0, 1.0)
+    lower[np.append(lifted.first[lin.G_zero], lifted.second[lin.H_zero])] = 0.0
+    upper[lifted.first[lin.G_zero & ~lin.H_zero]] = 0.0
+    upper[lifted.second[lin.H_zero & ~lin.G_zero]] = 0.0
     active = np.flatnonzero(lin.row_lower | lin.row_upper)
     rows = LinearConstraint(
         lin.jacobian[active],
         np.where(lin.row_lower[active], 0.0, -np.inf),
         np.where(lin.row_upper[active], 0.0, np.inf),
     )
-    if lin.biactive.size <= _ENUMERATE:
-        return _enumerate(lifted, lin, lower, upper, rows)
-    return _mixed_integer(lifted, lin, lower, upper, rows, seconds)
-
-
-def _enumerate(
-    lifted: Lifted, lin: Linearisation, lower: Array, upper: Array, rows: LinearConstraint
-) -> Direction | None:
-    """One linear program per branch."""
-    best: Direction | None = None
-    for sides in itertools.product((True, False), repeat=lin.biactive.size):
-        fix_G = lin.G_zero.copy()
-        fix_G[lin.biactive] = sides
-        here = upper.copy()
-        chosen = np.array(sides, dtype=bool)
-        here[lifted.first[lin.biactive[chosen]]] = 0.0
-        here[lifted.second[lin.biactive[~chosen]]] = 0.0
-        answer = linprog(lin.gradient, bounds=np.column_stack([lower, here]), method="highs", **_split(rows))
-        if answer.status != 0:
+    pairs, members = lin.biactive, np.zeros(n)
+    if pairs.size > _ENUMERATE:
+        found = _milp(lin.gradient, rows, lower, upper, lifted, pairs, members, seconds)
+        # that no descent was found is an answer only if all branches were searched
+        if found is None or (not found.proven and found.value >= 0):
             return None
-        if best is None or answer.fun < best.decrease:
-            best = Direction(float(answer.fun), answer.x, fix_G)
+        return Direction(found.value, found.step, _sides(lin.G_zero, pairs, found.first_zero))
+    best: Direction | None = None
+    for sides in itertools.product((True, False), repeat=pairs.size):
+        on_G, here = np.array(sides, dtype=bool), upper.copy()
+        here[np.append(lifted.first[pairs[on_G]], lifted.second[pairs[~on_G]])] = 0.0
+        found = _milp(lin.gradient, rows, lower, here, lifted, pairs[:0], members, seconds=np.inf)
+        if found is None or not found.proven:
+            return None
+        if best is None or found.value < best.decrease:
+            best = Direction(found.value, found.step, _sides(lin.G_zero, pairs, on_G))
     return best
-
-
-def _split(rows: LinearConstraint) -> dict[str, object]:
-    """Two-sided rows as linprog takes them."""
-    if rows.A.shape[0] == 0:
-        return {}
-    equal = (rows.lb == 0) & (rows.ub == 0)
-    above, below = (rows.ub == 0) & ~equal, (rows.lb == 0) & ~equal
-    A_ub = sp.vstack([rows.A[above], -rows.A[below]], format="csr")
-    parts: dict[str, object] = {}
-    if A_ub.shape[0]:
-        parts.update(A_ub=A_ub, b_ub=np.zeros(A_ub.shape[0]))
-    if np.any(equal):
-        parts.update(A_eq=rows.A[equal], b_eq=np.zeros(int(equal.sum())))
-    return parts
-
-
-def _mixed_integer(
-    lifted: Lifted, lin: Linearisation, lower: Array, upper: Array, rows: LinearConstraint, seconds: float
-) -> Direction | None:
-    """The LPEC as a MILP over the biactive pairs, at the corner of the box."""
-    found = _milp(lin.gradient, rows, lower, upper, lifted, lin.biactive, np.zeros(lifted.nlp.n_x), seconds)
-    if found is None:
-        return None
-    step, on_G, decrease, proven = found
-    if not proven and decrease >= 0:  # no descent found is only an answer if all was searched
-        return None
-    fix_G = lin.G_zero.copy()
-    fix_G[lin.biactive] = on_G
-    return Direction(decrease, step, fix_G)
-
-
-def _milp(
-    cost: Array,
-    rows: LinearConstraint,
-    lower: Array,
-    upper: Array,
-    lifted: Lifted,
-    pairs: IntArray,
-    members: Array,
-    seconds: float,
-) -> tuple[Array, NDArray[np.bool_], float, bool] | None:
-    """One binary y per pair: ``m_G + d_G <= (m_G + 1) y`` and ``m_H + d_H <= (m_H + 1) (1 - y)``.
-
-    ``members`` are the values m of the unknowns; the box ``d <= 1`` makes ``m + 1`` a valid big M.
-    ``cost`` may be longer than the unknowns (elastic columns after them). Returns step, sides, value and
-    whether the value is proven best.
-    """
-    n, k = cost.size, pairs.size
-    first, second = lifted.first[pairs], lifted.second[pairs]
-    pick = sp.identity(n, format="csr")
-    top_G, top_H = members[first] + 1.0, members[second] + 1.0
-    constraints = [
-        LinearConstraint(sp.hstack([pick[first], -sp.diags(top_G)]), -np.inf, -members[first]),
-        LinearConstraint(sp.hstack([pick[second], sp.diags(top_H)]), -np.inf, top_H - members[second]),
-    ]
-    if rows.A.shape[0]:
-        wide = sp.hstack([rows.A, sp.csr_matrix((rows.A.shape[0], k))], format="csr")
-        constraints.append(LinearConstraint(wide, rows.lb, rows.ub))
-    options: dict[str, float] = {"node_limit": int(np.clip(_WORK / (n + k + 1), _LEAST_NODES, _NODES))}
-    if np.isfinite(seconds):
-        options["time_limit"] = seconds
-    answer = milp(
-        np.concatenate([cost, np.zeros(k)]),
-        integrality=np.concatenate([np.zeros(n), np.ones(k)]),
-        bounds=Bounds(np.concatenate([lower, np.zeros(k)]), np.concatenate([upper, np.ones(k)])),
-        constraints=constraints if k else constraints[2:],
-        options=options,
-    )
-    if answer.x is None:
-        return None
-    return answer.x[: lifted.nlp.n_x], answer.x[n:] < 0.5, float(answer.fun), answer.status == 0
 
 
 def nearest_branch(
     lifted: Lifted, z: Array, p: Array, radius: float, seconds: float = np.inf
-) -> tuple[Array, NDArray[np.bool_]] | None:
+) -> tuple[Array, BoolArray] | None:
     """A branch that the linearisation at an inexact point can satisfy: ``(z + step, G_fixed)``.
 
     The rows are elastic: their violation is minimised first, then the objective, over complementary
@@ -171,13 +151,11 @@ def nearest_branch(
     lower = np.maximum(-1.0, (nlp.lbx - z) / radius)
     upper = np.clip((nlp.ubx - z) / radius, lower, 1.0)
     lower = np.minimum(lower, upper)
-    G, H = members[lifted.first], members[lifted.second]
-    open_pairs = np.flatnonzero(np.maximum(G, H) <= 1.0).astype(np.int64)
+    G, H = lifted.members(members)
+    is_open = np.maximum(G, H) <= 1.0
     fix_G = G <= H
-    closed = np.setdiff1d(np.arange(G.size), open_pairs)
-    for places, fixed in ((lifted.first, fix_G), (lifted.second, ~fix_G)):
-        at = places[closed[fixed[closed]]]
-        lower[at] = upper[at] = np.maximum(-members[at], -1.0)
+    at = np.append(lifted.first[fix_G & ~is_open], lifted.second[~fix_G & ~is_open])
+    lower[at] = upper[at] = np.maximum(-members[at], -1.0)
     eye = sp.identity(m, format="csr")
     rows = LinearConstraint(
         sp.hstack([jacobian, eye, -eye], format="csr"),
@@ -185,18 +163,70 @@ def nearest_branch(
         (nlp.ubg - values) / radius,
     )
     weight = 1e3 * max(1.0, float(np.max(np.abs(gradient), initial=0.0)))
+    elastic, pairs = np.zeros(2 * m), np.flatnonzero(is_open).astype(np.int64)
     found = _milp(
-        np.concatenate([gradient, np.full(2 * m, weight)]),
-        rows,
-        np.concatenate([lower, np.zeros(2 * m)]),
-        np.concatenate([upper, np.full(2 * m, np.inf)]),
-        lifted,
-        open_pairs,
-        members,
-        seconds,
-    )
+        np.append(gradient, elastic + weight), rows, np.append(lower, elastic),
+        np.append(upper, elastic + np.inf), lifted, pairs, members, seconds,
+    )  # fmt: skip
     if found is None:
         return None
-    step, on_G, _, _ = found
-    fix_G[open_pairs] = on_G
-    return z + radius * step, fix_G
+    return z + radius * found.step, _sides(fix_G, pairs, found.first_zero)
+
+
+def _sides(of_all: BoolArray, pairs: IntArray, of_pairs: BoolArray) -> BoolArray:
+    sides = of_all.copy()
+    sides[pairs] = of_pairs
+    return sides
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """Step, sides of the pairs, value, and whether the value is proven best."""
+
+    step: Array
+    first_zero: BoolArray
+    value: float
+    proven: bool
+
+
+def _milp(
+    cost: Array,
+    rows: LinearConstraint,
+    lower: Array,
+    upper: Array,
+    lifted: Lifted,
+    pairs: IntArray,
+    members: Array,
+    seconds: float,
+) -> _Answer | None:
+    """One binary y per pair: ``m_G + d_G <= (m_G + 1) y`` and ``m_H + d_H <= (m_H + 1) (1 - y)``.
+
+    ``members`` are the values m of the unknowns; ``d <= 1`` makes ``m + 1`` a valid big M. ``cost`` may be
+    longer than the unknowns (elastic columns after them).
+    """
+    n, k = cost.size, pairs.size
+    first, second = lifted.first[pairs], lifted.second[pairs]
+    constraints = []
+    if k:
+        pick = sp.identity(n, format="csr")
+        top_G, top_H = members[first] + 1.0, members[second] + 1.0
+        constraints += [
+            LinearConstraint(sp.hstack([pick[first], -sp.diags(top_G)]), -np.inf, -members[first]),
+            LinearConstraint(sp.hstack([pick[second], sp.diags(top_H)]), -np.inf, top_H - members[second]),
+        ]
+    if rows.A.shape[0]:
+        wide = sp.hstack([rows.A, sp.csr_matrix((rows.A.shape[0], k))], format="csr")
+        constraints.append(LinearConstraint(wide, rows.lb, rows.ub))
+    options: dict[str, float] = {"node_limit": int(np.clip(_WORK / (n + k + 1), _LEAST_NODES, _NODES))}
+    if np.isfinite(seconds):
+        options["time_limit"] = seconds
+    answer = milp(
+        np.append(cost, np.zeros(k)),
+        integrality=np.append(np.zeros(n), np.ones(k)),
+        bounds=Bounds(np.append(lower, np.zeros(k)), np.append(upper, np.ones(k))),
+        constraints=constraints,
+        options=options,
+    )
+    if answer.x is None:
+        return None
+    return _Answer(answer.x[: lifted.nlp.n_x], answer.x[n:] < 0.5, float(answer.fun), answer.status == 0)

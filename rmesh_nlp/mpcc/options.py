@@ -7,50 +7,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
 from rmesh_nlp.settings import Count, Part, Positive, Seconds, Settings, check_positive
 
-_RELAXED: Mapping[str, Any] = {
-    "tol": 1e-8,
-    "bound_relax_factor": 0.0,
-    "mu_strategy": "adaptive",
-    "mu_oracle": "quality-function",
-}
-_FIRST: Mapping[str, Any] = {"mu_strategy": "monotone", "mu_init": 0.1}
-_UNLIFTED: Mapping[str, Any] = {"tol": 1e-4, "bound_relax_factor": 1e-8}
-# With dependent equations Ipopt's multipliers grow until it calls a point that is not stationary acceptable.
-DEPENDENT: Mapping[str, Any] = {"perturb_always_cd": "yes"}
-_EXACT: Mapping[str, Any] = {
-    "tol": 1e-10,
-    "constr_viol_tol": 1e-9,
-    "compl_inf_tol": 1e-9,
-    "bound_relax_factor": 0.0,
+_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+_ADAPTIVE = {"mu_strategy": "adaptive", "mu_oracle": "quality-function"}
+_RELAXED = {"tol": 1e-8, "bound_relax_factor": 0.0, **_ADAPTIVE}
+_FIRST = {"mu_strategy": "monotone", "mu_init": 0.1}
+_WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-6 for push in _PUSHES}}
+_UNLIFTED = {"tol": 1e-4, "bound_relax_factor": 1e-8}
+_EXACT = {
+    "tol": 1e-10, "constr_viol_tol": 1e-9, "compl_inf_tol": 1e-9, "bound_relax_factor": 0.0, **_ADAPTIVE,
     # the start is the relaxed solution: do not push it back into the interior
-    "bound_push": 1e-6,
-    "bound_frac": 1e-6,
-    "mu_strategy": "adaptive",
-    "mu_oracle": "quality-function",
-}
+    "bound_push": 1e-6, "bound_frac": 1e-6,
+}  # fmt: skip
+_WARM_EXACT = {
+    **_WARM, **{f"warm_start_{push}": 1e-9 for push in _PUSHES}, "mu_strategy": "monotone", "mu_init": 1e-9,
+}  # fmt: skip
+DEPENDENT: Mapping[str, Any] = {"perturb_always_cd": "yes"}
+"""Ipopt options for equations that follow from each other.
 
-
-_WARM: Mapping[str, Any] = {
-    "warm_start_init_point": "yes",
-    "warm_start_bound_push": 1e-6,
-    "warm_start_bound_frac": 1e-6,
-    "warm_start_slack_bound_push": 1e-6,
-    "warm_start_slack_bound_frac": 1e-6,
-    "warm_start_mult_bound_push": 1e-6,
-}
-
-
-_WARM_EXACT: Mapping[str, Any] = {
-    **_WARM,
-    **dict.fromkeys([name for name in _WARM if name.endswith(("push", "frac"))], 1e-9),
-    "mu_strategy": "monotone",
-    "mu_init": 1e-9,
-}
+Without them its multipliers grow until it calls a point that is not stationary acceptable."""
 
 
 @dataclass(frozen=True)
@@ -71,15 +48,11 @@ class Options(Settings):
         pairs are those of the step before, and anyway at ``t_final``.
     warm_duals : bool
         Start each relaxation from the multipliers of the one before.
-    warm_finish : bool
-        Begin the exact finish with the multipliers of the relaxed solution.
     newton_finish : bool
-        With them, look for the exact point by Newton's method. False: by Ipopt on the branch, from these
-        multipliers and with a small barrier, and if that fails from the relaxed point alone; better where
-        many bounds are weakly active, or where a factorisation of the whole KKT matrix is expensive.
-    tie_barrier : bool
-        Let Ipopt's barrier parameter begin at t (at most 0.1, at least 1e-9) and solve each relaxation only
-        to a tenth of it: t and the barrier go down together. For ``warm_duals`` and a ``factor`` of 0.1.
+        Look for the exact point by Newton's method from the multipliers of the relaxed solution. False: by
+        Ipopt on the branch, from these multipliers and with a small barrier, and if that fails from the
+        relaxed point alone; better where many bounds are weakly active, or where a factorisation of the
+        whole KKT matrix is expensive.
     second_path : bool
         Follow a second trajectory to ``crossover``, in the unknowns as they were given, and keep the lower
         end of the two. Needs expressions: with assembled derivatives there is none.
@@ -118,9 +91,7 @@ class Options(Settings):
     )
     crossover: Positive = 1e-2
     warm_duals: bool = False
-    warm_finish: bool = True
     newton_finish: bool = True
-    tie_barrier: bool = False
     second_path: bool = True
     time_limit_s: Seconds = math.inf
     max_iterations: Count | None = None
@@ -140,20 +111,14 @@ class Options(Settings):
         if self.t_final > self.t0:
             raise ValueError(f"t_final = {self.t_final} lies above t0 = {self.t0}")
 
-    def relaxed(
-        self, n: int, warm: bool, barrier: float | None = None, first: bool = False
-    ) -> dict[str, Any]:
+    def relaxed(self, n: int, warm: bool, first: bool = False) -> dict[str, Any]:
         """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``.
 
         The ``first`` relaxation chooses the minimum to go to. A barrier that falls monotonically keeps it
         longer in the middle, and ends in fewer poor minima; from there on the adaptive one is faster.
         """
-        options = {"max_iter": _iterations(n), **_RELAXED, **(_WARM if warm else {})}
-        if first:
-            options.update(_FIRST)
-        if barrier is not None:
-            options.update(mu_strategy="monotone", mu_init=barrier, tol=max(0.1 * barrier, options["tol"]))
-        return {**options, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {})}
+        own = {"max_iter": _iterations(n), **_RELAXED, **(_WARM if warm else {}), **(_FIRST if first else {})}
+        return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {})}
 
     def unlifted(self, n: int) -> dict[str, Any]:
         """Ipopt options of the second trajectory of ``n`` unknowns: its defaults."""
@@ -161,16 +126,11 @@ class Options(Settings):
 
     def exact(self, n: int, warm: bool = False) -> dict[str, Any]:
         """Ipopt options of the exact NLP of ``n`` unknowns, started with multipliers if ``warm``."""
-        options = {"max_iter": _iterations(n), **_EXACT, **(_WARM_EXACT if warm else {})}
-        return {**options, **self.ipopt_exact}
-
-    def barrier_of(self, t: float) -> float:
-        """The barrier parameter that belongs to ``t``: a power of ten, so that solvers can be kept."""
-        return float(10.0 ** np.round(np.clip(np.log10(t), -9.0, -1.0)))
+        return {"max_iter": _iterations(n), **_EXACT, **(_WARM_EXACT if warm else {}), **self.ipopt_exact}
 
 
 def _iterations(n: int) -> int:
-    """Iteration limit of one NLP: a failing one should be given up early.
+    """Iteration limit of one NLP: a failing one is given up early.
 
     Of the solved problems of the families that chose the defaults none needed half of it.
     """

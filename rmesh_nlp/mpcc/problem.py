@@ -1,4 +1,4 @@
-"""The mathematical program with complementarity constraints (MPCC), checked at the door.
+"""The mathematical program with complementarity constraints (MPCC), checked when it is made.
 
 Form and signs::
 
@@ -6,10 +6,21 @@ Form and signs::
                                     0 <= G(x, p)  _|_  H(x, p) >= 0   componentwise,
 
 that is ``G_i >= 0``, ``H_i >= 0`` and ``G_i H_i = 0`` for every pair i.
+
+Mixed pairs have bounds of their own, of which exactly two are finite, as in AMPL's ``complements``.
+One on each side is a shift or a reflection: ``G >= lbG _|_ H >= lbH`` becomes
+``0 <= G - lbG _|_ H - lbH >= 0`` (upper bounds: ``ubG - G``, ``ubH - H``). Both on one side, say H::
+
+    lbH <= H <= ubH  _|_  G      means  H = lbH and G >= 0,  or  H = ubH and G <= 0,  or between and G = 0.
+
+It becomes ``G = up - down`` with two new unknowns, ``0 <= up _|_ H - lbH >= 0`` and
+``0 <= down _|_ ubH - H >= 0``. ``lbH = ubH`` fixes H and leaves G free. A pair without any finite bound
+(AMPL's free variable) is the equation ``G = 0``.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,9 +30,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.checks import bound, checked, column, numbers, refuse_crossing, refuse_free_symbols
-from rmesh_nlp.mpcc.extension import extended_derivatives
-from rmesh_nlp.mpcc.mixed import completion, pair_bound, split
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
 
@@ -74,19 +82,18 @@ class MPCC:
     parts: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
-        kind = type(self.x).__name__
         p = f", {self.p.shape[0]} parameters" if self.p.shape[0] else ""
         return (
             f"MPCC({self.n_x} unknowns, {self.n_g} constraints, {self.n_pairs} complementarity pairs{p}; "
-            f"{kind} expressions x, f, g, G, H)"
+            f"{type(self.x).__name__} expressions x, f, g, G, H)"
         )
 
     def __post_init__(self) -> None:
-        x = column("x", self.x, None)
+        x = _column("x", self.x, None)
         kind = type(x)
         if kind not in (ca.SX, ca.MX) or not x.is_valid_input():
             raise ValueError(f"x must be a column of CasADi SX or MX symbols, got {self.x!r}"[:300])
-        columns = {name: column(name, getattr(self, name), kind) for name in ("f", "g", "G", "H", "p")}
+        columns = {name: _column(name, getattr(self, name), kind) for name in ("f", "g", "G", "H", "p")}
         columns["x"] = x
         if columns["f"].shape != (1, 1):
             raise ValueError(f"f must be a scalar expression, its shape is {columns['f'].shape}")
@@ -95,93 +102,21 @@ class MPCC:
         n_G, n_H = columns["G"].shape[0], columns["H"].shape[0]
         if n_G != n_H:
             raise ValueError(f"G has length {n_G} and H has length {n_H}: they must pair up")
-        refuse_free_symbols(columns)
+        _refuse_free_symbols(columns)
         for name, value in columns.items():
             object.__setattr__(self, name, value)
-        for name, n in (("x", x.shape[0]), ("g", columns["g"].shape[0])):
-            lower = bound(f"lb{name}", getattr(self, f"lb{name}"), n)
-            upper = bound(f"ub{name}", getattr(self, f"ub{name}"), n)
-            refuse_crossing(name, lower, upper)
+        for name, n in (("x", self.n_x), ("g", self.n_g)):
+            lower = _values(f"lb{name}", getattr(self, f"lb{name}"), n)
+            upper = _values(f"ub{name}", getattr(self, f"ub{name}"), n)
+            _refuse_crossing(name, lower, upper)
             object.__setattr__(self, f"lb{name}", lower)
             object.__setattr__(self, f"ub{name}", upper)
-        self._check_derivatives()
-
-    def _check_derivatives(self) -> None:
-        """The assembled constraint column must be as long as vertcat(g, G, H)."""
-        if self.derivatives is None:
-            return
-        expected = (self.n_g + 2 * self.n_pairs, self.n_x)
-        got = self.derivatives.jac_g.size_out(1)
-        if tuple(got) != expected:
-            raise ValueError(
-                f"derivatives.jac_g gives a Jacobian of shape {tuple(got)}, vertcat(g, G, H) needs {expected}"
-            )
-
-    def extended(
-        self,
-        *,
-        x: Any = None,
-        p: Any = None,
-        f: Any = 0,
-        g: Any = None,
-        G: Any = None,
-        H: Any = None,
-        lbx: ArrayLike = -np.inf,
-        ubx: ArrayLike = np.inf,
-        lbg: ArrayLike = -np.inf,
-        ubg: ArrayLike = np.inf,
-    ) -> MPCC:
-        """Append unknowns, parameters, constraint rows and pairs, and add a term to the objective.
-
-        Assembled derivatives of what was there are kept, as by :meth:`rmesh_nlp.optimize.nlp.NLP.extended`.
-        Expressions may use old and new symbols; those of a program that was built by name are in ``parts``.
-
-        Parameters
-        ----------
-        x, p : symbols to append to the unknowns and to the parameters
-        f : term added to the objective
-        g : rows appended to the constraints
-        G, H : members of further pairs
-        lbx, ubx, lbg, ubg : bounds of the appended unknowns and rows
-
-        Raises
-        ------
-        ValueError
-            As the constructor.
-        """
-        kind = type(self.x)
-        empty = kind(0, 1)
-        new_x, new_p = (empty if part is None else ca.vertcat(part) for part in (x, p))
-        rows = [empty if part is None else ca.vertcat(kind(part)) for part in (g, G, H)]
-        derivatives = None
         if self.derivatives is not None:
-            none = np.zeros(0)
-            column = ca.vertcat(self.g, self.G, self.H)
-            oracle = NLP(self.x, self.p, self.f, column, none, none, none, none, self.derivatives)
-            derivatives = extended_derivatives(
-                oracle, new_x, new_p, kind(f), (rows[0], rows[1], rows[2]), (self.n_g, self.n_pairs)
-            )
-        bounds: dict[str, Any] = {
-            name: np.append(getattr(self, name), np.broadcast_to(np.asarray(value, dtype=float), (size,)))
-            for name, value, size in (
-                ("lbx", lbx, int(new_x.shape[0])),
-                ("ubx", ubx, int(new_x.shape[0])),
-                ("lbg", lbg, int(rows[0].shape[0])),
-                ("ubg", ubg, int(rows[0].shape[0])),
-            )
-        }
-        return replace(
-            self,
-            x=ca.vertcat(self.x, new_x),
-            p=ca.vertcat(self.p, new_p),
-            f=self.f + f,
-            g=ca.vertcat(self.g, rows[0]),
-            G=ca.vertcat(self.G, rows[1]),
-            H=ca.vertcat(self.H, rows[2]),
-            derivatives=derivatives,
-            completion=None,
-            **bounds,
-        )
+            needed, got = (self.n_g + 2 * self.n_pairs, self.n_x), self.derivatives.jac_g.size_out(1)
+            if tuple(got) != needed:
+                raise ValueError(
+                    f"derivatives.jac_g gives a Jacobian of shape {got}, vertcat(g, G, H) needs {needed}"
+                )
 
     @property
     def n_x(self) -> int:
@@ -202,6 +137,66 @@ class MPCC:
     def n_own(self) -> int:
         """Number of the user's own unknowns; :meth:`mixed` may add others after them."""
         return self.n_x - (0 if self.completion is None else int(self.completion.numel_out(0)))
+
+    def start(self, x0: ArrayLike, p: ArrayLike = ()) -> Array:
+        """Return ``x0`` as a checked array; a scalar fills it, what :meth:`mixed` added is completed."""
+        if self.completion is None or np.size(_numbers("x0", x0)) == self.n_x:
+            return _values("x0", x0, self.n_x, finite=True)
+        own = _values("x0", x0, self.n_own, finite=True)
+        added = np.asarray(self.completion(own, self.parameters(p))).ravel()
+        return np.append(own, np.nan_to_num(added))
+
+    def parameters(self, p: ArrayLike) -> Array:
+        """Return the values of ``p`` as a checked array."""
+        return _values("p", p, int(self.p.shape[0]), finite=True)
+
+    def extended(
+        self,
+        *,
+        x: Any = None,
+        p: Any = None,
+        f: Any = 0,
+        g: Any = None,
+        G: Any = None,
+        H: Any = None,
+        lbx: ArrayLike = -np.inf,
+        ubx: ArrayLike = np.inf,
+        lbg: ArrayLike = -np.inf,
+        ubg: ArrayLike = np.inf,
+    ) -> MPCC:
+        """Append unknowns, parameters, constraint rows and pairs, and add a term to the objective.
+
+        Assembled derivatives of what was there are kept, as by :meth:`rmesh_nlp.optimize.nlp.NLP.extended`.
+        Expressions may use old and new symbols; those of an MPCC that was built by name are in ``parts``.
+
+        Parameters
+        ----------
+        x, p : symbols to append to the unknowns and to the parameters
+        f : term added to the objective
+        g : rows appended to the constraints
+        G, H : members of further pairs
+        lbx, ubx, lbg, ubg : bounds of the appended unknowns and rows
+
+        Raises
+        ------
+        ValueError
+            As the constructor.
+        """
+        kind = type(self.x)
+        new_x, new_p = (kind(0, 1) if part is None else ca.vertcat(part) for part in (x, p))
+        rows = [kind(0, 1) if part is None else ca.vertcat(kind(part)) for part in (g, G, H)]
+
+        def longer(old: ArrayLike, new: ArrayLike, column: Any) -> Array:
+            return np.append(old, np.broadcast_to(np.asarray(new, dtype=float), (int(column.shape[0]),)))
+
+        return replace(
+            self,
+            x=ca.vertcat(self.x, new_x), p=ca.vertcat(self.p, new_p), f=self.f + f,
+            g=ca.vertcat(self.g, rows[0]), G=ca.vertcat(self.G, rows[1]), H=ca.vertcat(self.H, rows[2]),
+            lbx=longer(self.lbx, lbx, new_x), ubx=longer(self.ubx, ubx, new_x),
+            lbg=longer(self.lbg, lbg, rows[0]), ubg=longer(self.ubg, ubg, rows[0]),
+            derivatives=_extended_derivatives(self, new_x, new_p, kind(f), rows), completion=None,
+        )  # fmt: skip
 
     @classmethod
     def mixed(
@@ -224,7 +219,7 @@ class MPCC:
     ) -> MPCC:
         """An MPCC whose pairs have bounds of their own: ``lbG <= G <= ubG _|_ lbH <= H <= ubH``.
 
-        For each pair two of the four bounds are finite, see :mod:`rmesh_nlp.mpcc.mixed`. Pairs with both
+        For each pair two of the four bounds are finite, see :mod:`rmesh_nlp.mpcc.problem`. Pairs with both
         bounds on one side get two new unknowns each, after the user's; a start ``x0`` may leave them out.
 
         Raises
@@ -233,24 +228,22 @@ class MPCC:
             As the constructor, or if the bounds of a pair make no complementarity.
         """
         plain = cls(x, f, g, G, H, lbx, ubx, lbg, ubg, p)
-        n = plain.n_pairs
         named = (("lbG", lbG), ("ubG", ubG), ("lbH", lbH), ("ubH", ubH))
-        lower_G, upper_G, lower_H, upper_H = (pair_bound(name, value, n) for name, value in named)
-        for name, low, high in (("G", lower_G, upper_G), ("H", lower_H, upper_H)):
-            wrong = np.flatnonzero(low > high)
-            if wrong.size:
-                i = int(wrong[0])
-                raise ValueError(f"lb{name}[{i}] = {low[i]} lies above ub{name}[{i}] = {high[i]}")
-        parts = split(type(plain.x), plain.G, plain.H, (lower_G, upper_G, lower_H, upper_H))
-        n_new, n_rows = len(parts.unknowns), len(parts.rows)
+        bounds = [_values(name, value, plain.n_pairs) for name, value in named]
+        _refuse_crossing("G", *bounds[:2])
+        _refuse_crossing("H", *bounds[2:])
+        pairs = _PlainPairs(type(plain.x))
+        for i, (a, b) in enumerate(zip(_entries(plain.G), _entries(plain.H), strict=True)):
+            pairs.add(i, a, b, *(float(bound[i]) for bound in bounds))
+        n_new, n_rows = len(pairs.unknowns), len(pairs.rows)
+        split = [value for source in pairs.sources for value in (ca.fmax(source, 0), ca.fmax(-source, 0))]
+        start = [ca.densify(ca.vertcat(*split))]
         return cls(
-            [plain.x, *parts.unknowns], plain.f, [plain.g, *parts.rows], parts.firsts, parts.seconds,
-            lbx=np.append(np.asarray(plain.lbx), np.zeros(n_new)),
-            ubx=np.append(np.asarray(plain.ubx), np.full(n_new, np.inf)),
-            lbg=np.append(np.asarray(plain.lbg), np.zeros(n_rows)),
-            ubg=np.append(np.asarray(plain.ubg), np.zeros(n_rows)),
+            [plain.x, *pairs.unknowns], plain.f, [plain.g, *pairs.rows], pairs.G, pairs.H,
+            lbx=np.append(plain.lbx, np.zeros(n_new)), ubx=np.append(plain.ubx, np.full(n_new, np.inf)),
+            lbg=np.append(plain.lbg, np.zeros(n_rows)), ubg=np.append(plain.ubg, np.zeros(n_rows)),
             p=plain.p,
-            completion=completion(plain.x, plain.p, parts),
+            completion=ca.Function("completion", [plain.x, plain.p], start) if split else None,
         )  # fmt: skip
 
     @classmethod
@@ -280,41 +273,164 @@ class MPCC:
         ValueError
             If a member does not exist or a row is paired twice.
         """
-        unknown = set(nlp) - {"x", "f", "g", "p"}
-        if unknown or "x" not in nlp or "f" not in nlp:
+        if set(nlp) - {"x", "f", "g", "p"} or "x" not in nlp or "f" not in nlp:
             raise ValueError(f"nlp has the keys {sorted(nlp)}: x and f are needed, g and p may be given")
         plain = cls(nlp["x"], nlp["f"], nlp.get("g"), None, None, lbx, ubx, lbg, ubg, nlp.get("p"))
         columns = {"x": (plain.x, plain.lbx, plain.ubx), "g": (plain.g, plain.lbg, plain.ubg)}
-        members: list[list[Any]] = [[], []]
-        bounds: list[list[float]] = [[], [], [], []]
+        sides: list[list[tuple[Any, float, float]]] = [[], []]
         taken: set[int] = set()
         for k, pair in enumerate(pairs):
-            for side, (kind, i) in enumerate(pair):
+            for side, (kind, i) in zip(sides, pair, strict=True):
                 if kind not in columns or not 0 <= i < columns[kind][0].shape[0]:
                     raise ValueError(f"pair {k}: there is no {kind}[{i}]")
                 if kind == "g" and i in taken:
                     raise ValueError(f"pair {k}: row g[{i}] is already in a pair")
                 taken |= {i} if kind == "g" else set()
                 column, lower, upper = columns[kind]
-                members[side].append(column[i])
-                bounds[2 * side].append(float(np.asarray(lower)[i]))
-                bounds[2 * side + 1].append(float(np.asarray(upper)[i]))
+                side.append((column[i], float(np.asarray(lower)[i]), float(np.asarray(upper)[i])))
         kept = [i for i in range(plain.n_g) if i not in taken]
+        (G, lbG, ubG), (H, lbH, ubH) = ([list(part) for part in zip(*side, strict=True)] or [[]] * 3
+                                        for side in sides)  # fmt: skip
         return cls.mixed(
-            plain.x, plain.f, plain.g[kept] if kept else None, members[0], members[1],
-            lbG=bounds[0], ubG=bounds[1], lbH=bounds[2], ubH=bounds[3],
-            lbx=np.asarray(plain.lbx), ubx=np.asarray(plain.ubx),
-            lbg=np.asarray(plain.lbg)[kept], ubg=np.asarray(plain.ubg)[kept], p=plain.p,
+            plain.x, plain.f, plain.g[kept] if kept else None, G, H, lbG=lbG, ubG=ubG, lbH=lbH, ubH=ubH,
+            lbx=plain.lbx, ubx=plain.ubx, lbg=np.asarray(plain.lbg)[kept], ubg=np.asarray(plain.ubg)[kept],
+            p=plain.p,
         )  # fmt: skip
 
-    def start(self, x0: ArrayLike, p: ArrayLike = ()) -> Array:
-        """Return ``x0`` as a checked array; a scalar fills it, what :meth:`mixed` added is completed."""
-        if self.completion is None or np.size(numbers("x0", x0)) == self.n_x:
-            return checked("x0", x0, self.n_x, "unknowns")
-        own = checked("x0", x0, self.n_own, "unknowns of its own")
-        added = np.asarray(self.completion(own, self.parameters(p))).ravel()
-        return np.append(own, np.nan_to_num(added))
 
-    def parameters(self, p: ArrayLike) -> Array:
-        """Return the values of ``p`` as a checked array."""
-        return checked("p", p, int(self.p.shape[0]), "parameters")
+@dataclass
+class _PlainPairs:
+    """What mixed pairs become: pairs, rows, and new unknowns ``up``, ``down`` of ``source = up - down``."""
+
+    kind: Any
+    unknowns: list[Any] = field(default_factory=list)
+    sources: list[Any] = field(default_factory=list)
+    rows: list[Any] = field(default_factory=list)
+    G: list[Any] = field(default_factory=list)
+    H: list[Any] = field(default_factory=list)
+
+    def add(self, i: int, a: Any, b: Any, lg: float, ug: float, lh: float, uh: float) -> None:
+        """Rewrite pair i; raises ValueError if its bounds make no complementarity."""
+        match tuple(int(np.isfinite(bound)) for bound in (lg, ug, lh, uh)):
+            case (0, 0, 1, 1):
+                self._boxed(lh, b, uh, a)
+            case (1, 1, 0, 0):
+                self._boxed(lg, a, ug, b)
+            case (0, 0, 0, 0):
+                self.rows.append(a)
+            case (g_low, g_high, h_low, h_high) if g_low + g_high == 1 and h_low + h_high == 1:
+                self._pair(a - lg if g_low else ug - a, b - lh if h_low else uh - b)
+            case _:
+                raise ValueError(
+                    f"pair {i} has the bounds {lg} <= G <= {ug}, {lh} <= H <= {uh}: exactly two of the "
+                    "four must be finite (or none, for the equation G = 0)"
+                )
+
+    def _pair(self, a: Any, b: Any) -> None:
+        self.G.append(a)
+        self.H.append(b)
+
+    def _boxed(self, lower: float, value: Any, upper: float, partner: Any) -> None:
+        """Add ``lower <= value <= upper _|_ partner``."""
+        if lower == upper:
+            self.rows.append(value - lower)
+            return
+        n = len(self.sources)
+        up, down = self.kind.sym(f"up{n}"), self.kind.sym(f"down{n}")
+        self.unknowns += [up, down]
+        self.sources.append(partner)
+        self.rows.append(partner - up + down)
+        self._pair(up, value - lower)
+        self._pair(down, upper - value)
+
+
+def _entries(column: Any) -> list[Any]:
+    return [column[i] for i in range(column.shape[0])]
+
+
+def _extended_derivatives(mpcc: MPCC, x: Any, p: Any, f: Any, rows: Sequence[Any]) -> Derivatives | None:
+    """Derivatives of the objective plus ``f`` and of ``(g, g', G, G', H, H')``, rows = (g', G', H')."""
+    if mpcc.derivatives is None:
+        return None
+    none, column = np.zeros(0), ca.vertcat(mpcc.g, mpcc.G, mpcc.H)
+    oracle = NLP(mpcc.x, mpcc.p, mpcc.f, column, none, none, none, none, mpcc.derivatives)
+    longer = oracle.extended(x=x, p=p, f=f, g=ca.vertcat(*rows)).derivatives
+    assert longer is not None
+    ends = np.cumsum([0, mpcc.n_g, mpcc.n_pairs, mpcc.n_pairs, *(int(part.shape[0]) for part in rows)])
+    parts = [list(range(a, b)) for a, b in itertools.pairwise(ends)]
+    order = parts[0] + parts[3] + parts[1] + parts[4] + parts[2] + parts[5]
+    back = np.argsort(order).tolist()
+    x, p = ca.MX.sym("x", longer.grad_f.numel_in(0)), ca.MX.sym("p", longer.grad_f.numel_in(1))
+    g, jacobian = longer.jac_g(x, p)
+    hess_lag = None
+    if longer.hess_lag is not None:
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(order))
+        hessian = longer.hess_lag(x, p, lam_f, lam_g[back])
+        hess_lag = ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian])
+    jac_g = ca.Function("nlp_jac_g", [x, p], [g[order], jacobian[order, :]])
+    return replace(longer, jac_g=jac_g, hess_lag=hess_lag)
+
+
+def _numbers(name: str, value: Any) -> Any:
+    """``value`` as an array of numbers."""
+    if isinstance(value, ca.DM):
+        return value.full()
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{name} must be numeric, got {value!r}"[:300]) from error
+
+
+def _values(name: str, value: ArrayLike, n: int, finite: bool = False) -> Array:
+    """``value`` as a fresh array of length n without NaN, or all finite; a scalar stands for all."""
+    array = np.array(_numbers(name, value), dtype=float)
+    array = np.full(n, float(array)) if array.ndim == 0 else array.ravel()
+    if array.size != n:
+        raise ValueError(f"{name} has length {array.size}, expected {n}")
+    bad = np.flatnonzero(~np.isfinite(array) if finite else np.isnan(array))
+    if bad.size:
+        raise ValueError(f"{name}[{bad[0]}] is {array[bad[0]]}, not a {'finite ' if finite else ''}number")
+    return array
+
+
+def _column(name: str, value: Any, kind: Any) -> Any:
+    """``value`` (None, expression, number or list of them) as one column of ``kind``."""
+    if value is None:
+        return kind(0, 1) if kind is not None else None
+    try:
+        column = ca.vertcat(*value) if isinstance(value, (list, tuple)) else value
+        if kind is not None:
+            column = kind(0, 1) if isinstance(column, ca.DM) and column.is_empty() else kind(column)
+    except (NotImplementedError, TypeError, RuntimeError) as error:
+        raise ValueError(f"{name} must be a column of {kind.__name__ if kind else 'symbol'}s") from error
+    if kind is None and type(column) not in (ca.SX, ca.MX):
+        return column
+    if column.is_empty():
+        return type(column)(0, 1)
+    if not column.is_column():
+        if not column.is_row():
+            raise ValueError(f"{name} must be a column, its shape is {column.shape}")
+        column = column.T
+    return column if name == "x" else ca.densify(column)
+
+
+def _refuse_crossing(name: str, lower: Array, upper: Array) -> None:
+    """Raise a ValueError for bounds between which there is no number."""
+    wrong = np.flatnonzero((lower > upper) | (lower == np.inf) | (upper == -np.inf))
+    if wrong.size:
+        i = int(wrong[0])
+        raise ValueError(
+            f"lb{name}[{i}] = {lower[i]} and ub{name}[{i}] = {upper[i]} leave no value: "
+            "the lower bound must not lie above the upper, and both cannot be the same infinity"
+        )
+
+
+def _refuse_free_symbols(columns: dict[str, Any]) -> None:
+    """Raise a ValueError for symbols that are neither unknowns nor parameters."""
+    rows = [columns[name] for name in ("f", "g", "G", "H") if columns[name].numel() > 0]
+    try:
+        oracle = ca.Function("check", [columns["x"], columns["p"]], rows, {"allow_free": True})
+    except RuntimeError as error:  # the same symbol twice
+        raise ValueError(f"x and p must be distinct symbols: {error}") from error
+    if oracle.has_free():
+        raise ValueError(f"free symbols {oracle.get_free()}: they are neither in x nor in p")

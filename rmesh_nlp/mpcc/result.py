@@ -13,9 +13,9 @@ from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.optimize.status import Status
 
 
-@dataclass(frozen=True)
-class Step:
-    """One NLP solve of the homotopy or of the exact finish, measured on the source problem.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measured:
+    """A point that a solve came to, measured on the source problem.
 
     Attributes
     ----------
@@ -28,14 +28,9 @@ class Step:
     objective, constraint_violation : float
     complementarity, product : float
         Maximum over the pairs of ``min(|G|, |H|)`` and of ``|G H|``.
-    iterations : int
-    status : Status
-    seconds : float
     biactive : int
         Pairs whose larger member is at most ``2 sqrt(t)`` (or ``Options.corner``): in a relaxed solution
         biactive pairs are found there.
-    multiplier : float
-        Largest multiplier of the relaxation's rows: positive where a relaxation with rows acts.
     """
 
     phase: str
@@ -44,10 +39,25 @@ class Step:
     constraint_violation: float
     complementarity: float
     product: float
+    biactive: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step(Measured):
+    """The end of one NLP of the homotopy or of the exact finish; attributes as in ``Measured``.
+
+    Attributes
+    ----------
+    iterations : int
+    status : Status
+    seconds : float
+    multiplier : float
+        Largest multiplier of the relaxation's rows: positive where a relaxation with rows acts.
+    """
+
     iterations: int
     status: Status
     seconds: float
-    biactive: int = 0
     multiplier: float = 0.0
 
     HEADER = (
@@ -61,6 +71,21 @@ class Step:
             f"{self.phase:>9} {self.t:8.1e} {self.objective:15.8e} {self.constraint_violation:9.1e} "
             f"{self.complementarity:8.1e} {self.product:8.1e} {self.iterations:5d} {self.status.value}"
         )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Iterate(Measured):
+    """One Ipopt iteration of a relaxation or of a branch; attributes as in ``Measured``.
+
+    Attributes
+    ----------
+    iteration : int
+        Counted from 1 through the whole solve.
+    x : array
+    """
+
+    iteration: int
+    x: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +102,11 @@ def residuals(mpcc: MPCC, x: Array, g: Array, G: Array, H: Array) -> Residuals:
     violation = max(
         excess(x, np.asarray(mpcc.lbx), np.asarray(mpcc.ubx)),
         excess(g, np.asarray(mpcc.lbg), np.asarray(mpcc.ubg)),
-        excess(G, 0.0, np.inf),
-        excess(H, 0.0, np.inf),
+        excess(np.append(G, H), 0.0, np.inf),
     )
+    smaller = np.minimum(np.abs(G), np.abs(H))
     return Residuals(
-        violation,
-        float(np.max(np.minimum(np.abs(G), np.abs(H)), initial=0.0)),
-        float(np.max(np.abs(G * H), initial=0.0)),
+        violation, float(np.max(smaller, initial=0.0)), float(np.max(np.abs(G * H), initial=0.0))
     )
 
 

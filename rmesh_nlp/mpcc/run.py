@@ -5,45 +5,18 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.programs import BoolArray, Programs
-from rmesh_nlp.mpcc.result import Step
+from rmesh_nlp.mpcc.lifting import BoolArray
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc.result import Iterate, Step
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Iterate:
-    """One Ipopt iteration of a relaxation or of a branch, measured on the source problem.
-
-    Attributes
-    ----------
-    phase, t : str, float
-        As in :class:`~rmesh_nlp.mpcc.result.Step`.
-    iteration : int
-        Counted from 1 through the whole solve.
-    x : array
-    objective, constraint_violation, complementarity, product : float
-        As in ``Step``.
-    biactive : int
-        Pairs with both members near zero, as in ``Step``.
-    """
-
-    phase: str
-    t: float
-    iteration: int
-    x: Array
-    objective: float
-    constraint_violation: float
-    complementarity: float
-    product: float
-    biactive: int
 
 
 class LimitReachedError(Exception):
@@ -54,32 +27,23 @@ class LimitReachedError(Exception):
         self.status = status
 
 
-@dataclass(frozen=True)
-class Observers:
-    """Functions that are shown a solve while it runs.
-
-    Attributes
-    ----------
-    line : callable, optional
-        Receives a line of text per NLP.
-    step : callable, optional
-        Receives the ``Step`` of each NLP.
-    iterate : callable, optional
-        Receives an ``Iterate`` after each Ipopt iteration.
-    """
-
-    line: Progress | None = None
-    step: Callable[[Step], None] | None = None
-    iterate: Callable[[Iterate], None] | None = None
-
-
 class Run:
     """The NLPs of one solve: their table, their limits, and the best point so far.
+
+    Parameters
+    ----------
+    nlps : CompiledNLPs
+    p : array
+        Parameters of the source problem.
+    weight : float
+        Of the objective.
+    progress, on_step, on_iteration : callable, optional
+        Receive a line of text and the ``Step`` of each NLP, and the ``Iterate`` after each iteration.
 
     Attributes
     ----------
     p : array
-        Parameters of the lifted program: those of the source problem and the weight of the objective.
+        Parameters of the lifted problem: those of the source problem and the weight of the objective.
     steps : list of Step
     iterations : int
         Ipopt iterations spent.
@@ -88,22 +52,25 @@ class Run:
     """
 
     def __init__(
-        self, programs: Programs, p: Array, observers: Observers | None = None, weight: float = 1.0
+        self,
+        nlps: CompiledNLPs,
+        p: Array,
+        weight: float = 1.0,
+        progress: Progress | None = None,
+        on_step: Callable[[Step], None] | None = None,
+        on_iteration: Callable[[Iterate], None] | None = None,
     ) -> None:
-        self.programs, self.p = programs, np.append(p, weight)
+        self.nlps, self.lifted, self.options = nlps, nlps.lifted, nlps.options
+        self.p = np.append(p, weight)
         self.steps: list[Step] = []
         self.iterations = 0
         self.nearest: tuple[Array, float, float] | None = None
-        self._observers = observers or Observers()
-        options = programs.options
-        self._deadline = time.monotonic() + options.time_limit_s
-        self._most = options.max_iterations
-        self._watched = (
-            self._observers.iterate is not None or self._most is not None or np.isfinite(self._deadline)
-        )
-        programs.only_clock = self._observers.iterate is None and self._most is None
-        if self._observers.line is not None:
-            self._observers.line(Step.HEADER)
+        self._progress, self._on_step, self._on_iteration = progress, on_step, on_iteration
+        self._deadline = time.monotonic() + self.options.time_limit_s
+        self._most = self.options.max_iterations
+        nlps.only_clock = on_iteration is None and self._most is None
+        if progress is not None:
+            progress(Step.HEADER)
 
     def relaxed(
         self, name: str, z: Array, t: float, warm: NLPResult | None = None, *, first: bool = False
@@ -112,12 +79,13 @@ class Run:
 
         ``first`` says that ``z`` is a user's start.
         """
-        monitor = self._monitor("relaxed", t)
-        return self._ended("relaxed", t, self.programs.relaxed(name, z, self.p, t, warm, monitor, first))
+        self._begin("relaxed", t)
+        return self._ended("relaxed", t, self.nlps.relaxed(name, z, self.p, t, warm, first))
 
     def unlifted(self, x: Array, t: float) -> NLPResult:
         """Solve Scholtes' relaxation in the source problem's own unknowns; the result is a lifted one."""
-        return self._ended("second", t, self.programs.unlifted(x, self.p, t, self._monitor("second", t)))
+        self._begin("second", t)
+        return self._ended("second", t, self.nlps.unlifted(x, self.p, t))
 
     def branch(
         self,
@@ -131,16 +99,18 @@ class Run:
         warm: NLPResult | None = None,
     ) -> NLPResult:
         """Solve the NLP in which G is zero where ``fix_G``, and H where ``fix_H`` (None: elsewhere)."""
-        fixed = ~fix_G if fix_H is None else fix_H
-        result = self.programs.branch(
-            z, self.p, fix_G, fixed, box=box, free_signs=free_signs, warm=warm,
-            monitor=self._monitor(phase, 0.0),
-        )  # fmt: skip
+        self._begin(phase, 0.0)
+        fix_H = ~fix_G if fix_H is None else fix_H
+        result = self.nlps.branch(z, self.p, fix_G, fix_H, box=box, free_signs=free_signs, warm=warm)
         return self._ended(phase, 0.0, result)
+
+    def polished(self, z: Array) -> None:
+        """Log a point that was found without an NLP."""
+        self._log(self._step("polished", 0.0, z))
 
     def exact(self, z: Array) -> bool:
         """Whether the source problem is feasible and complementary at ``z``, within the scaled tolerances."""
-        return self.programs.excess(z, self.p) <= 1.0
+        return self.nlps.excess(z, self.p) <= 1.0
 
     def check(self) -> None:
         """Raise LimitReachedError if the time or the iterations are used up."""
@@ -154,72 +124,57 @@ class Run:
         """Time left of the user's limit; infinite without one."""
         return max(self._deadline - time.monotonic(), 1e-3)
 
-    def _monitor(self, phase: str, t: float) -> Callable[[int, Array, float], bool] | None:
-        """What an NLP calls after each iteration; None if nobody asks."""
+    def _begin(self, phase: str, t: float) -> None:
+        """Check the limits and set what the NLP calls after each iteration; nothing if nobody asks."""
         self.check()
-        if not self._watched:
-            return None
-        count = itertools.count(
-            self.iterations
-        )  # of the whole solve: the callback's own goes on between NLPs
-        n_z = self.programs.lifted.nlp.n_x
+        self.nlps.watch.monitor = None
+        if self._on_iteration is None and self._most is None and not np.isfinite(self._deadline):
+            return
+        # of the whole solve: the callback's own count goes on between NLPs
+        count, n_z, n_x = itertools.count(self.iterations), self.lifted.nlp.n_x, self.lifted.source.n_x
 
         def after(iteration: int, z: Array, f: float) -> bool:
             spent = next(count)
-            if self._observers.iterate is not None:
-                self._observers.iterate(self._iterate(phase, t, spent, z[:n_z]))
+            if self._on_iteration is not None:
+                self._on_iteration(Iterate(iteration=spent, x=z[:n_x], **self._measured(phase, t, z[:n_z])))
             return time.monotonic() > self._deadline or (self._most is not None and spent >= self._most)
 
-        return after
+        self.nlps.watch.monitor = after
 
-    def _iterate(self, phase: str, t: float, iteration: int, z: Array) -> Iterate:
-        f, res, (_, G, H) = self.programs.measure(z, self.p)
-        x = z[: self.programs.lifted.source.n_x]
-        near = self._near_corner(G, H, t)
-        return Iterate(
-            phase, t, iteration, x, f, res.constraint_violation, res.complementarity, res.product, near
-        )
+    def _measured(self, phase: str, t: float, z: Array) -> dict[str, Any]:
+        f, res, (_, G, H) = self.nlps.measure(z, self.p)
+        near = max(self.options.corner, 2 * np.sqrt(t))  # the corner of every relaxation is at sqrt(t)
+        biactive = int(np.count_nonzero(np.maximum(np.abs(G), np.abs(H)) <= near))
+        return {"phase": phase, "t": t, "objective": f, "biactive": biactive, **vars(res)}
 
-    def _near_corner(self, G: Array, H: Array, t: float) -> int:
-        """Pairs whose larger member is at most 2 sqrt(t): the corner of every relaxation is at sqrt(t)."""
-        reach = max(self.programs.options.corner, 2 * np.sqrt(t))
-        return int(np.count_nonzero(np.maximum(np.abs(G), np.abs(H)) <= reach))
+    def _step(self, phase: str, t: float, z: Array, result: NLPResult | None = None) -> Step:
+        """Measure a point on the source problem, and keep it if it is the best."""
+        measured = self._measured(phase, t, z)
+        self.keep(z, measured["objective"])
+        if result is None:
+            return Step(**measured, iterations=0, status=Status.CONVERGED, seconds=0.0)
+        multiplier = np.max(result.lam_g[self.lifted.nlp.n_g :], initial=0.0) if t > 0 else 0.0
+        return Step(
+            **measured, iterations=result.iterations, status=result.status, seconds=result.seconds,
+            multiplier=float(multiplier),
+        )  # fmt: skip
 
     def _ended(self, phase: str, t: float, result: NLPResult) -> NLPResult:
-        """Measure a solve on the source problem, log and show it, keep it if it is the best."""
-        f, res, (_, G, H) = self.programs.measure(result.x, self.p)
-        step = Step(
-            phase, t, f, res.constraint_violation, res.complementarity, res.product,
-            result.iterations, result.status, result.seconds, self._near_corner(G, H, t),
-            float(np.max(result.lam_g[self.programs.lifted.nlp.n_g :], initial=0.0)) if t > 0 else 0.0,
-        )  # fmt: skip
         self.iterations += result.iterations
-        self._log(step)
-        self.keep(result.x, f)
+        self._log(self._step(phase, t, result.x, result))
         self.check()
         return result
 
-    def polished(self, z: Array) -> None:
-        """Log a point that was found without an NLP."""
-        f, res, (_, G, H) = self.programs.measure(z, self.p)
-        self._log(
-            Step(
-                "polished", 0.0, f, res.constraint_violation, res.complementarity, res.product,
-                0, Status.CONVERGED, 0.0, self._near_corner(G, H, 0.0),
-            )
-        )  # fmt: skip
-        self.keep(z, f)
-
     def _log(self, step: Step) -> None:
         self.steps.append(step)
-        if self._observers.line is not None:
-            self._observers.line(step.line())
-        if self._observers.step is not None:
-            self._observers.step(step)
+        if self._progress is not None:
+            self._progress(step.line())
+        if self._on_step is not None:
+            self._on_step(step)
 
     def keep(self, z: Array, f: float) -> None:
         """Remember a point if it is better than the one remembered."""
-        excess = self.programs.excess(z, self.p)
+        excess = self.nlps.excess(z, self.p)
         if np.isfinite(excess) and (
             self.nearest is None or (max(excess, 1.0), f) < (max(self.nearest[2], 1.0), self.nearest[1])
         ):

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import Finish, polished
-from rmesh_nlp.mpcc.homotopy import RETREATS, Path, follow
+from rmesh_nlp.mpcc.homotopy import RETREATS, Path, follow, second_path
 from rmesh_nlp.mpcc.lifting import warm_start
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
-from rmesh_nlp.mpcc.programs import Programs
-from rmesh_nlp.mpcc.result import Duals, MPCCResult, Step
-from rmesh_nlp.mpcc.run import Iterate, LimitReachedError, Observers, Progress, Run
-from rmesh_nlp.mpcc.second import second_look
+from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Step
+from rmesh_nlp.mpcc.run import LimitReachedError, Progress, Run
 from rmesh_nlp.optimize.status import Status
 
 _LOWER = 1e-7  # of two stationary points the later one is taken if it is lower by this, relative
@@ -38,7 +37,7 @@ class MPCCSolver:
     def __init__(self, mpcc: MPCC, options: Options | None = None, **changes: object) -> None:
         self.mpcc = mpcc
         self.options = (options or Options()).having(changes)
-        self.programs = Programs(mpcc, self.options)
+        self.nlps = CompiledNLPs(mpcc, self.options)
 
     def __call__(
         self,
@@ -52,53 +51,49 @@ class MPCCSolver:
     ) -> MPCCResult:
         """Solve from ``x0`` with parameters ``p``; see :func:`solve`."""
         began = time.perf_counter()
-        built = self.programs.build_seconds
+        nlps, lifted, built = self.nlps, self.nlps.lifted, self.nlps.build_seconds
         parameters = self.mpcc.parameters(p)
-        lifted = self.programs.lifted
         given = self.mpcc.start(x0, parameters)
-        z0 = lifted.start(given, parameters)
-        weight = lifted.weight(given, parameters)
+        z0, weight = lifted.start(given, parameters), lifted.weight(given, parameters)
         first = None if start is None else warm_start(lifted, z0, weight, start)
         show = print if progress is True else (progress or None)
-        run = Run(self.programs, parameters, Observers(show, on_step, on_iteration), weight)
+        run = Run(nlps, parameters, weight, show, on_step, on_iteration)
         paths: list[Path] = []
         limit, rescues = None, 0
-        self.programs.dependent = False
+        nlps.dependent = False
         try:
             if first is not None:
                 paths.append(Path(finish=polished(run, z0, first)))
             for number, (relaxation, t0) in enumerate(self._attempts()):
                 if any(path.ended for path in paths):
                     break
-                hopeless = number > 0 and all(end.failure is Status.INFEASIBLE for end in paths)
+                hopeless = number > 0 and all(path.failure is Status.INFEASIBLE for path in paths)
                 if hopeless and relaxation == self.options.relaxation:
                     continue  # a smaller set of what was empty
                 rescues = number
-                self.programs.dependent = number > 0
+                nlps.dependent = number > 0
                 path = Path()
                 paths.append(path)
                 follow(run, path, relaxation, z0, t0, first, patience=0 if hopeless else RETREATS)
-                spent = time.perf_counter() - began + self.programs.build_seconds
+                spent = time.perf_counter() - began + nlps.build_seconds
                 if number == 0 and self._looks_twice(path) and run.seconds_left > spent:
                     paths.append(Path())
-                    second_look(run, paths[-1], given, path.finish)
+                    second_path(run, paths[-1], given, path.finish)
         except LimitReachedError as stop:
             limit = stop.status
         total = time.perf_counter() - began
-        build = self.programs.build_seconds - built
-        return _result(run, _end(run, paths, z0, limit), build, total, rescues)
+        return _result(run, _end(run, paths, z0, limit), nlps.build_seconds - built, total, rescues)
 
     def _looks_twice(self, path: Path) -> bool:
         """Whether another trajectory may end lower, and can be had."""
-        ended = path.finish is not None and path.finish.status is Status.UNBOUNDED
+        unbounded = path.finish is not None and path.finish.status is Status.UNBOUNDED
         has_expressions = self.mpcc.derivatives is None
-        return self.options.second_path and has_expressions and self.mpcc.n_pairs > 0 and not ended
+        return self.options.second_path and has_expressions and self.mpcc.n_pairs > 0 and not unbounded
 
     def _attempts(self) -> list[tuple[str, float]]:
         """The homotopy asked for, then the rescues; a rescue by the same relaxation and t is left out."""
-        options = self.options
-        first = (options.relaxation, options.t0)
-        return [first, *(attempt for attempt in options.rescues if attempt != first)]
+        first = (self.options.relaxation, self.options.t0)
+        return [first, *(attempt for attempt in self.options.rescues if attempt != first)]
 
 
 def solve(
@@ -150,115 +145,35 @@ def solve(
     began = time.perf_counter()
     solver = MPCCSolver(mpcc, options, **changes)
     result = solver(x0, p=p, start=start, progress=progress, on_step=on_step, on_iteration=on_iteration)
-    seconds = {**result.seconds, "build": solver.programs.build_seconds, "total": time.perf_counter() - began}
+    seconds = {**result.seconds, "build": solver.nlps.build_seconds, "total": time.perf_counter() - began}
     return replace(result, seconds=seconds)
 
 
-@dataclass(frozen=True, eq=False)
-class _End:
-    """Where the solve ended: a point, the finish it comes from if there is one, and the status."""
-
-    z: Array
-    finish: Finish | None
-    status: Status
-
-
-def _end(run: Run, paths: list[Path], z0: Array, limit: Status | None) -> _End:
+def _end(run: Run, paths: Sequence[Path], z0: Array, limit: Status | None) -> Finish:
     """The best point of all homotopies, and why the solve stopped there."""
-    path = _choose(paths)
-    end = None if path is None else path.finish
+    end = _choose(paths)
     if end is not None and end.solved:
-        return _End(end.z, end, end.status if run.exact(end.z) else Status.INACCURATE)
-    if end is not None and end.verdict is not None:  # exact, but not shown to be stationary
-        return _End(end.z, end, limit or end.status)
-    z, excess = z0, np.inf
-    if run.nearest is not None:
-        z, _, excess = run.nearest
+        return end if run.exact(end.z) else replace(end, status=Status.INACCURATE)
+    if end is not None and end.stationarity is not None:  # exact, but not shown to be stationary
+        return replace(end, status=limit or end.status)
+    z, f, excess = run.nearest or (z0, np.nan, np.inf)
     if limit is not None:
-        return _End(z, None, limit)
+        return Finish(z, f, limit)
     tried = [z, *(path.relaxed.x for path in paths if path.relaxed is not None)]
     tried += [path.finish.z for path in paths if path.finish is not None]
     for point in tried:
-        f = run.programs.measure(point, run.p)[0]
+        f = run.nlps.measure(point, run.p)[0]
         if f < -_HUGE or (np.all(np.isfinite(point)) and np.max(np.abs(point), initial=0.0) > _HUGE):
-            return _End(point, None, Status.UNBOUNDED)
-    return _End(z, None, _failure(paths, excess))
+            return Finish(point, f, Status.UNBOUNDED)
+    return Finish(z, f, _failure(paths, excess))
 
 
-def _failure(paths: list[Path], excess: float) -> Status:
-    """Why no exact point was found: INFEASIBLE if the solvers ended, one way or another, at violations."""
-    ends = [path.failure for path in paths if path.failure is not None]
-    ends += [path.finish.status for path in paths if path.finish is not None]
-    ended = {Status.INFEASIBLE, Status.STALLED, Status.INACCURATE, Status.CONVERGED}
-    if excess <= 1.0:  # feasible after all: whatever Ipopt called it
-        others = [status for status in ends if status is not Status.INFEASIBLE]
-        return others[0] if others else Status.STALLED
-    if Status.INFEASIBLE in ends or (ends and set(ends) <= ended):
-        return Status.INFEASIBLE
-    return next((status for status in ends if status not in ended), Status.FAILED)
-
-
-def _result(run: Run, reached: _End, build: float, total: float, rescues: int) -> MPCCResult:
-    """Measure the point on the source problem and put everything together."""
-    lifted, mpcc = run.programs.lifted, run.programs.lifted.source
-    end, z, status = reached.finish, reached.z, reached.status
-    f, res, (g, G, H) = run.programs.measure(z, run.p)
-    solved = status in (Status.CONVERGED, Status.ACCEPTABLE)
-    lin = end.lin if end is not None else None
-    verdict = None if end is None else end.verdict
-    multipliers = None if verdict is None else verdict.label.multipliers
-    column = np.full(mpcc.n_g + 2 * mpcc.n_pairs, np.nan)
-    lam_x = np.full(mpcc.n_x, np.nan)
-    if multipliers is not None:
-        column[lifted.rows] = multipliers.rows
-        plain = np.setdiff1d(np.arange(mpcc.n_g, column.size), lifted.rows)
-        column[plain] = np.concatenate([multipliers.G, multipliers.H])[plain - mpcc.n_g]
-        column /= run.p[-1]
-        lam_x = multipliers.z[: mpcc.n_x] / run.p[-1]
-    history = tuple(run.steps)
-    phases = {"homotopy": 0.0, "finish": 0.0}
-    for step in history:
-        phases["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
-    return MPCCResult(
-        x=z[: mpcc.n_x],
-        f=f,
-        status=status,
-        success=solved,
-        message=status.message,
-        constraint_violation=res.constraint_violation,
-        complementarity=res.complementarity,
-        product=res.product,
-        stationarity="" if verdict is None else verdict.label.name,
-        b_stationary=None if verdict is None else verdict.b_stationary,
-        lam_x=lam_x,
-        lam_g=column[: mpcc.n_g],
-        lam_G=column[mpcc.n_g : mpcc.n_g + mpcc.n_pairs],
-        lam_H=column[mpcc.n_g + mpcc.n_pairs :],
-        g=g,
-        G=G,
-        H=H,
-        biactive=np.zeros(0, dtype=np.int64) if lin is None else lin.biactive,
-        history=history,
-        counts={
-            "nlp_solves": len(history),
-            "ipopt_iterations": sum(step.iterations for step in history),
-            "pivots": 0 if end is None else end.pivots,
-            "lpecs": 0 if end is None else end.lpecs,
-            "rescues": rescues,
-        },
-        seconds={"build": build, **phases, "total": total},
-    )
-
-
-def _choose(paths: list[Path]) -> Path | None:
-    """The path that ended lowest, the earlier of equals; an unbounded one if none is stationary."""
-    best: Path | None = None
-    for path in paths:
-        end = path.finish
-        if end is None:
-            continue
-        if best is None or best.finish is None or _beats(end, best.finish):
-            best = path
+def _choose(paths: Sequence[Path]) -> Finish | None:
+    """The lowest stationary end, the earlier of equals; an unbounded one if none is stationary."""
+    best: Finish | None = None
+    for end in (path.finish for path in paths if path.finish is not None):
+        if best is None or _beats(end, best):
+            best = end
     return best
 
 
@@ -268,3 +183,49 @@ def _beats(end: Finish, best: Finish) -> bool:
     if end.solved != best.solved:
         return end.solved
     return (end.status is Status.UNBOUNDED, end.rank) > (best.status is Status.UNBOUNDED, best.rank)
+
+
+def _failure(paths: Sequence[Path], excess: float) -> Status:
+    """Why no exact point was found: INFEASIBLE if the solvers ended, one way or another, at violations."""
+    ends = [path.failure for path in paths if path.failure is not None]
+    ends += [path.finish.status for path in paths if path.finish is not None]
+    if excess <= 1.0:  # feasible after all: whatever Ipopt called it
+        return next((status for status in ends if status is not Status.INFEASIBLE), Status.STALLED)
+    others = set(ends) - {Status.INFEASIBLE, Status.STALLED, Status.INACCURATE, Status.CONVERGED}
+    if Status.INFEASIBLE in ends or (ends and not others):
+        return Status.INFEASIBLE
+    return next((status for status in ends if status in others), Status.FAILED)
+
+
+def _result(run: Run, end: Finish, build: float, total: float, rescues: int) -> MPCCResult:
+    """Measure the point on the source problem and put everything together."""
+    lifted, mpcc = run.lifted, run.lifted.source
+    f, res, (g, G, H) = run.nlps.measure(end.z, run.p)
+    found = end.stationarity
+    column = np.full(mpcc.n_g + 2 * mpcc.n_pairs, np.nan)
+    lam_x = np.full(mpcc.n_x, np.nan)
+    if found is not None and found.multipliers is not None:
+        own = found.multipliers
+        column[mpcc.n_g :] = np.append(own.G, own.H)  # of members that keep their place
+        column[lifted.rows] = own.rows
+        column /= run.p[-1]
+        lam_x = own.z[: mpcc.n_x] / run.p[-1]
+    lam_g, lam_G, lam_H = np.split(column, [mpcc.n_g, mpcc.n_g + mpcc.n_pairs])
+    history = tuple(run.steps)
+    phases = {"homotopy": 0.0, "finish": 0.0}
+    for step in history:
+        phases["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
+    return MPCCResult(
+        x=end.z[: mpcc.n_x], f=f, status=end.status, success=end.solved, message=end.status.message,
+        **vars(res),
+        stationarity="" if found is None else found.label,
+        b_stationary=None if found is None else found.b_stationary,
+        lam_x=lam_x, lam_g=lam_g, lam_G=lam_G, lam_H=lam_H, g=g, G=G, H=H,
+        biactive=np.zeros(0, dtype=np.int64) if end.lin is None else end.lin.biactive,
+        history=history,
+        counts={
+            "nlp_solves": len(history), "ipopt_iterations": sum(step.iterations for step in history),
+            "pivots": end.pivots, "lpecs": end.lpecs, "rescues": rescues,
+        },
+        seconds={"build": build, **phases, "total": total},
+    )  # fmt: skip

@@ -12,7 +12,8 @@ Mathematical programs with complementarity constraints: stationarity, optimality
 Math. Oper. Res. 25 (2000) 1-22; J. Outrata, Math. Oper. Res. 24 (1999) 627-644 for M.
 
 Multipliers of degenerate problems are not unique, and those an interior-point method returns say
-little. So the existence is asked of linear programs in the multipliers.
+little. So the existence is asked of linear programs in the multipliers. B: no branch descends to first
+order, asked of the linear program with equilibrium constraints (LPEC).
 """
 
 from __future__ import annotations
@@ -21,49 +22,123 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import linprog
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import Lifted
-from rmesh_nlp.mpcc.linearisation import Linearisation, Multipliers, lagrangian_gradient
+from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted
+from rmesh_nlp.mpcc.lpec import Direction, Linearisation, descent, linearise
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc.options import Options
+from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.optimize.status import Status
 
-_NODES, _LEAST_NODES, _WORK = 500, 20, 200_000  # linear programs, of which large ones are dear
+_NODES, _LEAST_NODES, _WORK = 500, 20, 200_000  # linear programs of a search, fewer of large ones
 _OPTIMAL, _INFEASIBLE = 0, 2  # words of linprog
+_PIECES = {"M": ((-1, -1), (0, 2), (2, 0)), "C": ((-1, -1), (1, 1))}
+"""Signs of the two multipliers of a biactive pair: -1 (<= 0), 0 (= 0), 1 (>= 0), 2 (free)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Label:
-    """The strongest of W, C, M, S for which multipliers exist, and those multipliers."""
+class Multipliers:
+    """Multipliers of the lifted problem: of rows, of bounds of z, of the members of the pairs."""
 
-    name: str
-    multipliers: Multipliers | None
+    rows: Array
+    z: Array
+    G: Array
+    H: Array
 
 
-def witness(
+@dataclass(frozen=True, eq=False)
+class Stationarity:
+    """What is known of the stationarity of a point.
+
+    Attributes
+    ----------
+    label : str
+        The strongest of S, M, C, W for which multipliers exist; ``"none"`` if there are none at all, empty
+        if nothing was decided.
+    multipliers : Multipliers or None
+        Those that prove the label.
+    b_stationary : bool or None
+        None if the LPEC could not be decided within its limits.
+    direction : Direction or None
+        A linearised descent direction, where there is one.
+    """
+
+    label: str
+    multipliers: Multipliers | None = None
+    b_stationary: bool | None = None
+    direction: Direction | None = None
+
+    @property
+    def status(self) -> Status:
+        """CONVERGED if B-stationary and labelled; ACCEPTABLE with a label but B undecided; else STALLED.
+
+        Without a label (its linear programs failed) nothing is proven, so it is never a success.
+        """
+        if self.label and self.b_stationary:
+            return Status.CONVERGED
+        undecided = self.label and self.b_stationary is None and self.multipliers is not None
+        return Status.ACCEPTABLE if undecided else Status.STALLED
+
+
+def stationarity(
+    lifted: Lifted,
+    lin: Linearisation,
+    tolerance: float,
+    offered: tuple[Array, Array] | None = None,
+    seconds: float = np.inf,
+) -> Stationarity:
+    """Label a linearised point and look for descent over its branches.
+
+    Parameters
+    ----------
+    lifted : Lifted
+    lin : Linearisation
+    tolerance : float
+        Of the Lagrangian gradient and of descent, in units of ``max(1, |gradient f|)``.
+    offered : (rows, z), optional
+        Multipliers of an NLP, which may save the linear programs.
+    seconds : float
+        What a user's time limit leaves; without one nothing here depends on the clock.
+    """
+    proved = None if offered is None else proof_of_s(lifted, lin, *offered, tolerance)
+    label, multipliers = strongest(lifted, lin, tolerance, seconds) if proved is None else ("S", proved)
+    if label == "S":  # S implies B
+        return Stationarity(label, multipliers, True)
+    direction = descent(lifted, lin, seconds)
+    if direction is None:
+        return Stationarity(label, multipliers)
+    if direction.decrease >= -tolerance * lin.scale:
+        return Stationarity(label, multipliers, True)
+    return Stationarity(label, multipliers, False, direction)
+
+
+def proof_of_s(
     lifted: Lifted, lin: Linearisation, lam_rows: Array, lam_z: Array, tolerance: float
-) -> Label | None:
-    """Label S if the given NLP multipliers already prove it: no linear program is needed then."""
-    residual = lin.gradient + lin.jacobian.T @ lam_rows + lam_z
-    if np.max(np.abs(residual), initial=0.0) > tolerance * lin.scale:
-        return None
-    rows = _signed(lam_rows, lin.row_lower, lin.row_upper)
-    nu, z = np.where(lifted.member & ~lin.z_lower, lam_z, 0.0), lam_z.copy()
-    upper = lin.z_upper & (nu > 0)
-    nu[upper] = 0.0
-    z = _signed(np.where(lifted.member, lam_z - nu, lam_z), lin.z_lower, lin.z_upper)
-    G, H = _share(lifted, lin, nu)
-    bi = lin.biactive
+) -> Multipliers | None:
+    """Multipliers that prove S, made of those of an NLP: no linear program is needed then."""
     slack = tolerance * lin.scale
-    multipliers = Multipliers(rows, z, G, H)
-    wrong = max(np.max(G[bi], initial=0.0), np.max(H[bi], initial=0.0))
-    error = lagrangian_gradient(lifted, lin, multipliers)
-    if wrong > slack or np.max(np.abs(error), initial=0.0) > 2 * slack:
+    residual = lin.gradient + lin.jacobian.T @ lam_rows + lam_z
+    if np.max(np.abs(residual), initial=0.0) > slack:
         return None
-    return Label("S", multipliers)
+    nu = np.where(lifted.member & ~lin.z_lower, lam_z, 0.0)
+    nu[lin.z_upper & (nu > 0)] = 0.0  # that of the upper bound
+    found = Multipliers(
+        _signed(lam_rows, lin.row_lower, lin.row_upper),
+        _signed(np.where(lifted.member, lam_z - nu, lam_z), lin.z_lower, lin.z_upper),
+        *_share(lifted, lin, nu),
+    )
+    bi = lin.biactive
+    wrong = max(np.max(found.G[bi], initial=0.0), np.max(found.H[bi], initial=0.0))
+    error = lin.gradient + lin.jacobian.T @ found.rows + found.z
+    np.add.at(error, lifted.first, found.G)
+    np.add.at(error, lifted.second, found.H)
+    return None if wrong > slack or np.max(np.abs(error), initial=0.0) > 2 * slack else found
 
 
-def _signed(lam: Array, lower: NDArray[np.bool_], upper: NDArray[np.bool_]) -> Array:
+def _signed(lam: Array, lower: BoolArray, upper: BoolArray) -> Array:
     """Keep of each multiplier what the active bounds allow."""
     return np.where(lower, np.minimum(lam, 0.0), 0.0) + np.where(upper, np.maximum(lam, 0.0), 0.0)
 
@@ -83,7 +158,7 @@ def _share(lifted: Lifted, lin: Linearisation, nu: Array) -> tuple[Array, Array]
     return G, H
 
 
-class _MultiplierProgram:
+class _MultiplierLP:
     """Linear programs over the multipliers that make the Lagrangian stationary within ``tolerance``.
 
     Columns: active rows, active bounds, zero members of G, zero members of H, and for each biactive member
@@ -91,15 +166,14 @@ class _MultiplierProgram:
     """
 
     def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, seconds: float) -> None:
-        self.lifted, self.lin = lifted, lin
+        self.lifted = lifted
         self.decided = True
         self.limit = {"time_limit": seconds} if np.isfinite(seconds) else {}
-        n = lifted.nlp.n_x
-        eye = sp.identity(n, format="csc")
         self.rows = np.flatnonzero(lin.row_lower | lin.row_upper)
         self.bounds = np.flatnonzero(lin.z_lower | lin.z_upper)
         self.G, self.H = np.flatnonzero(lin.G_zero), np.flatnonzero(lin.H_zero)
         self.pairs = lin.biactive
+        eye = sp.identity(lifted.nlp.n_x, format="csc")
         columns = [
             lin.jacobian.T.tocsc()[:, self.rows],
             eye[:, self.bounds],
@@ -108,111 +182,86 @@ class _MultiplierProgram:
             eye[:, lifted.first[self.pairs]],
             eye[:, lifted.second[self.pairs]],
         ]
-        self.sizes = np.cumsum([0] + [part.shape[1] for part in columns])
+        self.sizes = np.cumsum([part.shape[1] for part in columns])
         # Each coordinate of the Lagrangian gradient in units of its own terms would hide errors of badly
         # scaled problems; the unit is that of the whole objective gradient.
         matrix = sp.hstack(columns, format="csc")
         slack = tolerance * lin.scale
         self.matrix = sp.vstack([matrix, -matrix], format="csc")
         self.right = np.concatenate([slack - lin.gradient, slack + lin.gradient])
-        self.lower, self.upper = self._free_bounds()
-        self.cost = np.zeros(matrix.shape[1])
-        self.cost[self.sizes[4] :] = 1.0
-
-    def _free_bounds(self) -> tuple[Array, Array]:
-        lin, n = self.lin, int(self.sizes[-1])
-        lower, upper = np.zeros(n), np.zeros(n)
-        lower[: self.sizes[1]] = np.where(lin.row_lower[self.rows], -np.inf, 0.0)
-        upper[: self.sizes[1]] = np.where(lin.row_upper[self.rows], np.inf, 0.0)
-        bounds = slice(self.sizes[1], self.sizes[2])
-        lower[bounds] = np.where(lin.z_lower[self.bounds], -np.inf, 0.0)
-        upper[bounds] = np.where(lin.z_upper[self.bounds], np.inf, 0.0)
-        for k, zero in ((2, self.G), (3, self.H)):
-            part = slice(self.sizes[k], self.sizes[k + 1])
-            lower[part] = -np.inf
-            upper[part] = np.where(np.isin(zero, self.pairs), 0.0, np.inf)
-        upper[self.sizes[4] :] = np.inf
-        return lower, upper
+        copies = np.zeros(2 * self.pairs.size)
+        signs = [(lin.row_lower[self.rows], lin.row_upper[self.rows])]
+        signs += [(lin.z_lower[self.bounds], lin.z_upper[self.bounds])]
+        signs += [(np.ones(at.size, bool), ~np.isin(at, self.pairs)) for at in (self.G, self.H)]
+        below, above = (np.concatenate(part) for part in zip(*signs, strict=True))
+        self.lower = np.append(np.where(below, -np.inf, 0.0), copies)
+        self.upper = np.append(np.where(above, np.inf, 0.0), copies + np.inf)
+        self.cost = np.append(np.zeros(below.size), copies + 1.0)
 
     def solve(self, pieces: dict[int, tuple[int, int]]) -> tuple[Multipliers, float] | None:
         """Multipliers whose signs on the biactive pairs follow ``pieces``, or None if there are none.
 
-        ``pieces[k]`` restricts the k-th biactive pair: per member -1 (<= 0), 0 (= 0), 1 (>= 0), 2 (free).
+        ``pieces[k]`` restricts the k-th biactive pair, see ``_PIECES``.
         """
         lower, upper = self.lower.copy(), self.upper.copy()
         for k, signs in pieces.items():
-            for side, sign in enumerate(signs):
-                zero = self.G if side == 0 else self.H
-                minus = self.sizes[2 + side] + int(np.searchsorted(zero, self.pairs[k]))
-                plus = self.sizes[4 + side] + k
+            for side, (sign, zero) in enumerate(zip(signs, (self.G, self.H), strict=True)):
                 if sign in (0, 1):
-                    lower[minus] = 0.0
+                    lower[self.sizes[1 + side] + int(np.searchsorted(zero, self.pairs[k]))] = 0.0
                 if sign in (-1, 0):
-                    upper[plus] = 0.0
+                    upper[self.sizes[3 + side] + k] = 0.0
         if lower.size == 0:
-            return (self._multipliers(np.zeros(0)), 0.0) if np.all(self.right >= 0) else None
+            return (self._multipliers(lower), 0.0) if np.all(self.right >= 0) else None
         answer = linprog(
-            self.cost,
-            A_ub=self.matrix,
-            b_ub=self.right,
-            bounds=np.column_stack([lower, upper]),
-            method="highs",
-            options=self.limit,
-        )
+            self.cost, A_ub=self.matrix, b_ub=self.right, bounds=np.column_stack([lower, upper]),
+            method="highs", options=self.limit,
+        )  # fmt: skip
         self.decided &= answer.status in (_OPTIMAL, _INFEASIBLE)
         return (self._multipliers(answer.x), float(answer.fun)) if answer.status == _OPTIMAL else None
 
     def _multipliers(self, values: Array) -> Multipliers:
-        s, lifted = self.sizes, self.lifted
-        rows, z = np.zeros(lifted.nlp.n_g), np.zeros(lifted.nlp.n_x)
-        G, H = np.zeros(lifted.first.size), np.zeros(lifted.second.size)
-        if values.size:
-            rows[self.rows] = values[: s[1]]
-            z[self.bounds] = values[s[1] : s[2]]
-            G[self.G] = values[s[2] : s[3]]
-            H[self.H] = values[s[3] : s[4]]
-            G[self.pairs] += values[s[4] : s[5]]
-            H[self.pairs] += values[s[5] :]
-        return Multipliers(rows, z, G, H)
+        nlp, n_pairs = self.lifted.nlp, self.lifted.first.size
+        found = Multipliers(*(np.zeros(n) for n in (nlp.n_g, nlp.n_x, n_pairs, n_pairs)))
+        parts = np.split(values, self.sizes[:-1])
+        places = (self.rows, self.bounds, self.G, self.H, self.pairs, self.pairs)
+        into = (found.rows, found.z, found.G, found.H, found.G, found.H)
+        for array, place, part in zip(into, places, parts, strict=True):
+            array[place] += part
+        return found
 
 
-_M_PIECES = ((-1, -1), (0, 2), (2, 0))
-_C_PIECES = ((-1, -1), (1, 1))
-
-
-def label(lifted: Lifted, lin: Linearisation, tolerance: float, seconds: float = np.inf) -> Label:
-    """Return the strongest of S, M, C, W for which multipliers exist; ``"none"`` if there are none at all.
+def strongest(
+    lifted: Lifted, lin: Linearisation, tolerance: float, seconds: float = np.inf
+) -> tuple[str, Multipliers | None]:
+    """The strongest of S, M, C, W for which multipliers exist; ``"none"`` if there are none at all.
 
     A linear program that fails numerically decides nothing: the label is then weaker, or empty.
-
-    ``tolerance`` is that of the Lagrangian gradient in units of ``max(1, |gradient f|)``.
     """
-    program = _MultiplierProgram(lifted, lin, tolerance, seconds)
-    weak = program.solve({})
+    programs = _MultiplierLP(lifted, lin, tolerance, seconds)
+    weak = programs.solve({})
     if weak is None:
-        return Label("none" if program.decided else "", None)
-    if weak[1] <= tolerance * lin.scale:
-        return Label("S", weak[0])
-    for name, pieces in (("M", _M_PIECES), ("C", _C_PIECES)):
-        found = _search(program, pieces, tolerance * lin.scale)
+        return "none" if programs.decided else "", None
+    zero = tolerance * lin.scale
+    if weak[1] <= zero:
+        return "S", weak[0]
+    for name, pieces in _PIECES.items():
+        found = _search(programs, pieces, zero)
         if found is not None:
-            return Label(name, found)
-    return Label("W", weak[0])
+            return name, found
+    return "W", weak[0]
 
 
-def _search(
-    program: _MultiplierProgram, pieces: tuple[tuple[int, int], ...], zero: float
-) -> Multipliers | None:
+def _search(programs: _MultiplierLP, pieces: tuple[tuple[int, int], ...], zero: float) -> Multipliers | None:
     """Depth-first search for multipliers that lie in one of ``pieces`` on every biactive pair."""
     stack: list[dict[int, tuple[int, int]]] = [{}]
-    for _ in range(int(np.clip(_WORK / max(program.cost.size, 1), _LEAST_NODES, _NODES))):
+    for _ in range(int(np.clip(_WORK / max(programs.cost.size, 1), _LEAST_NODES, _NODES))):
         if not stack:
             return None
         node = stack.pop()
-        found = program.solve(node)
+        found = programs.solve(node)
         if found is None:
             continue
-        G, H = found[0].G[program.pairs], found[0].H[program.pairs]
+        G, H = found[0].G[programs.pairs], found[0].H[programs.pairs]
         outside = ~np.any([_inside(G, a, zero) & _inside(H, b, zero) for a, b in pieces], axis=0)
         if not np.any(outside):
             return found[0]
@@ -221,6 +270,50 @@ def _search(
     return None
 
 
-def _inside(value: Array, sign: int, zero: float) -> NDArray[np.bool_]:
+def _inside(value: Array, sign: int, zero: float) -> BoolArray:
     tests = {-1: value <= zero, 0: np.abs(value) <= zero, 1: value >= -zero, 2: np.ones(value.shape, bool)}
-    return tests[sign]
+    return np.asarray(tests[sign])
+
+
+@dataclass(frozen=True, eq=False)
+class Classification:
+    """Stationarity of a given point.
+
+    Attributes
+    ----------
+    stationarity : str
+        As in ``MPCCResult``: the strongest of S, M, C, W, or ``"none"``; ``""`` if infeasible.
+    b_stationary : bool or None
+    feasible : bool
+        Within the scaled tolerances of ``Options``; an infeasible point gets no label.
+    biactive : int array
+    """
+
+    stationarity: str
+    b_stationary: bool | None
+    feasible: bool
+    biactive: IntArray
+
+
+def classify(
+    mpcc: MPCC, x: ArrayLike, *, p: ArrayLike = (), options: Options | None = None
+) -> Classification:
+    """Label a given feasible point, without solving anything but linear programs.
+
+    Raises
+    ------
+    ValueError
+        If ``x`` or ``p`` has the wrong length or is not finite.
+    """
+    settings = options or Options()
+    nlps = CompiledNLPs(mpcc, settings)
+    lifted = nlps.lifted
+    parameters = mpcc.parameters(p)
+    point = mpcc.start(x, parameters)
+    z = lifted.start(point, parameters)
+    parameters = np.append(parameters, lifted.weight(point, parameters))
+    if nlps.excess(z, parameters) > 1.0:
+        return Classification("", None, False, np.zeros(0, dtype=np.int64))
+    lin = linearise(lifted, z, parameters, settings.activity, settings.corner)
+    found = stationarity(lifted, lin, settings.stationarity)
+    return Classification(found.label, found.b_stationary, True, lin.biactive)

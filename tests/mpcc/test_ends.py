@@ -11,22 +11,21 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, MPCCSolver, Options, solve
 from rmesh_nlp.mpcc import solver as solving
-from rmesh_nlp.mpcc.classify import Verdict
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.result import Step, excess, residuals
 from rmesh_nlp.mpcc.solver import _choose, _end, _failure
-from rmesh_nlp.mpcc.stationarity import Label
+from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import ScriptedRun, ended, two_minima
 
 HERE = np.array([2.0, 0.0])
-LABELLED = Verdict(Label("W", None), None, None)
+LABELLED = Stationarity("W")
 
 
-def end_of(f: float, status: Status = Status.CONVERGED, verdict: Verdict | None = LABELLED) -> Path:
-    return Path(finish=Finish(HERE, f, status, verdict))
+def end_of(f: float, status: Status = Status.CONVERGED, label: Stationarity | None = LABELLED) -> Path:
+    return Path(finish=Finish(HERE, f, status, label))
 
 
 INEXACT = Path(finish=Finish(HERE, -9.0, Status.INACCURATE))
@@ -47,17 +46,17 @@ UNBOUNDED = Path(finish=Finish(HERE, -1e20, Status.UNBOUNDED))
     ],
 )
 def test_the_better_end_is_chosen_in_either_order(better: Path, worse: Path) -> None:
-    assert _choose([better, worse]) is better
-    assert _choose([worse, better]) is better
-    assert _choose([Path(), worse, Path(), better]) is better
+    assert _choose([better, worse]) is better.finish
+    assert _choose([worse, better]) is better.finish
+    assert _choose([Path(), worse, Path(), better]) is better.finish
 
 
 @pytest.mark.parametrize("f", [0.0, 1.0, -1000.0])
 def test_of_ends_that_differ_by_rounding_the_earlier_is_chosen(f: float) -> None:
     first, second = end_of(f), end_of(f - 0.5e-7 * (1 + abs(f)))
-    assert _choose([first, second]) is first
+    assert _choose([first, second]) is first.finish
     lower = end_of(f - 2e-7 * (1 + abs(f)))
-    assert _choose([first, lower]) is lower
+    assert _choose([first, lower]) is lower.finish
     assert _choose([Path(), Path()]) is None
     assert _choose([]) is None
 
@@ -74,21 +73,21 @@ class TestEnd:
 
     def test_a_stationary_end_keeps_its_status_if_it_is_exact(self) -> None:
         found = self.end(end_of(1.0), limit=Status.TIME_LIMIT)
-        assert (found.status, found.finish.f) == (Status.CONVERGED, 1.0)
+        assert (found.status, found.f) == (Status.CONVERGED, 1.0)
         assert self.end(end_of(1.0, Status.ACCEPTABLE)).status is Status.ACCEPTABLE
         assert self.end(end_of(1.0), exact=lambda z: False).status is Status.INACCURATE
 
     def test_an_exact_end_that_is_not_stationary_has_its_own_status_or_that_of_a_limit(self) -> None:
         stalled = end_of(1.0, Status.STALLED)
         found = self.end(stalled)
-        assert (found.status, found.finish) == (Status.STALLED, stalled.finish)
+        assert (found.status, found.f, found.stationarity) == (Status.STALLED, 1.0, LABELLED)
         assert self.end(stalled, limit=Status.TIME_LIMIT).status is Status.TIME_LIMIT
 
     def test_else_the_point_with_the_smallest_residuals_is_returned(self) -> None:
         run = ScriptedRun()
         run.nearest = (HERE, 1.0, 5.0)
         found = self.end(Path(), limit=Status.ITERATION_LIMIT, run=run)
-        assert (found.z is HERE, found.finish, found.status) == (True, None, Status.ITERATION_LIMIT)
+        assert (found.z is HERE, found.stationarity, found.status) == (True, None, Status.ITERATION_LIMIT)
         found = self.end(Path(failure=Status.INFEASIBLE), run=run)
         assert (found.z is HERE, found.status) == (True, Status.INFEASIBLE)
         assert self.end(Path(failure=Status.STALLED)).z is self.START  # before any NLP has ended
@@ -202,15 +201,15 @@ class TestAttempts:
         self.looks = 0
 
         def follow(run: Any, path: Path, name: str, z0: Any, t0: float, first: Any, *, patience: int) -> None:
-            calls.append((name, t0, run.programs.dependent, patience))
+            calls.append((name, t0, run.nlps.dependent, patience))
             known = self.ends.get(name, Path(failure=Status.STALLED))
             path.finish, path.failure = known.finish, known.failure
 
-        def second_look(run: Any, path: Path, x0: Any, first: Any) -> None:
+        def second_path(run: Any, path: Path, x0: Any, first: Any) -> None:
             self.looks += 1
 
         monkeypatch.setattr(solving, "follow", follow)
-        monkeypatch.setattr(solving, "second_look", second_look)
+        monkeypatch.setattr(solving, "second_path", second_path)
         return calls
 
     def solved(self, **options: Any) -> Any:
@@ -316,7 +315,8 @@ class TestResiduals:
         assert replace(none, stationarity="W").label == "W (0 biactive pairs, B-stationary)"
 
     def test_a_step_by_itself_has_no_pairs_at_the_corner_and_no_multiplier(self) -> None:
-        step = Step("branch", 0.0, 1.0, 0.0, 0.0, 0.0, 3, Status.CONVERGED, 0.1)
+        measured = {"objective": 1.0, "constraint_violation": 0.0, "complementarity": 0.0, "product": 0.0}
+        step = Step(phase="branch", t=0.0, **measured, iterations=3, status=Status.CONVERGED, seconds=0.1)
         assert (step.biactive, step.multiplier) == (0, 0.0)
 
 

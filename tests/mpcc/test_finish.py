@@ -10,13 +10,12 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, Options
 from rmesh_nlp.mpcc import finish as finishing
-from rmesh_nlp.mpcc.classify import Verdict
 from rmesh_nlp.mpcc.finish import Finish, finish, pivot, polished
 from rmesh_nlp.mpcc.lpec import Direction
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.polish import Polished
-from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.run import Run
-from rmesh_nlp.mpcc.stationarity import Label
+from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import BranchCall, ScriptedRun, ended, two_minima
@@ -26,7 +25,7 @@ DOWN = Direction(-1.0, np.zeros(2), ON_H)
 
 
 def judged(f: float, status: Status = Status.CONVERGED, direction: Direction | None = None) -> Finish:
-    return Finish(np.array([2.0, 0.0]), f, status, Verdict(Label("W", None), None, direction), lpecs=1)
+    return Finish(np.array([2.0, 0.0]), f, status, Stationarity("W", None, None, direction), lpecs=1)
 
 
 class TestPolished:
@@ -108,16 +107,16 @@ def test_a_polished_point_above_the_ceiling_is_not_judged(
 
 def test_an_end_by_itself_has_visited_nothing() -> None:
     end = Finish(np.zeros(2), np.nan, Status.STALLED)
-    assert (end.pivots, end.lpecs, end.verdict, end.rank) == (0, 0, None, (False, False, -np.inf))
+    assert (end.pivots, end.lpecs, end.stationarity, end.rank) == (0, 0, None, (False, False, -np.inf))
 
 
 def test_judging_counts_a_program_over_the_branches_unless_s_is_proved() -> None:
     """At (2, 0) of two minima nothing is biactive: S; at the corner both slopes descend: C, and an LPEC."""
     run = ScriptedRun()
-    good = finishing._judged(run, np.array([2.0, 0.0]), 1.0, (np.zeros(0), np.array([0.0, 2.0])))
-    assert (good.status, good.verdict.label.name, good.lpecs, good.pivots) == (Status.CONVERGED, "S", 0, 0)
-    bad = finishing._judged(run, np.zeros(2), 5.0, None)
-    assert (bad.status, bad.verdict.label.name, bad.lpecs) == (Status.STALLED, "C", 1)
+    good = finishing._labelled(run, np.array([2.0, 0.0]), 1.0, (np.zeros(0), np.array([0.0, 2.0])))
+    assert (good.status, good.stationarity.label, good.lpecs, good.pivots) == (Status.CONVERGED, "S", 0, 0)
+    bad = finishing._labelled(run, np.zeros(2), 5.0, None)
+    assert (bad.status, bad.stationarity.label, bad.lpecs) == (Status.STALLED, "C", 1)
 
 
 def test_a_polished_point_must_not_be_much_worse_than_the_relaxed_one() -> None:
@@ -154,7 +153,7 @@ class TestBranches:
         self.tightened: list[Any] = []
         monkeypatch.setattr(finishing, "polished", lambda *_: self.polished)
         monkeypatch.setattr(finishing, "pivot", self._pivot)
-        monkeypatch.setattr(finishing, "_judged", lambda run, z, f, lam: judged(f))
+        monkeypatch.setattr(finishing, "_labelled", lambda run, z, f, lam: judged(f))
         monkeypatch.setattr(finishing, "_tighten", self._tighten)
         monkeypatch.setattr(finishing, "_projected", self._projected)
 
@@ -203,9 +202,6 @@ class TestBranches:
         run = self.run(bad, newton_finish=False, exact=[])
         finish(run, np.array([0.1, 2.0]), search=False)
         assert len(run.branch_calls) == 1
-        run = self.run(good, warm_finish=False)
-        finish(run, np.array([0.1, 2.0]), search=False, warm=self.WARM)
-        assert [call.options.get("warm") for call in run.branch_calls] == [None]
 
     def test_pairs_are_fixed_on_the_side_of_the_smaller_member(self) -> None:
         for z, on_G in (((0.1, 2.0), True), ((2.0, 0.1), False), ((1.0, 1.0), True)):
@@ -215,9 +211,9 @@ class TestBranches:
 
     def test_an_exact_point_without_a_bound_or_above_the_ceiling_is_not_improved(self) -> None:
         end = finish(self.run(ended([2.0, 0.0], Status.UNBOUNDED, -1e20)), np.ones(2), search=False)
-        assert (end.status, end.f, end.verdict) == (Status.UNBOUNDED, -1e20, None)
+        assert (end.status, end.f, end.stationarity) == (Status.UNBOUNDED, -1e20, None)
         end = finish(self.run(ended([2.0, 0.0], f=3.0)), np.ones(2), search=True, ceiling=2.9)
-        assert (end.status, end.f, end.verdict) == (Status.WORSE, 3.0, None)
+        assert (end.status, end.f, end.stationarity) == (Status.WORSE, 3.0, None)
         assert finish(self.run(ended([2.0, 0.0], f=3.0)), np.ones(2), search=True, ceiling=3.0).solved
 
     @pytest.mark.parametrize(
@@ -230,7 +226,7 @@ class TestBranches:
     ) -> None:
         run = self.run(ended([0.3, 0.0], status, f=1.0), exact=False)
         end = finish(run, np.ones(2), search=False, ceiling=0.5)
-        assert (end.status, end.verdict, end.solved) == (said, None, False)
+        assert (end.status, end.stationarity, end.solved) == (said, None, False)
         assert self.projected is None
         assert self.tightened == []
         monkeypatch.setattr(finishing, "_other_branch", lambda run, z, fix_G, result: (result, fix_G))
@@ -258,7 +254,7 @@ class TestPivot:
 
     def test_it_ends_at_a_point_without_a_direction(self, descend: Any, monkeypatch: Any) -> None:
         monkeypatch.setattr(
-            finishing, "_judged",
+            finishing, "_labelled",
             lambda run, z, f, lam: judged(f, *((Status.STALLED, DOWN) if f > 1.0 else ())),
         )  # fmt: skip
         descend += [ended([0, 0], f=3.0), ended([0, 0], f=2.0), ended([0, 0], f=1.0)]
@@ -273,7 +269,7 @@ class TestPivot:
         assert pivot(ScriptedRun(), Finish(np.zeros(2), 1.0, Status.STALLED)).status is Status.STALLED
 
     def test_its_limit_is_a_status(self, descend: Any, monkeypatch: Any) -> None:
-        monkeypatch.setattr(finishing, "_judged", lambda run, z, f, lam: judged(f, Status.STALLED, DOWN))
+        monkeypatch.setattr(finishing, "_labelled", lambda run, z, f, lam: judged(f, Status.STALLED, DOWN))
         descend += [ended([0, 0], f=3.0 - k) for k in range(5)]
         end = pivot(ScriptedRun(max_pivots=2), judged(4.0, Status.STALLED, DOWN))
         assert (end.f, end.pivots, end.lpecs, end.status) == (2.0, 2, 3, Status.ITERATION_LIMIT)
@@ -282,7 +278,7 @@ class TestPivot:
         descend += [ended([0, 0], Status.UNBOUNDED, -1e20)]
         end = pivot(ScriptedRun(), judged(4.0, Status.STALLED, DOWN))
         assert (end.f, end.pivots, end.lpecs, end.status) == (-1e20, 1, 1, Status.UNBOUNDED)
-        assert end.verdict is None
+        assert end.stationarity is None
 
     @pytest.mark.parametrize(
         ("ends", "tries"),
@@ -316,12 +312,12 @@ class TestPivot:
 
 def test_a_projected_point_counts_if_it_is_better_than_the_end_it_replaces() -> None:
     """The relaxed point next to the minimum (2, 0) of two minima: on its branch and stationary."""
-    run = Run(Programs(two_minima(), Options()), np.zeros(0))
+    run = Run(CompiledNLPs(two_minima(), Options()), np.zeros(0))
     lost = Finish(np.ones(2), 0.0, Status.STALLED)
     found = finishing._projected(run, np.array([2.0, 1e-6]), lost)
     assert found.solved
     assert found.z == pytest.approx([2.0, 0.0], abs=1e-12)
     assert found.f == pytest.approx(1.0)
     assert run.steps[-1].phase == "polished"
-    best = Finish(np.ones(2), 0.0, Status.CONVERGED, found.verdict)
+    best = Finish(np.ones(2), 0.0, Status.CONVERGED, found.stationarity)
     assert finishing._projected(run, np.array([2.0, 1e-6]), best) is best

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import homotopy
-from rmesh_nlp.mpcc.classify import Verdict
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path, follow
-from rmesh_nlp.mpcc.stationarity import Label
+from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import Answer, Call, ScriptedRun
 
@@ -292,7 +291,7 @@ def test_a_step_at_its_iteration_limit_is_not_repeated_from_the_start(finishes: 
 
 
 def exact(f: float, status: Status = Status.STALLED) -> Finish:
-    return Finish(np.zeros(2), f, status, Verdict(Label("W", None), None, None))
+    return Finish(np.zeros(2), f, status, Stationarity("W"))
 
 
 def test_of_two_ends_the_solved_then_the_exact_then_the_lower_is_better() -> None:
@@ -303,11 +302,17 @@ def test_of_two_ends_the_solved_then_the_exact_then_the_lower_is_better() -> Non
         (exact(1.0), exact(2.0)),
         (exact(1.0), exact(np.nan)),
     ):
-        assert homotopy._better(worse, better) is better
-        assert homotopy._better(better, worse) is better
+        for one, other in ((worse, better), (better, worse)):
+            path = Path(one)
+            path.keep(other)
+            assert path.finish is better
     twin = exact(1.0)
-    assert homotopy._better(twin, exact(1.0)) is twin
-    assert homotopy._better(None, inexact) is inexact
+    path = Path(twin)
+    assert path.keep(exact(1.0)) is False
+    assert path.finish is twin
+    path = Path()
+    assert path.keep(SOLVED)
+    assert path.finish is SOLVED
 
 
 def test_a_path_ends_with_a_stationary_point_or_without_a_bound() -> None:

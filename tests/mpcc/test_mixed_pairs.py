@@ -39,7 +39,7 @@ def test_one_sided_pairs_are_shifted_and_reflected():
 def test_bounds_without_complementarity_are_refused():
     with pytest.raises(ValueError, match="pair 0 has the bounds"):
         MPCC.mixed(XY, x, None, x, y, lbG=0)
-    with pytest.raises(ValueError, match=r"lbH\[0\] = 2.0 lies above ubH\[0\] = 1.0"):
+    with pytest.raises(ValueError, match=r"lbH\[0\] = 2.0 and ubH\[0\] = 1.0 leave no value"):
         MPCC.mixed(XY, x, None, x, y, lbH=2, ubH=1)
     with pytest.raises(ValueError, match="lbH has length 2, expected 1"):
         MPCC.mixed(XY, x, None, x, y, lbH=[0, 0])
@@ -85,7 +85,7 @@ def test_the_call_shape_of_nlpsol():
     [
         ("newton", {"x": x, "f": x}, {}, "unknown relaxation"),
         ("scholtes", {"x": x, "f": x, "h": x}, {}, "unknown key 'h'"),
-        ("scholtes", {"x": x, "f": x}, {"tt0": 1}, "unknown option 'tt0'"),
+        ("scholtes", {"x": x, "f": x}, {"tt0": 1}, "unknown setting 'tt0'"),
         ("scholtes", {"x": x, "f": y}, {}, "free symbols"),
     ],
 )

@@ -10,12 +10,11 @@ import pytest
 from rmesh_nlp.mpcc import MPCC, Options, classify, homotopy, solve
 from rmesh_nlp.mpcc.finish import _tighten, finish
 from rmesh_nlp.mpcc.homotopy import _next
-from rmesh_nlp.mpcc.linearisation import linearisation
+from rmesh_nlp.mpcc.lpec import linearise
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.polish import polish, project
-from rmesh_nlp.mpcc.programs import Programs
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.solver import _failure
-from rmesh_nlp.mpcc.stationarity import Label
 from rmesh_nlp.optimize.status import Status
 from support.switch_detection import switch_detection
 
@@ -33,7 +32,7 @@ def overdetermined():
 
 
 def test_a_branch_with_more_equations_than_unknowns_is_met_by_projection_and_by_newton():
-    programs = Programs(overdetermined(), Options())
+    programs = CompiledNLPs(overdetermined(), Options())
     run = Run(programs, np.zeros(0))
     near = np.array([1e-4, 0.7501, 0.2498])
     fix_G = np.array([True])
@@ -41,7 +40,7 @@ def test_a_branch_with_more_equations_than_unknowns_is_met_by_projection_and_by_
     assert project(run, near, fix_G) == pytest.approx(exact, abs=1e-9)
     zero_rows, zero = np.zeros(programs.lifted.nlp.n_g), np.zeros(3)
     assert polish(run, near, fix_G, zero_rows, zero).z == pytest.approx(exact, abs=1e-9)
-    far = Run(Programs(MPCC(XY, x, y - 100, x, y, lbg=0, ubg=0), Options()), np.zeros(0))
+    far = Run(CompiledNLPs(MPCC(XY, x, y - 100, x, y, lbg=0, ubg=0), Options()), np.zeros(0))
     assert project(far, np.ones(2), fix_G) is None  # the branch is far away: no projection
 
 
@@ -56,13 +55,13 @@ def test_dynamics_whose_branches_leave_no_freedom_are_solved(seed):
 
 def test_an_exact_relaxed_point_is_not_thrown_away(monkeypatch):
     """Neither Newton nor a branch NLP ends: the relaxed point, projected, is judged all the same."""
-    branch = Programs.branch
+    branch = CompiledNLPs.branch
 
     def lost(self, z, p, *rest, **names):
         result = branch(self, z, p, *rest, **names)
         return replace(result, x=result.x + 1.0, status=Status.STALLED)
 
-    monkeypatch.setattr(Programs, "branch", lost)
+    monkeypatch.setattr(CompiledNLPs, "branch", lost)
     monkeypatch.setattr("rmesh_nlp.mpcc.finish.polish", lambda *_: None)
     result = solve(overdetermined(), 0.5)
     assert result.success
@@ -72,7 +71,7 @@ def test_an_exact_relaxed_point_is_not_thrown_away(monkeypatch):
 @pytest.mark.parametrize("size", [1.0, 1e4, 1e6])
 def test_residuals_of_pairs_are_judged_relative_to_their_row(size):
     """``size (x - z)`` cannot be zero more precisely than rounding of its terms allows."""
-    programs = Programs(MPCC(XYZ, x, None, size * (x - z), y), Options())
+    programs = CompiledNLPs(MPCC(XYZ, x, None, size * (x - z), y), Options())
     at = np.array([3.0, 1.0, 3.0])
 
     def excess(error):
@@ -133,7 +132,7 @@ def test_an_early_finish_must_be_where_the_path_leads(monkeypatch):
 
 def failing(monkeypatch, when):
     """Let relaxations fail where ``when(name, z, t)``, and record the calls."""
-    relaxed, calls = Programs.relaxed, []
+    relaxed, calls = CompiledNLPs.relaxed, []
 
     def shy(self, name, point, p, t, warm=None, *rest):
         result = relaxed(self, name, point, p, t, warm, *rest)
@@ -141,7 +140,7 @@ def failing(monkeypatch, when):
         calls.append((name, t, warm is not None, bad))
         return replace(result, status=Status.STALLED) if bad else result
 
-    monkeypatch.setattr(Programs, "relaxed", shy)
+    monkeypatch.setattr(CompiledNLPs, "relaxed", shy)
     return calls
 
 
@@ -161,7 +160,7 @@ def _nothing(run, point, honest):
     """The finish, except from the start of the solve, where it would succeed without any relaxation."""
     ends = honest(run, point, search=False)
     started = all(step.status is not Status.CONVERGED for step in run.steps if step.phase == "relaxed")
-    return replace(ends, status=Status.STALLED, verdict=None) if started else ends
+    return replace(ends, status=Status.STALLED, stationarity=None) if started else ends
 
 
 def test_a_step_that_fails_from_the_last_solution_is_tried_from_the_start(monkeypatch):
@@ -184,7 +183,7 @@ def test_warm_duals_hand_the_multipliers_on(monkeypatch):
 
 
 def test_a_pair_that_ends_next_to_the_corner_is_put_into_it_if_that_is_free():
-    programs = Programs(MPCC(XY, (x - 1) ** 2 + y**4, None, x - 1, y), Options())
+    programs = CompiledNLPs(MPCC(XY, (x - 1) ** 2 + y**4, None, x - 1, y), Options())
     run = Run(programs, np.zeros(0))
     lifted = programs.lifted
     point = lifted.start(np.array([1.0, 1e-5]), np.zeros(0))
@@ -194,10 +193,10 @@ def test_a_pair_that_ends_next_to_the_corner_is_put_into_it_if_that_is_free():
     tight = _tighten(run, near, fix_G)
     assert run.steps[-1].phase == "tightened"
     assert tight.x[lifted.second] == 0.0
-    lin = linearisation(lifted, tight.x, run.p, 1e-5, 1e-6)
+    lin = linearise(lifted, tight.x, run.p, 1e-5, 1e-6)
     assert list(lin.biactive) == [0]
     # where closing costs the pair stays open
-    dear = Programs(MPCC(XY, (x - 1) ** 2 + 1e8 * (y - 1e-5) ** 2, None, x - 1, y), Options())
+    dear = CompiledNLPs(MPCC(XY, (x - 1) ** 2 + 1e8 * (y - 1e-5) ** 2, None, x - 1, y), Options())
     run = Run(dear, np.zeros(0))
     point = dear.lifted.start(np.array([1.0, 1e-5]), np.zeros(0))
     kept = _tighten(run, replace(solved, x=point, f=0.0), fix_G)
@@ -238,9 +237,9 @@ def test_constant_pairs_and_no_unknowns_are_problems_like_others():
 @pytest.mark.slow
 def test_without_a_label_nothing_is_called_a_success(monkeypatch):
     """The multiplier programs fail numerically: the point may be right, but it is not shown to be."""
-    module = sys.modules["rmesh_nlp.mpcc.classify"]
-    monkeypatch.setattr(module, "witness", lambda *_: None)
-    monkeypatch.setattr(module, "label", lambda *_: Label("", None))
+    module = sys.modules["rmesh_nlp.mpcc.stationarity"]
+    monkeypatch.setattr(module, "proof_of_s", lambda *_: None)
+    monkeypatch.setattr(module, "strongest", lambda *_: ("", None))
     result = solve(MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y), [0.5, 0.6])
     assert (result.success, result.stationarity) == (False, "")
     assert result.status is Status.STALLED

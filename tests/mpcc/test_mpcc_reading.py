@@ -8,7 +8,7 @@ import pytest
 
 from mpcc_library.families import FAMILIES
 from rmesh_nlp.mpcc import MPCC, read, solve
-from rmesh_nlp.mpcc.command import main
+from rmesh_nlp.mpcc.__main__ import main
 from rmesh_nlp.mpcc.reading import Problem, write_nosbench
 
 x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")

@@ -6,11 +6,10 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, Options, solve
 from rmesh_nlp.mpcc.finish import Finish, finish
-from rmesh_nlp.mpcc.homotopy import Path, follow
+from rmesh_nlp.mpcc.homotopy import Path, follow, second_path
 from rmesh_nlp.mpcc.lifting import automatic_derivatives, lift
-from rmesh_nlp.mpcc.programs import Programs, unlifted_program
+from rmesh_nlp.mpcc.nlps import CompiledNLPs, unlifted_nlp
 from rmesh_nlp.mpcc.run import Run
-from rmesh_nlp.mpcc.second import second_look
 from rmesh_nlp.mpcc.solver import _choose
 from rmesh_nlp.optimize.status import Status
 
@@ -25,8 +24,8 @@ def two_minima():
 
 
 def looked(first, start=(0.5, 0.5), **options):
-    run, path = Run(Programs(two_minima(), Options(**options)), np.zeros(0)), Path()
-    second_look(run, path, np.array(start), first)
+    run, path = Run(CompiledNLPs(two_minima(), Options(**options)), np.zeros(0)), Path()
+    second_path(run, path, np.array(start), first)
     return run, path
 
 
@@ -36,15 +35,15 @@ def test_a_lower_minimum_than_the_first_is_found_and_chosen():
     assert path.finish.f == pytest.approx(1.0)
     ts = [step.t for step in run.steps if step.phase == "second"]
     assert ts == pytest.approx([1.0, 0.1, 0.01])  # to the crossover, no further
-    assert _choose([Path(finish=POOR), path]) is path
+    assert _choose([Path(finish=POOR), path]) is path.finish
 
 
 def test_of_equal_ends_the_first_is_kept():
     path, again = Path(finish=POOR), Path(finish=POOR)
-    assert _choose([path, again]) is path
+    assert _choose([path, again]) is path.finish
     failed = Path(finish=Finish(POOR.z, -9.0, Status.STALLED))
-    assert _choose([path, failed]) is path
-    assert _choose([failed, path]) is path
+    assert _choose([path, failed]) is path.finish
+    assert _choose([failed, path]) is path.finish
 
 
 def test_it_ends_where_it_lies_above_the_first():
@@ -63,9 +62,9 @@ def test_it_ends_without_a_finish_in_the_branch_of_the_first():
 
 def test_multipliers_are_those_of_the_lifted_program():
     """The gradient of the Lagrangian vanishes at the relaxed point up to what the product row exerts."""
-    run = Run(Programs(two_minima(), Options()), np.zeros(0))
+    run = Run(CompiledNLPs(two_minima(), Options()), np.zeros(0))
     result = run.unlifted(np.array([0.5, 0.5]), 0.01)
-    _, gradient, _, jacobian = run.programs.lifted.linearise(result.x, run.p)
+    _, gradient, _, jacobian = run.lifted.linearise(result.x, run.p)
     assert gradient + jacobian.T @ result.lam_g + result.lam_x == pytest.approx(np.zeros(2), abs=1e-6)
 
 
@@ -94,19 +93,19 @@ def test_an_infeasible_problem_is_given_up_after_few_programs():
 
 @pytest.mark.slow
 def test_a_penalty_that_ends_at_a_violation_is_not_followed_to_the_end():
-    run = Run(Programs(contradiction(), Options()), np.zeros(0))
+    run = Run(CompiledNLPs(contradiction(), Options()), np.zeros(0))
     path = Path()
     follow(run, path, "l1-penalty", np.array([0.5, 0.5]), 1.0)
     assert path.failure is Status.INFEASIBLE
     assert min(step.t for step in run.steps if step.phase == "relaxed") > 1e-8
     feasible = Path()
-    run = Run(Programs(two_minima(), Options()), np.zeros(0))
+    run = Run(CompiledNLPs(two_minima(), Options()), np.zeros(0))
     follow(run, feasible, "l1-penalty", np.array([0.5, 0.5]), 1.0)
     assert feasible.finish.solved
 
 
 def test_an_exact_point_above_the_ceiling_is_left():
-    run = Run(Programs(two_minima(), Options()), np.zeros(0))
+    run = Run(CompiledNLPs(two_minima(), Options()), np.zeros(0))
     z = np.array([1e-3, 1.0])  # next to the minimum 4
     assert finish(run, z, search=False, ceiling=3.0).status is Status.WORSE
     assert finish(run, z, search=False, ceiling=5.0).solved
@@ -117,7 +116,7 @@ def test_derivatives_of_the_unlifted_program_are_those_of_casadi(kind):
     x, p = kind.sym("x", 3), kind.sym("p", 1)
     G, H = ca.vertcat(x[0] * x[1], x[2]), ca.vertcat(x[1] + p, ca.exp(x[0]) * x[2])
     mpcc = MPCC(x, ca.sumsqr(x - 1) * x[2], x[0] ** 3 - x[1], G, H, p=p, lbg=0, ubg=0)
-    nlp = unlifted_program(mpcc, lift(mpcc).base)
+    nlp = unlifted_nlp(mpcc, lift(mpcc).base)
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nlp.n_g)
     rows = [nlp.f, ca.gradient(nlp.f, nlp.x), nlp.g, ca.jacobian(nlp.g, nlp.x)]
     hessian = ca.triu(ca.hessian(lam_f * nlp.f + ca.dot(lam_g, nlp.g), nlp.x)[0])

@@ -10,7 +10,7 @@ import pytest
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCSolver, Options, multistart, solve
 from rmesh_nlp.mpcc.finish import finish
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
@@ -61,7 +61,7 @@ def test_every_relaxation_solves_the_bilevel_problem(kind, derive, relaxation):
 def test_equal_t_puts_the_corner_of_every_relaxation_at_the_same_place(relaxation, t):
     """``max x`` on the diagonal x = y: the relaxed set ends at x = y = sqrt(t)."""
     x, y = symbols(ca.SX, "xy")
-    programs = Programs(MPCC(ca.vertcat(x, y), -x, x - y, x, y, lbg=0, ubg=0), Options())
+    programs = CompiledNLPs(MPCC(ca.vertcat(x, y), -x, x - y, x, y, lbg=0, ubg=0), Options())
     result = programs.relaxed(relaxation, np.array([0.1, 0.1]) * np.sqrt(t), np.ones(1), t)
     assert result.x == pytest.approx([np.sqrt(t)] * 2, rel=1e-4)
 
@@ -172,7 +172,7 @@ def test_parameters_are_values_of_one_compiled_problem(kind):
 def test_a_wrong_branch_is_left_by_the_descent():
     """The finish started on the arm x = 0 of a problem whose corner is not B-stationary must cross it."""
     x, y = symbols(ca.SX, "xy")
-    programs = Programs(MPCC(ca.vertcat(x, y), (x - 1) ** 2 + (y + 1) ** 2, None, x, y), Options())
+    programs = CompiledNLPs(MPCC(ca.vertcat(x, y), (x - 1) ** 2 + (y + 1) ** 2, None, x, y), Options())
     p = np.zeros(0)
     end = finish(Run(programs, p), np.array([0.0, 0.5]), search=False)
     assert end.solved
@@ -184,7 +184,7 @@ def test_a_feasible_branch_is_found_when_the_sides_are_unclear():
     """x = y - 1e-3: at x = y the sides are a coin toss and one of them is infeasible."""
     x, y = symbols(ca.SX, "xy")
     mpcc = MPCC(ca.vertcat(x, y), (x - y) ** 2 + x, y - x - 1e-3, x, y, lbg=0, ubg=0)
-    programs, p = Programs(mpcc, Options()), np.zeros(0)
+    programs, p = CompiledNLPs(mpcc, Options()), np.zeros(0)
     z = np.array([2e-3, 1e-3])  # fixes y, which is infeasible
     assert not finish(Run(programs, p), z, search=False).solved
     end = finish(Run(programs, p), z, search=True)
@@ -221,7 +221,7 @@ def test_history_progress_and_warm_duals(capsys):
 
 def test_a_failing_step_retreats(monkeypatch):
     """Relaxations that jump further down than a factor 10 fail: t must come down in smaller steps."""
-    relaxed, reached = Programs.relaxed, [10.0]
+    relaxed, reached = CompiledNLPs.relaxed, [10.0]
 
     def shy(self, name, z, p, t, *rest):
         result = relaxed(self, name, z, p, t, *rest)
@@ -230,7 +230,7 @@ def test_a_failing_step_retreats(monkeypatch):
         reached.append(t)
         return result
 
-    monkeypatch.setattr(Programs, "relaxed", shy)
+    monkeypatch.setattr(CompiledNLPs, "relaxed", shy)
     result = solve(bilevel(ca.SX), 0.5, factor=1e-2)
     assert result.success
     assert any(step.status is Status.CONVERGED and step.t < 1 for step in result.history)
@@ -249,7 +249,7 @@ def test_ctrl_c_in_the_middle_of_a_solve_is_not_a_failed_result():
         if iteration == 2:
             signal.raise_signal(signal.SIGINT)
 
-    nlp = Programs(bilevel(ca.SX), Options()).lifted.nlp
+    nlp = CompiledNLPs(bilevel(ca.SX), Options()).lifted.nlp
     with pytest.raises(KeyboardInterrupt):
         Solver(nlp, monitor=press)(np.full(nlp.n_x, 0.5))
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC, Options, classify, solve
-from rmesh_nlp.mpcc.classify import Verdict, judge
-from rmesh_nlp.mpcc.linearisation import Multipliers, linearisation
-from rmesh_nlp.mpcc.lpec import descent
-from rmesh_nlp.mpcc.multistart import MultiStart
-from rmesh_nlp.mpcc.programs import Programs
-from rmesh_nlp.mpcc.second import _same_branch
-from rmesh_nlp.mpcc.stationarity import Label
+from rmesh_nlp.mpcc.homotopy import _same_branch
+from rmesh_nlp.mpcc.interfaces import MultiStart
+from rmesh_nlp.mpcc.lpec import descent, linearise
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, stationarity
 from rmesh_nlp.optimize.status import Status
 
 x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")
@@ -46,12 +44,12 @@ def test_each_label_at_a_corner_with_unique_multipliers(c, d, label, b_stationar
 @pytest.mark.parametrize(("c", "d", "label"), [(1, 1, "S"), (1, -1, "W"), (-1, 1, "W"), (-1, -1, "C")])
 def test_multipliers_that_a_solver_offers_prove_s_only_with_both_signs(c, d, label):
     options = Options()
-    programs = Programs(MPCC(ca.vertcat(x, y), c * x + d * y, None, x, y), options)
+    programs = CompiledNLPs(MPCC(ca.vertcat(x, y), c * x + d * y, None, x, y), options)
     lifted = programs.lifted
     z = lifted.start(np.zeros(2), np.zeros(0))
-    lin = linearisation(lifted, z, np.ones(1), options.activity, options.corner)
+    lin = linearise(lifted, z, np.ones(1), options.activity, options.corner)
     offered = np.zeros(lifted.nlp.n_g), -lin.gradient
-    assert judge(lifted, lin, options.stationarity, offered).label.name == label
+    assert stationarity(lifted, lin, options.stationarity, offered).label == label
 
 
 def test_a_free_unknown_with_slope_has_no_multipliers():
@@ -139,22 +137,22 @@ def test_the_multipliers_given_back_prove_the_label(mpcc):
 
 def test_a_descent_does_not_leave_an_active_upper_bound():
     mpcc = MPCC(ca.vertcat(x, y, z), -x - z, None, x, y, ubx=[9, 9, 1])
-    options, lifted = (programs := Programs(mpcc, Options())).options, programs.lifted
+    options, lifted = (programs := CompiledNLPs(mpcc, Options())).options, programs.lifted
     at = lifted.start(np.array([0.0, 0.0, 1.0]), np.zeros(0))
-    direction = descent(lifted, linearisation(lifted, at, np.ones(1), options.activity, options.corner))
+    direction = descent(lifted, linearise(lifted, at, np.ones(1), options.activity, options.corner))
     assert direction.decrease == pytest.approx(-1)
     assert direction.step[:3] == pytest.approx([1, 0, 0])
 
 
 def test_without_multipliers_an_undecided_point_is_no_success():
-    assert Verdict(Label("none", None), None, None).status is Status.STALLED
+    assert Stationarity("none").status is Status.STALLED
     some = Multipliers(*np.zeros((4, 1)))
-    assert Verdict(Label("W", some), None, None).status is Status.ACCEPTABLE
+    assert Stationarity("W", some).status is Status.ACCEPTABLE
 
 
 def test_a_known_corner_is_no_branch_and_of_failures_the_most_nearly_feasible_is_best():
-    lifted = SimpleNamespace(first=[0], second=[1])
-    run = SimpleNamespace(programs=SimpleNamespace(lifted=lifted, options=SimpleNamespace(corner=1e-6)))
+    lifted = SimpleNamespace(members=lambda z: (z[[0]], z[[1]]), on_first=lambda z: z[[0]] <= z[[1]])
+    run = SimpleNamespace(lifted=lifted, options=SimpleNamespace(corner=1e-6))
     for z, known, same in (((0, 1), (0, 2), True), ((1, 0), (0, 2), False), ((0, 1), (0, 0), False)):
         assert _same_branch(run, np.array(z), np.array(known)) is same
     ends = [

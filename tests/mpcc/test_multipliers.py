@@ -6,8 +6,8 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.mpcc.lifting import Lifted, lift
-from rmesh_nlp.mpcc.linearisation import Linearisation, Multipliers, linearisation
-from rmesh_nlp.mpcc.stationarity import _MultiplierProgram, label, witness
+from rmesh_nlp.mpcc.lpec import Linearisation, linearise
+from rmesh_nlp.mpcc.stationarity import Multipliers, _MultiplierLP, proof_of_s, strongest
 
 TOLERANCE = 1e-6
 PIECES = {"S": ((-1, -1),), "M": ((-1, -1), (0, 2), (2, 0)), "C": ((-1, -1), (1, 1))}
@@ -17,7 +17,7 @@ PIECES = {"S": ((-1, -1),), "M": ((-1, -1), (0, 2), (2, 0)), "C": ((-1, -1), (1,
 def at(mpcc: MPCC, x: list[float] | np.ndarray) -> tuple[Lifted, Linearisation]:
     lifted = lift(mpcc)
     z = lifted.start(np.asarray(x, dtype=float), np.zeros(0))
-    return lifted, linearisation(lifted, z, np.ones(1), 1e-5, 1e-6)
+    return lifted, linearise(lifted, z, np.ones(1), 1e-5, 1e-6)
 
 
 def slope_of_the_lagrangian(lifted: Lifted, lin: Linearisation, found: Multipliers) -> np.ndarray:
@@ -64,36 +64,36 @@ def test_the_multiplier_of_a_shared_unknown_goes_to_the_pair_that_leaves_its_sig
     ones, others = ca.vertcat(x, x), ca.vertcat(*order)
     G, H = (others, ones) if swap else (ones, others)
     lifted, lin = at(MPCC(XYW, -x + y + (w - 1) ** 2, None, G, H), [0, 0, 1])
-    proved = witness(lifted, lin, np.zeros(0), np.array([1.0, -1.0, 0.0]), TOLERANCE)
+    proved = proof_of_s(lifted, lin, np.zeros(0), np.array([1.0, -1.0, 0.0]), TOLERANCE)
     assert proved is not None
     free = 0 if order[0] is w else 1
-    of_x, of_y = (proved.multipliers.H, proved.multipliers.G) if swap else (
-        proved.multipliers.G, proved.multipliers.H)  # fmt: skip
+    of_x, of_y = (proved.H, proved.G) if swap else (
+        proved.G, proved.H)  # fmt: skip
     assert of_x[free] == 1.0
     assert of_x[1 - free] == 0.0
     assert of_y[1 - free] == -1.0
-    assert_admissible(lifted, lin, proved.multipliers, "S")
+    assert_admissible(lifted, lin, proved, "S")
 
 
 def test_a_shared_unknown_of_two_biactive_pairs_gives_its_multiplier_once() -> None:
     lifted, lin = at(MPCC(XYW, 2 * x + y + w, None, ca.vertcat(x, x), ca.vertcat(y, w)), [0, 0, 0])
-    proved = witness(lifted, lin, np.zeros(0), np.array([-2.0, -1.0, -1.0]), TOLERANCE)
+    proved = proof_of_s(lifted, lin, np.zeros(0), np.array([-2.0, -1.0, -1.0]), TOLERANCE)
     assert proved is not None
-    assert np.sum(proved.multipliers.G) == -2.0
-    assert_admissible(lifted, lin, proved.multipliers, "S")
+    assert np.sum(proved.G) == -2.0
+    assert_admissible(lifted, lin, proved, "S")
     # with the slope +1 of a member that is not zero nothing is proved
-    assert witness(lifted, lin, np.zeros(0), np.array([-2.0, -1.0, 1.0]), TOLERANCE) is None
+    assert proof_of_s(lifted, lin, np.zeros(0), np.array([-2.0, -1.0, 1.0]), TOLERANCE) is None
 
 
 def test_a_positive_multiplier_of_a_member_belongs_to_its_upper_bound() -> None:
     """``x <= 0`` holds the biactive x from above: S although the multiplier of x is positive."""
     mpcc = MPCC(ca.vertcat(x, y), -x + y, None, x, y, ubx=[0, np.inf])
     lifted, lin = at(mpcc, [0, 0])
-    proved = witness(lifted, lin, np.zeros(0), np.array([1.0, -1.0]), TOLERANCE)
+    proved = proof_of_s(lifted, lin, np.zeros(0), np.array([1.0, -1.0]), TOLERANCE)
     assert proved is not None
-    assert (proved.multipliers.z[0], proved.multipliers.G[0], proved.multipliers.H[0]) == (1.0, 0.0, -1.0)
+    assert (proved.z[0], proved.G[0], proved.H[0]) == (1.0, 0.0, -1.0)
     free = MPCC(ca.vertcat(x, y), -x + y, None, x, y)
-    assert witness(*at(free, [0, 0]), np.zeros(0), np.array([1.0, -1.0]), TOLERANCE) is None
+    assert proof_of_s(*at(free, [0, 0]), np.zeros(0), np.array([1.0, -1.0]), TOLERANCE) is None
 
 
 def test_an_active_row_may_only_push_to_its_side() -> None:
@@ -101,15 +101,15 @@ def test_an_active_row_may_only_push_to_its_side() -> None:
     f = x + y - (x + w)
     for bounds, proves in (({"lbg": 0.0}, False), ({"ubg": 0.0}, True), ({"lbg": 0.0, "ubg": 0.0}, True)):
         lifted, lin = at(MPCC(XYW, f, x + w, x, y, **bounds), [0, 0, 0])
-        found = witness(lifted, lin, np.ones(1), np.array([-1.0, -1.0, 0.0]), TOLERANCE)
+        found = proof_of_s(lifted, lin, np.ones(1), np.array([-1.0, -1.0, 0.0]), TOLERANCE)
         assert (found is not None) == proves
 
 
 def test_small_faults_of_sign_are_within_the_tolerance_and_large_ones_not() -> None:
     lifted, lin = at(MPCC(ca.vertcat(x, y), 1e-9 * x + y, None, x, y), [0, 0])
-    assert witness(lifted, lin, np.zeros(0), np.array([5e-7, -1.0]), TOLERANCE) is not None
+    assert proof_of_s(lifted, lin, np.zeros(0), np.array([5e-7, -1.0]), TOLERANCE) is not None
     lifted, lin = at(MPCC(ca.vertcat(x, y), -3e-6 * x + y, None, x, y), [0, 0])
-    assert witness(lifted, lin, np.zeros(0), np.array([3e-6, -1.0]), TOLERANCE) is None
+    assert proof_of_s(lifted, lin, np.zeros(0), np.array([3e-6, -1.0]), TOLERANCE) is None
 
 
 def test_a_program_that_fails_decides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,19 +118,19 @@ def test_a_program_that_fails_decides_nothing(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr("rmesh_nlp.mpcc.stationarity.linprog", lambda *_, **__: Answer)
     lifted, lin = at(MPCC(ca.vertcat(x, y), x + y, None, x, y), [0, 0])
-    assert label(lifted, lin, TOLERANCE).name == ""
+    assert strongest(lifted, lin, TOLERANCE)[0] == ""
     Answer.status = 2
-    assert label(lifted, lin, TOLERANCE).name == "none"
+    assert strongest(lifted, lin, TOLERANCE)[0] == "none"
 
 
 def test_the_time_that_is_left_is_given_to_each_program(monkeypatch: pytest.MonkeyPatch) -> None:
     lifted, lin = at(MPCC(ca.vertcat(x, y), x + y, None, x, y), [0, 0])
-    assert _MultiplierProgram(lifted, lin, TOLERANCE, 2.5).limit == {"time_limit": 2.5}
-    assert _MultiplierProgram(lifted, lin, TOLERANCE, np.inf).limit == {}
+    assert _MultiplierLP(lifted, lin, TOLERANCE, 2.5).limit == {"time_limit": 2.5}
+    assert _MultiplierLP(lifted, lin, TOLERANCE, np.inf).limit == {}
 
 
 def test_without_any_multiplier_only_a_flat_objective_is_stationary() -> None:
     v = ca.vertcat(x, y)
-    assert label(*at(MPCC(v, (x - 1) ** 2 + y**2, None, None, None), [1, 0]), TOLERANCE).name == "S"
+    assert strongest(*at(MPCC(v, (x - 1) ** 2 + y**2, None, None, None), [1, 0]), TOLERANCE)[0] == "S"
     for slope in (x, -y, x - y):
-        assert label(*at(MPCC(v, slope, None, None, None), [1, 0]), TOLERANCE).name == "none"
+        assert strongest(*at(MPCC(v, slope, None, None, None), [1, 0]), TOLERANCE)[0] == "none"

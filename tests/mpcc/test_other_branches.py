@@ -10,7 +10,7 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, Options
 from rmesh_nlp.mpcc import finish as finishing
-from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
@@ -165,7 +165,7 @@ class TestTighten:
         mpcc = MPCC(
             XYW, (x - 1) ** 2 + y**2 + w**2, row, x, y, **({} if row is None else {"lbg": 0, "ubg": 0})
         )
-        run = Run(Programs(mpcc, Options()), np.zeros(0))
+        run = Run(CompiledNLPs(mpcc, Options()), np.zeros(0))
         gap = 1e-5
         ratio = {"(y-(0.01*w))": 1e-2, "(1e+06*(y-(0.01*w)))": 1e-2, "(y-(1e-05*w))": 1e-5}.get(str(row), 1.0)
         z = np.array([0.0, gap, gap / ratio])
@@ -173,8 +173,8 @@ class TestTighten:
 
     def test_rows_that_are_not_active_do_not_hold(self) -> None:
         mpcc = MPCC(XYW, x + y, y + w, x, y, lbg=-1.0)
-        run = Run(Programs(mpcc, Options()), np.zeros(0))
+        run = Run(CompiledNLPs(mpcc, Options()), np.zeros(0))
         assert finishing._can_close(run, np.array([0.0, 1e-5, 0.0]), ON_G, np.array([True]))
         mpcc = MPCC(XYW, x + y, y, x, y, lbg=1e-5)
-        run = Run(Programs(mpcc, Options()), np.zeros(0))
+        run = Run(CompiledNLPs(mpcc, Options()), np.zeros(0))
         assert not finishing._can_close(run, np.array([0.0, 1e-5, 0.0]), ON_G, np.array([True]))

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.mpcc import MPCC, Options
-from rmesh_nlp.mpcc.programs import Programs
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.result import Step
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.solver import NLPResult
@@ -75,7 +75,7 @@ class ScriptedRun(Run):
         weight: float = 1.0,
         **options: Any,
     ) -> None:
-        super().__init__(Programs(mpcc or two_minima(), Options(**options)), np.zeros(0), weight=weight)
+        super().__init__(CompiledNLPs(mpcc or two_minima(), Options(**options)), np.zeros(0), weight)
         self.relaxations, self.branches, self.is_exact = relaxations, branches, exact
         self.calls: list[Call] = []
         self.branch_calls: list[BranchCall] = []
@@ -90,7 +90,17 @@ class ScriptedRun(Run):
         self.calls.append(Call(name, z, t, warm, first))
         answer = self.relaxations(self.calls[-1])
         self.steps.append(
-            Step("relaxed", t, answer.objective, 0.0, 0.0, answer.product, 1, answer.status, 0.1)
+            Step(
+                phase="relaxed",
+                t=t,
+                objective=answer.objective,
+                constraint_violation=0.0,
+                complementarity=0.0,
+                product=answer.product,
+                iterations=1,
+                status=answer.status,
+                seconds=0.1,
+            )
         )
         return ended(answer.x, answer.status, lam_x=np.array(answer.lam_x, float))
 

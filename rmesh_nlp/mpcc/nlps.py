@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array, Evaluator
-from rmesh_nlp.mpcc.lifting import Lifted, lift, warm_start
+from rmesh_nlp.mpcc.lifting import BoolArray, Lifted, lift, warm_start
 from rmesh_nlp.mpcc.options import DEPENDENT, Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
@@ -20,85 +19,77 @@ from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 
-BoolArray = NDArray[np.bool_]
 _CLOCK = 2000  # unknowns of a problem whose clock is looked at after every iteration
 
 
-class Programs:
+class CompiledNLPs:
     """Solves relaxations and branches of one MPCC.
 
     Nothing is rebuilt between solves: t is a parameter, a pair is fixed by a bound. Ipopt's options are
     fixed when it is made ready, so warm starts, and starts that are watched, have instances of their own.
+
+    Attributes
+    ----------
+    watch : Watch
+        Holds the monitor of the solve that is running.
+    dependent : bool
+        Whether to reckon with equations that follow from each other.
+    only_clock : bool
+        Whether the monitor looks at nothing but the clock.
+    build_seconds : float
     """
 
     def __init__(self, mpcc: MPCC, options: Options) -> None:
         began = time.perf_counter()
         self.options = options
-        self.lifted: Lifted = lift(mpcc)
+        self.lifted = lift(mpcc)
         relaxation(options.relaxation)  # an unknown name is an error now, not at the first solve
-        self._relaxations: dict[str, Relaxed] = {}
-        self._solvers: dict[tuple[Any, ...], _Tolerant] = {}
+        self._relaxations: dict[str, tuple[NLP, Evaluator]] = {}
+        self._solvers: dict[tuple[Any, ...], _AnySize] = {}
         self._unlifted: NLP | None = None
-        self._watch = Watch()
-        self.dependent = False  # whether to reckon with equations that follow from each other
-        self.only_clock = False  # whether the monitors look at nothing but the clock
+        self.watch = Watch()
+        self.dependent = self.only_clock = False
         self.build_seconds = time.perf_counter() - began
 
-    def _relaxed(self, name: str) -> Relaxed:
-        """The relaxed NLP: the lifted one and the relaxation's rows, t the last parameter."""
+    def _relaxed(self, name: str) -> tuple[NLP, Evaluator]:
         if name not in self._relaxations:
-            self._relaxations[name] = relaxed_program(self.lifted, name)
+            self._relaxations[name] = relaxed_nlp(self.lifted, name)
         return self._relaxations[name]
 
-    def _solver(self, key: tuple[Any, ...], nlp: NLP, options: dict[str, Any], watched: bool) -> _Tolerant:
-        every = self._every(nlp.n_x)
-        key = (*key, watched, every, self.dependent)
-        if self.dependent:
-            options = {**DEPENDENT, **options}
+    def _solver(self, key: tuple[Any, ...], nlp: NLP, options: dict[str, Any]) -> _AnySize:
+        # iterations of a small problem are shorter than a callback: its clock is looked at now and then
+        every = int(np.clip(_CLOCK // max(nlp.n_x, 1), 1, 20)) if self.only_clock else 1
+        watch = None if self.watch.monitor is None else self.watch
+        key = (*key, watch is None, every, self.dependent)
         if key not in self._solvers:
             began = time.perf_counter()
-            self._solvers[key] = _Tolerant(nlp, options, self._watch if watched else None, every)
+            options = {**DEPENDENT, **options} if self.dependent else options
+            self._solvers[key] = _AnySize(nlp, options, watch, every)
             self.build_seconds += time.perf_counter() - began
         return self._solvers[key]
 
-    def _every(self, n: int) -> int:
-        """Iterations between looks at the clock: of a small problem they are shorter than a callback."""
-        return int(np.clip(_CLOCK // max(n, 1), 1, 20)) if self.only_clock else 1
-
     def relaxed(
-        self,
-        name: str,
-        z: Array,
-        p: Array,
-        t: float,
-        warm: NLPResult | None = None,
-        monitor: Monitor | None = None,
-        first: bool = False,
+        self, name: str, z: Array, p: Array, t: float, warm: NLPResult | None = None, first: bool = False
     ) -> NLPResult:
         """Solve the relaxation ``name`` at ``t`` from ``z``; ``warm`` gives multipliers to start from.
 
         ``first`` says that ``z`` is a user's start and not another relaxed solution.
         """
-        self._watch.monitor = monitor
-        nlp = self._relaxed(name).nlp
-        barrier = self.options.barrier_of(t) if self.options.tie_barrier else None
+        nlp, _ = self._relaxed(name)
         first = first and warm is None
-        options = self.options.relaxed(nlp.n_x, warm is not None, barrier, first)
-        key = (name, warm is not None, barrier, first)
-        lam = {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        return self._solver(key, nlp, options, monitor is not None)(z, p=np.append(p, t), **lam)
+        options = self.options.relaxed(nlp.n_x, warm is not None, first)
+        solver = self._solver((name, warm is not None, first), nlp, options)
+        return solver(z, p=np.append(p, t), **_multipliers(warm))
 
-    def unlifted(self, x: Array, p: Array, t: float, monitor: Monitor | None = None) -> NLPResult:
+    def unlifted(self, x: Array, p: Array, t: float) -> NLPResult:
         """Solve Scholtes' relaxation in the unknowns of the source problem, by Ipopt's default settings.
 
-        The point and the multipliers are given as those of the lifted program.
+        The point and the multipliers are given as those of the lifted NLP.
         """
-        self._watch.monitor = monitor
         source, lifted = self.lifted.source, self.lifted
         if self._unlifted is None:
-            self._unlifted = unlifted_program(source, lifted.base)
-        options = self.options.unlifted(source.n_x)
-        solver = self._solver(("unlifted",), self._unlifted, options, monitor is not None)
+            self._unlifted = unlifted_nlp(source, lifted.base)
+        solver = self._solver(("unlifted",), self._unlifted, self.options.unlifted(source.n_x))
         result = solver(x, p=np.append(p, t))
         ends = np.cumsum([source.n_g, source.n_pairs, source.n_pairs])
         g, G, H, products = np.split(result.lam_g, ends)
@@ -117,46 +108,42 @@ class Programs:
         box: Array | None = None,
         free_signs: bool = False,
         warm: NLPResult | None = None,
-        monitor: Monitor | None = None,
     ) -> NLPResult:
         """Solve the NLP in which the given members are zero, from ``z``.
 
         ``box`` keeps the unknowns near ``z``; ``free_signs`` lets the other members be negative; ``warm``
-        gives multipliers of the lifted program, see :meth:`without_relaxation`.
+        gives multipliers of the lifted NLP, see :meth:`without_relaxation`.
         """
-        self._watch.monitor = monitor
         lifted = self.lifted
         lower, upper = lifted.nlp.lbx.copy(), lifted.nlp.ubx.copy()
         if box is not None:
             lower, upper = np.maximum(lower, z - box), np.minimum(upper, z + box)
         if free_signs:
             lower[lifted.member] = -np.inf
-        for places in (lifted.first[fix_G], lifted.second[fix_H]):
-            upper[places] = 0.0
-            lower[places] = 0.0
+        fixed = np.append(lifted.first[fix_G], lifted.second[fix_H])
+        lower[fixed] = upper[fixed] = 0.0
         options = self.options.exact(lifted.nlp.n_x, warm is not None)
-        solver = self._solver(("branch", warm is not None), lifted.nlp, options, monitor is not None)
-        lam = {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        return solver(np.clip(z, lower, upper), p=p, lbx=lower, ubx=upper, **lam)
+        solver = self._solver(("branch", warm is not None), lifted.nlp, options)
+        return solver(np.clip(z, lower, upper), p=p, lbx=lower, ubx=upper, **_multipliers(warm))
 
     def without_relaxation(self, name: str, result: NLPResult, t: float) -> NLPResult:
-        """The same point with multipliers of the lifted program.
+        """The same point with multipliers of the lifted NLP.
 
         What the relaxation's rows and penalty exert on a member becomes the multiplier of its bound.
         """
-        lifted = self.lifted
-        n_rows = lifted.nlp.n_g
-        z = result.x
-        pulls = self._relaxed(name).pull(z[lifted.first], z[lifted.second], t, result.lam_g[n_rows:])
+        lifted, n_rows = self.lifted, self.lifted.nlp.n_g
+        _, pull = self._relaxed(name)
+        pulls = pull(*lifted.members(result.x), t, result.lam_g[n_rows:])
         lam = result.lam_x.copy()
-        for places, pull in zip((lifted.first, lifted.second), pulls, strict=True):
-            np.add.at(lam, places, pull)
+        for places, on_member in zip((lifted.first, lifted.second), pulls, strict=True):
+            np.add.at(lam, places, on_member)
         return replace(result, lam_x=lam, lam_g=result.lam_g[:n_rows], g=result.g[:n_rows])
 
     def padded(self, name: str, result: NLPResult) -> NLPResult:
-        """Multipliers of the lifted program as a start of a relaxation: its own rows get zero."""
-        extra = self._relaxed(name).nlp.n_g - self.lifted.nlp.n_g
-        return replace(result, lam_g=np.append(result.lam_g[: self.lifted.nlp.n_g], np.zeros(extra)))
+        """Multipliers of the lifted NLP as a start of a relaxation: its own rows get zero."""
+        n_rows = self.lifted.nlp.n_g
+        extra = self._relaxed(name)[0].n_g - n_rows
+        return replace(result, lam_g=np.append(result.lam_g[:n_rows], np.zeros(extra)))
 
     def measure(self, z: Array, p: Array) -> tuple[float, Residuals, tuple[Array, Array, Array]]:
         """Objective, residuals and (g, G, H) of the source problem at a lifted point."""
@@ -172,22 +159,20 @@ class Programs:
         A row is allowed its tolerance times its largest term ``|J_ij z_j|`` (at least 1): rounding is
         relative to that.
         """
-        lifted, options = self.lifted, self.options
-        source = lifted.source
+        lifted, options, source = self.lifted, self.options, self.lifted.source
         x = z[: source.n_x]
         _, nonzeros = lifted.jacobian(z, p)
         row_of, column_of = lifted.pattern
         scale = np.ones(source.n_g + 2 * source.n_pairs)
         np.maximum.at(scale, lifted.rows[row_of], np.abs(nonzeros * z[column_of]))
         f, rows = lifted.source_values(x, p[:-1])
-        zeros, infinite = np.zeros(2 * source.n_pairs), np.full(2 * source.n_pairs, np.inf)
-        lower, upper = np.append(source.lbg, zeros), np.append(source.ubg, infinite)
-        pairs = np.abs(rows[source.n_g :]) / scale[source.n_g :]
+        lower = np.append(source.lbg, np.zeros(2 * source.n_pairs))
+        upper = np.append(source.ubg, np.full(2 * source.n_pairs, np.inf))
+        G, H = np.split(np.abs(rows[source.n_g :]) / scale[source.n_g :], 2)
         worst = max(
             excess(rows / scale, lower / scale, upper / scale) / options.feasibility,
             excess(x, np.asarray(source.lbx), np.asarray(source.ubx)) / options.feasibility,
-            float(np.max(np.minimum(pairs[: source.n_pairs], pairs[source.n_pairs :]), initial=0.0))
-            / options.complementarity,
+            float(np.max(np.minimum(G, H), initial=0.0)) / options.complementarity,
         )
         return worst if np.isfinite(worst) and np.isfinite(f[0]) else np.inf
 
@@ -195,54 +180,44 @@ class Programs:
 class Watch:
     """The monitor of whichever solve is running: Ipopt takes one callback, when it is made ready."""
 
-    def __init__(self) -> None:
-        self.monitor: Monitor | None = None
+    monitor: Monitor | None = None
 
     def __call__(self, iteration: int, x: Array, f: float) -> bool | None:
         """Pass an iteration on."""
         return None if self.monitor is None else self.monitor(iteration, x, f)
 
 
-@dataclass(frozen=True, eq=False)
-class Relaxed:
-    """A relaxed NLP, and the function that turns multipliers of its rows into forces on the members.
+def _multipliers(warm: NLPResult | None) -> dict[str, Array]:
+    return {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
 
-    Attributes
-    ----------
-    nlp : NLP
-    pull : Evaluator
-        ``(a, b, t, multipliers of the rows) -> (force on a, force on b)``: the gradients in the members of
-        the penalty and of the rows times their multipliers.
+
+def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, Evaluator]:
+    """The lifted NLP with the rows and the penalty of a relaxation, t the last parameter; and its pull.
+
+    The pull is ``(a, b, t, multipliers of the rows) -> (force on a, force on b)``: the gradients in the
+    members of the penalty and of the rows times their multipliers.
     """
-
-    nlp: NLP
-    pull: Evaluator
-
-
-def relaxed_program(lifted: Lifted, name: str) -> Relaxed:
-    """Add the rows and the penalty of a relaxation to the lifted program."""
-    nlp = lifted.nlp
-    t = type(nlp.x).sym("t")
+    nlp, relax = lifted.nlp, relaxation(name)
+    t = ca.MX.sym("t")
     # one unknown taken at no place is a row of none, and rows of none do not join columns
     a, b = (ca.reshape(nlp.x[places.tolist()], -1, 1) for places in (lifted.first, lifted.second))
-    relaxed = relaxation(name)(a, b, t)
+    relaxed = relax(a, b, t)
     n_rows = relaxed.rows.shape[0]
     if not relaxed.signs:
-        n_x = lifted.source.n_x
-        own = np.concatenate([np.asarray(lifted.source.lbx), np.full(nlp.n_x - n_x, -np.inf)])
-        nlp = replace(nlp, lbx=own)
+        slacks = np.full(nlp.n_x - lifted.source.n_x, -np.inf)
+        nlp = replace(nlp, lbx=np.append(lifted.source.lbx, slacks))
     nlp = nlp.extended(
         p=t, f=relaxed.penalty, g=relaxed.rows, lbg=np.full(n_rows, -np.inf), ubg=np.zeros(n_rows)
     )
     a, b = ca.MX.sym("a", lifted.first.size), ca.MX.sym("b", lifted.first.size)
     s, lam = ca.MX.sym("s"), ca.MX.sym("lam", n_rows)
-    parts = relaxation(name)(a, b, s)
-    total = parts.penalty + (ca.dot(lam, parts.rows) if n_rows else 0)
-    forces = [ca.densify(ca.gradient(ca.MX(total), member)) for member in (a, b)]
-    return Relaxed(nlp, Evaluator(ca.Function("pull", [a, b, s, lam], forces)))
+    parts = relax(a, b, s)
+    total = ca.MX(parts.penalty + (ca.dot(lam, parts.rows) if n_rows else 0))
+    forces = [ca.densify(ca.gradient(total, member)) for member in (a, b)]
+    return nlp, Evaluator(ca.Function("pull", [a, b, s, lam], forces))
 
 
-def unlifted_program(mpcc: MPCC, base: Derivatives) -> NLP:
+def unlifted_nlp(mpcc: MPCC, base: Derivatives) -> NLP:
     """Scholtes' relaxation as one writes it first: rows ``g``, ``G >= 0``, ``H >= 0``, ``G H <= t``.
 
     Parameters after those of the source problem: weight of the objective, and t. Derivatives are composed
@@ -257,61 +232,50 @@ def unlifted_program(mpcc: MPCC, base: Derivatives) -> NLP:
     _, G, H = ca.vertsplit(ca.densify(rows), ends)
     _, J_G, J_H = ca.vertsplit(jacobian, ends)
     g = ca.vertcat(ca.densify(rows), G * H - t)
-    lam_f, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_g + 3 * n)
-    lam_g, lam_G, lam_H, products = ca.vertsplit(lam, [*ends, n_g + 3 * n])
+    product_rows = ca.mtimes(ca.diag(H), J_G) + ca.mtimes(ca.diag(G), J_H)
     hess_lag = None
     if base.hess_lag is not None:
+        lam_f, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_g + 3 * n)
+        lam_g, lam_G, lam_H, products = ca.vertsplit(lam, [*ends, n_g + 3 * n])
         each = base.hess_lag(x, p, w * lam_f, ca.vertcat(lam_g, lam_G + products * H, lam_H + products * G))
         mixed = ca.mtimes(J_G.T, ca.mtimes(ca.diag(products), J_H))
         hess_lag = ca.Function("nlp_hess_l", [x, parameters, lam_f, lam], [each + ca.triu(mixed + mixed.T)])
-    free, zero = np.full(2 * n, np.inf), np.zeros(n)
-    product_rows = ca.mtimes(ca.diag(H), J_G) + ca.mtimes(ca.diag(G), J_H)
     return NLP(
-        x=x,
-        p=parameters,
-        f=f,
-        g=g,
-        lbx=np.asarray(mpcc.lbx),
-        ubx=np.asarray(mpcc.ubx),
-        lbg=np.concatenate([np.asarray(mpcc.lbg), np.zeros(2 * n), np.full(n, -np.inf)]),
-        ubg=np.concatenate([np.asarray(mpcc.ubg), free, zero]),
+        x=x, p=parameters, f=f, g=g, lbx=np.asarray(mpcc.lbx), ubx=np.asarray(mpcc.ubx),
+        lbg=np.concatenate([mpcc.lbg, np.zeros(2 * n), np.full(n, -np.inf)]),
+        ubg=np.concatenate([mpcc.ubg, np.full(2 * n, np.inf), np.zeros(n)]),
         derivatives=Derivatives(
             grad_f=ca.Function("nlp_grad_f", [x, parameters], [f, gradient]),
             jac_g=ca.Function("nlp_jac_g", [x, parameters], [g, ca.vertcat(jacobian, product_rows)]),
             hess_lag=hess_lag,
             kernels=base.kernels,
         ),
-    )
+    )  # fmt: skip
 
 
-class _Tolerant:
-    """A Solver that also takes programs with more equations than free unknowns.
+class _AnySize:
+    """A Solver that also takes NLPs with more equations than free unknowns.
 
     Ipopt refuses those. Idle unknowns with a quadratic term, one per row, keep it from counting; they are
     added only when a call needs them.
     """
 
-    def __init__(
-        self, nlp: NLP, options: dict[str, Any], monitor: Monitor | None = None, every: int = 1
-    ) -> None:
-        self.nlp, self._options, self._monitor, self._every = nlp, options, monitor, every
-        self._solver = Solver(nlp, options=options, monitor=monitor, every=every)
+    def __init__(self, nlp: NLP, options: dict[str, Any], monitor: Monitor | None, every: int) -> None:
+        self.nlp = nlp
+        self._options: dict[str, Any] = {"options": options, "monitor": monitor, "every": every}
+        self._solver = Solver(nlp, **self._options)
         self._padded: Solver | None = None
 
     def __call__(self, z: Array, **arguments: Any) -> NLPResult:
-        lower, upper = arguments.get("lbx", self.nlp.lbx), arguments.get("ubx", self.nlp.ubx)
-        n_free = self.nlp.n_x - np.count_nonzero(lower == upper)
-        if np.count_nonzero(self.nlp.lbg == self.nlp.ubg) <= n_free:
+        nlp = self.nlp
+        lower, upper = arguments.get("lbx", nlp.lbx), arguments.get("ubx", nlp.ubx)
+        if np.count_nonzero(nlp.lbg == nlp.ubg) <= np.count_nonzero(lower != upper):
             return self._solver(z, **arguments)
-        return self._with_idle_unknowns(z, **arguments)
-
-    def _with_idle_unknowns(self, z: Array, **arguments: Any) -> NLPResult:
-        n, extra = self.nlp.n_x, self.nlp.n_g + 1
+        n, extra = nlp.n_x, nlp.n_g + 1
         if self._padded is None:
-            idle = type(self.nlp.x).sym("idle", extra)
-            free = np.full(extra, np.inf)
-            padded = self.nlp.extended(x=idle, f=0.5 * (idle.T @ idle), lbx=-free, ubx=free)
-            self._padded = Solver(padded, options=self._options, monitor=self._monitor, every=self._every)
+            idle, free = type(nlp.x).sym("idle", extra), np.full(extra, np.inf)
+            padded = nlp.extended(x=idle, f=0.5 * (idle.T @ idle), lbx=-free, ubx=free)
+            self._padded = Solver(padded, **self._options)
         for name, fill in (("lbx", -np.inf), ("ubx", np.inf), ("lam_x0", 0.0)):
             if name in arguments:
                 arguments[name] = np.append(arguments[name], np.full(extra, fill))

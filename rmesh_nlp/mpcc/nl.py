@@ -1,4 +1,4 @@
-"""AMPL ``.nl`` files (text form), with complementarity rows.
+"""The text form of AMPL's ``.nl`` files, with complementarity rows.
 
 D. M. Gay, Writing .nl files, Sandia report 2005-7907P. A row with bound type 5, ``5 k i``, complements the
 unknown i - 1: bit 1 of k says that its lower bound takes part, bit 2 its upper bound. The row is non-negative
@@ -8,7 +8,7 @@ importer refuses such rows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,30 +16,27 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.mpcc.problem import MPCC
-from rmesh_nlp.mpcc.reading.problem import Problem
-
-_UNARY: dict[int, Callable[[Any], Any]] = {
+_UNARY: dict[int, Callable[..., Any]] = {
     13: ca.floor, 14: ca.ceil, 15: ca.fabs, 16: lambda a: -a, 34: ca.logic_not, 37: ca.tanh, 38: ca.tan,
     39: ca.sqrt, 40: ca.sinh, 41: ca.sin, 42: ca.log10, 43: ca.log, 44: ca.exp, 45: ca.cosh, 46: ca.cos,
     47: ca.atanh, 49: ca.atan, 50: ca.asinh, 51: ca.asin, 52: ca.acosh, 53: ca.acos, 76: lambda a: a * a,
 }  # fmt: skip
-_BINARY: dict[int, Callable[[Any, Any], Any]] = {
+_BINARY: dict[int, Callable[..., Any]] = {
     0: lambda a, b: a + b, 1: lambda a, b: a - b, 2: lambda a, b: a * b, 3: lambda a, b: a / b,
     4: ca.remainder, 5: lambda a, b: a**b, 6: lambda a, b: ca.fmax(a - b, 0), 20: ca.logic_or,
     21: ca.logic_and, 22: lambda a, b: a < b, 23: lambda a, b: a <= b, 24: lambda a, b: a == b,
     28: lambda a, b: a >= b, 29: lambda a, b: a > b, 30: lambda a, b: a != b, 48: ca.atan2,
     75: lambda a, b: a**b, 77: lambda a, b: a**b,
 }  # fmt: skip
-_NARY: dict[int, Callable[[list[Any]], Any]] = {
-    11: lambda parts: _fold(ca.fmin, parts),
-    12: lambda parts: _fold(ca.fmax, parts),
-    54: lambda parts: _fold(lambda a, b: a + b, parts),
+_NARY: dict[int, Callable[..., Any]] = {
+    11: lambda *parts: _fold(ca.fmin, parts),
+    12: lambda *parts: _fold(ca.fmax, parts),
+    54: lambda *parts: _fold(lambda a, b: a + b, parts),
 }
-_TERNARY = {35: lambda a, b, c: ca.if_else(a, b, c)}
+_TERNARY: dict[int, Callable[..., Any]] = {35: ca.if_else}
 
 
-def _fold(operation: Callable[[Any, Any], Any], parts: list[Any]) -> Any:
+def _fold(operation: Callable[[Any, Any], Any], parts: Sequence[Any]) -> Any:
     """Combine pairwise, so that long sums do not make deep graphs."""
     while len(parts) > 1:
         paired = [operation(a, b) for a, b in zip(parts[::2], parts[1::2], strict=False)]
@@ -173,20 +170,14 @@ def _segment(lines: _Lines, rows: Rows, values: list[Any], key: str, words: list
                 rows.lbx[j], rows.ubx[j] = _bound(lines, None, j)
         case "J" | "G":
             terms = [(_place(i, n), float(c)) for i, c in lines.numbers(int(words[1]))]
-            linear = (
-                _fold(lambda a, b: a + b, [c * values[i] for i, c in terms if c])
-                if any(c for _, c in terms)
-                else 0
-            )
+            used = [c * values[i] for i, c in terms if c]
+            linear = _fold(lambda a, b: a + b, used) if used else 0
             if key == "J":
                 rows.bodies[_place(words[0], m)] += linear
             elif int(words[0]) == 0:
                 rows.f += linear
-        case "k" | "d":
-            for _ in lines.numbers(int(words[0])):
-                pass
-        case "S":
-            for _ in lines.numbers(int(words[1])):
+        case "k" | "d" | "S":
+            for _ in lines.numbers(int(words[1 if key == "S" else 0])):
                 pass
         case "F":
             raise lines.fault("imported functions are not supported")
@@ -225,7 +216,7 @@ def _bound(lines: _Lines, rows: Rows | None, i: int) -> tuple[float, float]:
 
 def _expression(lines: _Lines, values: list[Any]) -> Any:
     """One expression in prefix form, with a stack of its own: sums may be thousands of levels deep."""
-    pending: list[tuple[Callable[..., Any], int, bool, list[Any]]] = []
+    pending: list[tuple[Callable[..., Any], int, list[Any]]] = []
     while True:
         line = lines.next()
         kind, rest = line[0], line[1:]
@@ -236,55 +227,29 @@ def _expression(lines: _Lines, values: list[Any]) -> Any:
             case "v":
                 value = values[_place(rest, len(values))]
             case "o":
-                pending.append(_operation(lines, int(rest)))
+                pending.append((*_operation(lines, int(rest)), []))
                 continue
             case _:
                 raise lines.fault(f"unknown expression {line!r}")
         while pending:
-            operation, count, as_list, arguments = pending[-1]
+            operation, count, arguments = pending[-1]
             arguments.append(value)
             if len(arguments) < count:
                 break
             pending.pop()
-            value = operation(arguments) if as_list else operation(*arguments)
+            value = operation(*arguments)
         else:
             return value
 
 
-def _operation(lines: _Lines, code: int) -> tuple[Callable[..., Any], int, bool, list[Any]]:
-    if code in _UNARY:
-        return _UNARY[code], 1, False, []
-    if code in _BINARY:
-        return _BINARY[code], 2, False, []
-    if code in _TERNARY:
-        return _TERNARY[code], 3, False, []
-    if code in _NARY:
-        count = int(lines.next())
-        if count < 1:
-            raise lines.fault(f"an operation on {count} terms")
-        return _NARY[code], count, True, []
-    raise lines.fault(f"operation o{code} is not supported")
-
-
-def read_nl(path: Path) -> Problem:
-    """Read an AMPL ``.nl`` file as an MPCC; a maximised objective changes its sign."""
-    rows = read_rows(path)
-    complements = rows.complements
-    lower, upper = rows.lbx.copy(), rows.ubx.copy()
-    G = [rows.bodies[i] for i in complements]
-    H = [rows.x[j] for _, j in complements.values()]
-    lbH = [rows.lbx[j] if k & 1 else -np.inf for k, j in complements.values()]
-    ubH = [rows.ubx[j] if k & 2 else np.inf for k, j in complements.values()]
-    for i, (k, j) in complements.items():
-        if (k & 1 and not np.isfinite(rows.lbx[j])) or (k & 2 and not np.isfinite(rows.ubx[j])):
-            raise ValueError(f"{path}: row {i} complements an infinite bound of unknown {j}")
-    one_sided = [np.isfinite(a) != np.isfinite(b) for a, b in zip(lbH, ubH, strict=True)]
-    kept = [i for i in range(len(rows.bodies)) if i not in complements]
-    sign = -1.0 if rows.maximise else 1.0
-    mpcc = MPCC.mixed(
-        rows.x, sign * rows.f, [rows.bodies[i] for i in kept] or None, G, H,
-        lbG=[0.0 if one and np.isfinite(a) else -np.inf for one, a in zip(one_sided, lbH, strict=True)],
-        ubG=[0.0 if one and not np.isfinite(a) else np.inf for one, a in zip(one_sided, lbH, strict=True)],
-        lbH=lbH, ubH=ubH, lbx=lower, ubx=upper, lbg=rows.lower[kept], ubg=rows.upper[kept],
-    )  # fmt: skip
-    return Problem(path.stem, mpcc, rows.x0, sign=sign)
+def _operation(lines: _Lines, code: int) -> tuple[Callable[..., Any], int]:
+    """An operation and the number of its arguments."""
+    for count, operations in ((1, _UNARY), (2, _BINARY), (3, _TERNARY)):
+        if code in operations:
+            return operations[code], count
+    if code not in _NARY:
+        raise lines.fault(f"operation o{code} is not supported")
+    count = int(lines.next())
+    if count < 1:
+        raise lines.fault(f"an operation on {count} terms")
+    return _NARY[code], count

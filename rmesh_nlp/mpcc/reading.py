@@ -1,0 +1,248 @@
+"""Problems from public formats: AMPL ``.nl``, NOSBENCH's JSON, Pyomo models.
+
+NOSBENCH stores serialised CasADi Functions of ``(w, p)``: ``g_fun, G_fun, H_fun``,
+``augmented_objective_fun`` (or ``objective_fun``), and numbers ``w0, lbw, ubw, p0, lbg, ubg``. https://github.com/nosnoc/nosbench
+
+Pyomo's own writer leaves mixed pairs out: the members of every condition are written as ordinary rows into
+a ``.nl`` file of a copy of the model, and paired again when it is read.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.nl import Rows, read_rows
+from rmesh_nlp.mpcc.problem import MPCC
+
+_OBJECTIVES = ("augmented_objective_fun", "objective_fun")
+_BLOCK = "rmesh_nlp_mpcc_rows"
+_BOUNDS = {"lbx": ("lbw", -np.inf), "ubx": ("ubw", np.inf), "lbg": ("lbg", 0.0), "ubg": ("ubg", 0.0)}
+"""Our bounds by NOSBENCH's names and defaults."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What :func:`rmesh_nlp.mpcc.read` returns.
+
+    Attributes
+    ----------
+    name : str
+    mpcc : MPCC
+    x0 : array
+        Start, of the file's own unknowns; ``mpcc.start`` completes it.
+    p0 : array
+        Values of the parameters.
+    sign : float
+        -1 if the file maximises: ``mpcc.f`` is then minus its objective.
+    target : float
+        The best known value, where there is one; else NaN.
+    """
+
+    name: str
+    mpcc: MPCC
+    x0: Array
+    p0: Array = field(default_factory=lambda: np.zeros(0))
+    sign: float = 1.0
+    target: float = float("nan")
+
+
+def read(source: str | PathLike[str] | Any) -> Problem:
+    """Read an MPCC from a file, or from a Pyomo model.
+
+    Parameters
+    ----------
+    source : path or pyomo.environ.ConcreteModel
+        ``.nl``: text form of AMPL's format, with complementarity rows. ``.json``: CasADi Functions as
+        NOSBENCH serialises them.
+
+    Raises
+    ------
+    ValueError
+        If the format is unknown or the file malformed; the message names the file, and the line or field.
+    OSError
+        If the file cannot be read.
+    """
+    if not isinstance(source, (str, PathLike)):
+        if hasattr(source, "component_data_objects"):
+            return read_pyomo(source)
+        raise ValueError(f"expected a path or a Pyomo model, got {type(source).__name__}")
+    path = Path(source)
+    try:
+        reader = READERS[path.suffix.lower()]
+    except KeyError:
+        raise ValueError(f"{path}: unknown format {path.suffix!r}; there are {', '.join(READERS)}") from None
+    return reader(path)
+
+
+Member = tuple[Any, float, float]
+"""A member of a mixed pair with its bounds."""
+
+
+def _of_rows(name: str, rows: Rows, pairs: list[tuple[Member, Member]], paired: set[int]) -> Problem:
+    """The rows of a file as an MPCC: pairs, and the rows that are in none; a maximum changes its sign."""
+    kept = [i for i in range(len(rows.bodies)) if i not in paired]
+    sign = -1.0 if rows.maximise else 1.0
+    G, lbG, ubG, H, lbH, ubH = ([(*pair[0], *pair[1])[k] for pair in pairs] for k in range(6))
+    mpcc = MPCC.mixed(
+        rows.x, sign * rows.f, [rows.bodies[i] for i in kept] or None, G, H,
+        lbG=lbG, ubG=ubG, lbH=lbH, ubH=ubH, lbx=rows.lbx, ubx=rows.ubx,
+        lbg=rows.lower[kept], ubg=rows.upper[kept],
+    )  # fmt: skip
+    return Problem(name, mpcc, rows.x0, sign=sign)
+
+
+def read_nl(path: Path) -> Problem:
+    """Read an AMPL ``.nl`` file as an MPCC; a maximised objective changes its sign."""
+    rows = read_rows(path)
+    pairs: list[tuple[Member, Member]] = []
+    for i, (bits, j) in rows.complements.items():
+        lower = float(rows.lbx[j]) if bits & 1 else -np.inf
+        upper = float(rows.ubx[j]) if bits & 2 else np.inf
+        if (bits & 1 and lower == -np.inf) or (bits & 2 and upper == np.inf):
+            raise ValueError(f"{path}: row {i} complements an infinite bound of unknown {j}")
+        one_sided = np.isfinite(lower) != np.isfinite(upper)
+        sides = (0.0, np.inf) if np.isfinite(lower) else (-np.inf, 0.0)
+        body = (rows.bodies[i], *(sides if one_sided else (-np.inf, np.inf)))
+        pairs.append((body, (rows.x[j], lower, upper)))
+    return _of_rows(path.stem, rows, pairs, set(rows.complements))
+
+
+def read_pyomo(model: Any) -> Problem:
+    """Read a concrete Pyomo model with ``pyomo.mpec`` conditions; it is not changed.
+
+    Raises
+    ------
+    ImportError
+        If Pyomo is not installed.
+    ValueError
+        If a condition is no pair of expressions, or the model has integer variables.
+    """
+    import pyomo.environ as pe
+    from pyomo.core.expr import RelationalExpression
+    from pyomo.mpec import Complementarity
+
+    copy = model.clone()
+    block = pe.Block(concrete=True)
+    copy.add_component(_BLOCK, block)
+    n_pairs = 0
+    for condition in list(copy.component_data_objects(Complementarity, active=True, descend_into=True)):
+        members = getattr(condition, "_args", None)
+        if members is None or len(members) != 2:
+            raise ValueError(f"the condition {condition.name} is not a pair")
+        for side, member in enumerate(members):
+            name = f"pair{n_pairs}_{side}"
+            if isinstance(member, RelationalExpression):
+                block.add_component(name, pe.Constraint(expr=member))
+            else:  # a bare expression: free, and equal to a new variable
+                free = pe.Var(initialize=0.0)
+                block.add_component(f"{name}_value", free)
+                block.add_component(f"{name}_is", pe.Constraint(expr=free == member))
+        n_pairs += 1
+        condition.deactivate()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.nl"
+        options = {
+            "symbolic_solver_labels": True,
+            "linear_presolve": False,
+            "skip_trivial_constraints": False,
+        }
+        copy.write(str(path), format="nl", io_options=options)
+        rows = read_rows(path)
+        row, column = (
+            {name: i for i, name in enumerate(path.with_suffix(ending).read_text().split("\n"))}
+            for ending in (".row", ".col")
+        )
+
+    def member_of(name: str) -> Member:
+        if name in row:
+            i = row[name]
+            return rows.bodies[i], float(rows.lower[i]), float(rows.upper[i])
+        return rows.x[column[f"{name}_value"]], -np.inf, np.inf
+
+    names = [(f"{_BLOCK}.pair{k}_0", f"{_BLOCK}.pair{k}_1") for k in range(n_pairs)]
+    paired = {row[name] for pair in names for name in pair if name in row}
+    return _of_rows(str(model.name), rows, [(member_of(a), member_of(b)) for a, b in names], paired)
+
+
+def read_nosbench(path: Path) -> Problem:
+    """Read one problem; raises ValueError naming the file and the field that is missing or malformed."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path}: not a JSON file: {error}") from error
+    if not isinstance(data, dict):
+        raise ValueError(f"{path}: must hold a JSON object")
+    objective = next((name for name in _OBJECTIVES if name in data), _OBJECTIVES[0])
+    names = {"f": objective, "g": "g_fun", "G": "G_fun", "H": "H_fun"}
+    functions = {key: _function(path, data, name) for key, name in names.items()}
+    x0, p0 = _numbers(path, data, "w0", None), _numbers(path, data, "p0", np.zeros(0))
+    kind = ca.SX if all(function.is_a("SXFunction") for function in functions.values()) else ca.MX
+    w, p = kind.sym("w", x0.size), kind.sym("p", p0.size)
+    columns: dict[str, Any] = {}
+    for key, function in functions.items():
+        try:
+            columns[key] = function.call([w, p][: function.n_in()])[0]
+        except RuntimeError as error:
+            raise ValueError(f"{path}: {names[key]} does not take w of length {x0.size}: {error}") from error
+    bounds: dict[str, Any] = {
+        ours: _numbers(path, data, theirs, np.array(default)) for ours, (theirs, default) in _BOUNDS.items()
+    }
+    return Problem(path.stem, MPCC(x=w, p=p, **columns, **bounds), x0, p0)
+
+
+def _function(path: Path, data: dict[str, Any], name: str) -> ca.Function:
+    text = data.get(name)
+    if not isinstance(text, str):
+        raise ValueError(f"{path}: the field {name} is missing or no serialised Function")
+    try:
+        return ca.Function.deserialize(text)
+    except RuntimeError as error:
+        raise ValueError(f"{path}: the field {name} is no serialised Function: {error}") from error
+
+
+def _numbers(path: Path, data: dict[str, Any], name: str, default: Array | None) -> Array:
+    """A list of numbers; JSON has no infinity, so null, "inf" and numbers from 1e20 on stand for it."""
+    if name not in data or data[name] is None:
+        if default is None:
+            raise ValueError(f"{path}: the field {name} is missing")
+        return default
+    sign = -1.0 if name.startswith("lb") else 1.0
+    try:
+        values = np.array([sign * np.inf if v is None else float(v) for v in _flat([data[name]])])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: the field {name} must be a list of numbers: {error}") from error
+    if values.size == 0 and default is not None:
+        return default
+    if name.startswith(("lb", "ub")):
+        values[np.abs(values) >= 1e20] *= np.inf
+    return values
+
+
+def _flat(values: list[Any]) -> list[Any]:
+    return [part for value in values for part in (_flat(value) if isinstance(value, list) else [value])]
+
+
+def write_nosbench(problem: Problem, path: Path) -> None:
+    """Write a problem in the same form."""
+    mpcc = problem.mpcc
+    parts = {"g_fun": mpcc.g, "G_fun": mpcc.G, "H_fun": mpcc.H, "augmented_objective_fun": mpcc.f}
+    data: dict[str, Any] = {
+        name: ca.Function(name, [mpcc.x, mpcc.p], [part], ["w", "p"], [name[:-4]]).serialize()
+        for name, part in parts.items()
+    }
+    data |= {"w0": mpcc.start(problem.x0, problem.p0).tolist(), "p0": problem.p0.tolist()}
+    for ours, (theirs, _) in _BOUNDS.items():
+        data[theirs] = [float(v) if np.isfinite(v) else None for v in np.asarray(getattr(mpcc, ours))]
+    path.write_text(json.dumps(data), encoding="utf-8")
+
+
+READERS = {".nl": read_nl, ".json": read_nosbench}
