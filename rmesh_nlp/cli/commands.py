@@ -16,8 +16,8 @@ from rmesh_nlp.io.files import remove_leftovers
 from rmesh_nlp.io.manifest import Manifest
 from rmesh_nlp.io.records import DamagedRecordsWarning, Record, to_json
 from rmesh_nlp.io.results import RECORDS, TABLES, Result, read_results, write_single
-from rmesh_nlp.report.common_costs import with_common_costs
 from rmesh_nlp.report.figures import write_figures
+from rmesh_nlp.report.histories import with_common_costs
 from rmesh_nlp.report.tables import markdown, short_markdown, write_tables
 from rmesh_nlp.study import comparison as campaign
 from rmesh_nlp.study.cases import plan_comparison

@@ -20,8 +20,7 @@ from rmesh_nlp.io.files import safe_name, write_text, write_whole
 from rmesh_nlp.io.problem_file import build, read_table
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.units import bracketed
-from rmesh_nlp.report.page import Page
-from rmesh_nlp.report.style import look, new_figure, save
+from rmesh_nlp.report.style import Page, look, new_figure, save
 from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.load_path import PathStep, load_path
 from rmesh_nlp.solving.options import accepted

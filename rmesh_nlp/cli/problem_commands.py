@@ -31,10 +31,8 @@ from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.checks import check_unknowns
-from rmesh_nlp.report.before_after import PICTURES, write_pictures
-from rmesh_nlp.report.page import Page
-from rmesh_nlp.report.problem_picture import draw_problem
-from rmesh_nlp.report.states import Drawable
+from rmesh_nlp.report.pictures import PICTURES, Drawable, draw_problem, write_pictures
+from rmesh_nlp.report.style import Page
 from rmesh_nlp.solving.advice import advise as advice
 from rmesh_nlp.solving.clock import deferred
 from rmesh_nlp.solving.formulation import find

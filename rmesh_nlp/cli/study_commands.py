@@ -14,8 +14,7 @@ from rmesh_nlp.cli.folders import writable
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.io.files import remove_leftovers, safe_name, write_new, write_whole
 from rmesh_nlp.io.results import ROWS, SOLUTIONS, read_rows
-from rmesh_nlp.report.html_page import write_report
-from rmesh_nlp.report.reproduction_page import NAMES, write_page
+from rmesh_nlp.report.html_page import REPRODUCTION, write_report, write_reproduction
 from rmesh_nlp.report.tables import frame
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.guess import seconds_of_plan
@@ -128,9 +127,9 @@ def export(folder: Path, path: Path) -> None:
 
 def reproduce(out: Path, quick: bool, quiet: bool) -> int:
     """Derive the statements about the paper again and write their page."""
-    with writable(out, NAMES):
+    with writable(out, REPRODUCTION):
         statements = derive(quick=quick, say=(lambda text: None) if quiet else _note)
-        paths = write_page(out, statements, quick)
+        paths = write_reproduction(out, statements, quick)
     if not quiet:
         for one in statements:
             print(f"{one.example}, {one.what}: printed {one.printed}, here {one.ours} {one.verdict}".rstrip())

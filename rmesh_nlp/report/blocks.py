@@ -1,9 +1,9 @@
-"""Records grouped by what was solved, for tables and figures."""
+"""Records grouped by what was solved, their names, and what tables and figures derive from them."""
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,14 +12,14 @@ from rmesh_nlp.io.records import Record
 
 DEFAULT_RELAXATION = "scholtes"
 BORROWED = ("joint", "nested", "without-complementarity")
-"""Starts of ``mpcc`` that solve another program first: the homotopy then only certifies its end."""
+"""Starts of ``mpcc`` that solve another model first: the homotopy then only certifies its end."""
 RELOCATING_NOTHING = "fixed"
 """The formulation whose solution is that of the initial grid."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Records of one example on one grid with one box, rule and outer objective.
+    """Records of one example on one grid with the same move limits and rule.
 
     Attributes
     ----------
@@ -54,6 +54,14 @@ class Block:
         return f"{self.name}: {', '.join(self.settings)}"
 
     @property
+    def objectives(self) -> dict[str, list[Record]]:
+        """The records by what was minimised."""
+        found: dict[str, list[Record]] = {}
+        for record in self.records:
+            found.setdefault(record["objective"], []).append(record)
+        return found
+
+    @property
     def succeeded(self) -> tuple[Record, ...]:
         """Records of successful solves."""
         return tuple(record for record in self.records if record["success"])
@@ -79,21 +87,21 @@ class Block:
         paper, record = PAPER.get(self.example), self.records[0]
         if paper is None or record["delta"] != list(paper.delta):
             return None
-        sizes = (f"{paper.size[0]}x{paper.size[1]}", f"{paper.size[0]}")
-        square = paper.size[0] == paper.size[1]
-        same = record["n"] in (sizes if square else sizes[:1])
-        return paper if same and record.get("quadrature", "midpoint") == "midpoint" else None
+        sizes = [f"{paper.size[0]}x{paper.size[1]}"]
+        if paper.size[0] == paper.size[1]:
+            sizes.append(f"{paper.size[0]}")
+        return paper if record["n"] in sizes and record.get("quadrature", "midpoint") == "midpoint" else None
 
 
 def blocks(records: Sequence[Record]) -> list[Block]:
     """The records grouped, in the order of their first appearance."""
-    groups: dict[tuple[Any, ...], list[Record]] = {}
+    groups: dict[Hashable, list[Record]] = {}
     for record in records:
         groups.setdefault(block_key(record), []).append(record)
     return [Block(tuple(group)) for group in groups.values()]
 
 
-def block_key(record: Record) -> tuple[Any, ...]:
+def block_key(record: Record) -> Hashable:
     """What records of one block have in common."""
     return record["example"], record["n"], str(record["delta"]), record.get("quadrature", "midpoint")
 
@@ -128,6 +136,16 @@ def label(record: Record) -> str:
     return ", ".join(parts)
 
 
+def variant(record: Record) -> str:
+    """The variant of a row: its name in the study, or in a comparison its label."""
+    return str(record.get("variant") or label({**record, "seed": None}))
+
+
+def variants_of(records: Sequence[Record]) -> list[str]:
+    """All variants that relocate, by name: the same order, and so the same looks, in all figures."""
+    return sorted({variant(record) for record in records if record["formulation"] != RELOCATING_NOTHING})
+
+
 def names_of_solves(records: Sequence[Record]) -> list[str]:
     """Example and formulation of each record, by blocks, with the settings that tell blocks apart."""
     groups = blocks(records)
@@ -149,3 +167,24 @@ def delta_text(delta: Any) -> str:
     if isinstance(delta, dict):
         return f"{delta['relative']} x shortest edge"
     return f"{delta[0]:.6g}" if delta[0] == delta[1] else f"{delta[0]:.6g} x {delta[1]:.6g}"
+
+
+def seconds_of_work(record: Record) -> float | None:
+    """Seconds of build and solve: the audit is no cost of a formulation.
+
+    Records of older versions have no split time: their wall time counts.
+    """
+    build, solve = record.get("build_time_s"), record.get("solve_time_s")
+    return record.get("wall_time_s") if build is None or solve is None else build + solve
+
+
+def contact_units(record: Record) -> float | None:
+    """Build and solve over the time of one contact solve measured in the same run."""
+    seconds, unit = seconds_of_work(record), record.get("contact_time_s")
+    return seconds / unit if seconds is not None and unit else None
+
+
+def gain_in_per_cent(record: Record) -> float | None:
+    """The fall of the audited energy in per cent of its size on the given mesh."""
+    before, after = record.get("energy_initial_audited"), record.get("energy_audited")
+    return None if after is None or not before else 100 * (before - after) / abs(before)

@@ -8,7 +8,7 @@ from typing import Any
 
 from rmesh_nlp.examples import PaperValues
 from rmesh_nlp.io.records import Record
-from rmesh_nlp.report.blocks import Block, label
+from rmesh_nlp.report.blocks import Block, contact_units, gain_in_per_cent, label
 
 MISSING = "-"
 
@@ -42,21 +42,6 @@ def _number(name: str, form: str) -> Callable[[Record], str]:
 
 def _text(name: str) -> Callable[[Record], str]:
     return lambda record: str(record.get(name) or MISSING)
-
-
-def seconds_of_work(record: Record) -> float | None:
-    """Seconds of build and solve: the audit is no cost of a formulation.
-
-    Records of older versions have no split time: their wall time counts.
-    """
-    build, solve = record.get("build_time_s"), record.get("solve_time_s")
-    return record.get("wall_time_s") if build is None or solve is None else build + solve
-
-
-def contact_units(record: Record) -> float | None:
-    """Build and solve over the time of one contact solve measured in the same run."""
-    seconds, unit = seconds_of_work(record), record.get("contact_time_s")
-    return seconds / unit if seconds is not None and unit else None
 
 
 def _in_contact_solves(record: Record) -> str:
@@ -114,12 +99,6 @@ def _sum_of_errors(record: Record) -> str:
 def _two(first: str, second: str) -> str:
     """A LaTeX heading of two lines."""
     return rf"\begin{{tabular}}[b]{{@{{}}r@{{}}}}{first}\\ {{{second}}}\end{{tabular}}"
-
-
-def gain_in_per_cent(record: Record) -> float | None:
-    """The fall of the audited energy in per cent of its size on the given mesh."""
-    before, after = record.get("energy_initial_audited"), record.get("energy_audited")
-    return None if after is None or not before else 100 * (before - after) / abs(before)
 
 
 def _gain(record: Record) -> str:

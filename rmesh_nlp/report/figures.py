@@ -1,32 +1,70 @@
-"""Results to figures like 6.1 to 6.10 of the paper, PNG and PDF; nothing is solved here."""
+"""Results to figures like 6.1 to 6.10 of the paper, and to profiles; PNG and PDF, nothing is solved here."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, StrMethodFormatter
 
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.io.manifest import Manifest
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import Result
-from rmesh_nlp.io.vtu import read_vtu
-from rmesh_nlp.problem.units import units_of
+from rmesh_nlp.io.vtu import Fields, read_vtu
+from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.problem.units import NO_UNITS, Units, bracketed, units_of
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, label
-from rmesh_nlp.report.convergence import convergence_figure, curve
-from rmesh_nlp.report.errors import bracket_figure, error_figure, is_certified
-from rmesh_nlp.report.grids import grid_figure, surface_figure
-from rmesh_nlp.report.profile_figures import profile_figures
-from rmesh_nlp.report.stresses import stress_figure
-from rmesh_nlp.report.study_summary import charts, is_study
-from rmesh_nlp.report.style import SETTINGS, save
+from rmesh_nlp.report.drawing import (
+    body_of,
+    draw_deformed,
+    draw_field,
+    draw_mesh,
+    frame,
+    is_fine,
+    magnification,
+    triangulation,
+    window,
+)
+from rmesh_nlp.report.histories import Curve, curve
+from rmesh_nlp.report.study_summary import Chart, charts, is_study
+from rmesh_nlp.report.style import (
+    FORMATS,
+    GRID_LINE,
+    MAP,
+    SETTINGS,
+    TWO_COLUMNS,
+    Look,
+    Page,
+    add_legend,
+    look,
+    new_figure,
+    save,
+)
 
 GIVEN = "given grid"
 
+LEVELS = 16
+"""Contours of a solution."""
 
-FORMATS = ("png", "pdf")
+DECADES = 3
+"""Powers of ten that the colours of an error map span."""
+
+FLOOR = 1e-8
+"""Distances to the best energy are drawn no lower than this part of it: below is the solvers' tolerance."""
+
+MARKERS = 15
+"""About as many markers are put on a curve."""
+
+FEW = 100
+"""Axes that span a smaller factor are labelled with numbers in place of powers."""
 
 
 def write_figures(results: Sequence[Result], folder: Path, manifest: Manifest | None = None) -> list[Path]:
@@ -43,35 +81,29 @@ def write_figures(results: Sequence[Result], folder: Path, manifest: Manifest | 
         If the fields of a solution cannot be read, or a file of the user's is in the way.
     """
     paths: list[Path] = []
-    for name, figure in _all_figures(results):
-        stem = _unused(safe_name(name), paths)
-        if manifest is not None:
-            manifest.claim(*(f"{folder.name}/{stem}.{kind}" for kind in FORMATS))
-        paths += save(figure, folder / stem, FORMATS)
+    with rc_context(SETTINGS):
+        for name, figure in _all_figures(results):
+            stem = _unused(safe_name(name), paths)
+            if manifest is not None:
+                manifest.claim(*(f"{folder.name}/{stem}.{kind}" for kind in FORMATS))
+            paths += save(figure, folder / stem, FORMATS)
     return paths
 
 
 def _all_figures(results: Sequence[Result]) -> Iterator[tuple[str, Figure]]:
-    """Of a study its profiles; of a comparison those of each block."""
+    """Of a study its profiles; of a comparison those of each block, and brackets of certified energies."""
     records = [result.record for result in results]
     if is_study(records):
-        with rc_context(SETTINGS):
-            yield from profile_figures(charts(results))
+        yield from ((f"profile-{chart.name}", profile_figure(chart)) for chart in charts(results))
         return
     by_record = {id(result.record): result for result in results}
     for block in blocks(records):
         yield from block_figures(block, [by_record[id(record)] for record in block.records])
-    yield from _brackets(records)
-
-
-def _brackets(records: Sequence[Record]) -> Iterator[tuple[str, Figure]]:
-    """A figure per example that was certified on more than one mesh."""
-    certified = [record for record in records if is_certified(record) and record.get("nodes")]
-    with rc_context(SETTINGS):
-        for example in dict.fromkeys(record["example"] for record in certified):
-            rows = [record for record in certified if record["example"] == example]
-            if len({record["nodes"] for record in rows}) > 1:
-                yield f"{example}-bracket", bracket_figure(rows)
+    certified = [record for record in records if _is_certified(record) and record.get("nodes")]
+    for example in dict.fromkeys(record["example"] for record in certified):
+        rows = [record for record in certified if record["example"] == example]
+        if len({record["nodes"] for record in rows}) > 1:
+            yield f"{example}-bracket", bracket_figure(rows)
 
 
 def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str, Figure]]:
@@ -93,10 +125,11 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
             panels = {**given, f"relocated by {label(record)}": field}
             yield f"{record.get('key', stem)}-grid", grid_figure(panels, units)
             if field.error_bound is not None and field.error_bound_initial is not None:
-                yield f"{record.get('key', stem)}-error", error_figure(field, record)
+                bounds = (field.error_bound_initial, field.error_bound)
+                yield f"{record.get('key', stem)}-error", error_figure(field, bounds, record)
         if given and not moved:
             yield f"{stem}-grid", grid_figure(given, units)
-        for objective in _objectives(block):
+        for objective in block.objectives:
             named = {label(r): field for r, field in moved if r["objective"] == objective}
             if drawn and drawn[0][1].contact.any() and (named or not moved):
                 yield f"{stem}{_suffix(objective)}-stress", stress_figure({**given, **named}, units)
@@ -104,17 +137,12 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
             best = {f"relocated by {label(r)}": f for r, f in moved if r is block.best}
             every = {label(record): field for record, field in moved}
             yield f"{stem}-surface", surface_figure({**given, **best} or every)
-        for objective in _objectives(block):
+        for objective, records in block.objectives.items():
             same = [result for result in results if result.record["objective"] == objective]
             curves = [one for result in same if (one := curve(result, block.unit)) is not None]
-            lowest = Block(tuple(result.record for result in same)).best
+            lowest = Block(tuple(records)).best
             if curves and lowest is not None:
                 yield f"{stem}{_suffix(objective)}-convergence", convergence_figure(curves, lowest)
-
-
-def _objectives(block: Block) -> list[str]:
-    """What was minimised in a block, in the order of its rows."""
-    return list(dict.fromkeys(record["objective"] for record in block.records))
 
 
 def _suffix(objective: str) -> str:
@@ -127,3 +155,237 @@ def _unused(name: str, paths: Sequence[Path]) -> str:
     taken = {path.stem for path in paths}
     candidates = [name, *(f"{name}-{number}" for number in range(2, len(paths) + 3))]
     return next(candidate for candidate in candidates if candidate not in taken)
+
+
+def grid_figure(panels: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure:
+    """Grids side by side with contours of the solution; below them, if elastic, the deformed grids.
+
+    Parameters
+    ----------
+    panels : mapping from titles to Fields
+    units : Units
+        What stands in the labels of the axes.
+    """
+    bodies = [body_of(field) for field in panels.values()]
+    elastic, factor = bodies[0].elastic, magnification(bodies)
+    windows = [window(bodies), *([window(bodies, factor)] if elastic else [])]
+    figure, axes = Page().panels(len(bodies), windows, below=0.3 if elastic else 0.15, beside=1.0)
+    values = [body.size_of_displacement for body in bodies]
+    levels = MaxNLocator(LEVELS).tick_values(min(map(np.min, values)), max(map(np.max, values)))
+    for column, title, body, value in zip(axes.T, panels, bodies, values, strict=True):
+        mesh = triangulation(body.nodes, body.triangles)
+        filled = column[0].tricontourf(mesh, value, levels=levels, cmap=MAP)
+        draw_mesh(column[0], body.nodes, body.triangles, "white")
+        column[0].set_title(title)
+        if elastic:
+            draw_deformed(column[1], body, factor)
+        for axis, limits in zip(column, windows, strict=True):
+            frame(axis, limits, bracketed(units.length))
+    bar = figure.colorbar(filled, ax=axes[0, :].tolist(), aspect=10 if elastic else 25, pad=0.02)
+    bar.locator = MaxNLocator(5 if elastic else 8)
+    bar.update_ticks()
+    bar.set_label(f"|u|{bracketed(units.length)}" if elastic else "u")
+    add_legend(figure, [axes[-1, 0]], "outside lower center")
+    return figure
+
+
+def surface_figure(panels: Mapping[str, Fields]) -> Figure:
+    """The solution of a scalar problem as a surface over each grid."""
+    figure = new_figure(TWO_COLUMNS, 2.9)
+    low = min(float(field.displacement.min()) for field in panels.values())
+    high = max(float(field.displacement.max()) for field in panels.values())
+    for column, (title, field) in enumerate(panels.items(), 1):
+        axis = figure.add_subplot(1, len(panels), column, projection="3d")
+        axis.plot_trisurf(
+            triangulation(field.nodes, field.triangles),
+            field.displacement[0],
+            **{"cmap": MAP, "vmin": low, "vmax": high, "edgecolor": GRID_LINE, "linewidth": 0.3},
+            **{"shade": False, "rasterized": is_fine(field.triangles)},
+        )
+        axis.set(xlabel="$x_1$", ylabel="$x_2$", zlim=(low, high))
+        axis.set_title(f"u, {title}", y=0.98)
+        axis.view_init(elev=28, azim=-130)
+        axis.set_box_aspect((4, 4, 2.4), zoom=1.0)
+    return figure
+
+
+def stress_figure(curves: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure:
+    """Contact stress of each solution, and the tangential one with its bound where there is friction.
+
+    Parameters
+    ----------
+    curves : mapping from names to Fields, the given grid first
+    units : Units
+        What stands in the labels of the axes.
+    """
+    fields = list(curves.values())
+    unit = bracketed(units.stress) if fields[0].displacement.shape[0] == 2 else ""
+    frictional = any(np.any(field.friction_bound > 0) for field in fields)
+    figure = new_figure(TWO_COLUMNS, 4.6 if frictional else 2.6)
+    axes = figure.subplots(2 if frictional else 1, 1, sharex=True, squeeze=False)[:, 0]
+    along = int(np.argmax(np.ptp(fields[0].nodes[:, fields[0].contact], axis=1)))
+
+    def draw(axis: Axes, field: Fields, values: Array, **pen: Any) -> None:
+        where = np.flatnonzero(field.contact)
+        where = where[np.argsort(field.nodes[along, where])]
+        axis.plot(field.nodes[along, where], values[where], **pen)
+
+    for position, (name, field) in enumerate(curves.items()):
+        for axis, values in zip(axes, (field.pressure, field.tangential_stress), strict=False):
+            draw(axis, field, values, **look(position).line(), label=name)
+    axes[0].set_ylabel(f"contact stress{unit}")
+    if frictional:
+        axes[1].set_ylabel(f"tangential stress{unit}")
+        pen = {"color": "0.5", "linewidth": 0.9, "linestyle": (0, (6, 2))}
+        draw(axes[1], fields[0], fields[0].friction_bound, **pen, label="friction bound ±g")
+        draw(axes[1], fields[0], -fields[0].friction_bound, **pen)
+    axes[-1].set_xlabel(f"$x_{along + 1}${bracketed(units.length)} on the contact boundary")
+    add_legend(figure, [axes[-1]])
+    return figure
+
+
+def error_figure(field: Fields, bounds: tuple[Array, Array], record: Record) -> Figure:
+    """Where the error is, before and after: the root of what each element adds to its square, per area.
+
+    ``bounds`` (elements,) are what each element adds to the bound of half the squared error on the given
+    and on the relocated mesh.
+    """
+    meshes = (field.initial, field.nodes)
+    density = [
+        np.sqrt(2 * np.maximum(local, 0) / np.abs(signed_areas(nodes, field.triangles)))
+        for nodes, local in zip(meshes, bounds, strict=True)
+    ]
+    high = max(float(np.max(values)) for values in density)
+    norm = LogNorm(max(high, 1e-300) / 10**DECADES, max(high, 1e-299))
+    shape = np.ptp(field.nodes, axis=1)
+    rows, columns = (2, 1) if shape[0] > 2 * shape[1] else (1, 2)
+    height = 0.9 + rows * (TWO_COLUMNS - 1.4) / columns * float(shape[1] / shape[0])
+    figure = new_figure(TWO_COLUMNS, min(height, 8.0))
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    titles = [f"given, {_percent(record, '_initial')}", f"relocated, {_percent(record, '')}"]
+    for axis, title, nodes, values in zip(axes, titles, meshes, density, strict=True):
+        drawn = draw_field(axis, nodes, field.triangles, np.maximum(values, norm.vmin or 0), norm=norm)
+        axis.set(aspect="equal", xlabel="$x_1$", ylabel="$x_2$", title=title)
+    figure.colorbar(drawn, ax=axes.tolist(), label="error bound per root of area", aspect=30)
+    return figure
+
+
+def _percent(record: Record, when: str) -> str:
+    guaranteed = all(record.get(f"guaranteed_{side}") for side in ("lower", "upper", "initial"))
+    value = record.get(f"relative_error_bound{when}")
+    return "" if value is None else f"error {'at most' if guaranteed else 'estimated at'} {100 * value:.3g} %"
+
+
+def bracket_figure(records: Sequence[Record]) -> Figure:
+    """Lower and upper bounds of the least energy against the number of nodes, a band per formulation."""
+    figure = new_figure(TWO_COLUMNS * 0.6, 2.8)
+    axis = figure.subplots()
+    for position, name in enumerate(dict.fromkeys(label(record) for record in records)):
+        rows = sorted((r for r in records if label(r) == name), key=lambda record: record["nodes"])
+        nodes = [row["nodes"] for row in rows]
+        low, high = ([row[f"energy_{side}_bound"] for row in rows] for side in ("lower", "upper"))
+        style = look(position)
+        axis.fill_between(nodes, low, high, color=style.color, alpha=0.15, linewidth=0)
+        axis.plot(nodes, high, color=style.color, marker=style.marker, markersize=4, label=name)
+        axis.plot(nodes, low, color=style.color, marker=style.marker, markersize=4, linestyle="--")
+    axis.set(xscale="log", xlabel="nodes", ylabel="bounds of the least energy")
+    axis.legend()
+    return figure
+
+
+def _is_certified(record: Record) -> bool:
+    """Whether a record holds both bounds of the energy."""
+    return record.get("energy_lower_bound") is not None and record.get("energy_upper_bound") is not None
+
+
+def convergence_figure(
+    curves: Sequence[Curve], best: Record, looks: Mapping[str, int] | None = None, width: float = TWO_COLUMNS
+) -> Figure:
+    """Distance to the best objective over iterations and over cost; a narrow figure has the cost alone.
+
+    Drawn is the value by the problem's own rule. Energies are per unit of depth, so their unit is that of
+    force.
+
+    Parameters
+    ----------
+    best : Record
+        With the lowest objective, for curves without a feasible end.
+    looks : mapping from names to positions, optional
+        Looks of the curves; by default in their order.
+    width : float
+        Inches.
+    """
+    of_energy = best["objective"] == "energy"
+    unit = bracketed(units_of(best.get("units")).force) if of_energy else ""
+    symbol = "J" if of_energy else "F"
+    ends = [float(one.energy[-1]) for one in curves if one.feasible[-1]]
+    reference = min(ends, default=float(best["energy" if of_energy else "objective_value"]))
+    figure = new_figure(width, 3.1)
+    axes = figure.subplots(1, 2 if width == TWO_COLUMNS else 1, sharey=True, squeeze=False)[0]
+    gaps = [np.abs(one.energy - reference) for one in curves]
+    floor = FLOOR * (abs(reference) or max(float(np.nanmax(gap)) for gap in gaps) or 1.0)
+    for position, (one, gap) in enumerate(zip(curves, gaps, strict=True), 1):
+        style = look(position if looks is None else looks[one.name])
+        for axis, where in zip(axes[::-1], (one.cost, one.iteration), strict=False):
+            _draw(axis, where, np.maximum(gap, floor), one, style)
+    least = f"{reference:.6g}".replace("-", "−")
+    axes[0].set_yscale("log")
+    axes[0].set_ylabel(f"|{symbol} − {symbol}*|{unit}")
+    drawn_to = f"{symbol}* = {least}, drawn down to $10^{{{round(np.log10(FLOOR))}}}$ |{symbol}*|"
+    if not all(one.feasible.all() for one in curves):
+        drawn_to += "\nopen markers: constraints not yet met"
+    axes[0].set_xlabel(f"iteration\n{drawn_to}")
+    axes[-1].set_xscale("log")
+    axes[-1].set_xlabel("cost: time of build and solve\nover that of one contact solve")
+    if len(axes) == 1:
+        axes[0].set_xlabel(f"cost [contact solves]\n{drawn_to}")
+    for axis in axes:
+        axis.grid(color="0.9", linewidth=0.5)
+        axis.minorticks_off()
+    _label_in_numbers(axes[-1])  # costs often span less than a decade
+    add_legend(figure, [axes[0]])
+    return figure
+
+
+def _draw(axis: Axes, where: Array, gap: Array, one: Curve, style: Look) -> None:
+    """A line with some markers, open where the iterate is not feasible."""
+    common: Any = {"color": style.color, "marker": style.marker, "markersize": 4, "markeredgewidth": 0.8}
+    axis.plot(where, gap, color=style.color, linestyle=style.linestyle)
+    marked = np.zeros(where.size, dtype=bool)
+    marked[:: max(1, where.size // MARKERS)] = marked[-1] = True
+    for kept, face in ((one.feasible & marked, style.color), (~one.feasible & marked, "white")):
+        axis.plot(where[kept], gap[kept], linestyle="none", markerfacecolor=face, **common)
+    axis.plot([], [], linestyle=style.linestyle, label=one.name, **common)  # for the legend
+
+
+def _label_in_numbers(axis: Axes) -> None:
+    """Labels 1, 2, 5, 10: powers of ten would leave a short axis without any."""
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+
+
+def profile_figure(chart: Chart, width: float = 0.6 * TWO_COLUMNS, heading: bool = True) -> Figure:
+    """Shares of problems over the chart's quantity, one step function per formulation."""
+    figure = new_figure(width, 2.9)
+    axis = figure.add_subplot()
+    every = np.concatenate([profile.at for profile in chart.profiles.values()])
+    positive = every[every > 0]
+    # values of zero stand at the left edge of a logarithmic axis
+    low = float(max(positive.min(), 1e-6)) if positive.size else 1.0
+    high = 1.1 * float(max(positive.max(), 2 * low)) if positive.size else 2.0
+    for position, (name, profile) in enumerate(chart.profiles.items(), 1):
+        at = np.concatenate([[low], np.maximum(profile.at, low), [high]])
+        style = look(position)
+        axis.step(at, profile(at), where="post", label=name, color=style.color, linestyle=style.linestyle)
+    axis.set(ylim=(-0.02, 1.02), xlabel=chart.axis, ylabel="share of problems", xscale="log")
+    if heading:
+        axis.set_title(chart.title)
+    if high < FEW * low:
+        _label_in_numbers(axis)
+        axis.minorticks_off()
+    axis.grid(color="0.9", linewidth=0.5)
+    if len(chart.profiles) > 4 or not heading:
+        add_legend(figure, [axis])
+    else:
+        axis.legend(loc="lower right")
+    return figure

@@ -1,52 +1,66 @@
-"""Results to one self-contained HTML page: no network, no server, legible on a phone and in print.
+"""Results, and the reproduction of the paper, as self-contained HTML pages: no network, no server.
 
-Charts are inline SVG and meshes a canvas with some sixty lines of script of our own: plotly's script alone
-would add 4.7 MB to every page, and would be the only thing on it that cannot be read without JavaScript.
+They are legible on a phone and in print. Charts are inline SVG by matplotlib; meshes are a canvas with some
+sixty lines of script: plotly's script alone would add 4.7 MB to every page, and would be the only thing on it
+that cannot be read without JavaScript.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from html import escape
-from importlib.resources import files
+import platform
+import re
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 
 from rmesh_nlp import __version__
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.examples.paper import MISPRINT_61
 from rmesh_nlp.io.files import write_text
+from rmesh_nlp.io.manifest import Manifest
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import ROWS, Result, Results
-from rmesh_nlp.report.blocks import blocks, objective_of
-from rmesh_nlp.report.columns import MISSING, contact_units, gain_in_per_cent
-from rmesh_nlp.report.convergence import FLOOR, curve
-from rmesh_nlp.report.notes import LEGEND, block_notes, stopped_early, units_notes
-from rmesh_nlp.report.study_summary import (
-    Chart,
-    charts,
-    family,
-    is_study,
-    study_notes,
-    summary_rows,
+from rmesh_nlp.io.vtu import Fields, read_vtu
+from rmesh_nlp.report.blocks import (
+    RELOCATING_NOTHING,
+    Block,
+    blocks,
+    contact_units,
+    gain_in_per_cent,
+    objective_of,
     variant,
     variants_of,
 )
-from rmesh_nlp.report.svg import Line, line_chart
-from rmesh_nlp.report.viewer import viewer
+from rmesh_nlp.report.columns import MISSING
+from rmesh_nlp.report.figures import convergence_figure, profile_figure
+from rmesh_nlp.report.histories import curve
+from rmesh_nlp.report.markup import markdown_table
+from rmesh_nlp.report.notes import LEGEND, block_notes, stopped_early, units_notes
+from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_rows
+from rmesh_nlp.report.style import SETTINGS
+from rmesh_nlp.study.environment import environment
+from rmesh_nlp.study.reproduction import Statement
 
 REPORT = "report.html"
-CONVERGENCE = 12
-"""Most problems whose convergence is on the page."""
 
-WHICH: tuple[tuple[str, str, str], ...] = (
-    ("example", "problem", "s"),
-    ("n", "size", "s"),
-    ("seed", "seed", "d"),
-)
-COLUMNS: tuple[tuple[str, str, str], ...] = (
+CHART = 4.4
+"""Inches of the width of a chart, so that its letters are legible on a phone, where it is three wide."""
+
+CONVERGENCE, MESHES, STARTS = 12, 60, 8
+"""Most problems whose convergence, solves whose meshes, and starts whose names are on the page."""
+
+WHICH = (("example", "problem", "s"), ("n", "size", "s"), ("seed", "seed", "d"))
+COLUMNS = (
     ("status", "status", "s"),
     ("energy_initial_audited", "J given", ".6g"),
     ("energy_audited", "J relocated", ".6g"),
@@ -55,7 +69,7 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("contact_solves", "contact solves", "d"),
     ("wall_time_s", "time [s]", ".3g"),
 )
-MORE: tuple[tuple[str, str, str], ...] = (
+MORE = (
     ("time_contact_solves", "cost [contact solves]", ".4g"),
     ("u_min", "u min", ".4g"),
     ("u_max", "u max", ".4g"),
@@ -76,8 +90,24 @@ RESIDUALS = (
     "and the first-order residual of the outer problem over that on the given mesh."
 )
 
-STARTS = 8
-"""Most starts that are named one by one."""
+TEMPLATES = Environment(
+    loader=PackageLoader("rmesh_nlp.report", ""),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+TEMPLATES.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells of a table; the first ``texts`` columns are texts, rows in ``failed`` are marked."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    texts: int
+    failed: Set[int] = frozenset()
 
 
 def write_report(folder: Path, results: Sequence[Result], question: str = "", title: str = "") -> Path:
@@ -102,207 +132,213 @@ def write_report(folder: Path, results: Sequence[Result], question: str = "", ti
 def page(folder: Path, results: Sequence[Result], question: str, title: str) -> str:
     """The page as text."""
     records = [result.record for result in results]
-    drawn = charts(results)
-    sections = [
-        ("set-up", "Set-up", _setup(records)),
-        ("summary", "Formulations", _summary(records)),
-        ("profiles", "Profiles", _profiles(drawn)),
-        ("convergence", "Convergence", _convergence(results)),
-        ("meshes", "Meshes before and after", viewer(results)),
-        ("solves", "All solves", _solves(records)),
-        ("failures", "Failures", _failures(records)),
-        ("notes", "Notes", _notes(records)),
-        ("environment", "Environment", _environment(folder, records)),
-    ]
-    shown = [(name, head, body) for name, head, body in sections if body]
-    links = "".join(f'<a href="#{name}">{escape(head)}</a>' for name, head, _ in shown)
-    bodies = "".join(
-        f'<section id="{name}"><h2>{escape(head)}</h2>{body}</section>' for name, head, body in shown
-    )
-    policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
-        f"<title>{escape(title)}</title><style>{resource('html_page.css')}</style></head><body>"
-        f'<h1>{escape(title)}</h1><p class="question">{escape(question)}</p><nav>{links}</nav>{bodies}'
-        f'<p class="note">Made by rmesh report, rmesh-nlp {escape(__version__)}.</p>'
-        f"<script>{resource('html_page.js')}</script></body></html>\n"
-    )
-
-
-def _setup(records: Sequence[Record]) -> str:
-    good = sum(record["success"] for record in records)
-    refused = sum(record["status"] == "refused" for record in records)
-    families = dict.fromkeys(map(family, records))
-    starts = list(dict.fromkeys("given mesh" if r["seed"] is None else f"seed {r['seed']}" for r in records))
-    named = ", ".join(starts) if len(starts) <= STARTS else f"{len(starts)}, {starts[0]} to {starts[-1]}"
-    entries = {
-        "problems": f"{len({(r['example'], r['n']) for r in records})} of {', '.join(families)}",
-        "formulations": ", ".join(dict.fromkeys(map(variant, records))),
-        "outer objectives": ", ".join(dict.fromkeys(objective_of(r) for r in records)),
-        "solves": f"{len(records)}, of which {good} succeeded, {refused} were refused",
-        "starts": named,
-    }
-    return _list(entries)
-
-
-def _list(entries: dict[str, str]) -> str:
-    return "<dl>" + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in entries.items()) + "</dl>"
-
-
-def _summary(records: Sequence[Record]) -> str:
-    head, rows = summary_rows(records)
-    return _table(head, rows, texts=2)
-
-
-def _table(
-    head: Sequence[str], rows: Sequence[Sequence[str]], texts: int, failed: Sequence[bool] = ()
-) -> str:
-    kind = ["text" if i < texts else "" for i in range(len(head))]
-    heads = "".join(f'<th class="{k}">{escape(cell)}</th>' for k, cell in zip(kind, head, strict=True))
-    lines = []
-    for i, row in enumerate(rows):
-        mark = ' class="failed"' if i < len(failed) and failed[i] else ""
-        cells = "".join(f'<td class="{k}">{_in_lines(cell)}</td>' for k, cell in zip(kind, row, strict=True))
-        lines.append(f"<tr{mark}>{cells}</tr>")
-    whole = f"<thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody>"
-    return f'<div class="wide"><table class="sortable">{whole}</table></div>'
-
-
-def _in_lines(cell: str) -> str:
-    """A cell, a range after its median on a line of its own; long texts may break."""
-    middle, bracket, ends = cell.partition(" [")
-    if bracket and ends.endswith("]"):
-        return f'{escape(middle)} <span class="range">[{escape(ends)}</span>'
-    return f'<span class="long">{escape(cell)}</span>' if len(cell) > LONG else escape(cell)
-
-
-LONG = 40
-"""Characters of a cell that may stand in several lines."""
-
-
-def _profiles(drawn: Sequence[Chart]) -> str:
-    if not drawn:
-        return ""
-    parts = [chart_svg(one) for one in drawn]
-    note = "A curve that ends below 1 shows the share of failures. Higher and further left is better."
-    return f'<p class="note">{note}</p><div class="charts">{"".join(parts)}</div>'
-
-
-def chart_svg(chart: Chart) -> str:
-    """Profiles as an SVG; values of zero stand at the left edge of a logarithmic axis."""
-    finite = [profile.at for profile in chart.profiles.values()]
-    every = np.concatenate(finite) if finite else np.zeros(0)
-    positive = every[every > 0]
-    low = max(float(positive.min()) if positive.size else 1.0, 1e-6)
-    high = max(2 * low, 1.1 * float(positive.max()) if positive.size else 2.0)
-    lines, looks = [], {name: i for i, name in enumerate(chart.profiles, 1)}
-    for name, profile in chart.profiles.items():
-        at = np.concatenate([[low], np.maximum(profile.at, low), [high]])
-        share = np.concatenate([profile(low)[None], profile.share, profile(high)[None]])
-        lines.append(Line(name, at, share, looks[name], steps=True))
-    whole = Line("", np.array([np.nan, np.nan]), np.array([0.0, 1.0]))
-    svg = line_chart([*lines, whole], chart.title, chart.axis, "share of problems", log_x=chart.logarithmic)
-    return svg
-
-
-def _convergence(results: Sequence[Result]) -> str:
-    by_record = {id(result.record): result for result in results}
-    names = variants_of([result.record for result in results])
-    looks = {name: i for i, name in enumerate(names, 1)}
-    parts, every = [], blocks([result.record for result in results])
-    for block in every[:CONVERGENCE]:
-        for objective in dict.fromkeys(record["objective"] for record in block.records):
-            own = [record for record in block.records if record["objective"] == objective]
-            found = [curve(by_record[id(record)], block.unit) for record in own]
-            ends = [float(one.energy[-1]) for one in found if one is not None and one.feasible[-1]]
-            if not ends:
-                continue
-            best = min(ends)
-            floor = FLOOR * abs(best) or FLOOR
-            lines = []
-            for record, one in zip(own, found, strict=True):
-                if one is not None:
-                    name = variant(record)
-                    gap = np.where(one.feasible, np.maximum(np.abs(one.energy - best), floor), np.nan)
-                    lines.append(Line(name, one.cost, gap, looks[name]))
-            symbol, what = ("J", "") if objective == "energy" else ("F", f", {objective}")
-            title = f"{block.title}{what}"
-            label = f"|{symbol} - {symbol}*|"
-            svg = line_chart(lines, title, "cost [contact solves]", label, log_x=True, log_y=True)
-            parts.append(svg)
-    more = len(every) - CONVERGENCE
-    note = f"The first {CONVERGENCE} problems; {more} more are not drawn." if more > 0 else ""
-    return f'<p class="note">{note}</p><div class="charts">{"".join(parts)}</div>' if parts else ""
-
-
-def _solves(records: Sequence[Record]) -> str:
+    failed = {i for i, r in enumerate(records) if not r["success"] and r["status"] != "refused"}
+    meshes, meshes_left = _meshes(results)
+    convergence, not_drawn = _convergence(results)
+    with rc_context(SETTINGS):
+        profiles = [(one.title, svg(profile_figure(one, CHART, heading=False))) for one in charts(results)]
+    failures = [[str(r.get(name) or "") for name in ("example", "n", "status", "message")] for r in records]
     rows = [
         {**record, "time_contact_solves": contact_units(record), "gain_per_cent": gain_in_per_cent(record)}
         for record in records
     ]
-    failed = [not record["success"] and record["status"] != "refused" for record in records]
+    shared = sum(bool(record.get("shared")) for record in records)
+    remarks = study_notes(records) if is_study(records) else block_notes(records)
+    sections = (
+        ("set-up", "Set-up", True),
+        ("summary", "Formulations", True),
+        ("profiles", "Profiles", profiles),
+        ("convergence", "Convergence", convergence),
+        ("meshes", "Meshes before and after", meshes),
+        ("solves", "All solves", True),
+        ("failures", "Failures", failed),
+        ("notes", "Notes", True),
+        ("environment", "Environment", True),
+    )
+    return _render(
+        "report.html",
+        title=title,
+        question=question,
+        sections=sections,
+        setup=_setup(records, len(failed)),
+        summary=Table(*summary_rows(records), texts=2),
+        profiles=profiles,
+        convergence=convergence,
+        not_drawn=not_drawn,
+        meshes=meshes,
+        meshes_left=meshes_left,
+        solves=_solves(rows, (*WHICH, *COLUMNS), failed),
+        more=_solves(rows, (*WHICH, *MORE), failed),
+        failures=Table(
+            ["formulation", "problem", "size", "status", "message"],
+            [[variant(records[i]), *failures[i]] for i in sorted(failed)],
+            texts=5,
+        ),
+        remarks=[*LEGEND, RESIDUALS, *units_notes(records), *stopped_early(records), *remarks],
+        environments=_environments(folder, records),
+        shared=f"{shared} of {len(records)} solves shared their core with something." if shared else "",
+    )
 
-    def table(wanted: tuple[tuple[str, str, str], ...]) -> str:
-        shown = [column for column in wanted if any(row.get(column[0]) not in (None, "") for row in rows)]
-        head = ["formulation", *(name for _, name, _ in shown)]
-        body = [[variant(row), *(_cell(row.get(name), form) for name, _, form in shown)] for row in rows]
-        return _table(head, body, texts=2, failed=failed)
 
-    more = f"<details><summary>Residuals and more</summary>{table((*WHICH, *MORE))}</details>"
-    return table((*WHICH, *COLUMNS)) + more
+def _render(name: str, **content: Any) -> str:
+    style, script = (Markup(_resource(file)) for file in ("page.css", "page.js"))
+    text = TEMPLATES.get_template(name).render(style=style, script=script, version=__version__, **content)
+    return f"{text}\n"
 
 
-def _cell(value: Any, form: str) -> str:
+def _resource(name: str) -> str:
+    """A style sheet or script of this package."""
+    assert TEMPLATES.loader is not None
+    return TEMPLATES.loader.get_source(TEMPLATES, name)[0]
+
+
+def _setup(records: Sequence[Record], failed: int) -> dict[str, str]:
+    refused = sum(record["status"] == "refused" for record in records)
+    good = len(records) - refused - failed
+    starts = list(dict.fromkeys("given mesh" if r["seed"] is None else f"seed {r['seed']}" for r in records))
+    named = ", ".join(starts) if len(starts) <= STARTS else f"{len(starts)}, {starts[0]} to {starts[-1]}"
+    families = ", ".join(dict.fromkeys(map(family, records)))
+    return {
+        "problems": f"{len({(r['example'], r['n']) for r in records})} of {families}",
+        "formulations": ", ".join(dict.fromkeys(map(variant, records))),
+        "outer objectives": ", ".join(dict.fromkeys(map(objective_of, records))),
+        "solves": f"{len(records)}, of which {good} succeeded, {refused} were refused",
+        "starts": named,
+    }
+
+
+def svg(figure: Figure) -> str:
+    """A figure as an element of a page, as wide as its place."""
+    text = StringIO()
+    figure.savefig(text, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+    inside = text.getvalue()[text.getvalue().index("<svg") :]
+    # groups have the same names in every figure; clip paths and markers are named by their content
+    inside = re.sub(r'<g id="[^"]*"', "<g", inside)
+    return re.sub(r'<svg [^>]*(viewBox="[^"]*")[^>]*>', r'<svg class="chart" role="img" \1>', inside, count=1)
+
+
+def _convergence(results: Sequence[Result]) -> tuple[list[tuple[str, str]], str]:
+    """Titles and charts of the first problems, and a note about the others."""
+    by_record = {id(result.record): result for result in results}
+    records = [result.record for result in results]
+    looks = {name: position for position, name in enumerate(variants_of(records), 1)}
+    found, every = [], blocks(records)
+    with rc_context(SETTINGS):
+        for block in every[:CONVERGENCE]:
+            for objective, own in block.objectives.items():
+                drawn = [curve(by_record[id(record)], block.unit, variant(record)) for record in own]
+                curves, best = [one for one in drawn if one is not None], Block(tuple(own)).best
+                if best is not None and any(one.feasible[-1] for one in curves):
+                    caption = block.title if objective == "energy" else f"{block.title}, {objective}"
+                    found.append((caption, svg(convergence_figure(curves, best, looks, CHART))))
+    more = len(every) - CONVERGENCE
+    return found, f"The first {CONVERGENCE} problems; {more} more are not drawn." if more > 0 else ""
+
+
+def _solves(rows: Sequence[Record], wanted: Sequence[tuple[str, str, str]], failed: Set[int]) -> Table:
+    shown = [column for column in wanted if any(row.get(column[0]) not in (None, "") for row in rows)]
+    head = ["formulation", *(name for _, name, _ in shown)]
+    cells = [[variant(row), *(_cell(row.get(name), form) for name, _, form in shown)] for row in rows]
+    return Table(head, cells, texts=2, failed=failed)
+
+
+def _cell(value: str | float | None, form: str) -> str:
     if value is None or value == "":
         return MISSING
     return str(value) if form == "s" or isinstance(value, str) else format(value, form)
 
 
-def _failures(records: Sequence[Record]) -> str:
-    failed = [record for record in records if not record["success"] and record["status"] != "refused"]
-    rows = [
-        [variant(r), str(r["example"]), str(r["n"]), str(r["status"]), str(r.get("message") or "")]
-        for r in failed
-    ]
-    return _table(["formulation", "problem", "size", "status", "message"], rows, texts=5) if rows else ""
+def _meshes(results: Sequence[Result]) -> tuple[list[dict[str, Any]], str]:
+    """Meshes and fields for the slider between the given and the relocated mesh, and what is left out."""
+    solved = [r for r in results if r.record["energy"] is not None and r.vtu.exists()]
+    solved = [r for r in solved if r.record["formulation"] != RELOCATING_NOTHING] or solved
+    left = len(solved) - MESHES
+    note = (
+        f"{left} further solves are not here; their fields are in the folder solutions." if left > 0 else ""
+    )
+    return [_mesh(result.record, read_vtu(result.vtu)) for result in solved[:MESHES]], note
 
 
-def _notes(records: Sequence[Record]) -> str:
-    found = [*LEGEND, RESIDUALS, *units_notes(records), *stopped_early(records)]
-    found += study_notes(records) if is_study(records) else block_notes(records)
-    return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in found) + "</ul>"
+def _mesh(record: Record, fields: Fields) -> dict[str, Any]:
+    u = fields.displacement
+    values = {"u": u[0]} if u.shape[0] == 1 else {"|u|": np.hypot(*u), "u1": u[0], "u2": u[1]}
+    values["contact stress"] = fields.pressure
+    if np.any(fields.friction_bound > 0):
+        values["tangential stress"] = fields.tangential_stress
+    values["motion"] = np.hypot(*(fields.nodes - fields.initial))
+    parts = [str(record["example"]), f"n = {record['n']}" if record["n"] else "", variant(record)]
+    parts += [f"seed {record['seed']}" if record["seed"] is not None else ""]
+    parts += [f"repetition {record['repeat'] + 1}" if record.get("repeat") else ""]
+    places = {"x": fields.nodes[0], "y": fields.nodes[1], "x0": fields.initial[0], "y0": fields.initial[1]}
+    size = float(np.abs(fields.nodes).max()) or 1.0
+    return {
+        "name": ", ".join(part for part in parts if part),
+        **{name: _rounded(place, size) for name, place in places.items()},
+        "t": fields.triangles.T.tolist(),
+        "fields": {name: _rounded(v, float(np.abs(v).max()) or 1.0) for name, v in values.items()},
+    }
 
 
-def _environment(folder: Path, records: Sequence[Record]) -> str:
-    parts, seen = [], set()
+def _rounded(values: Array, unit: float) -> list[float]:
+    """Five digits, which a screen does not resolve."""
+    return [float(f"{value:.5g}") if abs(value) > 1e-12 * unit else 0.0 for value in values]
+
+
+def _environments(folder: Path, records: Sequence[Record]) -> list[dict[str, str]]:
+    """Where the solves ran, each place once; without notes of it the versions in the records."""
+    found: list[dict[str, str]] = []
     for path in sorted((folder / ROWS).glob("environment-*.json")):
         try:
             entries = {str(k): _flat(v) for k, v in json.loads(path.read_text()).items()}
         except (OSError, ValueError, AttributeError) as error:
             raise BadInputError(f"cannot read {path}: {error}") from error
-        text = _list(entries)
-        if text not in seen:
-            seen.add(text)
-            parts.append(text)
-    if not parts:
-        versions = {_flat(record["versions"]) for record in records if record["versions"]}
-        parts = [_list({"versions": version}) for version in sorted(versions)]
-    shared = sum(bool(record.get("shared")) for record in records)
-    if shared:
-        parts.append(
-            f'<p class="note">{shared} of {len(records)} solves shared their core with something.</p>'
-        )
-    return "".join(parts)
+        if entries not in found:
+            found.append(entries)
+    versions = sorted({_flat(record["versions"]) for record in records if record["versions"]})
+    return found or [{"versions": version} for version in versions]
 
 
 def _flat(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{k} {v}" for k, v in value.items())
-    return str(value)
+    return ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else str(value)
 
 
-def resource(name: str) -> str:
-    """A style sheet or script of this package."""
-    return files("rmesh_nlp.report").joinpath(name).read_text(encoding="utf-8")
+REPRODUCTION = ("reproduction.md", "reproduction.html")
+TITLE = "The paper's figures, printed and computed"
+HEAD = ("example", "statement", "printed", "here", "outcome", "evidence")
+
+INTRODUCTION = (
+    "Haslinger, Neittaanmäki and Salmenjoki, Applications of Mathematics 37 (1992) 105-122, section 6. "
+    "The paper truncates its digits. Met: equal to the printed digits. Passed: a lower energy was found. "
+    "Cannot be met: no descent tried here reaches it; this is evidence, not a proof."
+)
+
+
+def write_reproduction(folder: Path, statements: Sequence[Statement], quick: bool) -> list[Path]:
+    """Write ``reproduction.md`` and ``reproduction.html``; returns their paths."""
+    Manifest(folder).claim(*REPRODUCTION)
+    rows = [[s.example, s.what, s.printed, s.ours, s.verdict or MISSING, s.evidence] for s in statements]
+    remarks = _reproduction_remarks(quick)
+    items = "".join(f"- {line}\n" for line in remarks)
+    markdown = "\n".join([f"# {TITLE}\n", f"{INTRODUCTION}\n", markdown_table(HEAD, rows), items])
+    table = Table(HEAD, rows, texts=len(HEAD))
+    html = _render(
+        "reproduction.html", title=TITLE, introduction=INTRODUCTION, statements=table, remarks=remarks
+    )
+    paths = [folder / name for name in REPRODUCTION]
+    for path, text in zip(paths, (markdown, html), strict=True):
+        write_text(path, text)
+    return paths
+
+
+def _reproduction_remarks(quick: bool) -> list[str]:
+    place = environment()
+    remarks = [
+        f"Example 6.1: {MISPRINT_61}",
+        "Ends of descents depend in their last digits, and sometimes in which minimiser is found, on the "
+        "processor and its linear algebra.",
+        f"Made by rmesh reproduce{' --quick' if quick else ''}, rmesh-nlp {__version__}, CasADi "
+        f"{place['versions']['casadi']}, {platform.machine()}, {place['blas']}.",
+    ]
+    if quick:
+        remarks.append("The quick variant takes one random start; the full one takes 40.")
+    return remarks

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from statistics import median
 
 from rmesh_nlp.io.records import Record
-from rmesh_nlp.report.blocks import audited, blocks, label, objective_of
-from rmesh_nlp.report.columns import MISSING, contact_units
+from rmesh_nlp.report.blocks import audited, blocks, contact_units, label, objective_of
+from rmesh_nlp.report.columns import MISSING
 
 TITLE = "Several starts"
 CAPTION = (

@@ -104,18 +104,3 @@ def quality_profiles(energies: Mapping[str, ArrayLike], initial: ArrayLike) -> d
         missed = np.where(gain > 0, (table - best) / gain, np.where(table <= best, 0.0, np.inf))
     missed[~np.isfinite(table)] = np.inf
     return {name: _profile(row) for name, row in zip(energies, missed, strict=True)}
-
-
-def cost_of_gain(energy: ArrayLike, cost: ArrayLike, initial: float, best: float, level: float) -> float:
-    """First cost at which ``initial - energy >= level * (initial - best)``; infinite if it never is.
-
-    Parameters
-    ----------
-    energy, cost : (steps,) arrays
-        NaN where an iterate is not feasible, and so its energy not reached.
-    level : float
-        Part of the best gain, such as 0.99.
-    """
-    reached = initial - np.asarray(energy, dtype=float) >= level * (initial - best)
-    where = np.flatnonzero(reached)
-    return float(np.asarray(cost, dtype=float)[where[0]]) if where.size else float("inf")

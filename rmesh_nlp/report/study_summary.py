@@ -11,12 +11,18 @@ import numpy as np
 
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import Result
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, label, objective_of
-from rmesh_nlp.report.columns import MISSING, contact_units, seconds_of_work
-from rmesh_nlp.report.convergence import curve
+from rmesh_nlp.report.blocks import (
+    RELOCATING_NOTHING,
+    contact_units,
+    objective_of,
+    seconds_of_work,
+    variant,
+    variants_of,
+)
+from rmesh_nlp.report.columns import MISSING
+from rmesh_nlp.report.histories import cost_of_gain, curve, shift_to_audited
 from rmesh_nlp.report.profiles import (
     Profile,
-    cost_of_gain,
     data_profiles,
     performance_profiles,
     quality_profiles,
@@ -51,31 +57,17 @@ class Chart:
     name, title, axis : str
         For a file name, for people, of the horizontal axis.
     profiles : dict
-    logarithmic : bool
     """
 
     name: str
     title: str
     axis: str
     profiles: dict[str, Profile]
-    logarithmic: bool = True
-
-
-def variant(record: Record) -> str:
-    """The variant of a row: its name in the study, or in a comparison its label."""
-    name = record.get("variant")
-    return str(name) if name else label({**record, "seed": None})
 
 
 def family(record: Record) -> str:
     """What summaries join: the family in a study, else the example."""
     return str(record.get("family") or record["example"])
-
-
-def variants_of(records: Sequence[Record]) -> list[str]:
-    """All variants that relocate, by name: the same order, and so the same looks, in all figures."""
-    moving = [record for record in records if record["formulation"] != RELOCATING_NOTHING]
-    return sorted({variant(record) for record in moving})
 
 
 def is_study(records: Sequence[Record]) -> bool:
@@ -237,7 +229,7 @@ def _cost_of_level(one: Result, lowest: dict[Instance, float], level: float) -> 
     if not record["success"] or start is None or not np.isfinite(best):
         return INF
     # the history is of the problem's own rule, the best of the audit's: shift by what sets them apart
-    shift = record["energy_audited"] - record["energy"]
+    shift = shift_to_audited(record)
     drawn = curve(one)
     if drawn is not None:
         energy = np.where(drawn.feasible, drawn.energy + shift, np.nan)

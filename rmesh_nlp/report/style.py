@@ -1,4 +1,4 @@
-"""How figures look: sizes of print, colours that the colour-blind can tell apart, PNG and PDF."""
+"""How figures look: widths and letters of print, colours safe for the colour-blind, PNG and PDF."""
 
 from __future__ import annotations
 
@@ -6,20 +6,39 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
+import numpy as np
 from matplotlib import rc_context
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.files import write_whole
 
-TWO_COLUMNS = 7.0
-"""Width of a printed page's text in inches."""
+ONE_COLUMN, TWO_COLUMNS = 3.35, 7.0
+"""Widths in inches of one of two columns of a printed page, and of both."""
 
-LEGEND, KEY, COLUMNS = 92, 8, 5
-"""Letters that fit into a legend of that width, those that the line before a name takes, and most columns."""
+SMALLEST = 7.0
+"""Points of the smallest letters, those of figures of one column."""
 
+LABELS, ABOVE = 0.75, 0.62
+"""Inches that the labels of a panel take of its width, and title and labels of its height."""
+
+FLAT = 0.6
+"""Height over width of a body below which two of them stand one below the other on one column."""
+
+TALLEST = 2.0
+"""Height of a panel over its width, at most."""
+
+LETTERS, KEY = 13.0, 8
+"""Letters of a legend to the inch, and those that the line before a name takes."""
+
+FORMATS = ("png", "pdf")
 MAP = "viridis"
 GRID_LINE = "0.25"
 FOUNDATION = "0.45"
@@ -38,6 +57,7 @@ SETTINGS: Any = {
     "legend.frameon": False,
     "savefig.dpi": 200,
     "pdf.fonttype": 42,  # text stays text: publishers ask for it
+    "svg.fonttype": "none",  # the same in pages
 }
 
 
@@ -50,6 +70,11 @@ class Look:
     marker: str
     size: float
 
+    def line(self, scale: float = 1.0) -> dict[str, Any]:
+        """What ``Axes.plot`` takes for a line with open markers, their sizes scaled."""
+        pen = {"color": self.color, "linestyle": self.linestyle, "marker": self.marker}
+        return {**pen, "markersize": scale * self.size, "markerfacecolor": "none"}
+
 
 # Okabe and Ito's palette; markers differ in size, so that curves on top of each other show
 LOOKS = (
@@ -61,11 +86,69 @@ LOOKS = (
     Look("#E69F00", "--", "P", 5),
     Look("#56B4E9", "-", "X", 5),
 )
+CONTACT, IN_CONTACT, NEUTRAL = "#009E73", "#D55E00", "#56B4E9"
+"""Of the same palette: contact boundaries, what touches, and nodes that nothing limits."""
 
 
 def look(position: int) -> Look:
     """The look of the curve at a position in its figure."""
     return LOOKS[position % len(LOOKS)]
+
+
+@dataclass(frozen=True)
+class Page:
+    """The width of a figure: one or two columns of a printed page, with letters of at least 7 points.
+
+    Attributes
+    ----------
+    columns : int
+        1 or 2.
+    """
+
+    columns: int = 2
+
+    def __post_init__(self) -> None:
+        if self.columns not in (1, 2):
+            raise ValueError(f"figures are one or two columns wide, got {self.columns}")
+
+    @property
+    def width(self) -> float:
+        """Inches."""
+        return ONE_COLUMN if self.columns == 1 else TWO_COLUMNS
+
+    @property
+    def line_height(self) -> float:
+        """Inches of the height of a plot of curves."""
+        return 1.7 if self.columns == 1 else 2.3
+
+    @property
+    def settings(self) -> Any:
+        """Matplotlib's settings."""
+        if self.columns == 2:
+            return dict(SETTINGS)
+        small = ("font.size", "axes.titlesize", "axes.labelsize", "xtick.labelsize", "ytick.labelsize")
+        return {**SETTINGS, **dict.fromkeys((*small, "legend.fontsize"), SMALLEST), "savefig.dpi": 300}
+
+    def panels(
+        self, count: int, windows: Sequence[Array], below: float = 0.0, beside: float = 0.0
+    ) -> tuple[Figure, NDArray[Any]]:
+        """A figure with ``count`` panels side by side for each window (2, 2), and its axes (windows, count).
+
+        On one column flat bodies stand one below the other. ``below`` inches stay free under the panels and
+        ``beside`` at their right.
+        """
+        shape = [float(np.ptp(window[1]) / np.ptp(window[0])) for window in windows]
+        stacked = self.columns == 1 and count > 1 and max(shape) < FLAT
+        across = 1 if stacked else count
+        width = (self.width - LABELS - beside) / (1 if stacked else max(across, self.columns))
+        heights = [width * min(ratio, TALLEST) for ratio in shape]
+        rows = [height for height in heights for _ in range(count if stacked else 1)]
+        whole = self.width if across > 1 or self.columns == 1 else LABELS + beside + width
+        figure = new_figure(whole, sum(rows) + ABOVE * len(rows) + below)
+        axes: NDArray[Any] = figure.subplots(
+            len(rows), across, squeeze=False, sharex="col", sharey=False, height_ratios=rows
+        )
+        return figure, axes.reshape(len(windows), count)
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -75,9 +158,21 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def save(
-    figure: Figure, stem: Path, formats: Sequence[str] = ("png", "pdf"), settings: Any = None
-) -> list[Path]:
+def add_legend(figure: Figure, axes: Sequence[Axes], place: Any = "outside upper center") -> None:
+    """One legend for all axes, each name once, not wider than the figure; none without names."""
+    shown: dict[Any, Artist] = {}
+    for axis in axes:
+        handles, names = axis.get_legend_handles_labels()
+        shown.update(zip(names, handles, strict=True))
+    if shown:
+        room = int(LETTERS * figure.get_figwidth())
+        longest = min(max(map(len, shown)), room - KEY)
+        columns = max(1, min(len(shown), room // (longest + KEY)))
+        names = [fill(name, room - KEY) for name in shown]
+        figure.legend(list(shown.values()), names, loc=place, ncols=columns)
+
+
+def save(figure: Figure, stem: Path, formats: Sequence[str] = FORMATS, settings: Any = None) -> list[Path]:
     """Write the figure in each format and return the paths."""
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
     with rc_context(SETTINGS if settings is None else settings):
@@ -87,9 +182,3 @@ def save(
         for path, kind in zip(paths, formats, strict=True):
             write_whole(path, partial(figure.savefig, format=kind))
     return paths
-
-
-def legend_columns(names: Sequence[str]) -> int:
-    """Columns of a legend that is not wider than a figure of two columns of print."""
-    longest = max(map(len, names), default=1)
-    return max(1, min(len(names), COLUMNS, LEGEND // (longest + KEY)))

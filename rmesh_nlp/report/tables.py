@@ -13,7 +13,7 @@ from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import TABLES, Results
 from rmesh_nlp.report import multistart, refinement, study_summary
-from rmesh_nlp.report.blocks import Block, blocks, names_of_solves, objective_of
+from rmesh_nlp.report.blocks import Block, blocks, contact_units, names_of_solves, objective_of
 from rmesh_nlp.report.columns import (
     CERTIFICATES,
     COMMON,
@@ -25,7 +25,6 @@ from rmesh_nlp.report.columns import (
     RESIDUALS,
     Column,
     body,
-    contact_units,
 )
 from rmesh_nlp.report.markup import Groups, latex_table, latex_text, markdown_table
 from rmesh_nlp.report.notes import detailed_notes, main_notes, stopped_early, units_notes

@@ -13,8 +13,7 @@ from rmesh_nlp.io.results import read_results
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.columns import CERTIFICATES
-from rmesh_nlp.report.errors import bracket_figure
-from rmesh_nlp.report.figures import block_figures
+from rmesh_nlp.report.figures import block_figures, bracket_figure
 from rmesh_nlp.report.tables import markdown
 
 TOML = """

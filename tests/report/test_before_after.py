@@ -7,14 +7,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative, Units
-from rmesh_nlp.report.before_after import pictures, write_pictures
-from rmesh_nlp.report.limits import Limit, limits
-from rmesh_nlp.report.page import SMALLEST, Page, letters
-from rmesh_nlp.report.states import after, before
+from rmesh_nlp.report.pictures import Limit, after, before, limits, pictures, write_pictures
+from rmesh_nlp.report.style import SMALLEST, Page
 from support.contact_geometry import block_between_two_foundations
 from support.formulations import fixed, joint
 
@@ -28,6 +28,13 @@ def membrane() -> ContactProblem:
         obstacle=Obstacle.interior(-0.3),
         motion=Motion(Relative(0.2)),
     )
+
+
+def letters(figure: Figure) -> list[float]:
+    """Sizes in points of all letters of a figure that are seen."""
+    figure.draw_without_rendering()
+    seen = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+    return [float(text.get_fontsize()) for text in seen]
 
 
 @pytest.mark.slow
@@ -97,9 +104,9 @@ def test_a_least_angle_holds_the_nodes_of_its_element() -> None:
 def test_limits_name_boxes_and_areas() -> None:
     problem = membrane()
     tight = limits(joint.solve(replace(problem, motion=Motion(Relative(0.02)))))
-    assert np.sum(tight == Limit.BOX) > np.sum(tight == Limit.AREA)
+    assert np.sum(tight == Limit.MOVE_LIMIT) > np.sum(tight == Limit.AREA)
     wide = limits(joint.solve(replace(problem, motion=Motion(None, min_area_fraction=0.5))))
-    assert Limit.BOX not in wide
+    assert Limit.MOVE_LIMIT not in wide
     assert Limit.AREA in wide
     corner = int(np.argmin(problem.mesh.p.sum(axis=0)))
     assert wide[corner] is Limit.PINNED

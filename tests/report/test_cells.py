@@ -10,9 +10,9 @@ import pytest
 from rmesh_nlp.io.vtu import Fields
 from rmesh_nlp.problem.units import Units
 from rmesh_nlp.report import columns
-from rmesh_nlp.report.blocks import Block, audited, block_key, blocks, delta_text, label
-from rmesh_nlp.report.columns import Column, body, contact_units
-from rmesh_nlp.report.stresses import stress_figure
+from rmesh_nlp.report.blocks import Block, audited, block_key, blocks, contact_units, delta_text, label
+from rmesh_nlp.report.columns import Column, body
+from rmesh_nlp.report.figures import stress_figure
 from support.reporting import fixed_61, joint_61
 
 

@@ -14,10 +14,11 @@ from matplotlib.figure import Figure
 from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.report.blocks import blocks
-from rmesh_nlp.report.convergence import curve
 from rmesh_nlp.report.figures import block_figures, write_figures
-from rmesh_nlp.report.style import LOOKS, SETTINGS, TWO_COLUMNS, legend_columns, new_figure
-from rmesh_nlp.study.comparison import plan_comparison, run
+from rmesh_nlp.report.histories import curve
+from rmesh_nlp.report.style import LOOKS, SETTINGS, TWO_COLUMNS, add_legend, new_figure
+from rmesh_nlp.study.cases import plan_comparison
+from rmesh_nlp.study.comparison import run
 
 
 @pytest.fixture(scope="module")
@@ -122,13 +123,20 @@ def test_mpcc_begins_at_the_initial_energy(results: list[Result]) -> None:
 
 
 @pytest.mark.parametrize(
-    "names", [["nested", "joint", "mpcc"], [f"nested, mean(load, -uy), seed {k}" for k in range(7)]]
+    "names",
+    [
+        ["nested", "joint", "mpcc"],
+        [f"nested, mean(load, -uy), seed {k}" for k in range(7)],
+        ["newton from forty random starts " * 6],
+    ],
 )
 def test_a_legend_is_not_wider_than_its_figure(names: list[str]) -> None:
     figure = new_figure(TWO_COLUMNS, 3.0)
     axis = figure.subplots()
     for name in names:
         axis.plot([0, 1], [0, 1], label=name)
-    legend = figure.legend(loc="outside upper center", ncols=legend_columns(names), fontsize=8)
+    with rc_context(SETTINGS):
+        add_legend(figure, [axis])
+    (legend,) = figure.legends
     figure.draw_without_rendering()
     assert legend.get_window_extent().width <= figure.get_window_extent().width

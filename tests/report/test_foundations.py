@@ -13,10 +13,10 @@ from matplotlib.axes import Axes
 from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
-from rmesh_nlp.report.before_after import pictures
-from rmesh_nlp.report.foundations import displaced, magnification
-from rmesh_nlp.report.grids import grid_figure
-from rmesh_nlp.report.page import Page
+from rmesh_nlp.report.drawing import Body, Foundation, magnification
+from rmesh_nlp.report.figures import grid_figure
+from rmesh_nlp.report.pictures import pictures
+from rmesh_nlp.report.style import Page
 from rmesh_nlp.solving.solution import Solution
 from support.formulations import fixed
 
@@ -60,10 +60,23 @@ def test_flat_foundation_stays_flat_and_is_touched(rise: float, factor: int) -> 
         assert np.nanmin(body[:, 1]) == pytest.approx(ground[0, 1], abs=1e-9)
 
 
+def body(displacement: np.ndarray, *ways: np.ndarray) -> Body:
+    """A body of extent 1, with foundations at the given ways (2, points) from its contact boundaries."""
+    nodes, none = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros((2, 0))
+    starts = [np.zeros((2, 1, way.shape[1])) for way in ways]
+    known = [
+        Foundation("", none[0], none, none, start, way[:, None], False)
+        for start, way in zip(starts, ways, strict=True)
+    ]
+    return Body(nodes, np.array([[0], [1], [2]]), displacement, tuple(known))
+
+
 def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:
     u, even = np.full((2, 3), 1e-4), np.tile([[0.0], [-0.1]], 4)
     uneven = np.array([[0.0] * 4, [-0.1, -0.1, -0.1, -0.099]])
-    assert magnification([u], [], 1.0) == magnification([u], [even], 1.0) == 500.0
-    assert magnification([u], [even, uneven], 1.0) == 2.0  # further, 0.75e-3 of gap were seen
-    assert magnification([0 * u], [even], 1.0) == magnification([1e4 * u], [even], 1.0) == 1.0
-    np.testing.assert_allclose(displaced(even, even, 5.0), 5 * even)
+    assert magnification([body(u)]) == magnification([body(u, even)]) == 500.0
+    assert magnification([body(u, even, uneven)]) == 2.0  # further, 0.75e-3 of gap were seen
+    assert magnification([body(u, even), body(u, uneven)]) == 2.0
+    assert magnification([body(0 * u, even)]) == magnification([body(1e4 * u, even)]) == 1.0
+    (near,) = body(u, even).near
+    np.testing.assert_allclose(near.displaced(5.0)[:, 0], 5 * even)

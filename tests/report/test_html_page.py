@@ -10,7 +10,6 @@ from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from rmesh_nlp.cli import app as cli
@@ -18,8 +17,8 @@ from rmesh_nlp.io.records import to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.report.html_page import page, write_report
 from rmesh_nlp.report.study_summary import charts, summary_rows
-from rmesh_nlp.report.svg import Line, line_chart
-from rmesh_nlp.study.comparison import plan_comparison, run
+from rmesh_nlp.study.cases import plan_comparison
+from rmesh_nlp.study.comparison import run
 from support.reporting import failed_61, fixed_61, joint_61
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -51,7 +50,7 @@ def test_the_page_loads_nothing_and_has_all_parts(folder: Path) -> None:
     resources = _Resources()
     resources.feed(text)
     assert resources.found == []
-    assert "url(" not in text
+    assert not re.search(r"url\((?!#)", text)
     assert "A &lt;study&gt;" in text
     for section in [
         "set-up",
@@ -75,16 +74,12 @@ def test_hostile_text_stays_text(tmp_path: Path) -> None:
     assert "<script>alert" not in text
 
 
-def test_long_titles_and_names_are_not_cut() -> None:
-    name, title = "newton from forty random starts " * 3, "Data profile: a quantity of a long name " * 3
-    line = Line(name, np.array([1.0, 2.0]), np.array([1.0, 2.0]), 1)
-    text = line_chart([line], title, "x", "y")
-    assert f"<figcaption>{title}</figcaption>" in text
-    assert f"{name}</li>" in text
+def test_long_names_and_messages_are_not_cut() -> None:
+    name, title = "newton from forty starts " * 5, "a long title " * 9
     message = failed_61(message="a reason " * 40, key="x")
     rows = [joint_61(variant=name, family=title, key="y", seed=seed) for seed in range(300)]
     whole = page(Path("nowhere"), [Results(Path("nowhere")).result(row) for row in [message, *rows]], "", "")
-    assert "a reason " * 40 in whole
+    assert all(text.strip() in whole for text in ("a reason " * 40, title))
     assert "301, given mesh to seed 299" in whole
     assert "…" not in whole
 
@@ -140,7 +135,7 @@ verdict.scale = document.querySelector(".scale").textContent;
 dispatchEvent(new Event("beforeprint")); verdict.printed = document.querySelector("#viewer").dataset.drawn;
 dispatchEvent(new Event("afterprint")); verdict.again = document.querySelector("#viewer").dataset.drawn;
 verdict.empty = [...document.querySelectorAll("svg.chart")].filter(
-  (chart) => ![...chart.querySelectorAll("path.curve")].some((path) => path.getTotalLength() > 40)).length;
+  (chart) => ![...chart.querySelectorAll("g path")].some((path) => path.getTotalLength() > 40)).length;
 verdict.charts = document.querySelectorAll("svg.chart").length;
 verdict.cut = [...document.querySelectorAll("svg.chart text")].filter((text) => {
   const box = text.getBoundingClientRect(), chart = text.closest("svg").getBoundingClientRect();

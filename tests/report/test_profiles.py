@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rmesh_nlp.report.histories import cost_of_gain
 from rmesh_nlp.report.profiles import (
-    cost_of_gain,
     data_profiles,
     performance_profiles,
     quality_profiles,

@@ -7,7 +7,8 @@ import pytest
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.report.figures import write_figures
-from rmesh_nlp.study.comparison import plan_comparison, run
+from rmesh_nlp.study.cases import plan_comparison
+from rmesh_nlp.study.comparison import run
 
 
 @pytest.fixture(scope="module")

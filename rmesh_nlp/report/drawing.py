@@ -1,0 +1,247 @@
+"""One drawing of a mesh, of a field, of a rigid foundation and of boundaries, for all figures.
+
+Meshes of more than ``FINE`` triangles, and all smooth fields, are rasterised: vectors of 100,000 triangles
+would be files of tens of megabytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.ticker import MaxNLocator
+from matplotlib.tri import Triangulation
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.contact_terms import contact_edges
+from rmesh_nlp.io.vtu import Fields
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.report.style import FOUNDATION, GRID_LINE, MAP
+
+FINE = 10_000
+"""Triangles above which the lines of a mesh are rasterised."""
+
+FAR = 1.0
+"""Part of the extent of the body beyond which a foundation is not drawn."""
+
+POINTS = 9
+"""Points of a foundation below one contact edge."""
+
+LARGEST_DEFORMATION = 0.08
+"""Displacements are magnified up to this part of the body's extent."""
+
+SEEN = 0.003
+"""Part of the body's extent that is about as wide as a line of a picture."""
+
+ROOM = 0.15
+"""A foundation is drawn up to this part of the extent outside the body."""
+
+MARGIN = 0.02
+"""Part of the extent that stays free around everything."""
+
+
+@dataclass(frozen=True)
+class Foundation:
+    """What one contact boundary may meet.
+
+    Attributes
+    ----------
+    name : str
+        Name of the contact boundary.
+    gaps : (contact nodes,) array
+        Before any displacement; negative where the foundation overlaps the body.
+    nodes, feet : (2, contact nodes) arrays
+        The contact nodes, and the points of the foundation that they would meet.
+    starts, lines : (2, edges, points) arrays
+        Points of each contact edge, and the points of the foundation that they would meet.
+    is_far : bool
+        Whether it is too far off to be drawn with the body.
+    """
+
+    name: str
+    gaps: Array
+    nodes: Array
+    feet: Array
+    starts: Array
+    lines: Array
+    is_far: bool
+
+    def displaced(self, factor: float) -> Array:
+        """The foundation (2, edges, points) beside a body whose displacement is drawn ``factor`` times."""
+        shift = (self.lines - self.starts).reshape(2, -1).mean(axis=1)
+        return self.lines + (factor - 1) * shift[:, None, None]
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body on one mesh.
+
+    Attributes
+    ----------
+    nodes : (2, nodes) array
+    triangles : (3, elements) array
+    displacement : (components, nodes) array
+    foundations : tuple of Foundation
+        None of a scalar problem.
+    """
+
+    nodes: Array
+    triangles: NDArray[np.int64]
+    displacement: Array
+    foundations: tuple[Foundation, ...]
+
+    @property
+    def elastic(self) -> bool:
+        """Whether the displacement has two components."""
+        return self.displacement.shape[0] == 2
+
+    @property
+    def size_of_displacement(self) -> Array:
+        """u, or its length."""
+        return np.linalg.norm(self.displacement, axis=0) if self.elastic else self.displacement[0]
+
+    @property
+    def near(self) -> list[Foundation]:
+        """The foundations that are drawn."""
+        return [one for one in self.foundations if not one.is_far]
+
+    def moved(self, factor: float) -> Array:
+        """The nodes (2, nodes) after ``factor`` times the displacement."""
+        return self.nodes + factor * self.displacement if self.elastic else self.nodes
+
+
+def foundations(problem: ContactProblem, nodes: Array) -> tuple[Foundation, ...]:
+    """The foundations for node positions (2, nodes); none for scalar problems."""
+    if problem.components == 1:
+        return ()
+    found = []
+    t = np.linspace(0, 1, POINTS)
+    for part in problem.contact_sets:
+        edges, here = contact_edges(problem, part.obstacle), nodes[:, part.nodes]
+        starts = np.einsum("cve,vk->cek", nodes[:, edges], np.stack([1 - t, t]))
+        lines = part.obstacle.feet(starts.reshape(2, -1)).reshape(starts.shape)
+        gaps, feet = part.obstacle.distances(here), part.obstacle.feet(here)
+        far = _is_far(gaps, nodes)
+        found.append(Foundation(str(part.obstacle.boundary), gaps, here, feet, starts, lines, far))
+    return tuple(found)
+
+
+def body_of(fields: Fields) -> Body:
+    """The body that a file holds: its foundations are joined in one, known at the contact nodes."""
+    nodes, feet = (points[:, fields.contact] for points in (fields.nodes, fields.foundation))
+    gaps = np.linalg.norm(feet - nodes, axis=0)
+    known: tuple[Foundation, ...] = ()
+    if fields.displacement.shape[0] == 2 and gaps.size:
+        pairs = np.hstack([fields.triangles[[i, j]] for i, j in ((0, 1), (1, 2), (2, 0))])
+        edges, times = np.unique(np.sort(pairs, axis=0), axis=1, return_counts=True)
+        edges = edges[:, (times == 1) & np.all(fields.contact[edges], axis=0)].T
+        starts, lines = fields.nodes[:, edges], fields.foundation[:, edges]
+        known = (Foundation("", gaps, nodes, feet, starts, lines, _is_far(gaps, fields.initial)),)
+    return Body(fields.nodes, fields.triangles, fields.displacement, known)
+
+
+def _is_far(gaps: Array, nodes: Array) -> bool:
+    return bool(np.min(np.abs(gaps)) > FAR * np.max(np.ptp(nodes, axis=1)))
+
+
+def magnification(bodies: Sequence[Body]) -> float:
+    """The factor by which displacements are drawn: the largest of 1, 2, 5, 10, ... that pictures allow.
+
+    A foundation is drawn as the curve that it is in space. Where the displacement is drawn ``f`` times as
+    large, a node that touches, ``u = w``, is drawn at ``X + f w``, beside its place ``X + w`` on the
+    foundation by ``(f - 1) w``. If ``w`` is the same for the whole boundary, the foundation is drawn
+    displaced by that (:meth:`Foundation.displaced`), and touching nodes touch it. If the gap varies by more
+    than ``SEEN`` there is no such place, and displacements are drawn as they are.
+    """
+    extent = float(np.max(np.ptp(bodies[0].nodes, axis=1)))
+    largest = max(float(np.max(np.abs(body.displacement))) for body in bodies)
+    ways = [(one.lines - one.starts).reshape(2, -1).T for body in bodies for one in body.near]
+    varies = max((float(np.max(np.abs(way - way.mean(axis=0)))) for way in ways if way.size), default=0.0)
+    factor = 1.0
+    for wanted in (step * 10.0**decade for decade in range(12) for step in (1, 2, 5)):
+        if largest == 0 or wanted * largest > LARGEST_DEFORMATION * extent:
+            break
+        if (wanted - 1) * varies > SEEN * extent:
+            break
+        factor = wanted
+    return factor
+
+
+def is_fine(triangles: NDArray[Any]) -> bool:
+    """Whether a mesh (3, elements) is too fine for vectors."""
+    return bool(triangles.shape[1] > FINE)
+
+
+def triangulation(nodes: Array, triangles: NDArray[Any]) -> Triangulation:
+    """Matplotlib's mesh."""
+    return Triangulation(nodes[0], nodes[1], triangles.T)
+
+
+def draw_mesh(
+    axis: Axes, nodes: Array, triangles: NDArray[Any], color: str = GRID_LINE, thin: float = 1.0
+) -> None:
+    """The edges of a mesh, with thinner lines on finer meshes."""
+    width = thin * float(np.clip(8 / np.sqrt(triangles.shape[1]), 0.08, 0.5))
+    axis.triplot(triangulation(nodes, triangles), color=color, linewidth=width, rasterized=is_fine(triangles))
+
+
+def draw_field(axis: Axes, nodes: Array, triangles: NDArray[Any], values: Array, **options: Any) -> Any:
+    """A field of nodes, smooth, or of elements, constant on each; returned for its colour bar."""
+    mesh = triangulation(nodes, triangles)
+    options = {"cmap": MAP, "rasterized": True, **options}
+    if values.size == nodes.shape[1]:
+        return axis.tripcolor(mesh, values, shading="gouraud", **options)
+    return axis.tripcolor(mesh, facecolors=values, **options)
+
+
+def draw_lines(axis: Axes, points: Array, **options: Any) -> None:
+    """Lines through points (2, lines, points)."""
+    axis.add_collection(LineCollection(list(points.transpose(1, 2, 0)), **options))
+
+
+def draw_edges(axis: Axes, nodes: Array, edges: NDArray[Any], **options: Any) -> None:
+    """Edges (2, edges) between nodes."""
+    draw_lines(axis, nodes[:, edges.T], **options)
+
+
+def draw_foundations(axis: Axes, body: Body, factor: float = 1.0, **options: Any) -> None:
+    """The near foundations beside a body whose displacement is drawn ``factor`` times as large."""
+    for one in body.near:
+        look = {"color": FOUNDATION, "capstyle": "round", "label": "rigid foundation", **options}
+        draw_lines(axis, one.displaced(factor), **look)
+
+
+def draw_deformed(axis: Axes, body: Body, factor: float) -> None:
+    """The mesh moved by its magnified displacement, over its foundations."""
+    draw_mesh(axis, body.moved(factor), body.triangles)
+    draw_foundations(axis, body, factor, linewidth=2.2)
+    axis.set_title(f"deformed, u and gap × {factor:g}" if factor > 1 else "deformed, true scale")
+
+
+def window(bodies: Sequence[Body], factor: float = 0.0) -> Array:
+    """Limits (2, 2) around the bodies; of ``factor`` times the displacement, and around near foundations."""
+    points = np.hstack([body.moved(f) for body in bodies for f in {0.0, factor}])
+    low, high = points.min(axis=1), points.max(axis=1)
+    room = ROOM * float(np.max(high - low))
+    if factor:
+        for one in (one for body in bodies for one in body.near):
+            lines = one.displaced(factor).reshape(2, -1)
+            low = np.minimum(low, np.maximum(lines.min(axis=1), low - room))
+            high = np.maximum(high, np.minimum(lines.max(axis=1), high + room))
+    extra = MARGIN * float(np.max(high - low))
+    return np.stack([low - extra, high + extra], axis=1)
+
+
+def frame(axis: Axes, limits: Array, unit: str) -> None:
+    """Limits (2, 2), equal axes, and labels at the outer panels."""
+    axis.set(xlim=limits[0], ylim=limits[1], xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
+    axis.set_aspect("equal")
+    axis.spines[:].set_visible(False)
+    for one in (axis.xaxis, axis.yaxis):
+        one.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+    axis.label_outer()

@@ -1,0 +1,175 @@
+"""Histories of solves: curves over cost, and what each formulation needs to reach what all of them reach.
+
+Costs to the end of each solve are not comparable: one formulation stops early at a poor mesh, another
+polishes a good one. So in each block of a comparison two levels are taken that every successful formulation
+reaches, the worst of their final objectives and the worst of their final first-order residuals, and the
+histories say when each was there first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.results import HISTORY_FIELDS, Result
+from rmesh_nlp.report.blocks import RELOCATING_NOTHING, block_key, blocks, label, seconds_of_work
+
+FEASIBLE = 1e-6
+"""Primal residual up to which the objective of an iterate means something."""
+
+SLACK = 1e-3
+"""The common level may miss this part of the worst gain: the last digits of a descent are not compared."""
+
+TIGHTEST = 1e-6
+"""First-order residuals below it are not told apart."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The history of one solve.
+
+    Attributes
+    ----------
+    name : str
+    iteration, cost, energy : arrays
+        Cost: seconds of build and solve over those of one contact solve, for all formulations alike.
+        Energy: the objective that was minimised.
+    feasible : array of bool
+    """
+
+    name: str
+    iteration: Array
+    cost: Array
+    energy: Array
+    feasible: NDArray[np.bool_]
+
+
+def curve(result: Result, unit: float | None = None, name: str = "") -> Curve | None:
+    """The curve of a result, in the objective that was minimised; None without a history of it.
+
+    Parameters
+    ----------
+    result : Result
+    unit : float, optional
+        Seconds of a contact solve, where several results are compared; by default what this one measured.
+    name : str
+        The label of the record by default.
+    """
+    record = result.record
+    if record["formulation"] == RELOCATING_NOTHING:
+        return None
+    steps = _columns(result)
+    value = steps[_minimised(record)]
+    if not np.any(np.isfinite(value)):
+        return None
+    unit = unit or record.get("contact_time_s") or np.nan  # a clock too coarse for it: no cost is known
+    cost = np.maximum(steps["seconds"] / unit, 1.0)
+    return Curve(name or label(record), steps["iteration"], cost, value, _feasible(steps))
+
+
+def cost_of_gain(energy: ArrayLike, cost: ArrayLike, initial: float, best: float, level: float) -> float:
+    """First cost at which ``initial - energy >= level * (initial - best)``; infinite if it never is.
+
+    Parameters
+    ----------
+    energy, cost : (steps,) arrays
+        NaN where an iterate is not feasible, and so its energy not reached.
+    level : float
+        Part of the best gain, such as 0.99.
+    """
+    reached = initial - np.asarray(energy, dtype=float) >= level * (initial - best)
+    return _first(np.asarray(cost, dtype=float), reached, math.inf)
+
+
+def with_common_costs(results: Sequence[Result]) -> list[Record]:
+    """The records, in blocks of two or more successful formulations with further entries.
+
+    ``common_objective``, ``common_stationarity``
+        The levels; an energy is the audited one.
+    ``cost_to_objective``, ``cost_to_stationarity``
+        Build and solve until then, in contact solves; the unit is the median of the block.
+    """
+    records = [dict(result.record) for result in results]
+    groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
+    for place, record in enumerate(records):
+        if record["success"] and record["formulation"] != RELOCATING_NOTHING:
+            groups[(block_key(record), record["objective"])].append(place)
+    units = {block_key(block.records[0]): block.unit for block in blocks(records)}
+    for (key, _), places in groups.items():
+        unit = units[key]
+        if len(places) > 1 and unit is not None:
+            for place, found in zip(places, _costs([results[p] for p in places], unit), strict=True):
+                records[place].update(found)
+    return records
+
+
+def _costs(results: Sequence[Result], unit: float) -> list[Record]:
+    """The levels of one group, and what each result needs to reach them."""
+    records = [result.record for result in results]
+    known = [(end, start) for end, start in map(_ends, records) if not math.isnan(end + start)]
+    level = max((end for end, _ in known), default=math.nan)
+    level += SLACK * max(0.0, min((start - level for _, start in known), default=0.0))
+    residuals = [r["stationarity_residual"] for r in records if r.get("stationarity_residual") is not None]
+    common = max((max(residual, TIGHTEST) for residual in residuals), default=math.nan)
+    rows = []
+    for result in results:
+        record = result.record
+        split = record.get("build_time_s") is not None and record.get("solve_time_s") is not None
+        total = seconds_of_work(record) if split else None
+        # the history is of the first run, the times are medians over all
+        pace = (total or 1.0) / (record.get("first_cost_s") or total or 1.0)
+        steps = _columns(result)
+        seconds = pace * steps["seconds"]
+        low = _feasible(steps) & (steps[_minimised(record)] + shift_to_audited(record) <= level)
+        stationary = steps["stationarity"] <= common
+        # a history may miss the last digits that the end has: all reach the levels at their ends
+        end = math.nan if total is None else total
+        costs = {
+            "cost_to_objective": _first(seconds, low, end) / unit,
+            "cost_to_stationarity": _first(seconds, stationary, end) / unit,
+        }
+        levels = {"common_objective": level, "common_stationarity": common}
+        rows.append({**levels, **{name: None if math.isnan(c) else c for name, c in costs.items()}})
+    return rows
+
+
+def shift_to_audited(record: Record) -> float:
+    """From an energy of the problem's own rule, which histories have, to the audited one."""
+    own, audited = record.get("energy"), record.get("energy_audited")
+    return 0.0 if _minimised(record) != "energy" or own is None or audited is None else audited - own
+
+
+def _ends(record: Record) -> tuple[float, float]:
+    """Final and initial audited energy, or objective; NaN where not known."""
+    names = ("energy_audited", "energy_initial_audited")
+    if _minimised(record) != "energy":
+        names = ("objective_value", "objective_initial")
+    end, start = (math.nan if record.get(name) is None else float(record[name]) for name in names)
+    return end, start
+
+
+def _minimised(record: Record) -> str:
+    """The column of a history that has what was minimised."""
+    return "energy" if record["objective"] == "energy" else "objective"
+
+
+def _columns(result: Result) -> dict[str, Array]:
+    """A history by columns; NaN where a value is not known."""
+    steps = result.steps()
+    return {name: np.array([step.get(name, math.nan) for step in steps]) for name in HISTORY_FIELDS}
+
+
+def _feasible(steps: dict[str, Array]) -> NDArray[np.bool_]:
+    return ~(steps["primal_residual"] > FEASIBLE)
+
+
+def _first(values: Array, where: NDArray[np.bool_], otherwise: float) -> float:
+    """The first value where a condition holds."""
+    return float(values[np.argmax(where)]) if np.any(where) else otherwise
