@@ -63,7 +63,7 @@ def test_the_page_is_written_by_the_command(tmp_path: Path, monkeypatch: pytest.
     assert "initial <energy>" in (tmp_path / "r" / "reproduction.md").read_text()
     page = (tmp_path / "r" / "reproduction.html").read_text()
     assert "initial &lt;energy&gt;" in page
-    assert "http" not in page
+    assert "://" not in page
 
 
 def test_frozen_weights_differ_from_moving_ones_by_the_work_of_friction() -> None:
