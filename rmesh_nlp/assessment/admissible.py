@@ -172,12 +172,12 @@ class Continuous:
         u = displacement.T.ravel()
         strain, work = 0.5 * float(u @ (self.stiffness @ u)), float(self.load @ u)
         frictions = [
-            friction_energy(self.body, part, displacement)
+            friction_energy(self.body.edges(str(part.obstacle.boundary)), part.obstacle, displacement)
             for part in self.problem.contact_sets
             if part.obstacle.frictional
         ]
-        friction = sum(value for value, _ in frictions)
-        doubt = float(self._load_doubt @ np.abs(u)) + sum(wrong for _, wrong in frictions)
+        friction = float(sum(np.sum(values) for values, _ in frictions))
+        doubt = float(self._load_doubt @ np.abs(u)) + float(sum(np.sum(wrong) for _, wrong in frictions))
         energy = strain - work + friction
         return Admissible(
             self.problem,

@@ -12,10 +12,10 @@ import scipy.sparse as sp
 
 from rmesh_nlp.assessment.integrals import EdgePoints, over_edges, over_triangles
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem.body import Body, Index, gradients
+from rmesh_nlp.problem.body import Body, Edges, Index, gradients
 from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points, polynomial_degree
-from rmesh_nlp.problem.contact_problem import ContactSet
 from rmesh_nlp.problem.laws import Laplace, Law
+from rmesh_nlp.problem.obstacle import Obstacle
 
 STIFFNESS_POINTS = 6
 """Gauss points per direction of a blended triangle."""
@@ -142,13 +142,11 @@ STEPS = 3
 """Steps to the point of an edge at which the slip changes sign; one is exact on a straight foundation."""
 
 
-def friction_energy(body: Body, contact: ContactSet, displacement: Array) -> tuple[float, float]:
-    """Integral of the friction bound times the size of the slip, and what it may be wrong by.
+def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tuple[Array, Array]:
+    """(edges,) integrals of the friction bound times the size of the slip, and what they may be wrong by.
 
     Edges are split where the slip changes sign.
     """
-    obstacle = contact.obstacle
-    edges = body.edges(str(obstacle.boundary))
     ends = displacement[:, edges.ends]
 
     def slip(rows: Index, s: Array, where: Array) -> Array:
@@ -171,7 +169,7 @@ def friction_energy(body: Body, contact: ContactSet, displacement: Array) -> tup
         return (bound.reshape(s.shape) * np.abs(slip(part % edges.size, along, where)))[None]
 
     total, doubt = over_edges(at, 2 * edges.size, integrand)
-    return float(np.sum(total)), float(np.sum(doubt))
+    return total.reshape(2, -1).sum(axis=0), doubt.reshape(2, -1).sum(axis=0)
 
 
 def _zeros(slip: Callable[[Index, Array], Array], size: int) -> Array:

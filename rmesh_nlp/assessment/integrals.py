@@ -53,7 +53,7 @@ def over_triangles(
     """
 
     def on_cells(owner: Index, low: Array, width: Array, order: int) -> Array:
-        x, w = _gauss(order)
+        x, w = gauss(order)
         r = low[0, :, None] + width[:, None] * np.repeat(x, order)
         s = low[1, :, None] + width[:, None] * np.tile(x, order)
         weights = np.outer(width**2, np.repeat(w, order) * np.tile(w, order)) * r
@@ -72,7 +72,7 @@ def over_edges(at: EdgePoints, size: int, integrand: EdgeIntegrand) -> tuple[Arr
     """Integrals (rows, edges) along edges, and what they may be wrong by."""
 
     def on_cells(owner: Index, low: Array, width: Array, order: int) -> Array:
-        x, w = _gauss(order)
+        x, w = gauss(order)
         s = low[0, :, None] + np.outer(width, x)
         where, speed = at(owner, s)
         return np.einsum("amk,mk->am", integrand(owner, s, where), np.outer(width, w) * speed)
@@ -128,6 +128,7 @@ def _in_chunks(
     return np.hstack(parts)
 
 
-def _gauss(points: int) -> tuple[Array, Array]:
+def gauss(points: int) -> tuple[Array, Array]:
+    """Points and weights of Gauss's rule on (0, 1)."""
     x, w = np.polynomial.legendre.leggauss(points)
     return (1 + x) / 2, w / 2

@@ -30,9 +30,9 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError, conditions_of
-from rmesh_nlp.certificate.displacement import Potential, displacement_faults, potential
+from rmesh_nlp.certificate.displacement import displacement_faults, potential
 from rmesh_nlp.certificate.equilibration import EquilibratedField, Guess
-from rmesh_nlp.certificate.hybrid import edge_loads
+from rmesh_nlp.certificate.hybrid import edge_loads, edge_moments
 from rmesh_nlp.certificate.integrals import loads
 from rmesh_nlp.certificate.johnson_mercier import equilibrated_stress
 from rmesh_nlp.certificate.oscillation import oscillation
@@ -54,6 +54,15 @@ More lower the gap between the bounds by at most 3 % on random problems of 20 to
 
 DOUBT = 1e-2
 """Largest part of the gap between the bounds that may rest on doubtful quadrature."""
+
+DOUBTFUL = "two quadrature rules disagree about a load, a traction or an obstacle that is not smooth"
+
+FEW = 500
+"""Triangles up to which the equilibration is refined once unless asked otherwise: it takes less than a
+tenth of a second there."""
+
+FINER_PRODUCTS = 40
+"""Back-substitutions that improve contact forces that come from a coarser mesh."""
 
 
 @dataclass(frozen=True)
@@ -110,87 +119,48 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
     if problem.point_loads:
         raise NotCertifiableError("the energy under a point load has no lower bound")
     skeleton = skeleton_of(problem, nodes)
-    conditions = conditions_of(problem, skeleton)
+    conditions, load, u = conditions_of(problem, skeleton), loads(problem, skeleton), guess.displacement
     build = equilibrated_flux if problem.components == 1 else equilibrated_stress
-    load = loads(problem, skeleton)
     effort = PRODUCTS[problem.components] if products is None else products
     field = build(problem, skeleton, conditions, load, guess, effort)
-    u = potential(problem, skeleton, conditions, load, guess.displacement)
-    contact = _contact_gap(skeleton, conditions, field, guess, u)
-    r = _oscillation(skeleton, conditions, field)
+    balance, strain = field.balance, float(np.sum(field.energy))
+    found = potential(problem, skeleton, conditions, load, float(np.sum(field.computed)), u)
+    r = oscillation(skeleton, load.remainder, conditions.traction_oscillation, field.gradient_by_energy)
     spread = field.variation * r + r**2 / 2
-    pressure_work = float(
-        np.sum(field.balance.pressure * conditions.offset * skeleton.lengths[conditions.contact])
+    resultant = balance.pressure * skeleton.lengths[conditions.contact]
+    pressure_work = float(np.sum(resultant * conditions.offset))
+    dual = balance.reaction_work - strain - pressure_work + float(np.sum(field.obstacle_work))
+    residual = float(np.max([field.residual, edge_residual(skeleton, conditions, field)]))
+    rounding = max(residual, 1e-15) * (strain + abs(balance.reaction_work) + abs(pressure_work))
+    doubt = (  # what quadrature of all data may have changed in the bounds
+        load.doubtful_work(u, skeleton)
+        + field.obstacle_doubt
+        + found.traction_doubt
+        + float(np.sum(resultant * conditions.offset_doubt))
+        + abs(balance.reaction_work) * conditions.given_doubt
     )
-    dual = (
-        field.balance.reaction_work
-        - float(np.sum(field.energy))
-        - pressure_work
-        + float(np.sum(field.obstacle_work))
-    )
-    residual = max(field.residual, edge_residual(skeleton, conditions, field))
-    doubt = _doubt(skeleton, conditions, field, u)
-    rounding = max(residual, 1e-15) * (
-        float(np.sum(field.energy)) + abs(field.balance.reaction_work) + abs(pressure_work)
-    )
-    lower = dual - float(np.sum(spread)) - doubt - rounding
-    upper = u.energy
+    lower, upper = dual - float(np.sum(spread)) - doubt - rounding, found.energy
+    contact = _contact_gap(skeleton, conditions, field, u, found.friction)
     local = field.defect**2 / 2 + spread + field.obstacle_gap + contact
-    doubtful = not doubt <= max(DOUBT * abs(upper - lower), TOLERANCE * float(np.sum(field.energy)))
-    why_lower = _faults_of_lower(residual, doubtful)
-    why_upper = displacement_faults(problem, skeleton, conditions, guess.displacement)
-    if doubtful:
-        why_upper = (*why_upper, f"upper: {DOUBTFUL}")
-    return Bracket(
-        lower,
-        upper,
-        not why_lower,
-        not why_upper,
-        (*why_lower, *why_upper),
-        local,
-        field.values,
-        u.norm,
-        residual,
-    )
-
-
-DOUBTFUL = "two quadrature rules disagree about a load, a traction or an obstacle that is not smooth"
-
-
-def _faults_of_lower(residual: float, doubtful: bool) -> tuple[str, ...]:
-    faults = []
+    why = displacement_faults(problem, skeleton, conditions, u)
+    if not doubt <= max(DOUBT * abs(upper - lower), TOLERANCE * strain):
+        why = (f"lower: {DOUBTFUL}", *why, f"upper: {DOUBTFUL}")
     if not residual <= TOLERANCE:
-        faults.append(f"lower: the field is out of equilibrium by {residual:.1e} of the largest force")
-    if doubtful:
-        faults.append(f"lower: {DOUBTFUL}")
-    return tuple(faults)
-
-
-def _oscillation(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField) -> Array:
-    return oscillation(
-        skeleton, field.load_remainder, conditions.traction_oscillation, field.gradient_by_energy
-    )
+        why = (f"lower: the field is out of equilibrium by {residual:.1e} of the largest force", *why)
+    known, also = (not any(reason.startswith(side) for reason in why) for side in ("lower", "upper"))
+    return Bracket(lower, upper, known, also, why, local, field.values, found.norm, residual)
 
 
 def _contact_gap(
-    skeleton: Skeleton, conditions: Conditions, field: EquilibratedField, guess: Guess, u: Potential
+    skeleton: Skeleton, conditions: Conditions, field: EquilibratedField, u: Array, friction: Array
 ) -> Array:
     """(elements,) what contact and friction add to the gap, by the element at the contact edge."""
-    result = np.zeros(skeleton.areas.size)
-    contact = conditions.contact
-    if contact.size == 0:
-        return result
-    n = conditions.held.shape[0]
-    ends = guess.displacement[:, skeleton.ends[:, contact]]
-    moments = (2 * ends + ends[:, ::-1]) / 6
-    turned = np.einsum("eij,jme->ime", conditions.axes, moments)
-    edge = skeleton.lengths[contact]
-    slack = np.sum(field.balance.pressure * (turned[-1] + conditions.offset), axis=0) * edge
-    if n == 2:
-        slack = slack + u.friction + np.sum(field.balance.friction * turned[0], axis=0) * edge
-    owner = np.zeros(skeleton.ends.shape[1], dtype=np.int64)
-    owner[skeleton.edges] = np.arange(result.size)
-    return np.asarray(np.bincount(owner[contact], slack, result.size))
+    contact, balance = conditions.contact, field.balance
+    turned = np.einsum("eij,jme->ime", conditions.axes, edge_moments(u, skeleton.ends[:, contact]))
+    slack = np.sum(balance.pressure * (turned[-1] + conditions.offset), axis=0)
+    slack = slack + np.sum(balance.friction * turned[0], axis=0)  # none in a scalar problem
+    shares = slack * skeleton.lengths[contact] + friction
+    return np.asarray(np.bincount(skeleton.owner[contact], shares, skeleton.areas.size))
 
 
 def edge_residual(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField) -> float:
@@ -203,42 +173,17 @@ def edge_residual(skeleton: Skeleton, conditions: Conditions, field: Equilibrate
     n = conditions.held.shape[0]
     forces = field.forces.reshape(-1, 3, 2, n)
     total = np.zeros((skeleton.ends.shape[1], 2, n))
-    for i in range(3):
-        for end in range(2):
-            np.add.at(total, (skeleton.edges[i], skeleton.place[i, end]), forces[:, i, end])
+    np.add.at(total, (skeleton.edges[:, None], skeleton.place), forces.transpose(1, 2, 0, 3))
     total = total.transpose(2, 1, 0)
-    scale = max(float(np.max(np.abs(forces), initial=0.0)), 1e-300)
+    scale = float(np.max(np.abs(forces), initial=1e-300))
     total = total - edge_loads(conditions.traction) * skeleton.lengths
     contact, edge = conditions.contact, skeleton.lengths[conditions.contact]
     pressure, friction = field.balance.pressure, field.balance.friction
-    if contact.size:
-        stresses = np.stack([friction, pressure]) if n == 2 else pressure[None]
-        total[:, :, contact] -= np.einsum("eij,ime->jme", conditions.axes, stresses) * edge
-    worst = float(np.max(np.abs(np.where(conditions.held[:, None], 0.0, total)), initial=0.0))
-    pulling = float(np.max(-pressure * edge, initial=0.0)) if contact.size else 0.0
-    slipping = float(np.max((np.abs(friction) - conditions.friction) * edge, initial=0.0)) if n == 2 else 0.0
-    return max(worst, pulling, slipping) / scale
-
-
-def _doubt(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField, u: Potential) -> float:
-    """What quadrature of all data may have changed in the bounds."""
-    edge = skeleton.lengths[conditions.contact]
-    pressure = field.balance.pressure
-    return (
-        field.load_doubt
-        + field.obstacle_doubt
-        + u.traction_doubt
-        + float(np.sum(pressure * conditions.offset_doubt * edge))
-        + abs(field.balance.reaction_work) * conditions.given_doubt
-    )
-
-
-FEW = 500
-"""Triangles up to which the equilibration is refined once unless asked otherwise: it takes less than a
-tenth of a second there."""
-
-FINER_PRODUCTS = 40
-"""Back-substitutions that improve contact forces that come from a coarser mesh."""
+    stresses = np.stack([friction, pressure])[-n:]
+    total[:, :, contact] -= np.einsum("eij,ime->jme", conditions.axes, stresses) * edge
+    slipping = np.abs(friction) - conditions.friction if n == 2 else np.zeros_like(pressure)
+    parts = (np.abs(np.where(conditions.held[:, None], 0.0, total)), -pressure * edge, slipping * edge)
+    return float(np.max([np.max(part, initial=0.0) for part in parts])) / scale
 
 
 def refined_bracket(
@@ -265,15 +210,13 @@ def refined_bracket(
         # on needles rounding grows with refinement
         plain = found if found.guaranteed_lower or count > FEW else bracket(problem, nodes, guess)
         return plain if plain.guaranteed_lower else found
-    mesh = replace(problem.mesh, doflocs=np.ascontiguousarray(nodes))
-    for _ in range(refinements):
-        guess = prolonged(guess, mesh)
-        mesh = mesh.refined(1)
     if refinements == 0:
         return bracket(problem, nodes, guess)
-    found = bracket(
-        replace(problem, mesh=mesh, motion=Motion(None)), np.asarray(mesh.p), guess, products=FINER_PRODUCTS
-    )
+    mesh = replace(problem.mesh, doflocs=np.ascontiguousarray(nodes))
+    for _ in range(refinements):
+        guess, mesh = _prolonged(guess, mesh), mesh.refined(1)
+    finer = replace(problem, mesh=mesh, motion=Motion(None))
+    found = bracket(finer, np.asarray(mesh.p), guess, products=FINER_PRODUCTS)
     children = 4**refinements
     return replace(
         found,
@@ -282,7 +225,7 @@ def refined_bracket(
     )
 
 
-def prolonged(guess: Guess, mesh: MeshTri) -> Guess:
+def _prolonged(guess: Guess, mesh: MeshTri) -> Guess:
     """The same displacement and stresses on the mesh refined once, whose new nodes halve the edges."""
 
     def prolong(values: Array) -> Array:

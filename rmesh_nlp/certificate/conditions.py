@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.certificate.integrals import Integrals, over_edges, values_at
+from rmesh_nlp.certificate.integrals import Integrals, integrals, values_at
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
@@ -117,7 +117,7 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     axes = np.zeros((contact.size, n, n))
     for part in parts:
         corners, obstacle = skeleton.nodes[:, skeleton.ends[:, part.edges]], part.obstacle
-        gap = over_edges(obstacle.offset, corners)
+        gap = integrals(obstacle.offset, corners)
         offset[:, part.place], offset_doubt[:, part.place] = gap.moments, gap.doubt
         friction[:, part.place] = _linear_below(values_at(obstacle.friction, corners, SAMPLE_POINTS))
         rows = (obstacle.tangent, obstacle.normal) if n == 2 else (obstacle.normal,)
@@ -149,7 +149,7 @@ def _given_displacement(problem: ContactProblem, skeleton: Skeleton) -> tuple[Ma
         for i, coefficient in enumerate(support.value):
             if coefficient is None:
                 continue
-            part = over_edges(coefficient, corners)
+            part = integrals(coefficient, corners)
             samples = values_at(coefficient, corners, SAMPLE_POINTS)
             held[i, edges], given[i][:, edges] = True, part.moments
             doubt = max(doubt, float(np.max(part.doubt, initial=0.0)))
@@ -168,7 +168,7 @@ def _tractions(problem: ContactProblem, skeleton: Skeleton) -> tuple[Array, Arra
         corners = skeleton.nodes[:, skeleton.ends[:, edges]]
         square = np.zeros(edges.size)
         for i, coefficient in enumerate(load.value):
-            part = over_edges(coefficient, corners)
+            part = integrals(coefficient, corners)
             traction[i][:, edges] += part.moments
             doubt[i][:, edges] += part.doubt
             if callable(coefficient):

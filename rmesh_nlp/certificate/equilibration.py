@@ -21,11 +21,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rmesh_nlp.certificate.hybrid import Hybrid, InteriorObstacle, LocalSystems, TraceSpace, hybrid
+from rmesh_nlp.certificate.hybrid import Hybrid, contact_start
 from rmesh_nlp.contact.active_set import DualEnergy, solve
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem
+from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.newton_step import BoxStep
+
+SOFTER = 10.0
+"""By how much the compliance of a trace exceeds that of its diagonal entry, roughly.
+
+With it the first trial step is not far too long: five products on graded scalar meshes of 1,500 to 2,600
+triangles (seeds 300 to 307, refined) then end within 3 % of the least gap, not within 14 %.
+"""
+
+FORCING = 0.1
+"""Part of the residual at which conjugate gradients stop."""
 
 
 @dataclass(frozen=True)
@@ -42,63 +52,6 @@ class Guess:
     displacement: Array
     pressure: Array
     friction: Array
-
-
-@dataclass(frozen=True)
-class EquilibratedField:
-    """A flux or stress in equilibrium, element by element.
-
-    Attributes
-    ----------
-    values : (2 or 3, elements) array
-        Mean flux, or mean stress xx, yy, xy.
-    energy : (elements,) array
-        Complementary energy, half the square of the energy norm of the field.
-    defect : (elements,) array
-        Distance in the energy norm from the flux or stress of the computed displacement.
-    variation : (elements,) array
-        Distance in the energy norm from the nearest field that is constant on the element.
-    forces : (elements, local traces) array
-        Tractions at the ends of the edges of each element times the length of the edge.
-    balance : Balance
-    residual : float
-        Largest violation of equilibrium inside elements, relative to the largest force.
-    load_remainder : (elements,) array
-        L2 norm of the load less what the field balances, its best linear approximation.
-    load_doubt : float
-        What quadrature of the load may have changed in the energy.
-    gradient_by_energy : (elements,) array
-        See :func:`rmesh_nlp.certificate.oscillation.oscillation`.
-    obstacle_work, obstacle_gap : (elements,) arrays
-        Work of the reaction of an obstacle in the interior, on the obstacle and on the gap.
-    obstacle_doubt : float
-    """
-
-    values: Array
-    energy: Array
-    defect: Array
-    variation: Array
-    forces: Array
-    balance: Balance
-    residual: float
-    load_remainder: Array
-    load_doubt: float
-    gradient_by_energy: Array
-    obstacle_work: Array
-    obstacle_gap: Array
-    obstacle_doubt: float = 0.0
-
-
-SOFTER = 10.0
-"""By how much the compliance of a trace exceeds that of its diagonal entry, roughly.
-
-With it the first trial step is not far too long: five products on graded scalar meshes of 1,500 to 2,600
-triangles
-(seeds 300 to 307 of the benchmark, refined) then end within 3 % of the least gap, not within 14 %.
-"""
-
-FORCING = 0.1
-"""Part of the residual at which conjugate gradients stop."""
 
 
 @dataclass(frozen=True)
@@ -124,73 +77,99 @@ class Balance:
     obstacle_force: Array
 
 
-def balance(
-    space: TraceSpace,
-    local: LocalSystems,
-    pressure: Array,
-    friction: Array,
-    products: int,
-    interior: InteriorObstacle | None = None,
-) -> Balance:
+@dataclass(frozen=True)
+class EquilibratedField:
+    """A flux or stress in equilibrium, element by element.
+
+    Attributes
+    ----------
+    values : (2 or 3, elements) array
+        Mean flux, or mean stress xx, yy, xy.
+    computed, energy : (elements,) arrays
+        Half the squares of the energy norms of the flux or stress of the computed displacement, which is its
+        strain energy, and of this field, its complementary energy.
+    defect : (elements,) array
+        Distance in the energy norm between the two.
+    variation : (elements,) array
+        Distance in the energy norm from the nearest field that is constant on the element.
+    forces : (elements, local traces) array
+        Tractions at the ends of the edges of each element times the length of the edge.
+    balance : Balance
+    residual : float
+        Largest violation of equilibrium inside elements, relative to the largest force.
+    gradient_by_energy : (elements,) array
+        See :func:`rmesh_nlp.certificate.oscillation.oscillation`.
+    obstacle_work, obstacle_gap : (elements,) arrays or 0
+        Work of the reaction of an obstacle in the interior, on the obstacle and on the gap.
+    obstacle_doubt : float
+    """
+
+    values: Array
+    computed: Array
+    energy: Array
+    defect: Array
+    variation: Array
+    forces: Array
+    balance: Balance
+    residual: float
+    gradient_by_energy: Array
+    obstacle_work: Array | float = 0.0
+    obstacle_gap: Array | float = 0.0
+    obstacle_doubt: float = 0.0
+
+
+def balance(found: Hybrid, guess: Guess, products: int) -> Balance:
     """Equilibrate the elements with each other and with the contact forces.
 
     Parameters
     ----------
-    space : TraceSpace
-    local : LocalSystems
-    pressure, friction : (2, contact edges) arrays
-        Where to begin; cut to what contact and friction allow.
+    found : Hybrid
+        With an obstacle in the interior it is solved exactly, for its forces are as many as the elements.
+    guess : Guess
+        Its contact forces are where to begin; they are cut to what contact and friction allow.
     products : int
         Back-substitutions spent on better contact forces.
-    interior : InteriorObstacle, optional
-        Its problem is solved exactly, for its forces are as many as the elements.
     """
-    found = hybrid(space, local, interior)
-    edge = space.skeleton.lengths[space.conditions.contact]
-    if interior is None:
-        slip = found.start[space.of_contact(0)].ravel()
-        guess = (pressure * edge).ravel(), (friction * edge).ravel()
-        u, (y, z) = improved(found.system, slip, *guess, products)
-        return balanced(found, u, y, z)
-    touching = np.concatenate([interior.touching.ravel(), pressure.ravel() > 0])
-    solved = solve(found.system, ActiveSet(touching, np.zeros(0, dtype=np.int8)))
-    return balanced(found, solved.u, np.maximum(solved.normal_force, 0.0), np.zeros(0))
+    skeleton, contact = found.skeleton, found.conditions.contact
+    ends, edge = skeleton.ends[:, contact], skeleton.lengths[contact]
+    if found.inside:
+        inside = guess.pressure[skeleton.triangles].T > 0
+        touching = np.concatenate([inside.ravel(), guess.pressure[ends].ravel() > 0])
+        solved = solve(found.system, ActiveSet(touching, np.zeros(0, dtype=np.int8)))
+        return balanced(found, solved.u, np.maximum(solved.normal_force, 0.0), np.zeros(0))
+    pressure, friction = ((nodal[ends] * edge).ravel() for nodal in (guess.pressure, guess.friction))
+    return balanced(found, *_improved(found, pressure, friction, products))
 
 
 def balanced(found: Hybrid, u: Array, force: Array, friction: Array) -> Balance:
     """What the free traces and the contact forces say of elements and edges."""
-    conditions = found.space.conditions
-    edge, shape = found.space.skeleton.lengths[conditions.contact], (2, conditions.contact.size)
-    W = found.traces(u)
-    reaction = (found.through(W) - found.applied)[found.held] @ (W + found.start)[found.held]
+    contact, W = found.conditions.contact, found.traces(u)
+    edge, shape = found.skeleton.lengths[contact], (2, contact.size)
+    reaction = found.reaction(W)[found.held] @ (W + found.start)[found.held]
+    inside = force[: found.inside] if found.inside else np.zeros(3 * len(found.numbers))
     return Balance(
         traces=found.of_elements(W),
         pressure=force[found.inside :].reshape(shape) / edge,
         friction=friction.reshape(shape) / edge if friction.size else np.zeros(shape),
         reaction_work=float(reaction),
-        obstacle_force=force[: found.inside].reshape(-1, 3)
-        if found.inside
-        else np.zeros((len(found.numbers), 3)),
+        obstacle_force=inside.reshape(-1, 3),
     )
 
 
-def improved(
-    system: ContactSystem, slip: Array, pressure: Array, friction: Array, products: int
-) -> tuple[Array, tuple[Array, Array]]:
-    """Feasible contact forces better than the given ones, and the unknowns of the system under them.
+def _improved(found: Hybrid, pressure: Array, friction: Array, products: int) -> tuple[Array, Array, Array]:
+    """The unknowns of the system under feasible contact forces better than the given ones, and these.
 
     One step of projected conjugate gradients: the dual function is quadratic.
     """
-    dual = DualEnergy(system, slip)
-    bound = system.slip_bound
-    y = np.concatenate([pressure, friction[: bound.size]])
+    dual = DualEnergy(found.system, contact_start(found, 0))
+    bound = found.system.slip_bound
     lower = np.concatenate([np.zeros(pressure.size), -bound])
     upper = np.concatenate([np.full(pressure.size, np.inf), bound])
-    y = np.clip(y, lower, upper)
+    y = np.clip(np.concatenate([pressure, friction[: bound.size]]), lower, upper)
     if y.size and products:
         step = BoxStep(dual, dual.evaluate(y).gradient)
         step.max_products = products
         step.scale = SOFTER * step.scale
         s, _ = step.solve(lower - y, upper - y, FORCING)
         y = np.clip(y + s, lower, upper)
-    return dual.refined(y), (y[: pressure.size], y[pressure.size :])
+    return dual.refined(y), y[: pressure.size], y[pressure.size :]

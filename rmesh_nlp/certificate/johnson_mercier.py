@@ -25,49 +25,40 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError
 from rmesh_nlp.certificate.equilibration import EquilibratedField, Guess, balance
-from rmesh_nlp.certificate.hybrid import LocalSystems, TraceSpace
-from rmesh_nlp.certificate.integrals import Loads, doubtful_work
+from rmesh_nlp.certificate.hybrid import hybrid
+from rmesh_nlp.certificate.integrals import Loads
 from rmesh_nlp.certificate.oscillation import korn
-from rmesh_nlp.certificate.skeleton import AFTER, Skeleton, end_values, gradients
+from rmesh_nlp.certificate.skeleton import AFTER, CORNERS, Skeleton, edge_normals
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.problem import ContactProblem, Elastic
-
-CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-"""Vertices (2, 3) of the reference triangle."""
 
 FREE = 9
 """Functions without divergence."""
 
 MIDDLE = ((0, 1), (1, 2), (2, 0))
-"""Vertices beside the midpoints, which are the nodes 3, 4, 5 of a quadratic function."""
+"""Vertices beside the midpoints. Stresses are stored by their values at the six nodes of quadratic functions,
+the vertices and these midpoints."""
 
-
-def quadratic(barycentric: Array) -> Array:
-    """(6, points) quadratic Lagrange functions at points given by barycentric coordinates (3, points)."""
-    b = barycentric
-    return np.stack([*(b[i] * (2 * b[i] - 1) for i in range(3)), *(4 * b[i] * b[j] for i, j in MIDDLE)])
+NODES = np.vstack([np.eye(3), *((np.eye(3)[i] + np.eye(3)[j]) / 2 for i, j in MIDDLE)])
+"""(6, 3) barycentric coordinates of the nodes."""
 
 
 def _quadratic_mass() -> Array:
-    barycentric, weights = triangle_rule(4)
-    values = quadratic(barycentric)
+    b, weights = triangle_rule(4)
+    values = np.stack([*(b[i] * (2 * b[i] - 1) for i in range(3)), *(4 * b[i] * b[j] for i, j in MIDDLE)])
     return np.asarray((values * weights) @ values.T)
 
 
 def _slopes_at_vertices() -> Array:
-    """(3 vertices, 6 nodes, 3) derivatives of quadratic functions by the barycentric coordinates."""
     result = np.zeros((3, 6, 3))
-    for vertex in range(3):
-        b = np.eye(3)[vertex]
-        for i in range(3):
-            result[vertex, i, i] = 4 * b[i] - 1
+    for vertex, b in enumerate(np.eye(3)):
+        result[vertex, range(3), range(3)] = 4 * b - 1
         for node, (i, j) in enumerate(MIDDLE, 3):
-            result[vertex, node, i], result[vertex, node, j] = 4 * b[j], 4 * b[i]
+            result[vertex, node, [i, j]] = 4 * b[[j, i]]
     return result
 
 
@@ -75,6 +66,7 @@ MASS = _quadratic_mass()
 """Integrals of products of quadratic functions over a triangle of area 1."""
 
 SLOPES = _slopes_at_vertices()
+"""(3 vertices, 6 nodes, 3) derivatives of quadratic functions by the barycentric coordinates."""
 
 
 def thirds(corners: Array) -> Array:
@@ -83,20 +75,14 @@ def thirds(corners: Array) -> Array:
     return np.stack([np.stack([corners[:, j], corners[:, k], centre], axis=1) for j, k in AFTER], axis=2)
 
 
-def _slopes(corners: Array) -> Array:
-    """(2, 3, ...) gradients of the barycentric coordinates of triangles with corners (2, 3, ...)."""
-    along = corners[:, AFTER[:, 1]] - corners[:, AFTER[:, 0]]
-    first, second = along[:, 2], -along[:, 1]
-    double = first[0] * second[1] - first[1] * second[0]
-    return np.asarray(np.stack([-along[1], along[0]]) / double)
-
-
 def divergence(stress: Array, corners: Array) -> Array:
     """(2, 3 vertices, 3 thirds, ...) divergence of stresses (3 thirds, 6 nodes, 3 values, ...).
 
     ``corners`` are those of the thirds, see :func:`thirds`.
     """
-    slope = np.einsum("vnb,cbi...->cvni...", SLOPES, _slopes(corners), optimize=True)
+    normals = edge_normals(corners)
+    double = normals[1, 2] * normals[0, 1] - normals[0, 2] * normals[1, 1]
+    slope = np.einsum("vnb,cbi...->cvni...", SLOPES, -normals / double, optimize=True)
     xx, yy, xy = np.moveaxis(stress, 2, 0)
     by_x, by_y = (
         [np.einsum("vni...,in...->vi...", slope[c], part) for part in (xx, yy, xy)] for c in range(2)
@@ -115,30 +101,39 @@ def jumps(stress: Array, corners: Array) -> list[Array]:
 
     Takes stresses (3 thirds, 6 nodes, 3 values, ...) and the corners (2, 3, ...) of the triangles.
     """
-    found, centre = [], corners.mean(axis=1)
+    found, centre, normals = [], corners.mean(axis=1), edge_normals(corners)
     for i, (j, k) in enumerate(AFTER):
         along = centre - corners[:, i]
         across = np.stack([along[1], -along[0]])
         # vertex i is the second corner of third j and the first one of third k
         for one, two in ((1, 0), (2, 2), (4, 5)):
             found.append(traction(stress[j, one] - stress[k, two], across))
-        edge = corners[:, k] - corners[:, j]
         bend = stress[i, 3] - (stress[i, 0] + stress[i, 1]) / 2
-        found.append(traction(bend, np.stack([edge[1], -edge[0]])))
+        found.append(traction(bend, normals[:, i]))
     return found
+
+
+def edge_tractions(stress: Array, normals: Array) -> Array:
+    """(3 edges, 2 ends, 2 components, ...) tractions at the ends of the edges times their length."""
+    return np.stack([[traction(stress[i, end], normals[:, i]) for end in range(2)] for i in range(3)])
+
+
+def linear_force(values: Array) -> Array:
+    """(2, 3 vertices, 3 thirds, ...) a linear function (2, 3 vertices, ...) at the corners of the thirds."""
+    centre = values.mean(axis=1)
+    return np.stack([np.stack([values[:, j], values[:, k], centre], axis=1) for j, k in AFTER], axis=2)
 
 
 @dataclass(frozen=True)
 class Reference:
     """Basis of the element on the reference triangle.
 
-    A stress is stored by its values (xx, yy, xy) at the six nodes of quadratic functions on the three
-    thirds. The first nine functions have no divergence; of the other six, the one of vertex i and
-    component c has the divergence phi_i in this component.
+    The first nine functions have no divergence; of the other six, the one of vertex i and component c has the
+    divergence phi_i in this component.
 
     Attributes
     ----------
-    basis : (3 thirds, 6 nodes, 3 values, 15) array
+    basis : (3 thirds, 6 nodes, 3 values xx, yy, xy, 15) array
     products : (9, 225) array
         Integrals of products of two basis functions, value by value.
     forces : (3 edges, 2 ends, 2 components, 15) array
@@ -153,37 +148,21 @@ class Reference:
 @lru_cache(maxsize=1)
 def reference() -> Reference:
     """The element on the reference triangle."""
-    parts = thirds(CORNERS)[..., None]
     corners = CORNERS[..., None]
 
     def conditions(stress: Array) -> Array:
-        inside = divergence(stress, parts).reshape(18, -1)
+        inside = divergence(stress, thirds(corners)).reshape(18, -1)
         return np.vstack([inside, *jumps(stress, corners)])
 
-    nodes = quadratic_nodes()
-    linear = np.einsum("nv,ia,cd->incvad", nodes, np.eye(3), np.eye(3)).reshape(3, 6, 3, 27)
+    linear = np.einsum("nv,ia,cd->incvad", NODES, np.eye(3), np.eye(3)).reshape(3, 6, 3, 27)
     free = linear @ scipy.linalg.null_space(conditions(linear))
     every = np.eye(54).reshape(3, 6, 3, 54)
-    wanted = np.zeros((2, 3, 3, 3, 2))  # component, vertex of the third, third; vertex, component
-    for third, (j, k) in enumerate(AFTER):
-        values = np.stack([np.eye(3)[j], np.eye(3)[k], np.full(3, 1 / 3)])  # of phi_i at its vertices
-        for component in range(2):
-            wanted[component, :, third, :, component] = values
+    wanted = linear_force(np.einsum("iv,cd->civd", np.eye(3), np.eye(2)).reshape(2, 3, 6))
     right = np.vstack([wanted.reshape(18, 6), np.zeros((24, 6))])
     loaded = every @ (np.linalg.pinv(conditions(every)) @ right)
     basis = np.concatenate([free, loaded], axis=3)
     products = np.einsum("ilak,lm,imbn->abkn", basis, MASS / 6, basis, optimize=True).reshape(9, 225)
-    along = CORNERS[:, AFTER[:, 1]] - CORNERS[:, AFTER[:, 0]]
-    normals = np.stack([along[1], -along[0]])
-    forces = np.stack(
-        [np.stack([traction(basis[i, end], normals[:, i]) for end in range(2)]) for i in range(3)]
-    )
-    return Reference(basis, products, forces)
-
-
-def quadratic_nodes() -> NDArray[np.float64]:
-    """(6, 3) barycentric coordinates of the nodes of quadratic functions."""
-    return np.vstack([np.eye(3), *((np.eye(3)[i] + np.eye(3)[j]) / 2 for i, j in MIDDLE)])
+    return Reference(basis, products, edge_tractions(basis, edge_normals(corners)))
 
 
 @dataclass(frozen=True)
@@ -208,13 +187,12 @@ class JohnsonMercier:
     lame_mu: Array
     load: Array
 
-    @cached_property
+    @property
     def jacobian(self) -> Array:
         """(elements, 2, 2) Jacobians F."""
-        a, b, c = (self.skeleton.nodes[:, vertex] for vertex in self.skeleton.triangles)
-        return np.ascontiguousarray(np.stack([b - a, c - a], axis=1).transpose(2, 0, 1))
+        return self.skeleton.jacobian
 
-    @cached_property
+    @property
     def determinant(self) -> Array:
         """(elements,) determinants J."""
         return 2 * self.skeleton.areas
@@ -337,53 +315,32 @@ def equilibrated_stress(
     for law, part in problem.regions:
         assert isinstance(law, Elastic)
         lam[part], mu[part] = law.in_plane_lambda, law.lame_mu
-    means = load.moments.sum(axis=1, keepdims=True)
-    linear = 12 * load.moments - 3 * means  # at the vertices: the best linear approximation
-    linear[:, :, load.constant] = means[:, :, load.constant]
-    elements = JohnsonMercier(skeleton, lam, mu, linear)
-    space = TraceSpace(skeleton, conditions)
-    pressure, friction = (
-        end_values(nodal, skeleton, conditions.contact) for nodal in (guess.pressure, guess.friction)
-    )
+    elements = JohnsonMercier(skeleton, lam, mu, load.linear)
     u = guess.displacement
-    computed = _stress_of(u, skeleton, lam, mu)
-    exerted = _edge_forces(computed[0, 0], skeleton)
-    local = LocalSystems(elements.stiffness, elements.source - exerted, space.base(u))
-    found = balance(space, local, pressure, friction, products)
-    coefficients = elements.coefficients(found.traces)
+    slope = skeleton.gradients(u)
+    trace = lam * (slope[0, 0] + slope[1, 1])
+    computed = np.tile(  # constant on each element
+        [trace + 2 * mu * slope[0, 0], trace + 2 * mu * slope[1, 1], mu * (slope[0, 1] + slope[1, 0])],
+        (3, 6, 1, 1),
+    )
+    exerted = edge_tractions(computed, skeleton.normals).reshape(12, -1).T
+    found = hybrid(skeleton, conditions, (elements.stiffness, elements.source - exerted), u)
+    balanced = balance(found, guess, products)
+    coefficients = elements.coefficients(balanced.traces)
     correction = elements.stress(coefficients)
     stress, forces = computed + correction, exerted + elements.forces(coefficients)
     mean = stress[:, 3:].mean(axis=(0, 1))  # exact for quadratic stresses
-    beyond = np.maximum(load.square - np.sum(load.moments * linear, axis=(0, 1)), 0.0)
-    softest = np.minimum(2 * mu, 2 * (lam + mu))
     return EquilibratedField(
         values=mean,
+        computed=elements.energy(computed),
         energy=elements.energy(stress),
         defect=np.sqrt(2 * elements.energy(correction)),
         variation=np.sqrt(2 * elements.energy(stress - mean)),
         forces=forces,
-        balance=found,
+        balance=balanced,
         residual=residual(elements, stress, forces),
-        load_remainder=np.sqrt(skeleton.areas * np.where(load.constant, 0.0, beyond)),
-        load_doubt=doubtful_work(load.doubt, u, skeleton),
-        gradient_by_energy=korn(skeleton) / np.sqrt(softest),
-        obstacle_work=np.zeros(mu.size),
-        obstacle_gap=np.zeros(mu.size),
+        gradient_by_energy=korn(skeleton) / np.sqrt(np.minimum(2 * mu, 2 * (lam + mu))),
     )
-
-
-def _stress_of(u: Array, skeleton: Skeleton, lam: Array, mu: Array) -> Array:
-    """(1, 1, 3, elements) stress xx, yy, xy of a piecewise linear displacement."""
-    slope = gradients(u, skeleton)
-    trace = lam * (slope[0, 0] + slope[1, 1])
-    rows = [trace + 2 * mu * slope[0, 0], trace + 2 * mu * slope[1, 1], mu * (slope[0, 1] + slope[1, 0])]
-    return np.stack(rows)[None, None]
-
-
-def _edge_forces(stress: Array, skeleton: Skeleton) -> Array:
-    """(elements, 12) forces of a constant stress (3, elements), as the elements count them."""
-    through = np.stack([traction(stress, skeleton.normals[:, i]) for i in range(3)])
-    return np.repeat(through[:, None], 2, axis=1).reshape(12, -1).T
 
 
 def residual(elements: JohnsonMercier, stress: Array, forces: Array) -> float:
@@ -392,16 +349,10 @@ def residual(elements: JohnsonMercier, stress: Array, forces: Array) -> float:
     Divergence on each third, tractions between the thirds, and tractions on the edges, which
     must be linear and those that the edges exchange.
     """
-    skeleton = elements.skeleton
-    corners = skeleton.nodes[:, skeleton.triangles]
-    load, area = elements.load, skeleton.areas
-    centre = load.mean(axis=1)
-    wanted = np.stack([np.stack([load[:, j], load[:, k], centre], axis=1) for j, k in AFTER], axis=2)
-    violations = [(divergence(stress, thirds(corners)) + wanted) * area / 3, *jumps(stress, corners)]
-    exchanged = forces.reshape(-1, 3, 2, 2)
-    for i in range(3):
-        for end in range(2):
-            found = traction(stress[i, end], skeleton.normals[:, i])
-            violations.append(found - exchanged[:, i, end].T)
-    largest = max(float(np.max(np.abs(forces), initial=0.0)), float(np.max(np.abs(load) * area)), 1e-300)
+    corners, area = elements.skeleton.corners, elements.skeleton.areas
+    out = divergence(stress, thirds(corners)) + linear_force(elements.load)
+    exchanged = forces.T.reshape(3, 2, 2, -1)
+    across = edge_tractions(stress, elements.skeleton.normals) - exchanged
+    largest = max(float(np.max(np.abs(part), initial=1e-300)) for part in (forces, elements.load * area))
+    violations = (out * area / 3, across, *jumps(stress, corners))
     return max(float(np.max(np.abs(part), initial=0.0)) for part in violations) / largest

@@ -33,11 +33,11 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.certificate.conditions import Conditions, conditions_of
 from rmesh_nlp.certificate.equilibration import balanced
-from rmesh_nlp.certificate.hybrid import Hybrid, InteriorObstacle, LocalSystems, TraceSpace, hybrid
+from rmesh_nlp.certificate.hybrid import Hybrid, hybrid
 from rmesh_nlp.certificate.integrals import edge_rule
 from rmesh_nlp.certificate.oscillation import POINCARE
-from rmesh_nlp.certificate.raviart_thomas import FREE, RaviartThomas, reference
-from rmesh_nlp.certificate.skeleton import Skeleton, gradients, skeleton_of
+from rmesh_nlp.certificate.raviart_thomas import FREE, RaviartThomas, moments, obstacle_inside, reference
+from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
@@ -182,7 +182,7 @@ class LowerBound:
             return e
         for _ in range(BALANCING):
             state = self._equilibrated(nodes, np.zeros((1, nodes.shape[1])), e)
-            found = np.sqrt(np.maximum(state.elements.variation(state.flux), 0.0))
+            found = np.sqrt(state.elements.variation(state.flux))
             e = np.maximum(found, LEAST * np.max(found, initial=0.0) + 1e-300)
         return e
 
@@ -200,23 +200,15 @@ class LowerBound:
             if group.functions.varies:
                 r[group.which] = group.columns("oscillation")([X])[0]
         elements = RaviartThomas(skeleton, conductivity, source, self._inside is not None, penalty=r / e)
-        computed = elements.constant(conductivity * gradients(u, skeleton)[0])
-        space = TraceSpace(skeleton, conditions)
-        local = LocalSystems(elements.stiffness, elements.source - elements.forces(computed), space.base(u))
-        interior, moments = None, np.zeros((count, 0))
-        if self._inside is not None:
-            sign, at_vertices = self._inside.normal[0], u[0][skeleton.triangles].T
-            moments = (at_vertices + at_vertices.sum(axis=1, keepdims=True)) / 12
-            gap, load = offset.T + sign * moments, (source * skeleton.areas).T
-            interior = InteriorObstacle(sign, gap, load, np.zeros(gap.shape, dtype=bool))
-        problem = hybrid(space, local, interior)
+        computed = elements.constant(conductivity * skeleton.gradients(u)[0])
+        interior = obstacle_inside(self.problem, skeleton, offset, source, u)
+        local = elements.stiffness, elements.source - elements.forces(computed)
+        problem = hybrid(skeleton, conditions, local, u, interior)
         solved = solve(problem.system, self._active)
         self.solves += 1
-        self._active = solved.active
-        force = solved.normal_force
+        self._active, force = solved.active, solved.normal_force
         found = balanced(problem, solved.u, force, np.zeros(0))
-        flux = computed + elements.coefficients(found.traces)
-        base = local.base[0][skeleton.place, skeleton.edges[:, None]].transpose(2, 0, 1).reshape(count, 6)
+        flux, W = computed + elements.coefficients(found.traces), problem.traces(solved.u)
         value = (
             found.reaction_work
             - float(np.sum(elements.energy(flux)))
@@ -225,14 +217,15 @@ class LowerBound:
         )
         if np.all(np.isfinite(e)):
             value -= float(np.sum(r * (elements.variation(flux) / e + e) / 2 + r**2 / 2))
-        reaction = problem.through(problem.traces(solved.u)) - problem.applied
-        traces = found.traces + np.hstack([base, moments])
-        return _State(columns, e, elements, problem, flux, traces, force, reaction, value)
+        traces = problem.of_elements(W + problem.start)
+        if interior is not None:
+            traces[:, 6:] += moments(u, skeleton)
+        return _State(columns, e, elements, problem, flux, traces, force, problem.reaction(W), value)
 
     def _gradient(self, state: _State) -> Array:
         """(2, nodes) partial derivatives of the dual energy by the positions."""
-        elements, problem = state.elements, state.problem
-        skeleton, inside = elements.skeleton, np.zeros((len(state.flux), 3))
+        elements, problem, skeleton = state.elements, state.problem, state.problem.skeleton
+        inside = np.zeros((len(state.flux), 3))
         result = np.zeros(skeleton.nodes.shape)
         strain = np.einsum("eij,ej->ei", elements.minimised, state.flux)
         nu = (state.traces @ elements.rows - strain)[:, FREE:]
@@ -247,7 +240,7 @@ class LowerBound:
             _add(result, skeleton.triangles[:, which], slope)
         multipliers = {
             "offset": -state.force[problem.inside :].reshape(2, -1),
-            "given": state.reaction[: problem.space.size].reshape(-1, 2).T,
+            "given": state.reaction[: 2 * skeleton.ends.shape[1]].reshape(-1, 2).T,
             "applied": -_of_edges(skeleton, state.traces),
         }
         for part in self._edges:

@@ -40,8 +40,8 @@ def korn(skeleton: Skeleton) -> Array:
     lengths = np.linalg.norm(skeleton.normals, axis=0)
     perimeter = lengths.sum(axis=0)
     inner = 2 * skeleton.areas / perimeter
-    centre = np.einsum("ie,cie->ce", lengths / perimeter, skeleton.nodes[:, skeleton.triangles])
-    to_corners = skeleton.nodes[:, skeleton.triangles] - centre[:, None]
+    centre = np.einsum("ie,cie->ce", lengths / perimeter, skeleton.corners)
+    to_corners = skeleton.corners - centre[:, None]
     ratio = inner / np.sqrt(np.max(np.sum(to_corners**2, axis=0), axis=0))
     beta_squared = ratio**2 / (2 * (1 + np.sqrt(1 - ratio**2)))
     return np.asarray(np.sqrt(2 / beta_squared))
@@ -63,10 +63,8 @@ def oscillation(skeleton: Skeleton, load: Array, edges: Array, gradient_by_energ
     h = skeleton.diameters
     total = POINCARE * h * load
     if np.any(edges > 0):
-        owner = np.zeros(edges.size, dtype=np.int64)  # one element of each edge, whichever comes last
-        owner[skeleton.edges] = np.arange(h.size)
         loaded = np.flatnonzero(edges > 0)
-        element = owner[loaded]
+        element = skeleton.owner[loaded]
         ratio = skeleton.lengths[loaded] / skeleton.areas[element]
         trace = h[element] * np.sqrt(ratio * (POINCARE**2 + POINCARE))
         total = total + np.bincount(element, trace * edges[loaded], h.size)

@@ -24,16 +24,13 @@ import numpy as np
 
 from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError
 from rmesh_nlp.certificate.equilibration import EquilibratedField, Guess, balance
-from rmesh_nlp.certificate.hybrid import InteriorObstacle, LocalSystems, TraceSpace
-from rmesh_nlp.certificate.integrals import Loads, doubtful_work, over_triangles
-from rmesh_nlp.certificate.skeleton import AFTER, Skeleton, end_values, gradients
+from rmesh_nlp.certificate.hybrid import InteriorObstacle, hybrid
+from rmesh_nlp.certificate.integrals import Loads, integrals
+from rmesh_nlp.certificate.skeleton import AFTER, CORNERS, Skeleton, edge_normals
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.laws import Laplace
-
-CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-"""Vertices (2, 3) of the reference triangle."""
 
 FREE = 5
 """Functions without divergence."""
@@ -74,9 +71,7 @@ def reference() -> Reference:
     products, variations = (
         np.einsum("p,apk,bpl->abkl", weights, some, some).reshape(4, 64) for some in (values, deviations)
     )
-    along = CORNERS[:, AFTER[:, 1]] - CORNERS[:, AFTER[:, 0]]
-    normals = np.stack([along[1], -along[0]])
-    at_corners = _functions(np.eye(3))
+    normals, at_corners = edge_normals(CORNERS), _functions(np.eye(3))
     forces = np.stack([np.einsum("c,cek->ek", normals[:, i], at_corners[:, AFTER[i]]) for i in range(3)])
     return Reference(products, variations, means, forces)
 
@@ -123,15 +118,9 @@ class RaviartThomas:
     penalty: Array | float = 0.0
 
     @cached_property
-    def jacobian(self) -> Array:
-        """(elements, 2, 2) Jacobians F."""
-        a, b, c = (self.skeleton.nodes[:, vertex] for vertex in self.skeleton.triangles)
-        return np.ascontiguousarray(np.stack([b - a, c - a], axis=1).transpose(2, 0, 1))
-
-    @cached_property
     def metric(self) -> Array:
         """(elements, 4) factors of integrals of products of components on the reference triangle."""
-        metric = np.einsum("eca,ecb->eab", self.jacobian, self.jacobian).reshape(-1, 4)
+        metric = np.einsum("eca,ecb->eab", self.skeleton.jacobian, self.skeleton.jacobian).reshape(-1, 4)
         # over the area: integral of |tau|^2 = area / J^2 tau_ref . G tau_ref, and J = 2 area
         return np.asarray(metric / (4 * self.skeleton.areas * self.conductivity)[:, None])
 
@@ -204,7 +193,9 @@ class RaviartThomas:
 
     def constant(self, flux: Array) -> Array:
         """(elements, 8) coefficients of a flux (2, elements) that is constant on each element."""
-        pulled = np.linalg.solve(self.jacobian, (2 * self.skeleton.areas * flux).T[:, :, None])[:, :, 0]
+        pulled = np.linalg.solve(self.skeleton.jacobian, (2 * self.skeleton.areas * flux).T[:, :, None])[
+            :, :, 0
+        ]
         result = np.zeros((len(pulled), 8))
         result[:, 0], result[:, 1] = -pulled[:, 1], pulled[:, 0]
         return result
@@ -215,19 +206,47 @@ class RaviartThomas:
 
     def energy(self, coefficients: Array) -> Array:
         """(elements,) integrals of ``|tau|^2 / (2 k)``."""
-        return np.asarray(
-            np.einsum("ei,eij,ej->e", coefficients, self.compliance, coefficients, optimize=True) / 2
-        )
+        return _squares(self.compliance, coefficients) / 2
 
     def variation(self, coefficients: Array) -> Array:
         """(elements,) squares of the distance of the flux from its mean, in the energy norm."""
-        A = (self.metric @ reference().variations).reshape(-1, 8, 8)
-        return np.asarray(np.einsum("ei,eij,ej->e", coefficients, A, coefficients, optimize=True))
+        return _squares((self.metric @ reference().variations).reshape(-1, 8, 8), coefficients)
 
     def mean(self, coefficients: Array) -> Array:
         """(2, elements) means."""
-        pushed = np.einsum("eab,eb->ae", self.jacobian, coefficients @ reference().means.T)
+        pushed = np.einsum("eab,eb->ae", self.skeleton.jacobian, coefficients @ reference().means.T)
         return np.asarray(pushed / (2 * self.skeleton.areas))
+
+
+def _squares(A: Array, coefficients: Array) -> Array:
+    """(elements,) values of quadratic forms; not negative, however thin the element."""
+    values = np.einsum("ei,eij,ej->e", coefficients, A, coefficients, optimize=True)
+    return np.asarray(np.maximum(values, 0.0))
+
+
+def obstacle_inside(
+    problem: ContactProblem, skeleton: Skeleton, offset: Array, source: Array, u: Array
+) -> InteriorObstacle | None:
+    """The obstacle in the interior, if there is one, in the terms of the traces.
+
+    Parameters
+    ----------
+    offset, source : (3, elements) arrays
+        Moments of its gap without displacement; values of the source at the vertices.
+    u : (1, nodes) array
+        The base.
+    """
+    for obstacle in problem.obstacles:
+        if obstacle.boundary is Place.INTERIOR:
+            sign = obstacle.normal[0]
+            return InteriorObstacle(sign, offset.T + sign * moments(u, skeleton), (source * skeleton.areas).T)
+    return None
+
+
+def moments(u: Array, skeleton: Skeleton) -> Array:
+    """(elements, 3) moments of a linear displacement (1, nodes) against the barycentric coordinates."""
+    at_vertices = u[0][skeleton.triangles].T
+    return np.asarray((at_vertices + at_vertices.sum(axis=1, keepdims=True)) / 12)
 
 
 def equilibrated_flux(
@@ -239,58 +258,42 @@ def equilibrated_flux(
     products: int,
 ) -> EquilibratedField:
     """The flux of largest dual energy, or nearly so: see :mod:`rmesh_nlp.certificate.equilibration`."""
-    area = skeleton.areas
-    conductivity = np.zeros(area.size)
+    conductivity = np.zeros(skeleton.areas.size)
     for law, part in problem.regions:
         assert isinstance(law, Laplace)
         conductivity[part] = law.conductivity
-    mean = load.moments[0].sum(axis=0)
-    linear = 12 * load.moments[0] - 3 * mean  # at the vertices: the best linear approximation
-    linear[:, load.constant] = mean[load.constant]
     inside = [obstacle for obstacle in problem.obstacles if obstacle.boundary is Place.INTERIOR]
     if len(inside) > 1:
         raise NotCertifiableError("there are two obstacles in the interior")
-    elements = RaviartThomas(skeleton, conductivity, linear, bool(inside))
-    space = TraceSpace(skeleton, conditions)
-    u = guess.displacement
-    computed = elements.constant(conductivity * gradients(u, skeleton)[0])
+    (source,), u = load.linear, guess.displacement
+    below = integrals(inside[0].offset if inside else 0.0, skeleton.corners)
+    interior = obstacle_inside(problem, skeleton, below.moments, source, u)
+    elements = RaviartThomas(skeleton, conductivity, source, bool(inside))
+    computed = elements.constant(conductivity * skeleton.gradients(u)[0])
     exerted = elements.forces(computed)
-    local = LocalSystems(elements.stiffness, elements.source - exerted, space.base(u))
-    interior, gap, offset, doubt = None, np.zeros((area.size, 3)), np.zeros((area.size, 3)), 0.0
-    if inside:
-        sign = inside[0].normal[0]
-        below = over_triangles(inside[0].offset, skeleton.nodes[:, skeleton.triangles])
-        offset = below.moments.T
-        at_vertices = u[0][skeleton.triangles].T
-        gap = offset + sign * (at_vertices + at_vertices.sum(axis=1, keepdims=True)) / 12
-        touching = guess.pressure[skeleton.triangles].T > 0
-        interior = InteriorObstacle(sign, gap, (linear * area).T, touching)
-    pressure = end_values(guess.pressure, skeleton, conditions.contact)
-    found = balance(space, local, pressure, np.zeros_like(pressure), products, interior)
-    correction = elements.coefficients(found.traces)
-    flux, reaction = computed + correction, found.obstacle_force
+    found = hybrid(skeleton, conditions, (elements.stiffness, elements.source - exerted), u, interior)
+    balanced = balance(found, guess, products)
+    correction, reaction = elements.coefficients(balanced.traces), balanced.obstacle_force
+    flux = computed + correction
     forces = elements.forces(flux)
-    balanced = (linear * area).T
-    if interior:
-        balanced = balanced + interior.sign * reaction
-        doubt = float(np.sum(reaction * below.doubt.T))
-    scale = max(float(np.max(np.abs(forces[:, :6]), initial=0.0)), float(np.max(np.abs(balanced))), 1e-300)
-    out = [np.abs(forces[:, :6].sum(axis=1) / 2 + balanced.mean(axis=1))]
-    if interior:
-        out.append(np.max(np.abs(forces[:, 6:] - balanced), axis=1))
-    beyond = np.maximum(load.square - np.sum(load.moments[0] * linear, axis=0), 0.0)
+    # what leaves an element through its edges is the source and the reaction within it
+    wanted = (source * skeleton.areas).T + (interior.sign * reaction if interior else 0.0)
+    out = [
+        forces[:, :6].sum(axis=1) / 2 + wanted.mean(axis=1),
+        *(forces[:, 6:] - wanted[:, : forces.shape[1] - 6]).T,
+    ]
+    scale = max(float(np.max(np.abs(part), initial=1e-300)) for part in (forces[:, :6], wanted))
     return EquilibratedField(
         values=elements.mean(flux),
+        computed=elements.energy(computed),
         energy=elements.energy(flux),
-        defect=np.sqrt(2 * np.maximum(elements.energy(correction), 0.0)),
-        variation=np.sqrt(np.maximum(elements.variation(correction), 0.0)),
+        defect=np.sqrt(2 * elements.energy(correction)),
+        variation=np.sqrt(elements.variation(correction)),
         forces=forces[:, :6],
-        balance=found,
-        residual=float(np.max(out)) / scale,
-        load_remainder=np.sqrt(area * np.where(load.constant, 0.0, beyond)),
-        load_doubt=doubtful_work(load.doubt, u, skeleton),
+        balance=balanced,
+        residual=float(np.max(np.abs(out))) / scale,
         gradient_by_energy=1 / np.sqrt(conductivity),
-        obstacle_work=-np.sum(reaction * offset, axis=1),
-        obstacle_gap=np.sum(reaction * gap, axis=1),
-        obstacle_doubt=doubt,
+        obstacle_work=-np.sum(reaction * below.moments.T, axis=1),
+        obstacle_gap=np.sum(reaction * interior.gap, axis=1) if interior else 0.0,
+        obstacle_doubt=float(np.sum(reaction * below.doubt.T)),
     )

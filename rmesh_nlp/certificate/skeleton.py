@@ -17,6 +17,18 @@ Index = NDArray[np.int64]
 AFTER = np.array([[1, 2], [2, 0], [0, 1]])
 """Vertices of edge i of a triangle, the one opposite vertex i, counter-clockwise."""
 
+CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+"""Vertices (2, 3) of the reference triangle."""
+
+SAME = 1e-10
+"""Relative difference of areas, lengths and first moments up to which they are the same."""
+
+
+def edge_normals(corners: Array) -> Array:
+    """(2, 3, ...) outward normals, as long as the edges, of triangles with ``corners`` (2, 3, ...)."""
+    along = corners[:, AFTER[:, 1]] - corners[:, AFTER[:, 0]]
+    return np.stack([along[1], -along[0]])
+
 
 @dataclass(frozen=True)
 class Skeleton:
@@ -55,40 +67,53 @@ class Skeleton:
         return np.asarray(np.linalg.norm(b - a, axis=0))
 
     @cached_property
+    def corners(self) -> Array:
+        """(2, 3, elements) positions of the vertices."""
+        return np.asarray(self.nodes[:, self.triangles])
+
+    @cached_property
     def normals(self) -> Array:
         """(2, 3, elements) outward normals of the edges of each element, as long as the edges."""
-        corners = self.nodes[:, self.triangles]
-        along = corners[:, AFTER[:, 1]] - corners[:, AFTER[:, 0]]
-        return np.stack([along[1], -along[0]])
+        return edge_normals(self.corners)
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """(elements, 2, 2) Jacobians of the maps from the reference triangle."""
+        a, b, c = self.corners.transpose(1, 0, 2)
+        return np.ascontiguousarray(np.stack([b - a, c - a], axis=1).transpose(2, 0, 1))
 
     @cached_property
     def centres(self) -> Array:
         """(2, elements) barycentres."""
-        return np.asarray(self.nodes[:, self.triangles].mean(axis=1))
+        return np.asarray(self.corners.mean(axis=1))
 
     @cached_property
     def diameters(self) -> Array:
         """(elements,) longest edges."""
         return np.asarray(np.sqrt(np.max(np.sum(self.normals**2, axis=0), axis=0)))
 
+    @cached_property
+    def owner(self) -> Index:
+        """(edges,) one element of each edge, whichever comes last."""
+        owner = np.zeros(self.ends.shape[1], dtype=np.int64)
+        owner[self.edges] = np.arange(self.areas.size)
+        return owner
+
+    def gradients(self, displacement: Array) -> Array:
+        """(components, 2, elements) gradients of a piecewise linear displacement (components, nodes)."""
+        local = displacement[:, self.triangles]
+        return np.asarray(-np.einsum("cie,die->cde", local, self.normals) / (2 * self.areas))
+
 
 def skeleton_of(problem: ContactProblem, nodes: Array) -> Skeleton:
     """The mesh of a problem with its nodes at ``nodes`` (2, nodes)."""
-    triangles = problem.triangles
-    ends = np.asarray(problem.mesh.facets, dtype=np.int64)
-    count = nodes.shape[1]
-    key = np.min(ends, axis=0) * count + np.max(ends, axis=0)
-    order = np.argsort(key)
-    tails, heads = triangles[AFTER[:, 0]], triangles[AFTER[:, 1]]
-    wanted = np.minimum(tails, heads) * count + np.maximum(tails, heads)
-    edges = order[np.searchsorted(key, wanted, sorter=order)]
-    tail_is_first = ends[0, edges] == tails
-    place = np.stack([np.where(tail_is_first, 0, 1), np.where(tail_is_first, 1, 0)], axis=1)
+    triangles, ends = problem.triangles, np.asarray(problem.mesh.facets, dtype=np.int64)
+    beside = np.asarray(problem.mesh.t2f, dtype=np.int64)
+    has = np.any(ends[:, None, beside] == triangles[None, :, None], axis=0)  # (vertex, edge, element)
+    edges = np.take_along_axis(beside, np.argmin(has, axis=1), axis=0)
+    tail_is_second = ends[0, edges] != triangles[AFTER[:, 0]]
+    place = np.stack([tail_is_second, ~tail_is_second], axis=1).astype(np.int64)
     return Skeleton(np.asarray(nodes, dtype=float), triangles, ends, edges, place)
-
-
-SAME = 1e-10
-"""Relative difference of areas, lengths and first moments up to which they are the same."""
 
 
 def same_domain(problem: ContactProblem, nodes: Array) -> bool:
@@ -105,25 +130,11 @@ def same_domain(problem: ContactProblem, nodes: Array) -> bool:
 
 
 def _moments(problem: ContactProblem, skeleton: Skeleton) -> list[Array]:
+    """Measure and first moments of each region and each named boundary in use."""
     corner = skeleton.nodes.min(axis=1, keepdims=True)
-    areas, centres = skeleton.areas, skeleton.centres - corner
-    result = [np.array([areas[part].sum(), *(centres[:, part] @ areas[part])]) for _, part in problem.regions]
-    names = {load.boundary for load in problem.tractions} | {s.boundary for s in problem.supports}
-    names |= {o.boundary for o in problem.obstacles if not isinstance(o.boundary, Place)}
     middle = skeleton.nodes[:, skeleton.ends].mean(axis=1) - corner
-    lengths = skeleton.lengths
-    for name in sorted(names):
-        edges = np.unique(problem.mesh.boundaries[name])
-        result.append(np.array([lengths[edges].sum(), *(middle[:, edges] @ lengths[edges])]))
-    return result
-
-
-def gradients(displacement: Array, skeleton: Skeleton) -> Array:
-    """(components, 2, elements) gradients of a piecewise linear displacement."""
-    local = displacement[:, skeleton.triangles]
-    return np.asarray(-np.einsum("cie,die->cde", local, skeleton.normals) / (2 * skeleton.areas))
-
-
-def end_values(nodal: Array, skeleton: Skeleton, edges: NDArray[np.int64]) -> Array:
-    """(2, edges) values of a nodal field at the ends of some edges."""
-    return np.asarray(nodal[skeleton.ends[:, edges]])
+    parts = [(skeleton.areas, skeleton.centres - corner, elements) for _, elements in problem.regions]
+    of_obstacles = [o.boundary for o in problem.obstacles if not isinstance(o.boundary, Place)]
+    names = {*of_obstacles, *(t.boundary for t in problem.tractions), *(s.boundary for s in problem.supports)}
+    parts += [(skeleton.lengths, middle, np.unique(problem.mesh.boundaries[name])) for name in names]
+    return [np.array([size[some].sum(), *(centre[:, some] @ size[some])]) for size, centre, some in parts]

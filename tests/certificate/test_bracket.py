@@ -12,7 +12,7 @@ from scipy.linalg import null_space
 from rmesh_nlp.certificate import bracket as module
 from rmesh_nlp.certificate.bracket import Bracket, bracket, edge_residual, refined_bracket
 from rmesh_nlp.certificate.conditions import NotCertifiableError, conditions_of
-from rmesh_nlp.certificate.integrals import loads, over_triangles
+from rmesh_nlp.certificate.integrals import integrals, loads
 from rmesh_nlp.certificate.johnson_mercier import equilibrated_stress
 from rmesh_nlp.certificate.oscillation import korn
 from rmesh_nlp.certificate.skeleton import skeleton_of
@@ -243,9 +243,7 @@ def test_without_its_oscillation_term_a_bound_would_be_wrong(monkeypatch):
     """A source with no linear part on any element still does work: only the oscillation term knows."""
     mesh = rectangle(1, 1)
     powers = [(i, j) for i in range(4) for j in range(4 - i)]
-    moments = [
-        over_triangles(lambda x, y, p=p: x ** p[0] * y ** p[1], mesh.p[:, mesh.t]).moments for p in powers
-    ]
+    moments = [integrals(lambda x, y, p=p: x ** p[0] * y ** p[1], mesh.p[:, mesh.t]).moments for p in powers]
     weights = null_space(np.array([m.ravel() for m in moments]).T)[:, 0] * 1e3
     source = Laplace(lambda x, y: sum(w * x**i * y**j for w, (i, j) in zip(weights, powers, strict=True)))
     sides = tuple(Dirichlet(side, (0.0,)) for side in ("left", "right"))
