@@ -38,32 +38,28 @@ class Manifest:
     def names(self) -> list[str]:
         """Names noted so far, relative to the folder.
 
-        A name that leads out of the folder, by itself or through a link, is not this package's: whoever
+        Names that lead out of the folder, by themselves or through a link, are left out: whoever
         reads, replaces, moves or removes by these names stays inside.
         """
         if not self.exists:
             return []
         lines = self.path.read_text(encoding="utf-8", errors="replace").splitlines()
-        names = list(dict.fromkeys(line for line in lines if line and line[0] != "#"))
-        parents = {PurePosixPath(name).parent for name in names}
-        inside = {parent for parent in parents if self._is_itself(parent)}
+        names = {name: PurePosixPath(name) for name in lines if name and name[0] != "#"}
+        inside = {parent for parent in {path.parent for path in names.values()} if self._is_inside(parent)}
         return [
             name
-            for name in names
-            if PurePosixPath(name).parent in inside
-            and PurePosixPath(name).name != MANIFEST
-            and not os.path.islink(self.folder / name)
+            for name, path in names.items()
+            if path.parent in inside and path.name != MANIFEST and not os.path.islink(self.folder / name)
         ]
 
-    def _is_itself(self, path: PurePosixPath) -> bool:
+    def _is_inside(self, path: PurePosixPath) -> bool:
         """Whether a folder below this one is really there: no link and no ``..`` leads elsewhere."""
         if path.is_absolute() or ".." in path.parts:
             return False
         try:
-            real = os.path.realpath(self.folder / path)
+            return Path(os.path.realpath(self.folder / path)) == Path(os.path.realpath(self.folder)) / path
         except ValueError:  # a null character
             return False
-        return Path(real) == Path(os.path.realpath(self.folder)) / path
 
     def check(self, names: Iterable[str]) -> None:
         """Refuse names that are taken by something which is not this package's.
@@ -71,13 +67,17 @@ class Manifest:
         Raises
         ------
         BadInputError
-            If one is, or the way to it is a link or a file.
+            If one is, or a folder of its path is a link or a file.
         """
         own = set(self.names())
         for name in names:
+            for parent in list(PurePosixPath(name).parents)[:-1]:
+                above = self.folder / parent
+                if above.is_symlink():
+                    raise BadInputError(f"{above} is a link: results are written in their own folder only")
+                if above.exists() and not above.is_dir():
+                    raise BadInputError(f"{above} is a file, where a folder is to be written")
             path = self.folder / name
-            for above in list(PurePosixPath(name).parents)[:-1]:
-                self._check_folder(self.folder / above)
             if os.path.lexists(path) and (name not in own or path.is_dir()):
                 raise BadInputError(
                     f"{path} exists and rmesh did not write it: move it, or choose another folder"
@@ -99,7 +99,7 @@ class Manifest:
             append_whole(self.path, head + "".join(f"{name}\n" for name in fresh))
 
     def adopt(self, names: Iterable[str]) -> None:
-        """Note files as this package's own that an earlier version wrote without a list."""
+        """Note existing files as this package's own where there is no list."""
         found = [name for name in names if (self.folder / name).is_file()]
         write_text(self.path, HEAD + "".join(f"{name}\n" for name in found))
 
@@ -120,7 +120,7 @@ class Manifest:
         return target
 
     def remove(self, names: Iterable[str]) -> None:
-        """Take away those of the own files that are named, and folders that this leaves empty."""
+        """Remove those of the own files that are named, and folders that this leaves empty."""
         own = set(self.names())
         present = [name for name in names if name in own]
         for name in present:
@@ -140,13 +140,6 @@ class Manifest:
             target = self.folder / (PREVIOUS if number == 1 else f"{PREVIOUS}-{number}")
             try:
                 target.mkdir()
+                return target
             except FileExistsError:  # an older run, or a file or link of the user's
                 number += 1
-            else:
-                return target
-
-    def _check_folder(self, path: Path) -> None:
-        if path.is_symlink():
-            raise BadInputError(f"{path} is a link: results are written in their own folder only")
-        if path.exists() and not path.is_dir():
-            raise BadInputError(f"{path} is a file, where a folder is to be written")

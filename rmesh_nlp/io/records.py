@@ -9,7 +9,15 @@ import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import safe_name
@@ -21,83 +29,49 @@ LONGEST_LINE = 10_000_000
 """Characters that a record may have."""
 
 LARGEST_WHOLE = 2**63
-"""Whole numbers are smaller: what counts something is."""
+"""Whole numbers in records are smaller."""
+
+OLD_NAMES = {
+    "strategy": "variant",
+    "referee_equilibrium_residual": "assessed_equilibrium_residual",
+    "referee_complementarity_residual": "assessed_complementarity_residual",
+}
+"""Entries of records of 0.1 by the names that they have now."""
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"must be a text, not {_shown(value)}")
-    return value
+class DamagedRecordsWarning(UserWarning):
+    """A record that was not written to its end is passed over."""
 
 
-def _number(value: Any) -> float | None:
-    if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
-        raise ValueError(f"must be a number or null, not {_shown(value)}")
-    return value
-
-
-def _count(value: Any) -> int | None:
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int)):
-        raise ValueError(f"must be a whole number or null, not {_shown(value)}")
-    return value
-
-
-def _seconds(value: Any) -> float | None:
-    number = _number(value)
-    if number is not None and number < 0:
-        raise ValueError(f"must not be negative, but is {_shown(value)}")
-    return number
-
-
-def _truth(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"must be true or false, not {_shown(value)}")
-    return value
+def _is_number(value: Any) -> bool:
+    return not isinstance(value, bool) and isinstance(value, (int, float))
 
 
 def _delta(value: Any) -> Any:
     good = value is None
     if isinstance(value, list):
-        good = len(value) == 2 and all(_is_number(item) for item in value)
+        good = len(value) == 2 and all(map(_is_number, value))
     elif isinstance(value, dict):
         good = _is_number(value.get("relative"))
     if not good:
-        raise ValueError(f"is no half-width: {_shown(value)}")
+        raise ValueError("expected two half-widths, {relative = number} or null")
     return value
 
 
-def _key(value: Any) -> str:
-    if _text(value) != safe_name(value):
-        raise ValueError(f"is no file name: {_shown(value)}")
-    return str(value)
+def _file_name(value: str) -> str:
+    if value != safe_name(value):
+        raise ValueError("expected the name of a file")
+    return value
 
 
 def _rule(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, (str, int)):
-        raise ValueError(f"must be 'midpoint' or a degree, not {_shown(value)}")
+        raise ValueError("expected 'midpoint' or a degree")
     return value
 
 
-def _nodes(value: Any) -> Any:
-    if value is not None and not isinstance(value, list):
-        raise ValueError(f"must be a list or null, not {_shown(value)}")
-    return value
-
-
-def _optional_text(value: Any) -> str | None:
-    return None if value is None else _text(value)
-
-
-def _optional_truth(value: Any) -> bool | None:
-    return None if value is None else _truth(value)
-
-
-Text = Annotated[str, BeforeValidator(_text)]
-OptionalText = Annotated[str | None, BeforeValidator(_optional_text)]
-OptionalTruth = Annotated[bool | None, BeforeValidator(_optional_truth)]
-Number = Annotated[float | None, BeforeValidator(_number)]
-Count = Annotated[int | None, BeforeValidator(_count)]
-Seconds = Annotated[float | None, BeforeValidator(_seconds)]
+Number = float | None
+Seconds = Annotated[float | None, Field(ge=0)]
 
 
 class RecordModel(BaseModel):
@@ -107,15 +81,15 @@ class RecordModel(BaseModel):
     known. A row of a success has all of ``MEASURED``.
     """
 
-    model_config = ConfigDict(extra="allow")
+    model_config = ConfigDict(extra="allow", strict=True)
 
-    example: Text
-    formulation: Text
-    objective: Text
-    n: Text
+    example: str
+    formulation: str
+    objective: str
+    n: str
     delta: Annotated[Any, BeforeValidator(_delta)]
-    status: Text
-    success: Annotated[bool, BeforeValidator(_truth)]
+    status: str
+    success: bool
     energy_initial: Number
     energy: Number
     energy_audited: Number
@@ -123,20 +97,20 @@ class RecordModel(BaseModel):
     u_min: Number
     u_max: Number
     min_area_ratio: Number
-    iterations: Count
-    contact_solves: Count
+    iterations: int | None
+    contact_solves: int | None
     wall_time_s: Seconds
     equilibrium_residual: Number
     complementarity_residual: Number
-    stationarity: OptionalText
+    stationarity: str | None
     versions: Any
-    seed: Count
+    seed: int | None
 
-    key: Annotated[str, BeforeValidator(_key)] = ""
+    key: Annotated[str, AfterValidator(_file_name)] = ""
     quadrature: Annotated[Any, BeforeValidator(_rule)] = "midpoint"
-    message: OptionalText = None
-    relaxation: OptionalText = None
-    start: OptionalText = None
+    message: str | None = None
+    relaxation: str | None = None
+    start: str | None = None
     contact_time_s: Seconds = None
     build_time_s: Seconds = None
     solve_time_s: Seconds = None
@@ -152,22 +126,21 @@ class RecordModel(BaseModel):
     energy_upper_bound: Number = None
     error_bound_initial: Number = None
     error_bound: Number = None
-    guaranteed_lower: OptionalTruth = None
-    guaranteed_upper: OptionalTruth = None
-    guaranteed_initial: OptionalTruth = None
+    guaranteed_lower: bool | None = None
+    guaranteed_upper: bool | None = None
+    guaranteed_initial: bool | None = None
     relative_error_bound_initial: Number = None
     relative_error_bound: Number = None
-    certificate_remark: OptionalText = None
-    nodes: Count = None
-    triangles: Count = None
-    biactive_nodes: Annotated[Any, BeforeValidator(_nodes)] = None
+    certificate_remark: str | None = None
+    nodes: int | None = None
+    triangles: int | None = None
+    biactive_nodes: list[Any] | None = None
 
     @model_validator(mode="after")
     def _success_is_measured(self) -> RecordModel:
-        if self.success:
-            for name in MEASURED:
-                if getattr(self, name) is None:
-                    raise ValueError(f"{name!r} must be a number in a row of a success")
+        for name in MEASURED if self.success else ():
+            if getattr(self, name) is None:
+                raise ValueError(f"{name!r} must be a number in a row of a success")
         return self
 
 
@@ -192,14 +165,6 @@ MEASURED = (
 """Entries that are numbers in every row of a success; elsewhere they may be null."""
 
 
-OLD_NAMES = {
-    "strategy": "variant",
-    "referee_equilibrium_residual": "assessed_equilibrium_residual",
-    "referee_complementarity_residual": "assessed_complementarity_residual",
-}
-"""Entries of records of 0.1 by the names that they have now."""
-
-
 def read_record(text: str, where: str) -> Record:
     """A record from JSON, with the entries of old records by their present names.
 
@@ -211,11 +176,25 @@ def read_record(text: str, where: str) -> Record:
     record = parse_json(text, where)
     if not isinstance(record, dict):
         raise BadInputError(f"{where} is not a record: it holds {type(record).__name__}")
+    record = {OLD_NAMES.get(name) or name: value for name, value in record.items()}
     try:
         RecordModel.model_validate(record)
     except ValidationError as error:
         raise BadInputError(f"{where} is not a record: {_first(error)}") from None
-    return {OLD_NAMES.get(name) or name: value for name, value in record.items()}
+    return record
+
+
+def _first(error: ValidationError) -> str:
+    """The first thing that is wrong: the entry's name, what was expected, its value."""
+    item: Any = error.errors(include_url=False)[0]
+    message = str(item["msg"]).removeprefix("Value error, ")
+    if not item["loc"]:
+        return message
+    name = repr(item["loc"][0])
+    if item["type"] == "missing":
+        return f"it has no {name}"
+    value = repr(item["input"])
+    return f"{name} = {value if len(value) <= 60 else value[:57] + '...'}: {message}"
 
 
 def parse_json(text: str, where: str) -> Any:
@@ -226,20 +205,20 @@ def parse_json(text: str, where: str) -> Any:
     BadInputError
         Naming ``where`` it was read and what is wrong.
     """
-    if len(text) > LONGEST_LINE:
-        raise BadInputError(f"{where} is not JSON of ours: it has {len(text)} characters")
     try:
+        if len(text) > LONGEST_LINE:
+            raise ValueError(f"it has {len(text)} characters")
         value = json.loads(text, parse_int=_whole, parse_float=_finite, parse_constant=_no_constant)
         text.encode()  # what was not UTF-8
-        json.dumps(value, ensure_ascii=False).encode()  # escapes of half a character
+        json.dumps(value, ensure_ascii=False).encode()  # escaped surrogates
     except json.JSONDecodeError as error:
         raise BadInputError(f"{where} is not JSON: {error.msg} at character {error.pos}") from error
     except RecursionError:
-        raise BadInputError(f"{where} is not JSON of ours: it is nested too deeply") from None
+        raise BadInputError(f"{where} is not JSON that can be read: it is nested too deeply") from None
     except UnicodeEncodeError:
-        raise BadInputError(f"{where} is not JSON of ours: it has half a character") from None
+        raise BadInputError(f"{where} is not JSON that can be read: it has an unpaired surrogate") from None
     except ValueError as error:
-        raise BadInputError(f"{where} is not JSON of ours: {error}") from None
+        raise BadInputError(f"{where} is not JSON that can be read: {error}") from None
     return value
 
 
@@ -260,50 +239,40 @@ def _no_constant(name: str) -> float:
     raise ValueError(f"{name} is no number of JSON")
 
 
-def _first(error: ValidationError) -> str:
-    """The first thing that is wrong, with the entry's name."""
-    item: Any = error.errors(include_url=False)[0]
-    message = str(item["msg"]).removeprefix("Value error, ")
-    if not item["loc"]:
-        return message
-    name = str(item["loc"][0])
-    return f"it has no {name!r}" if item["type"] == "missing" else f"{name!r} {message}"
-
-
-def _is_number(value: Any) -> bool:
-    return not isinstance(value, bool) and isinstance(value, (int, float))
-
-
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-class DamagedRecordsWarning(UserWarning):
-    """A record that was not written to its end is passed over."""
-
-
 def to_json(record: Record, indent: int | None = None) -> str:
-    """Strict JSON: what is not a finite number becomes null, half a character a question mark."""
+    """Strict JSON: what is not a finite number becomes null, an unpaired surrogate a question mark."""
     return json.dumps(_plain(record), indent=indent, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
+        value = value.tolist()
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        return _plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    if isinstance(value, str):
-        return value.encode(errors="replace").decode()
-    return value
+    return value.encode(errors="replace").decode() if isinstance(value, str) else value
+
+
+def read_lines(path: Path) -> list[Record]:
+    """The records of one file, without a damaged last line, of which a warning tells."""
+    if not path.exists():
+        return []
+    kept, damaged = damaged_last_line(path)
+    if damaged:
+        warn_of(path, damaged, "is passed over")
+    try:
+        text = path.read_bytes()[:kept].decode()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInputError(f"cannot read {path}: {error}") from error
+    lines = enumerate(text.split("\n"), 1)
+    return [read_record(line, f"{path}, line {i}") for i, line in lines if line.strip()]
 
 
 def damaged_last_line(path: Path) -> tuple[int, bytes]:
-    """How many bytes of a file of records are whole lines, and what stands behind them.
+    """How many bytes of a file of records are whole lines, and the damaged line after them.
 
     A last line is damaged if it has no end, or if it begins like a record, or with a zero as after
     a power cut, and is not JSON.
@@ -340,23 +309,8 @@ def _is_json(line: bytes) -> bool:
     except (json.JSONDecodeError, UnicodeDecodeError):
         return False
     except (ValueError, RecursionError):
-        pass  # JSON, if not ours: an error for the reader
+        pass  # JSON that the reader refuses with a reason
     return True
-
-
-def read_lines(path: Path) -> list[Record]:
-    """The records of one file, see :func:`damaged_last_line`."""
-    if not path.exists():
-        return []
-    kept, damaged = damaged_last_line(path)
-    if damaged:
-        warn_of(path, damaged, "is passed over")
-    try:
-        text = path.read_bytes()[:kept].decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInputError(f"cannot read {path}: {error}") from error
-    lines = enumerate(text.split("\n"), 1)
-    return [read_record(line, f"{path}, line {i}") for i, line in lines if line.strip()]
 
 
 def warn_of(path: Path, damaged: bytes, what: str) -> None:

@@ -6,7 +6,7 @@ import csv
 import math
 import os
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,16 +14,9 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.files import FolderLock, append_whole, read_text, safe_name, write_text
+from rmesh_nlp.io.files import append_whole, folder_lock, read_text, safe_name, write_text
 from rmesh_nlp.io.manifest import Manifest
-from rmesh_nlp.io.records import (
-    Record,
-    damaged_last_line,
-    read_lines,
-    read_record,
-    to_json,
-    warn_of,
-)
+from rmesh_nlp.io.records import Record, damaged_last_line, read_lines, read_record, to_json, warn_of
 from rmesh_nlp.io.vtu import read_vtu
 
 RECORDS, SOLUTIONS, RECORD = "records.jsonl", "solutions", "record.json"
@@ -76,10 +69,10 @@ class Result:
                 rows = csv.DictReader(file, strict=True)
                 steps = [{name: _number(text) for name, text in row.items()} for row in rows]
             missing = sorted(set(HISTORY_FIELDS) - set(LATER_FIELDS) - set(rows.fieldnames or ()))
+            if missing:
+                raise ValueError(f"it has no column {missing[0]!r}")
         except (OSError, ValueError, TypeError, csv.Error) as error:  # of the decoding as well
             raise BadInputError(f"{self.history} is no history: {error}") from error
-        if missing:
-            raise BadInputError(f"{self.history} is no history: it has no column {missing[0]!r}")
         return steps
 
 
@@ -92,9 +85,9 @@ def _number(text: Any) -> float:
 
 @dataclass(frozen=True)
 class Results:
-    """The folder of a campaign: ``records.jsonl`` and, per record, a VTU file and a history.
+    """The folder of a comparison: ``records.jsonl`` and, per record, a VTU file and a history.
 
-    Attributes
+    Parameters
     ----------
     folder : Path
     """
@@ -103,7 +96,7 @@ class Results:
 
     @property
     def manifest(self) -> Manifest:
-        """Own files of the package here; those of a version that kept no list are recognised."""
+        """Own files of the package here; without a list they are recognised by their content."""
         manifest = Manifest(self.folder)
         if not manifest.exists and self.folder.is_dir():
             names = _unlisted(self.folder)
@@ -111,14 +104,14 @@ class Results:
                 manifest.adopt(names)
         return manifest
 
-    def locked(self) -> FolderLock:
+    def locked(self) -> AbstractContextManager[None]:
         """The right to write here, one process at a time, as a context."""
-        return FolderLock(self.folder)
+        return folder_lock(self.folder)
 
     def result(self, record: Record) -> Result:
         """A record with the places of its files, which are inside the folder whatever it says."""
-        stem = self.folder / SOLUTIONS / safe_name(str(record.get("key", "")))
-        return Result(record, Path(f"{stem}.vtu"), Path(f"{stem}.csv"))
+        vtu, history = self.names(str(record.get("key", "")))
+        return Result(record, self.folder / vtu, self.folder / history)
 
     def names(self, key: str) -> tuple[str, str]:
         """Names of the fields and the history of a key, relative to the folder."""
@@ -128,7 +121,7 @@ class Results:
     def append(self, record: Record) -> None:
         """Add a record, forced to the disk: it is there whole, or an error says that it is not.
 
-        A damaged last line is set aside first, lest the record continue it.
+        A damaged last line is moved away first, lest the record continue it.
         """
         self.manifest.claim(RECORDS)
         self.mend()
@@ -140,14 +133,11 @@ class Results:
         write_text(self.folder / RECORDS, "".join(to_json(record) + "\n" for record in records))
 
     def set_aside(self) -> Path | None:
-        """Move what an earlier run left here to ``previous``, ``previous-2``, ...; nothing is deleted.
-
-        Files that this package did not write stay where they are.
-        """
+        """Move what an earlier run left here to ``previous``, ``previous-2``, ...; see :class:`Manifest`."""
         return self.manifest.set_aside()
 
     def mend(self) -> None:
-        """Move a damaged last line to ``records-damaged.txt``; for who holds the lock."""
+        """Move a damaged last line to ``records-damaged.txt``; needs the lock."""
         path = self.folder / RECORDS
         kept, damaged = damaged_last_line(path)
         if damaged:
@@ -162,7 +152,7 @@ class Results:
         """The records, oldest first; none if the file is empty or missing.
 
         A damaged last line, left by a full disk or a power cut, is passed over with a
-        :class:`DamagedRecordsWarning`.
+        :class:`rmesh_nlp.io.records.DamagedRecordsWarning`.
 
         Raises
         ------
@@ -180,11 +170,11 @@ class Results:
             fields, _ = read_vtu(places.vtu), places.steps()
         except BadInputError:
             return False
-        nodes = record.get("nodes", fields.nodes.shape[1])
-        return bool(fields.nodes.shape[1] == nodes and np.all(np.isfinite(fields.displacement)))
+        count = fields.nodes.shape[1]
+        return bool(count == record.get("nodes", count) and np.all(np.isfinite(fields.displacement)))
 
     def repaired(self) -> list[Record]:
-        """The records with a damaged last line set aside and one row per key; for who holds the lock.
+        """The records, a damaged last line moved away and one row per key; needs the lock.
 
         Of rows with one key the last success is kept, else the last row.
         """
@@ -208,21 +198,20 @@ def row_files(folder: Path) -> list[Path]:
 def read_rows(folder: Path) -> list[Record]:
     """The rows of a study joined by key: of several with one key the first success, else the first."""
     chosen: dict[str, Record] = {}
-    for path in row_files(folder):
-        for row in read_lines(path):
-            key = str(row.get("key", ""))
-            if key not in chosen or (row["success"] and not chosen[key]["success"]):
-                chosen[key] = row
+    for row in (row for path in row_files(folder) for row in read_lines(path)):
+        key = str(row.get("key", ""))
+        if key not in chosen or (row["success"] and not chosen[key]["success"]):
+            chosen[key] = row
     return list(chosen.values())
 
 
 def read_results(folder: Path) -> list[Result]:
-    """The results of a campaign, or the one result of a single solve (``record.json``).
+    """The results of a comparison, of a study, or the one result of a single solve (``record.json``).
 
     Raises
     ------
     BadInputError
-        If the folder holds neither, nor a campaign whose first solve has not ended.
+        If the folder holds none of them, not even a comparison whose first solve has not ended.
     """
     if not folder.is_dir():
         raise BadInputError(f"{str(folder)!r} is not a folder")
@@ -242,7 +231,7 @@ def single_result(folder: Path, record: Record) -> Result:
 
 
 def write_single(folder: Path, record: Record, save: Callable[[Result], object]) -> None:
-    """Put the files of a single solve in place, its record last: what it speaks of is then there.
+    """Put the files of a single solve in place; its record comes last, when what it names is there.
 
     Parameters
     ----------
@@ -262,40 +251,28 @@ def write_history(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _unlisted(folder: Path) -> list[str]:
-    """Files of a version that kept no list, as far as records tell or they say so themselves."""
+    """Own files of a folder without a list, by what records name and by their first words."""
     names: list[str] = []
-    rows = _rows(folder / RECORDS)
+    rows = [row for line in _text(folder / RECORDS).split("\n") if (row := _record(line))]
     if rows:
         keys = [str(row["key"]) for row in rows if row.get("key")]
         names += [RECORDS, *(name for key in keys for name in Results(folder).names(key))]
         names += [f"{FIGURES}/{key}-grid.{kind}" for key in keys for kind in ("png", "pdf")]
-    if _single(folder / RECORD):
+    if _record(_text(folder / RECORD)):
         names += [RECORD, "solution.vtu", "history.csv"]
-    for name, head in (("table.md", "# Comparison of strategies"), ("table.tex", "% made by rmesh")):
-        if _begins(folder / name, head):
-            names += [name, "table.csv"] if name == "table.md" else [name]
+    if _text(folder / "table.md").startswith(("# Comparison of formulations", "# Comparison of strategies")):
+        names += ["table.md", "table.csv"]
+    if _text(folder / "table.tex").startswith("% made by rmesh"):
+        names.append("table.tex")
     return names
 
 
-def _rows(path: Path) -> list[Record]:
-    """The lines of a file that are records."""
-    found = []
-    for line in (path.read_text(errors="replace") if path.is_file() else "").split("\n"):
-        with suppress(BadInputError):
-            found.append(read_record(line, path.name))
-    return found
+def _text(path: Path) -> str:
+    return path.read_text(errors="replace") if path.is_file() else ""
 
 
-def _single(path: Path) -> bool:
+def _record(text: str) -> Record | None:
     try:
-        return path.is_file() and bool(read_record(read_text(path), path.name))
+        return read_record(text, "")
     except BadInputError:
-        return False
-
-
-def _begins(path: Path, head: str) -> bool:
-    try:
-        with path.open("rb") as file:
-            return file.read(len(head)) == head.encode()
-    except OSError:
-        return False
+        return None

@@ -42,7 +42,7 @@ OWN = {
     "solutions/b_c.vtu": "x",
     f"{FIGURES}/a-grid.png": "x",
     f"{FIGURES}/a-grid.pdf": "x",
-    "table.md": "# Comparison of strategies\n",
+    "table.md": "# Comparison of formulations\n",
     "table.csv": "a,b\n",
     "table.tex": "% made by rmesh\n",
 }
@@ -77,6 +77,7 @@ def test_the_list_of_a_folder_is_not_made_anew(tmp_path: Path) -> None:
         ({RECORD: "{}", "solution.vtu": "x"}, []),
         ({RECORDS: "my own\n", "table.csv": "a,b\n"}, []),
         ({"table.md": "# My table\n", "table.csv": "a,b\n"}, []),
+        ({"table.md": "# Comparison of strategies\n"}, ["table.md"]),
         ({"table.tex": "% made by me\n"}, []),
         ({"table.tex": "% made by rmesh, 2026\n", "table.csv": "a\n"}, ["table.tex"]),
         ({}, []),

@@ -12,7 +12,7 @@ import pytest
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import (
     TEMPORARY,
-    FolderLock,
+    folder_lock,
     append_whole,
     remove_leftovers,
     safe_name,
@@ -96,23 +96,23 @@ def test_a_new_file_never_replaces(tmp_path: Path) -> None:
 
 
 def test_a_second_writer_is_refused_in_one_line(tmp_path: Path) -> None:
-    with FolderLock(tmp_path):
+    with folder_lock(tmp_path):
         with (
             pytest.raises(BadInputError, match="is being written by another rmesh") as caught,
-            FolderLock(tmp_path),
+            folder_lock(tmp_path),
         ):
             pass
         assert str(os.getpid()) in str(caught.value)
     assert list(tmp_path.iterdir()) == []
-    with FolderLock(tmp_path):
+    with folder_lock(tmp_path):
         pass
 
 
 def test_a_writer_that_is_killed_leaves_no_lock_and_no_files(tmp_path: Path) -> None:
     code = (
-        "import sys, time; from pathlib import Path; from rmesh_nlp.io.files import FolderLock\n"
+        "import sys, time; from pathlib import Path; from rmesh_nlp.io.files import folder_lock\n"
         "from rmesh_nlp.io.files import folder_aside; folder = Path(sys.argv[1])\n"
-        "with FolderLock(folder), folder_aside(folder / 'figures') as place:\n"
+        "with folder_lock(folder), folder_aside(folder / 'figures') as place:\n"
         "    (place / 'half').write_text('ha'); print(place, flush=True); time.sleep(60)"
     )
     folder, elsewhere = tmp_path / "results", tmp_path / "elsewhere"
@@ -126,10 +126,10 @@ def test_a_writer_that_is_killed_leaves_no_lock_and_no_files(tmp_path: Path) -> 
         half = Path(process.stdout.readline().strip()) / "half"
         remove_leftovers(folder)
         assert half.read_text() == "ha"
-        with pytest.raises(BadInputError, match=str(process.pid)), FolderLock(folder):
+        with pytest.raises(BadInputError, match=str(process.pid)), folder_lock(folder):
             pass
         process.kill()
-    with FolderLock(folder):
+    with folder_lock(folder):
         remove_leftovers(folder)
     assert not half.parent.exists()
     assert half.parent.parent.exists()

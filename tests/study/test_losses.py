@@ -13,7 +13,7 @@ import pytest
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
-from rmesh_nlp.io.files import FolderLock
+from rmesh_nlp.io.files import folder_lock
 from rmesh_nlp.io.records import DamagedRecordsWarning, to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.meshes.reading import read_file
@@ -123,7 +123,7 @@ def test_what_is_in_the_way_is_found_before_anything_is_solved(cases: list[Case]
 def test_a_locked_folder_is_one_line_and_exit_code_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with FolderLock(tmp_path):
+    with folder_lock(tmp_path):
         assert cli.run(["compare", "6.1", "--n", "3", "--out", str(tmp_path)]) == 2
         assert cli.run(["solve", "6.1", "--n", "3", "--out", str(tmp_path)]) == 2
     lines = capsys.readouterr().err.splitlines()
