@@ -7,24 +7,15 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.problem_schema import (
-    CircleTable,
-    ContactTable,
-    LineTable,
-    MaterialTable,
-    MeshTable,
-    MotionTable,
-    PathTable,
-    PointLoadTable,
-    ProblemTable,
-    SolveTable,
-    UnitsTable,
-)
+from rmesh_nlp.io.problem_schema import ProblemTable
+
+LISTS = ("contact", "point_loads")
+"""Tables of which a file may have several."""
 
 
 class ProblemFileError(BadInputError):
@@ -46,18 +37,24 @@ def at_key(path: Path, key: str, table: ProblemTable) -> Iterator[None]:
         raise error_at(path, key, shown(table, key), one_line(error)) from error
 
 
-def value_at(table: ProblemTable, key: str) -> Any:
-    """What stands at a dotted key; the last part of the key is a name or a field.
+def error_at(path: Path, key: str, value: str, expected: str) -> ProblemFileError:
+    """The error of one key."""
+    return ProblemFileError([f"{path}: {key} = {value}: {expected}"])
 
-    ``contact`` is the only contact, ``contact[1]`` the first of several.
-    """
-    value: Any = table
-    for part in key.split(".", 1):
-        name, bracket, number = part.partition("[")
-        value = value.get(part) if isinstance(value, dict) else getattr(value, name, None)
-        if isinstance(value, tuple) and name in LISTS:
-            value = value[int(number.rstrip("]")) - 1] if bracket else value[0]
-    return value
+
+def value_at(table: ProblemTable, key: str) -> Any:
+    """What stands at a dotted key; ``contact`` is the only contact, ``contact[1]`` the first of several."""
+    head, _, rest = key.partition(".")
+    name, bracket, number = head.partition("[")
+    value: Any = getattr(table, name, None)
+    if isinstance(value, tuple) and name in LISTS:
+        value = value[int(number.rstrip("]")) - 1 if bracket else 0]
+    if isinstance(value, dict) and rest and rest not in value:  # names may have dots, fields have none
+        name, _, rest = rest.rpartition(".")
+        value = value.get(name)
+    if not rest:
+        return value
+    return value.get(rest) if isinstance(value, dict) else getattr(value, rest, None)
 
 
 def contact_key(table: ProblemTable, number: int) -> str:
@@ -67,54 +64,73 @@ def contact_key(table: ProblemTable, number: int) -> str:
 
 def shown(table: ProblemTable, key: str) -> str:
     """What stands at a key, as text."""
-    value = value_at(table, key)
-    return as_text(value.model_dump(exclude_unset=True) if isinstance(value, BaseModel) else value)
+    return as_text(value_at(table, key))
 
 
-def error_at(path: Path, key: str, value: str, expected: str) -> ProblemFileError:
-    """The error of one key."""
-    return ProblemFileError([f"{path}: {key} = {value}: {expected}"])
+def as_text(value: Any) -> str:
+    """A value as it stood in the file, cut to 60 characters."""
+    text = "nothing" if value is None else repr(_plain(value))
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
-def pydantic_line(path: Path, item: Any, data: dict[str, Any]) -> str:
-    """One of pydantic's errors as one line."""
-    location = [str(part) for part in item["loc"]]
-    if location[:1] and location[0] in LISTS and len(location) > 1 and location[1].isdigit():
-        number = int(location.pop(1))
-        if isinstance(data[location[0]], list):
-            location[0] = f"{location[0]}[{number + 1}]"
-    key = ".".join(location) or "file"
-    if item["type"] == "extra_forbidden":
-        hint = _home(location[-1]) or nearest(location[-1], _known_keys(location[:-1]))
-        return f"{path}: {key} = {as_text(item['input'])}: unknown key{hint}"
-    if item["type"] == "missing":
-        return f"{path}: {key} = nothing: expected, but it is missing"
-    if item["type"] == "literal_error":
-        return f"{path}: {key} = {as_text(item['input'])}: expected {item['ctx']['expected']}"
-    if item["type"] in ("model_type", "dict_type", "tuple_type", "model_attributes_type"):
-        return f"{path}: {key} = {as_text(item['input'])}: expected a table [{key}]"
+def _plain(value: Any) -> Any:
+    """A checked value as it stood in the file."""
+    if isinstance(value, BaseModel):
+        value = value.model_dump(exclude_unset=True)
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return ["free" if item is None else _plain(item) for item in value]
+    return getattr(value, "text", value)
+
+
+def one_line(error: Any) -> str:
+    """The message of an error without line breaks."""
+    return " ".join(str(error).split())
+
+
+def schema_errors(path: Path, error: ValidationError, data: dict[str, Any]) -> ProblemFileError:
+    """All of pydantic's errors, one line each."""
+    return ProblemFileError([_line(path, item, data) for item in error.errors()])
+
+
+def _line(path: Path, item: Any, data: dict[str, Any]) -> str:
+    place, value = [str(part) for part in item["loc"]], as_text(item["input"])
+    if len(place) > 1 and place[0] in LISTS and place[1].isdigit():
+        number = int(place.pop(1))
+        if isinstance(data[place[0]], list):
+            place[0] = f"{place[0]}[{number + 1}]"
+    key = ".".join(place)
     message = one_line(item["msg"]).removeprefix("Value error, ")
-    if not location:
-        return f"{path}: {key}: {message}"
-    return f"{path}: {key} = {as_text(item['input'])}: {message}"
+    if not place:
+        return f"{path}: {message}"
+    if item["type"] == "extra_forbidden":
+        message = f"unknown key{_home(place[-1]) or nearest(place[-1], _known_keys(place[:-1]))}"
+    elif item["type"] == "missing":
+        value, message = "nothing", "expected, but it is missing"
+    elif item["type"] == "literal_error":
+        message = f"expected {item['ctx']['expected']}"
+    elif item["type"] in ("model_type", "dict_type", "tuple_type", "model_attributes_type"):
+        message = f"expected a table [{key}]"
+    return f"{path}: {key} = {value}: {message}"
 
 
-LISTS = ("contact", "point_loads")
-"""Tables of which a file may have several."""
+def _tables(model: type[BaseModel], head: str = "") -> Iterator[tuple[str, type[BaseModel]]]:
+    """Place and model of each table inside a table."""
+    for name, field in model.model_fields.items():
+        for kind in _models(field.annotation):
+            yield head + name, kind
+            yield from _tables(kind, f"{head}{name}.")
 
-_TABLES: dict[str, type[BaseModel]] = {
-    "mesh": MeshTable,
-    "material": MaterialTable,
-    "materials": MaterialTable,
-    "contact": ContactTable,
-    "contact.line": LineTable,
-    "contact.circle": CircleTable,
-    "point_loads": PointLoadTable,
-    "units": UnitsTable,
-    "path": PathTable,
-    "motion": MotionTable,
-    "solve": SolveTable,
-}
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models(part)
+
+
+_TABLES = dict(_tables(ProblemTable))
 
 
 def _known_keys(location: list[str]) -> list[str]:
@@ -139,30 +155,8 @@ def nearest(name: str, known: list[str]) -> str:
     return f", did you mean {close[0]!r}?" if close else f": one of {', '.join(known)}"
 
 
-def as_text(value: Any) -> str:
-    """A value as it stood in the file, cut to 60 characters."""
-    text = "nothing" if value is None else repr(_plain(value))
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _plain(value: Any) -> Any:
-    """A checked value as it stood in the file."""
-    if isinstance(value, BaseModel):
-        return _plain(value.model_dump(exclude_unset=True))
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return ["free" if item is None else _plain(item) for item in value]
-    return getattr(value, "text", value)
-
-
-def one_line(error: Any) -> str:
-    """The message of an error without line breaks."""
-    return " ".join(str(error).split())
-
-
 def unquoted(raw: bytes, error: str) -> str:
-    """What to say if the line that TOML stumbles over has an expression without quotes, else nothing."""
+    """What to say if the line at which TOML fails has an expression without quotes, else nothing."""
     place = re.search(r"line (\d+)", error)
     lines = raw.decode(errors="replace").splitlines()
     number = int(place.group(1)) if place else len(lines)
@@ -176,6 +170,16 @@ def unquoted(raw: bytes, error: str) -> str:
     return f"{key} = {value}: expressions need quotes (line {number}), as in {key} = {_in_quotes(value)}"
 
 
+def _in_quotes(value: str) -> str:
+    """The value with quotes around it, or around its items."""
+    items = re.fullmatch(r"\[(.*)\]", value)
+    if items is None:
+        return f'"{value}"'
+    parts = [part.strip() for part in items.group(1).split(",")]
+    numbers = r"[-+]?[\d.]+([eE][-+]?\d+)?"
+    return "[" + ", ".join(p if re.fullmatch(numbers, p) else f'"{p}"' for p in parts) + "]"
+
+
 def deepest_line(raw: bytes) -> int:
     """Number of the line of a TOML file at which most brackets are open, or with most parts in its key."""
     deepest, found, opened = 0, 1, 0
@@ -186,13 +190,3 @@ def deepest_line(raw: bytes) -> int:
         if here > deepest:
             deepest, found = here, number
     return found
-
-
-def _in_quotes(value: str) -> str:
-    """The value with quotes around it, or around its items."""
-    items = re.fullmatch(r"\[(.*)\]", value)
-    if items is None:
-        return f'"{value}"'
-    parts = [part.strip() for part in items.group(1).split(",")]
-    numbers = r"[-+]?[\d.]+([eE][-+]?\d+)?"
-    return "[" + ", ".join(p if re.fullmatch(numbers, p) else f'"{p}"' for p in parts) + "]"

@@ -1,11 +1,12 @@
 """The keys of a problem file and what may stand there: one pydantic model per table.
 
-Each kind of value is checked by one function that says what was expected. An error is then one sentence
-rather than pydantic's list of all branches of a union.
+Each kind of value is checked by one function, and the error says in one sentence what was expected instead of
+pydantic's list of all branches of a union.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
@@ -22,206 +23,154 @@ SYMMETRY = "symmetry"
 """Written in ``[dirichlet]`` for a straight boundary whose nodes stay on it."""
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < LARGEST:
-        raise ValueError("expected a finite number")
+def _kind(expected: str, read: Callable[..., Any], *bounds: float) -> BeforeValidator:
+    """A kind of value: ``read`` raises a ValueError, whose message is ``expected`` unless it has its own."""
+
+    def check(value: Any) -> Any:
+        try:
+            return read(value, *bounds)
+        except ValueError as error:
+            raise ValueError(str(error) or f"expected {expected}") from None
+
+    return BeforeValidator(check)
+
+
+def _need(condition: bool) -> None:
+    if not condition:
+        raise ValueError
+
+
+def _number(value: Any, low: float = -LARGEST, high: float = LARGEST) -> float:
+    """A number between bounds that it does not reach."""
+    _need(isinstance(value, (int, float)) and not isinstance(value, bool) and low < value < high)
     return float(value)
 
 
-def _positive(value: Any) -> float:
-    return _positive_or(value, "expected a positive number")
+def _whole(value: Any, low: int, high: float = float("inf")) -> int:
+    _need(isinstance(value, int) and not isinstance(value, bool) and low <= value <= high)
+    return int(value)
 
 
-def _poisson(value: Any) -> float:
-    number = _number_or(value, "expected a number between -1 and 0.5")
-    if not -1 < number < 0.5:
-        raise ValueError("expected a number between -1 and 0.5")
-    return number
+def _numbers(value: Any, count: int, low: float = -LARGEST) -> tuple[float, ...]:
+    _need(isinstance(value, list) and len(value) == count)
+    return tuple(_number(item, low) for item in value)
 
 
-def _number_or(value: Any, message: str) -> float:
-    try:
-        return _number(value)
-    except ValueError:
-        raise ValueError(message) from None
+def _points(value: Any) -> list[tuple[float, ...]]:
+    _need(isinstance(value, list) and len(value) >= 2)
+    return [_numbers(point, 2) for point in value]
 
 
-def _count(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 10_000:
-        raise ValueError("expected a whole number from 1 to 10000")
-    return value
+def _circle(value: Any) -> tuple[float, ...]:
+    x, y, radius = _numbers(value, 3)
+    return x, y, _number(radius, 0)
 
 
-def _pair(value: Any) -> tuple[float, float]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise ValueError("expected two numbers such as [0.0, 1.0]")
-    return tuple(_number_or(v, "expected two numbers such as [0.0, 1.0]") for v in value)  # type: ignore[return-value]
-
-
-def _triple(value: Any) -> tuple[float, float, float]:
-    expected = "expected centre and radius such as [0.0, 0.0, 1.0]"
-    if not isinstance(value, list) or len(value) != 3:
-        raise ValueError(expected)
-    x, y, radius = (_number_or(v, expected) for v in value)
-    return x, y, _positive_or(radius, expected)
-
-
-def _points(value: Any) -> list[tuple[float, float]]:
-    if not isinstance(value, list) or len(value) < 2:
-        raise ValueError("expected two or more points such as [[0, 0], [1, 0.1]]")
-    return [_pair(point) for point in value]
-
-
-def _coefficient(value: Any) -> Any:
+def _coefficient(value: Any) -> float | Expression:
     if isinstance(value, str):
         expression = Expression(value)
         if not expression.is_constant:
             return expression
-        # a number after all: nodes held at it may slide, those held at a function may not
+        # a number after all: nodes fixed at it may slide, those fixed at a function may not
         value = float(expression(0.0, 0.0))
-    return _number_or(value, "expected a finite number or an expression of x and y such as 'sin(pi*x)*y'")
+    try:
+        return _number(value)
+    except ValueError:
+        raise ValueError(
+            "expected a finite number or an expression of x and y such as 'sin(pi*x)*y'"
+        ) from None
 
 
 def _condition(value: Any) -> Expression:
-    if not isinstance(value, str):
-        raise ValueError("expected a condition on x and y such as 'y == 1 and x > 2'")
+    _need(isinstance(value, str))
     return Expression(value)
 
 
-def _vector(value: Any) -> tuple[Any, ...]:
+def _vector(value: Any) -> tuple[float | Expression, ...]:
     items = value if isinstance(value, list) else [value]
-    if not 1 <= len(items) <= 2:
-        raise ValueError("expected one value, or two in a list, one per displacement component")
+    _need(1 <= len(items) <= 2)
     return tuple(_coefficient(item) for item in items)
 
 
-def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError("expected true or false")
-    return value
-
-
-def _given(value: Any) -> Any:
+def _given(value: Any) -> str | tuple[float | Expression | None, ...]:
     if value == SYMMETRY:
         return SYMMETRY
     items = value if isinstance(value, list) else [value]
-    if not 1 <= len(items) <= 2:
-        raise ValueError("expected one value, or two in a list, one per displacement component")
+    _need(1 <= len(items) <= 2)
     return tuple(None if item == FREE else _coefficient(item) for item in items)
 
 
+def _flag(value: Any) -> bool:
+    _need(isinstance(value, bool))
+    return bool(value)
+
+
 def _text(value: Any) -> str:
-    if not isinstance(value, str) or not value.strip():
-        raise ValueError("expected a text")
-    return value
+    _need(isinstance(value, str) and bool(value.strip()))
+    return str(value)
 
 
 def _quadrature(value: Any) -> str | int:
-    whole = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 50
-    if value not in ("auto", "midpoint") and not whole:
-        raise ValueError("expected 'auto', 'midpoint' or a degree from 1 to 50")
-    return value
+    return str(value) if value in ("auto", "midpoint") else _whole(value, 1, 50)
 
 
 def _delta(value: Any) -> Any:
-    expected = "expected a positive number, two of them, {relative = number} or 'none'"
     if value == "none":
         return None
     if isinstance(value, dict):
-        if set(value) != {"relative"}:
-            raise ValueError(expected)
-        return {"relative": _positive_or(value["relative"], expected)}
-    if isinstance(value, list):
-        if len(value) != 2:
-            raise ValueError(expected)
-        return tuple(_positive_or(v, expected) for v in value)
-    return _positive_or(value, expected)
+        _need(set(value) == {"relative"})
+        return {"relative": _number(value["relative"], 0)}
+    return _numbers(value, 2, 0) if isinstance(value, list) else _number(value, 0)
 
 
-def _positive_or(value: Any, message: str) -> float:
-    number = _number_or(value, message)
-    if number <= 0:
-        raise ValueError(message)
-    return number
-
-
-def _places(value: Any) -> tuple[Any, ...]:
-    good = isinstance(value, list) and all(
-        isinstance(v, str) or (isinstance(v, int) and not isinstance(v, bool)) for v in value
-    )
-    if not good:
-        raise ValueError("expected a list of boundary names and node numbers such as ['top', 17]")
+def _places(value: Any) -> tuple[str | int, ...]:
+    _need(isinstance(value, list) and all(type(place) in (str, int) for place in value))
     return tuple(value)
 
 
 def _ties(value: Any) -> tuple[tuple[int, int], ...]:
-    good = isinstance(value, list) and all(
-        isinstance(v, list) and len(v) == 2 and all(type(k) is int for k in v) for v in value
-    )
-    if not good:
-        raise ValueError("expected pairs of node numbers such as [[12, 40], [13, 41]]")
-    return tuple((a, b) for a, b in value)
-
-
-def _fraction(value: Any) -> float:
-    number = _number_or(value, "expected a number between 0 and 1")
-    if not 0 < number < 1:
-        raise ValueError("expected a number between 0 and 1")
-    return number
+    _need(isinstance(value, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in value))
+    _need(all(type(node) is int for pair in value for node in pair))
+    return tuple((node, leader) for node, leader in value)
 
 
 def _angle(value: Any) -> float:
-    number = _number_or(value, "expected degrees from 0 to less than 60")
-    if not 0 <= number < 60:
-        raise ValueError("expected degrees from 0 to less than 60")
-    return number
-
-
-def _seed(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError("expected a whole number of at least 0")
-    return value
+    return 0.0 if value == 0 and not isinstance(value, bool) else _number(value, 0, 60)
 
 
 def _weights(value: Any) -> tuple[float, ...]:
-    """Positive weights, of which the last may be 0."""
-    expected = (
-        "expected a positive number, or a list of them such as [1, 0.1, 0.01], of which the last may be 0"
-    )
-    found = tuple(_number_or(v, expected) for v in (value if isinstance(value, list) else [value]))
-    if not found or min(found) < 0 or 0 in found[:-1]:
-        raise ValueError(expected)
+    found = tuple(_number(item) for item in (value if isinstance(value, list) else [value]))
+    _need(bool(found) and min(found) >= 0 and 0 not in found[:-1])
     return found
 
 
-def _levels(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 4:
-        raise ValueError("expected a whole number from 0 to 4")
-    return value
+POSITIVE_OR_LIST = "a positive number, or a list of them such as [1, 0.1, 0.01], of which the last may be 0"
+ONE_OR_TWO = "one value, or two in a list, one per displacement component"
 
-
-Flag = Annotated[Any, BeforeValidator(_flag)]
-Finite = Annotated[Any, BeforeValidator(_number)]
-Positive = Annotated[Any, BeforeValidator(_positive)]
-Poisson = Annotated[Any, BeforeValidator(_poisson)]
-Count = Annotated[Any, BeforeValidator(_count)]
-Pair = Annotated[Any, BeforeValidator(_pair)]
-Triple = Annotated[Any, BeforeValidator(_triple)]
-Points = Annotated[Any, BeforeValidator(_points)]
-Scalar = Annotated[Any, BeforeValidator(_coefficient)]
-Condition = Annotated[Any, BeforeValidator(_condition)]
-Vector = Annotated[Any, BeforeValidator(_vector)]
-Given = Annotated[Any, BeforeValidator(_given)]
-Text = Annotated[Any, BeforeValidator(_text)]
-Delta = Annotated[Any, BeforeValidator(_delta)]
-Places = Annotated[Any, BeforeValidator(_places)]
-Ties = Annotated[Any, BeforeValidator(_ties)]
-Fraction = Annotated[Any, BeforeValidator(_fraction)]
-Angle = Annotated[Any, BeforeValidator(_angle)]
-Seed = Annotated[Any, BeforeValidator(_seed)]
-Weights = Annotated[Any, BeforeValidator(_weights)]
-Levels = Annotated[Any, BeforeValidator(_levels)]
-Quadrature = Annotated[Any, BeforeValidator(_quadrature)]
+Flag = Annotated[bool, _kind("true or false", _flag)]
+Finite = Annotated[float, _kind("a finite number", _number)]
+Positive = Annotated[float, _kind("a positive number", _number, 0)]
+Poisson = Annotated[float, _kind("a number between -1 and 0.5", _number, -1, 0.5)]
+Fraction = Annotated[float, _kind("a number between 0 and 1", _number, 0, 1)]
+Angle = Annotated[float, _kind("degrees from 0 to less than 60", _angle)]
+Count = Annotated[int, _kind("a whole number from 1 to 10000", _whole, 1, 10_000)]
+Seed = Annotated[int, _kind("a whole number of at least 0", _whole, 0)]
+Levels = Annotated[int, _kind("a whole number from 0 to 4", _whole, 0, 4)]
+Text = Annotated[str, _kind("a text", _text)]
+Pair = Annotated[tuple[float, float], _kind("two numbers such as [0.0, 1.0]", _numbers, 2)]
+Triple = Annotated[tuple[float, float, float], _kind("centre and radius such as [0.0, 0.0, 1.0]", _circle)]
+Points = Annotated[
+    list[tuple[float, float]], _kind("points such as [[0, 0], [1, 0.1]], two or more", _points)
+]
+Scalar = Annotated[Any, _kind("a number or an expression", _coefficient)]
+Vector = Annotated[Any, _kind(ONE_OR_TWO, _vector)]
+Given = Annotated[Any, _kind(ONE_OR_TWO, _given)]
+Condition = Annotated[Any, _kind("a condition on x and y such as 'y == 1 and x > 2'", _condition)]
+Quadrature = Annotated[str | int, _kind("'auto', 'midpoint' or a degree from 1 to 50", _quadrature)]
+Delta = Annotated[Any, _kind("a positive number, two of them, {relative = number} or 'none'", _delta)]
+Places = Annotated[Any, _kind("a list of boundary names and node numbers such as ['top', 17]", _places)]
+Ties = Annotated[Any, _kind("pairs of node numbers such as [[12, 40], [13, 41]]", _ties)]
+Weights = Annotated[tuple[float, ...], _kind(POSITIVE_OR_LIST, _weights)]
 
 
 def _as_list(value: Any) -> Any:
@@ -233,6 +182,10 @@ class Table(BaseModel):
     """A table whose keys are all known."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def given(self, *names: str) -> list[str]:
+        """Which of these keys have a value."""
+        return [name for name in names if getattr(self, name) is not None]
 
 
 class MeshTable(Table):
@@ -259,7 +212,7 @@ class MeshTable(Table):
 
     @model_validator(mode="after")
     def _one_source(self) -> MeshTable:
-        if (self.file is None) == (self.shape is None):
+        if len(self.given("file", "shape")) != 1:
             raise ValueError("expected either a file or a shape")
         return self
 
@@ -309,13 +262,9 @@ class ContactTable(Table):
 
     @model_validator(mode="after")
     def _one_kind(self) -> ContactTable:
-        if (self.boundary is None) == (self.interior is None):
+        if len(self.given("boundary", "interior")) != 1:
             raise ValueError("expected either a boundary or interior")
-        kinds = [
-            k
-            for k in ("offset", "line", "circle", "curve", "height", "points")
-            if getattr(self, k) is not None
-        ]
+        kinds = self.given("offset", "line", "circle", "curve", "height", "points")
         if len(kinds) > 1 or (kinds and self.interior is not None):
             raise ValueError(f"expected one way to say where the obstacle is, got {' and '.join(kinds)}")
         if self.normal is not None and kinds not in ([], ["offset"]):
@@ -361,21 +310,18 @@ class CurveTable(Table):
 
     @model_validator(mode="after")
     def _one_kind(self) -> CurveTable:
-        by_parameter = [part is not None for part in (self.x, self.y, self.t)]
-        kinds = [self.circle is not None, self.spline is not None, any(by_parameter)]
-        if sum(kinds) != 1 or (any(by_parameter) and not all(by_parameter)):
+        if self.given("circle", "spline", "x", "y", "t") not in (["circle"], ["spline"], ["x", "y", "t"]):
             raise ValueError(
                 "expected circle = [cx, cy, r], spline = [[x, y], ...], or x, y and t = [from, to]"
             )
         return self
 
 
-def _curve(value: Any) -> Any:
+def _curve(value: Any) -> CurveTable | str:
     """A table, or the word for what is fitted to the nodes; one sentence says what is wrong."""
     if value in ("circle", "spline"):
-        return value
-    if not isinstance(value, dict):
-        raise ValueError("expected 'circle', 'spline' or a table such as {circle = [0.0, 0.0, 1.0]}")
+        return str(value)
+    _need(isinstance(value, dict))
     try:
         return CurveTable.model_validate(value)
     except ValidationError as error:
@@ -384,6 +330,11 @@ def _curve(value: Any) -> Any:
         text = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
         text = text.removeprefix("Value error, ")
         raise ValueError(f"{key}: {text}" if key else text) from None
+
+
+FittedCurve = Annotated[
+    Any, _kind("'circle', 'spline' or a table such as {circle = [0.0, 0.0, 1.0]}", _curve)
+]
 
 
 class SolveTable(Table):
@@ -399,7 +350,7 @@ class SolveTable(Table):
     certify: bool = False
 
     @model_validator(mode="after")
-    def _one_way(self) -> SolveTable:
+    def _starts_alone(self) -> SolveTable:
         if self.starts and (self.levels or self.seed is not None):
             raise ValueError("expected starts alone, without levels or seed")
         return self
@@ -430,7 +381,7 @@ class ProblemTable(Table):
     contact: Annotated[tuple[ContactTable, ...], BeforeValidator(_as_list)] = ()
     units: UnitsTable = UnitsTable()
     motion: MotionTable = MotionTable()
-    curves: dict[str, Annotated[Any, BeforeValidator(_curve)]] = Field(default_factory=dict)
+    curves: dict[str, FittedCurve] = Field(default_factory=dict)
     solve: SolveTable = SolveTable()
     path: PathTable | None = None
 
