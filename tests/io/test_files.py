@@ -12,8 +12,8 @@ import pytest
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import (
     TEMPORARY,
-    folder_lock,
     append_whole,
+    folder_lock,
     remove_leftovers,
     safe_name,
     write_new,
