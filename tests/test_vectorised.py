@@ -11,7 +11,7 @@ import pytest
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.sums import Summed
+from rmesh_nlp.fem.assembly import Summed
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.vectorised import (
     USUAL,

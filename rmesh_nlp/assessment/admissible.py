@@ -22,6 +22,7 @@ from rmesh_nlp.contact.system import LARGE, ActiveSet, ContactSystem, Equilibriu
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import displacement_field
 from rmesh_nlp.fem.fields import Field
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -99,7 +100,7 @@ class Continuous:
         here = problem.mesh.p if nodes is None else nodes
         self.problem = problem
         self.body = Body(problem, here)
-        self.field, self.n_u = displacement_field(problem)
+        self.field, self.n_u = displacement_field(DisplacementSpace.of(problem))
         self.stiffness = stiffness(self.body)
         self.load, self._load_doubt = load_vector(self.body)
         self.directions = Directions(problem, self.field, self.n_u)

@@ -15,10 +15,9 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
-import numpy as np
-from skfem.quadrature import get_quadrature_line
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.element import line_rule
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem.coefficients import Coefficient, at
 from rmesh_nlp.problem.laws import Law, energy_density
@@ -71,7 +70,7 @@ def strain_energy(law: Law, curve: Curve) -> ca.Function:
     arc = Arc(curve)
     X, u = arc.kind.sym("X", 2), arc.kind.sym("u", law.components, 3)
     energy = arc.kind(0)
-    for s, weight in zip(*_line(DEGREE), strict=True):
+    for s, weight in zip(*_shares(DEGREE), strict=True):
         way, velocity = arc.point(s) - X, arc.velocity(s)
         det = way[0] * velocity[1] - way[1] * velocity[0]
         rise = ca.horzcat((1 - s) * u[:, 0] + s * u[:, 1] - u[:, 2], u[:, 1] - u[:, 0])
@@ -87,10 +86,10 @@ def load_energy(law: Law, curve: Curve, degree: int) -> ca.Function:
     arc = Arc(curve)
     X, u = arc.kind.sym("X", 2), arc.kind.sym("u", law.components, 3)
     work = arc.kind(0)
-    for s, weight_s in zip(*_line(max(degree, DEGREE)), strict=True):
+    for s, weight_s in zip(*_shares(max(degree, DEGREE)), strict=True):
         way, velocity = arc.point(s) - X, arc.velocity(s)
         det = way[0] * velocity[1] - way[1] * velocity[0]
-        for r, weight_r in zip(*_line(max(degree, DEGREE)), strict=True):
+        for r, weight_r in zip(*_shares(max(degree, DEGREE)), strict=True):
             value = u[:, 2] + r * ((1 - s) * u[:, 0] + s * u[:, 1] - u[:, 2])
             load = _vector(law.load, X + r * way)
             work += weight_s * weight_r * r * det * ca.dot(load, value)
@@ -102,7 +101,7 @@ def traction_energy(value: tuple[Coefficient, ...], curve: Curve, degree: int) -
     arc = Arc(curve)
     u = arc.kind.sym("u", len(value), 2)
     work = arc.kind(0)
-    for s, weight in zip(*_line(max(degree, DEGREE)), strict=True):
+    for s, weight in zip(*_shares(max(degree, DEGREE)), strict=True):
         here = (1 - s) * u[:, 0] + s * u[:, 1]
         work += weight * arc.length_per_s(s) * ca.dot(_vector(value, arc.point(s)), here)
     return ca.Function("arc_traction_energy", [arc.t, ca.vec(u)], [-work, arc.kind(0, 1)])
@@ -113,7 +112,7 @@ def friction_energy(bound: Coefficient, curve: Curve, degree: int) -> ca.Functio
     arc = Arc(curve)
     slip = arc.kind.sym("slip", 2)
     energy = arc.kind(0)
-    for s, weight in zip(*_line(degree), strict=True):
+    for s, weight in zip(*_shares(degree), strict=True):
         x, y = ca.vertsplit(arc.point(s))
         energy += weight * arc.length_per_s(s) * at(bound, x, y) * ((1 - s) * slip[0] + s * slip[1])
     return ca.Function("arc_friction_energy", [arc.t, slip], [energy, arc.kind(0, 1)])
@@ -124,6 +123,7 @@ def _vector(components: tuple[Coefficient, ...], point: Any) -> Any:
     return ca.vertcat(*[at(component, x, y) for component in components])
 
 
-def _line(degree: int) -> tuple[Array, Array]:
-    points, weights = get_quadrature_line(degree)
-    return np.ravel(points), np.ravel(weights)
+def _shares(degree: int) -> tuple[Array, Array]:
+    """Shares s of the second end, and weights."""
+    points, weights = line_rule(degree)
+    return points[1], weights

@@ -5,30 +5,297 @@ of one small function of a few local values. The small function is differentiate
 SX, mapped over all elements, and its results are summed into the nonzeros of the global
 derivatives by one constant sparse matrix. Building and evaluating are both linear in the
 number of elements; the sparsity never changes.
+
+CasADi's expressions of these sums can be differentiated further and cost least on a small mesh. On a large
+one they take twice the time of Functions that run in numpy: the results of an element lie side by side, so
+that each operation strides through the memory.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
+import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.bending import straightened
-from rmesh_nlp.fem.element import plain
-from rmesh_nlp.fem.fields import ElementGroup
-from rmesh_nlp.fem.kernels import Kernel, LocalKernels
-from rmesh_nlp.fem.sums import InCasadi, in_numpy
+from rmesh_nlp.fem.element import differentiated, plain
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, straightened
+from rmesh_nlp.fem.space import Index
 from rmesh_nlp.optimize.nlp import Derivatives
-from rmesh_nlp.vectorised import USUAL, AssemblySettings, columnwise
+from rmesh_nlp.vectorised import USUAL, AssemblySettings, Columns, columnwise
+
+
+@dataclass(frozen=True)
+class Entries:
+    """Where each local result goes: ``matrix[row, column] += scale * result``; -1 drops it."""
+
+    row: Index
+    column: Index
+    scale: Array
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A function of one element, the inputs that its arguments come from, and where its results go.
+
+    Result number k is summed into output number k.
+    """
+
+    function: ca.Function
+    arguments: tuple[tuple[int, Field], ...]
+    results: tuple[Entries, ...]
+    size: int
+
+
+class LocalKernels:
+    """The kernels of one element group whose fields are affine; inputs are x, p, lam_f and lam_g."""
+
+    def __init__(self, group: ElementGroup) -> None:
+        self._group, fields = group, group.arguments
+        variable = [i for i, f in enumerate(fields) if not f.parameter and np.any(f.index != CONSTANT)]
+        self._local = differentiated(group.function, group.at_points, variable)
+        none = np.zeros((0, group.size))
+        self._index = np.concatenate([none.astype(int), *[fields[i].index for i in variable]])
+        self._scale = np.concatenate([none, *[fields[i].scale for i in variable]])
+        self._arguments = tuple((int(field.parameter), field) for field in fields)
+
+    def values(self) -> Kernel:
+        """Objective and constraints."""
+        return self._kernel(self._local.values, self._f(), self._g())
+
+    def gradient(self) -> Kernel:
+        """The objective and its gradient."""
+        row = self._local.gradient_pattern.get_triplet()[0]
+        return self._kernel(self._local.gradient, self._f(), _column(self._index[row], self._scale[row]))
+
+    def jacobian(self) -> Kernel:
+        """The constraints and their Jacobian."""
+        row, column = self._local.jacobian_pattern.get_triplet()[:2]
+        entries = Entries(self._group.rows[row], self._index[column], self._scale[column])
+        return self._kernel(self._local.jacobian, self._g(), entries)
+
+    def hessian(self) -> Kernel:
+        """Upper triangle of the Hessian of the Lagrangian, a function of its multipliers as well."""
+        a, b = (np.asarray(k, dtype=int) for k in self._local.hessian_pattern.get_triplet()[:2])
+        i, j = self._index[a], self._index[b]
+        # two local values of one unknown: the lower triangle folds onto the diagonal too
+        twice = np.where((i == j) & (a != b)[:, None], 2.0, 1.0)
+        entries = Entries(np.minimum(i, j), np.maximum(i, j), twice * self._scale[a] * self._scale[b])
+        more = (2, _plain(np.zeros((1, self._group.size), int))), (3, _plain(self._group.rows))
+        return Kernel(self._local.hessian, (*self._arguments, *more), (entries,), self._group.size)
+
+    def _kernel(self, function: ca.Function, *results: Entries) -> Kernel:
+        return Kernel(function, self._arguments, results, self._group.size)
+
+    def _f(self) -> Entries:
+        return _column(np.zeros((self._local.n_f, self._group.size), dtype=int))
+
+    def _g(self) -> Entries:
+        return _column(self._group.rows)
+
+
+def _column(rows: Index, scale: Array | None = None) -> Entries:
+    return Entries(rows, np.zeros_like(rows), np.ones(rows.shape) if scale is None else scale)
+
+
+def _plain(index: Index) -> Field:
+    return Field(index, np.ones(index.shape), np.zeros(index.shape))
+
+
+class _Sums:
+    """The nonzeros of a sparse matrix, each the sum of some local results; a column is dense."""
+
+    def __init__(self, shape: tuple[int, int], parts: list[Entries]) -> None:
+        self._parts = parts
+        self._kept = [(part.row >= 0) & (part.column >= 0) for part in parts]
+        keys = [
+            part.column[keep].astype(np.int64) * shape[0] + part.row[keep]
+            for part, keep in zip(parts, self._kept, strict=True)
+        ]
+        if shape[1] == 1:
+            self.pattern, self._targets = ca.Sparsity.dense(*shape), keys
+            return
+        unique, place = np.unique(np.concatenate([np.zeros(0, np.int64), *keys]), return_inverse=True)
+        self._targets = np.split(place, np.cumsum([key.size for key in keys])[:-1]) if keys else []
+        starts = np.searchsorted(unique, np.arange(shape[1] + 1) * shape[0])
+        self.pattern = ca.Sparsity(*shape, starts.tolist(), (unique % max(shape[0], 1)).tolist())
+
+    def in_casadi(self, part: int) -> ca.DM:
+        """The matrix that takes the local results of one part, element by element, to the nonzeros."""
+        keep = self._kept[part]
+        shape = (self.pattern.nnz(), keep.size)
+        return _sparse(
+            shape, self._targets[part], _by_element(keep.shape)[keep], self._parts[part].scale[keep]
+        )
+
+    def in_scipy(self, part: int) -> sp.csr_array:
+        """The same for local results that come row by row, as numpy has them."""
+        keep = self._kept[part]
+        where = (self._targets[part], np.flatnonzero(keep))
+        return sp.csr_array((self._parts[part].scale[keep], where), (self.pattern.nnz(), keep.size))
+
+
+class _InCasadi:
+    """Sums as expressions of the inputs, each argument gathered once."""
+
+    def __init__(self, inputs: list[ca.MX]) -> None:
+        self._inputs = inputs
+        self._gathered: dict[int, tuple[Field, ca.MX]] = {}
+
+    def __call__(self, shapes: list[tuple[int, int]], kernels: list[Kernel]) -> list[ca.MX]:
+        """One expression for each output."""
+        local = [
+            kernel.function.map(kernel.size).call([self._gather(*argument) for argument in kernel.arguments])
+            for kernel in kernels
+        ]
+        outputs = []
+        for number, shape in enumerate(shapes):
+            sums = _Sums(shape, [kernel.results[number] for kernel in kernels])
+            nonzeros = ca.MX.zeros(sums.pattern.nnz(), 1)
+            for part, results in enumerate(local):
+                matrix = sums.in_casadi(part)
+                if matrix.nnz():
+                    nonzeros += matrix @ ca.vec(results[number])
+            outputs.append(ca.MX(sums.pattern, nonzeros))
+        return outputs
+
+    def _gather(self, source: int, field: Field) -> ca.MX:
+        """Local values (length, elements) of a field of one input."""
+        if id(field) not in self._gathered:
+            w, moving = self._inputs[source], field.index != CONSTANT
+            shape = (moving.size, int(w.shape[0]))
+            pick = _sparse(shape, _by_element(moving.shape)[moving], field.index[moving], field.scale[moving])
+            local = pick @ w + ca.DM(field.offset.ravel(order="F"))
+            # the field is kept too, for its id to stay its own
+            self._gathered[id(field)] = field, ca.reshape(local, *moving.shape)
+        return self._gathered[id(field)][1]
+
+
+class Summed(ca.Callback):
+    """The sums over element groups as a Function that runs in numpy.
+
+    CasADi does not own Python callbacks: whoever keeps a Function made of this one must keep
+    this one too.
+
+    Parameters
+    ----------
+    name : str
+    inputs : list of MX
+        Dense columns.
+    shapes : list of (int, int)
+        Those of the outputs.
+    kernels : list of Kernel
+    settings : AssemblySettings
+    """
+
+    def __init__(
+        self,
+        name: str,
+        inputs: list[ca.MX],
+        shapes: list[tuple[int, int]],
+        kernels: list[Kernel],
+        settings: AssemblySettings,
+    ) -> None:
+        super().__init__()
+        sums = [_Sums(shape, [k.results[number] for k in kernels]) for number, shape in enumerate(shapes)]
+        self._inputs = [symbol.sparsity() for symbol in inputs]
+        self._outputs = [s.pattern for s in sums]
+        # for each group its function, its arguments, and per output the matrix that takes the results there
+        self._parts: list[tuple[Columns, list[_Gather], list[sp.csr_array]]] = []
+        for part, kernel in enumerate(kernels):
+            matrices = [s.in_scipy(part) for s in sums]
+            if any(matrix.nnz for matrix in matrices):
+                columns = columnwise(kernel.function, kernel.size, settings)
+                self._parts.append((columns, [_Gather(*a) for a in kernel.arguments], matrices))
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        """As given."""
+        return len(self._inputs)
+
+    def get_n_out(self) -> int:
+        """As given."""
+        return len(self._outputs)
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """As given."""
+        return self._inputs[i]
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        """As given."""
+        return self._outputs[i]
+
+    def has_eval_buffer(self) -> bool:
+        """Evaluation in place, without copies to CasADi's own matrices."""
+        return True
+
+    def eval_buffer(self, arg: list[memoryview | None], res: list[memoryview | None]) -> int:
+        """Evaluate on flat buffers of all nonzeros; an argument None is zero, a result None is not wanted."""
+        inputs = [None if a is None else np.frombuffer(a) for a in arg]
+        outputs = [None if r is None else np.frombuffer(r) for r in res]
+        for output in outputs:
+            if output is not None:
+                output.fill(0.0)
+        for columns, gathers, matrices in self._parts:
+            results = columns([gather(inputs) for gather in gathers])
+            for output, result, matrix in zip(outputs, results, matrices, strict=True):
+                if output is not None and matrix.nnz:
+                    output += matrix @ result.ravel()
+        return 0
+
+
+class _Gather:
+    """One argument of a kernel from one input w: ``scale * w[index] + offset``, (length, elements)."""
+
+    def __init__(self, source: int, field: Field) -> None:
+        moving = field.index != CONSTANT
+        self._source, self._offset = source, field.offset
+        self._index, self._scale = np.where(moving, field.index, 0), np.where(moving, field.scale, 0.0)
+
+    def __call__(self, inputs: Sequence[Array | None]) -> Array:
+        w = inputs[self._source]
+        if w is None or w.size == 0:
+            return self._offset
+        values = w[self._index]
+        values *= self._scale
+        values += self._offset
+        return values
+
+
+def _by_element(shape: tuple[int, int]) -> Index:
+    """Where CasADi stores the entries of a (length, elements) array: one element after the other."""
+    return np.arange(shape[0] * shape[1]).reshape(shape, order="F")
+
+
+def _sparse(shape: tuple[int, int], row: Index, column: Index, value: Array) -> ca.DM:
+    """A sparse matrix by its entries, each given once; zeros among them are kept.
+
+    ``scipy.sparse`` would check and convert its indices four times on the way: a fifth of the time to build
+    the model of a small problem.
+    """
+    order = np.lexsort((row, column))
+    starts = np.searchsorted(column[order], np.arange(shape[1] + 1))
+    return ca.DM(ca.Sparsity(*shape, starts.tolist(), row[order].tolist()), value[order])
 
 
 class Assembled:
     """Global objective and constraints as MX expressions, and their derivatives.
 
-    Each is stated when it is first asked for. This object must live as long as any Function made of the
+    Each is built when it is first asked for. This object must live as long as any Function made of the
     derivatives: some are Python callbacks, which CasADi does not own.
+
+    Parameters
+    ----------
+    groups : sequence of ElementGroup
+        Their fields index ``x`` or ``p``.
+    x, p : MX symbols, columns
+    n_rows : int
+        Number of constraints; rows that no group touches are zero.
+    settings : AssemblySettings
 
     Attributes
     ----------
@@ -50,7 +317,7 @@ class Assembled:
         self._settings = settings
         self._inputs = [x, p, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)]
         self._n_x, self._n_rows = int(x.shape[0]), n_rows
-        self._in_casadi = InCasadi(self._inputs)
+        self._in_casadi = _InCasadi(self._inputs)
         self._kept: list[ca.Function] = []
 
     @cached_property
@@ -101,25 +368,8 @@ class Assembled:
         inputs = self._inputs[:n_in]
         if not self._large:
             return ca.Function(name, inputs, self._in_casadi(shapes, kernels))
-        self._kept.append(in_numpy(name, inputs, shapes, kernels, self._settings))
+        self._kept.append(Summed(name, inputs, shapes, kernels, self._settings))
         return ca.Function(name, inputs, self._kept[-1].call(inputs))
-
-
-def assemble(
-    groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int, settings: AssemblySettings = USUAL
-) -> Assembled:
-    """Sum element groups into one objective and ``n_rows`` constraints of ``x`` and ``p``.
-
-    Parameters
-    ----------
-    groups : sequence of ElementGroup
-        Their fields index ``x`` or ``p``.
-    x, p : MX symbols, columns
-    n_rows : int
-        Number of constraints; rows that no group touches are zero.
-    settings : AssemblySettings
-    """
-    return Assembled(groups, x, p, n_rows, settings)
 
 
 def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Array]]:

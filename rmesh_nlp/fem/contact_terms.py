@@ -1,20 +1,30 @@
-"""Contact as element functions: gaps, friction, slips, and where they are on a mesh.
+"""Contact as element functions: gaps, slips, friction, and the contact forces of the KKT conditions.
 
-Fields of slips and contact forces have one component per obstacle, for a node may meet two of them.
+Fields of slips and contact forces have one component per obstacle, for a node may meet two of them. With
+lambda_i >= 0 on the gaps and, with friction, mu-_i, mu+_i >= 0 on ``s_i - u_t,i >= 0`` and
+``s_i + u_t,i >= 0``, the stationarity of the inner Lagrangian reads, node by node,
+
+    dJ/du_i - lambda_i n + (mu-_i - mu+_i) t = 0,      g omega_i - mu-_i - mu+_i = 0,
+
+J being the energy without friction: the constraints of ``mpcc``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
-from skfem.quadrature import get_quadrature_line
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem import arcs
 from rmesh_nlp.fem.edge_gaps import edge_gap_terms, holds_along_edges
-from rmesh_nlp.fem.element import PointValues
-from rmesh_nlp.fem.fields import ElementTerm, Field, Index, constant_field
-from rmesh_nlp.problem import ContactProblem, Obstacle, Place, at, signed_areas
+from rmesh_nlp.fem.element import NO_ROWS, PointValues, corners, line_rule, local_symbols
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, ElementTerm, Field, constant_field, unknown_field
+from rmesh_nlp.fem.space import DisplacementSpace, Index
+from rmesh_nlp.problem import ContactProblem, Obstacle, at
+from rmesh_nlp.problem.statement import ContactSet
 
 FRICTION_DEGREE = 31
 """Degree of the rule for the integral of the friction bound: exact to 1e-6 for four waves within an edge."""
@@ -28,130 +38,184 @@ def friction_energy(obstacle: Obstacle) -> tuple[ca.Function, PointValues | None
     trapezoidal rule of (5.9). The bound of slip at a node is so the integral of g times its hat function, and
     moves with the nodes.
     """
-    X, s = ca.SX.sym("X", 2, 2), ca.SX.sym("s", 2)
-    columns, length = [ca.vec(X), s], ca.norm_2(X[:, 1] - X[:, 0])
+    X, s = corners(2, 1)
+    columns, length = [ca.vec(X), ca.vec(s)], ca.norm_2(X[:, 1] - X[:, 0])
     if not callable(obstacle.friction):
         energy = length * obstacle.friction * (s[0] + s[1]) / 2
-        return ca.Function("friction_energy", columns, [energy, ca.SX(0, 1)]), None
-    points, weights = get_quadrature_line(FRICTION_DEGREE)
-    shares = np.vstack([1 - points.ravel(), points.ravel()])
+        return ca.Function("friction_energy", columns, [energy, NO_ROWS]), None
+    shares, weights = line_rule(FRICTION_DEGREE)
     bound = ca.SX.sym("g", weights.size)
-    energy = length * ca.dot(bound, ca.vec(s.T @ ca.DM(shares * weights)))
+    energy = length * ca.dot(bound, ca.vec(s @ ca.DM(shares * weights)))
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     value = ca.densify(ca.SX(at(obstacle.friction, x, y)))
     return (
-        ca.Function("friction_energy", [*columns, bound], [energy, ca.SX(0, 1)]),
+        ca.Function("friction_energy", [*columns, bound], [energy, NO_ROWS]),
         PointValues(
             ca.Function("points", columns, [X @ ca.DM(shares)]), ca.Function("bound", [x, y], [value])
         ),
     )
 
 
-def gap_function(obstacle: Obstacle, components: int) -> ca.Function:
-    """``(X_i, u_i) -> (0, gap)`` of one contact node: normal(X) . u + distance(X)."""
-    X, u = ca.SX.sym("X", 2), ca.SX.sym("u", components)
-    gap = ca.dot(obstacle.direction(X[0], X[1]), u) + obstacle.distance(X[0], X[1])
-    return ca.Function("gap", [X, u], [0, gap])
+def gap_function(obstacle: Obstacle, components: int, shares: Array) -> ca.Function:
+    """``(X_i, u_i) -> (0, gap)`` of one contact node at ``X_i @ shares``: normal(X) . u + distance(X)."""
+    X, u = corners(shares.size, 1)[0], ca.SX.sym("u", components)
+    x, y = ca.vertsplit(X @ shares)
+    return ca.Function(
+        "gap", [ca.vec(X), u], [0, ca.dot(obstacle.direction(x, y), u) + obstacle.distance(x, y)]
+    )
 
 
-def contact_edges(problem: ContactProblem, obstacle: Obstacle | None = None) -> Index:
-    """(2, edges) node numbers of one contact boundary, or of all; none for an obstacle in the interior."""
-    chosen = problem.obstacles if obstacle is None else (obstacle,)
-    names = [part.boundary for part in chosen if not isinstance(part.boundary, Place)]
-    facets = [np.zeros(0, np.int64), *(np.asarray(problem.mesh.boundaries[name]) for name in names)]
-    return np.asarray(problem.mesh.facets[:, np.concatenate(facets)], dtype=np.int64)
+def slip_function(obstacle: Obstacle, shares: Array) -> ca.Function:
+    """``(X_i, u_i, s_i) -> (0, (s - u_t, s + u_t))`` of one contact node at ``X_i @ shares``."""
+    X, u, s = corners(shares.size, 1)[0], ca.SX.sym("u", 2), ca.SX.sym("s")
+    slip = ca.dot(obstacle.tangential(*ca.vertsplit(X @ shares)), u)
+    return ca.Function("slip", [ca.vec(X), u, s], [0, ca.vertcat(s - slip, s + slip)])
 
 
-def nodal_weights(problem: ContactProblem, nodes: Array) -> Array:
-    """omega_i of (5.9): half the length of the contact edges at each contact node.
-
-    For an obstacle in the interior: a third of the area of the elements at the node.
-    """
-    weights: list[Array] = [np.zeros(0)]
-    for part in problem.contact_sets:
-        if part.obstacle.boundary is Place.INTERIOR:
-            areas = np.tile(signed_areas(nodes, problem.triangles) / 3, 3)
-            weight = np.bincount(problem.triangles.ravel(), areas, nodes.shape[1])
-        else:
-            edges = contact_edges(problem, part.obstacle)
-            length = np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
-            weight = np.bincount(edges.ravel(), np.tile(length / 2, 2), nodes.shape[1])
-        weights.append(np.asarray(weight[part.nodes], dtype=float))
-    return np.concatenate(weights)
-
-
-def slip_function(obstacle: Obstacle) -> ca.Function:
-    """``(X_i, u_i, s_i) -> (0, (s - u_t, s + u_t))`` of one contact node."""
-    X, u, s = ca.SX.sym("X", 2), ca.SX.sym("u", 2), ca.SX.sym("s")
-    slip = ca.dot(obstacle.tangential(X[0], X[1]), u)
-    return ca.Function("slip", [X, u, s], [0, ca.vertcat(s - slip, s + slip)])
-
-
-def gap_terms(problem: ContactProblem) -> list[ElementTerm]:
+def gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
     """One constraint row per contact node and obstacle: its gap, of positions and displacement."""
     terms: list[ElementTerm] = []
-    for part in problem.contact_sets:
-        if holds_along_edges(problem, part.obstacle):
-            terms += edge_gap_terms(problem, part)
-        else:
-            at = part.nodes[None]
-            terms.append(
-                ElementTerm(gap_function(part.obstacle, problem.components), (at, at), part.rows[None])
-            )
+    for stated, part in zip(space.problem.contact_sets, space.contact_sets, strict=True):
+        if holds_along_edges(space.problem, part.obstacle):
+            terms += edge_gap_terms(space, stated)
+            continue
+        for which, vertices, shares in space.kinds(part.nodes):
+            function = gap_function(part.obstacle, space.problem.components, shares)
+            terms.append(ElementTerm(function, (vertices, part.nodes[None, which]), part.rows[None, which]))
     return terms
 
 
-def friction_terms(problem: ContactProblem) -> list[ElementTerm]:
+def friction_terms(space: DisplacementSpace) -> list[ElementTerm]:
     """Friction energy of positions and slip magnitudes (obstacles, nodes)."""
     terms = []
-    for part in problem.contact_sets:
-        if not part.obstacle.frictional:
-            continue
-        nodes: tuple[Index | None, ...]
-        for number, edges in problem.edges_by_curve(str(part.obstacle.boundary)):
+    for part in _frictional(space):
+        for number, edges in space.problem.edges_by_curve(str(part.obstacle.boundary)):
+            slips = space.nodes_of(edges)
             if number < 0:
                 function, at_points = friction_energy(part.obstacle)
-                nodes, arc = (edges, edges), None
+                term = ElementTerm(function, (edges, slips), component=part.number, at_points=at_points)
             else:
-                bound = part.obstacle.friction
-                function = arcs.friction_energy(bound, problem.curves[number], FRICTION_DEGREE)
-                nodes, arc, at_points = (None, edges), (number, edges), None
-            terms.append(ElementTerm(function, nodes, component=part.number, at_points=at_points, arc=arc))
+                bound, curve = part.obstacle.friction, space.problem.curves[number]
+                function = arcs.friction_energy(bound, curve, FRICTION_DEGREE)
+                term = ElementTerm(function, (None, slips), component=part.number, arc=(number, edges))
+            terms.append(term)
     return terms
 
 
-def slip_terms(problem: ContactProblem) -> list[ElementTerm]:
+def slip_terms(space: DisplacementSpace) -> list[ElementTerm]:
     """Rows ``s - u_t >= 0`` of all contact nodes with friction, then ``s + u_t >= 0``.
 
     Of positions, displacement and slip magnitudes (obstacles, nodes).
     """
-    terms, first, n_s = [], 0, problem.friction_rows.size
-    for part in problem.contact_sets:
-        if part.obstacle.frictional:
-            nodes = part.nodes[None, :]
-            rows = first + np.arange(nodes.size) + np.array([[0], [n_s]])
-            terms.append(ElementTerm(slip_function(part.obstacle), (nodes,) * 3, rows, part.number))
-            first += nodes.size
+    terms, first, n_s = [], 0, space.friction_rows.size
+    for part in _frictional(space):
+        for which, vertices, shares in space.kinds(part.nodes):
+            at_node = part.nodes[None, which]
+            rows = first + which + np.array([[0], [n_s]])
+            function = slip_function(part.obstacle, shares)
+            terms.append(ElementTerm(function, (vertices, at_node, at_node), rows, part.number))
+        first += part.nodes.size
     return terms
 
 
-def gap_field(problem: ContactProblem) -> Field:
+def gap_field(space: DisplacementSpace) -> Field:
     """One unknown per gap, numbered from zero, as a field (obstacles, nodes); zero elsewhere."""
-    field = _nothing(problem)
-    for part in problem.contact_sets:
-        field.index[part.number, part.nodes] = part.rows
-    return field
+    return _numbered(space, list(space.contact_sets), lambda part, _: part.rows)
 
 
-def slip_field(problem: ContactProblem) -> Field:
+def slip_field(space: DisplacementSpace) -> Field:
     """One unknown per gap with friction, numbered from zero, as a field (obstacles, nodes)."""
-    field, first = _nothing(problem), 0
-    for part in problem.contact_sets:
-        if part.obstacle.frictional:
-            field.index[part.number, part.nodes] = first + np.arange(part.nodes.size)
-            first += part.nodes.size
-    return field
+    return _numbered(space, _frictional(space), lambda part, first: first + np.arange(part.nodes.size))
 
 
-def _nothing(problem: ContactProblem) -> Field:
-    return constant_field(np.zeros((max(len(problem.obstacles), 1), problem.mesh.p.shape[1])))
+def _numbered(
+    space: DisplacementSpace, parts: list[ContactSet], rows: Callable[[ContactSet, int], Index]
+) -> Field:
+    field = constant_field(np.zeros((max(len(space.contact_sets), 1), space.n_nodes)))
+    first = 0
+    for part in parts:
+        field.index[part.number, part.nodes] = rows(part, first)
+        first += part.nodes.size
+    return replace(field, space=space)
+
+
+def _frictional(space: DisplacementSpace) -> list[ContactSet]:
+    return [part for part in space.contact_sets if part.obstacle.frictional]
+
+
+def gradient_group(group: ElementGroup, argument: int, shift: int, unit: float) -> ElementGroup:
+    """Constraint rows with the derivative of an energy group with respect to one argument.
+
+    No value at points may depend on the argument. The unknown ``x[k]`` owns the row
+    ``k + shift``; the rows are in units of ``unit``.
+    """
+    function = group.function
+    symbols = local_symbols(function)
+    residual = ca.densify(ca.gradient(function(*symbols)[0], symbols[argument])) / unit
+    index = group.arguments[argument].index
+    return replace(
+        group,
+        function=ca.Function(f"{function.name()}_gradient", symbols, [0, residual]),
+        rows=np.where(index == CONSTANT, CONSTANT, index + shift),
+    )
+
+
+def contact_force_groups(
+    space: DisplacementSpace,
+    rows: Index,
+    positions: Field,
+    normal_force: Field,
+    friction: tuple[Field, Field],
+) -> list[ElementGroup]:
+    """Rows ``-lambda n + (mu- - mu+) t`` of the equilibrium at contact nodes.
+
+    ``rows`` is (components, nodes): the row of each displacement unknown; the multipliers are fields
+    (obstacles, nodes).
+    """
+    groups = []
+    for part in space.contact_sets:
+        used = (normal_force, *friction) if part.obstacle.frictional else (normal_force,)
+        for which, vertices, shares in space.kinds(part.nodes):
+            nodes = part.nodes[which]
+            local = [field.component(part.number).at(nodes[None]) for field in used]
+            function = _contact_force(part.obstacle, shares)
+            groups.append(ElementGroup(function, (positions.at(vertices), *local), rows[:, nodes]))
+    return groups
+
+
+def _contact_force(obstacle: Obstacle, shares: Array) -> ca.Function:
+    """``(X_i, lambda[, mu-, mu+]) -> (0, force)``."""
+    X = corners(shares.size, 1)[0]
+    x, y = ca.vertsplit(X @ shares)
+    pressure, minus, plus = ca.SX.sym("lambda"), ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
+    force = -pressure * obstacle.direction(x, y)
+    if not obstacle.frictional:
+        return ca.Function("contact_force", [ca.vec(X), pressure], [0, force])
+    force += (minus - plus) * obstacle.tangential(x, y)
+    return ca.Function("contact_force", [ca.vec(X), pressure, minus, plus], [0, force])
+
+
+def bound_force_groups(
+    space: DisplacementSpace, first_row: int, friction: tuple[Field, Field]
+) -> list[ElementGroup]:
+    """Rows ``-mu- - mu+`` of the stationarity with respect to the slip magnitudes."""
+    minus, plus = ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
+    function = ca.Function("bound_force", [minus, plus], [0, -minus - plus])
+    groups = []
+    for part in _frictional(space):
+        local = tuple(field.component(part.number).at(part.nodes[None, :]) for field in friction)
+        groups.append(ElementGroup(function, local, first_row + np.arange(part.nodes.size)[None, :]))
+        first_row += part.nodes.size
+    return groups
+
+
+def identity_group(first: int, rows: Index) -> ElementGroup:
+    """Rows that repeat the unknowns numbered from ``first``."""
+    value = ca.SX.sym("value")
+    field = unknown_field((1, rows.size), first)
+    return ElementGroup(ca.Function("identity", [value], [0, value]), (field,), rows[None, :])
+
+
+def nodal_weights(problem: ContactProblem, X: Array) -> Array:
+    """omega_i of (5.9) for every gap, see :meth:`~rmesh_nlp.fem.space.DisplacementSpace.weights`."""
+    return DisplacementSpace.of(problem).weights(X)

@@ -1,4 +1,4 @@
-"""How far a relocated mesh is from the initial one, element by element: the regularisations of large moves.
+"""How far a relocated mesh is from the initial one, element by element: the regularisations of relocation.
 
 With A the affine map from an initial element (or a reference that the problem gives) to the relocated one,
 each density is zero where A is a rotation, infinite as the element degenerates, and not defined for
@@ -26,8 +26,8 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.energy import objective_group
-from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field
+from rmesh_nlp.fem.element import NO_ROWS, affine, corners
+from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, objective_group
 from rmesh_nlp.problem import ContactProblem
 
 Density = Callable[[Any, Any], Any]
@@ -67,26 +67,19 @@ def reference_shapes(problem: ContactProblem) -> Array:
     return problem.reference
 
 
-def total_area(shapes: Array) -> float:
-    """Sum of the areas of triangles (2, 3, elements)."""
-    a, b = shapes[:, 1] - shapes[:, 0], shapes[:, 2] - shapes[:, 0]
-    return float(np.sum(a[0] * b[1] - a[1] * b[0]) / 2)
-
-
 def distortion_group(problem: ContactProblem, positions: Field, name: str) -> ElementGroup:
     """Mean over the initial area of a density in :data:`DISTORTIONS`; NaN where an element is inverted."""
-    triangles, before_all = problem.triangles, reference_shapes(problem)
-    X, X0, total = ca.SX.sym("X", 2, 3), ca.SX.sym("X0", 2, 3), ca.SX.sym("total")
-    now, before = (ca.horzcat(Y[:, 1] - Y[:, 0], Y[:, 2] - Y[:, 0]) for Y in (X, X0))
-    det0 = before[0, 0] * before[1, 1] - before[0, 1] * before[1, 0]
-    adjugate = ca.vertcat(ca.horzcat(before[1, 1], -before[0, 1]), ca.horzcat(-before[1, 0], before[0, 0]))
-    A = now @ adjugate / det0
+    shapes = reference_shapes(problem)
+    (X, X0), total = corners(3, 2), ca.SX.sym("total")
+    det0, scaled = affine(X0, X)
+    A = scaled / det0  # the gradient of the map
     det = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
     value = ca.if_else(det > 0, DISTORTIONS[name](A, det), float("nan")) * det0 / (2 * total)
-    function = ca.Function("distortion", [ca.vec(X), ca.vec(X0), total], [value, ca.SX(0, 1)])
+    a, b = shapes[:, 1] - shapes[:, 0], shapes[:, 2] - shapes[:, 0]
+    area = float(np.sum(a[0] * b[1] - a[1] * b[0]) / 2)
     local = (
-        positions.at(triangles),
-        constant_field(before_all.transpose(1, 0, 2).reshape(6, -1)),
-        constant_field(np.full((1, triangles.shape[1]), total_area(before_all))),
+        positions.at(problem.triangles),
+        constant_field(shapes.transpose(1, 0, 2).reshape(6, -1)),
+        constant_field(np.full((1, problem.triangles.shape[1]), area)),
     )
-    return objective_group(function, local)
+    return objective_group(ca.Function("distortion", [ca.vec(X), ca.vec(X0), total], [value, NO_ROWS]), local)

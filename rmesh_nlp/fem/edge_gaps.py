@@ -28,7 +28,8 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.arcs import Arc, kind_of
 from rmesh_nlp.fem.element import PointValues
-from rmesh_nlp.fem.fields import ElementTerm, Index
+from rmesh_nlp.fem.fields import ElementTerm
+from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.body import Body
@@ -82,8 +83,9 @@ def holds_along_edges(problem: ContactProblem, obstacle: Obstacle) -> bool:
     return any(number >= 0 for number, _ in problem.edges_by_curve(obstacle.boundary))
 
 
-def edge_gap_terms(problem: ContactProblem, part: ContactSet) -> Iterator[ElementTerm]:
-    """Rows of the gaps of a contact set that hold along edges, of positions and displacement."""
+def edge_gap_terms(space: DisplacementSpace, part: ContactSet) -> Iterator[ElementTerm]:
+    """Gaps of one of the problem's contact sets that hold along edges, of positions and displacement."""
+    problem = space.problem
     unit = float(np.max(np.abs(part.obstacle.distances(problem.mesh.p[:, part.nodes])), initial=0.0)) or 1.0
     free = np.zeros(problem.mesh.p.shape[1])
     free[part.nodes] = 1.0
@@ -95,7 +97,7 @@ def edge_gap_terms(problem: ContactProblem, part: ContactSet) -> Iterator[Elemen
         function, at_points = _gap_function(part.obstacle, problem.components, on_curve, curve, unit)
         yield ElementTerm(
             function,
-            (patch, patch[:1]),
+            (patch, space.nodes_of(patch[:1])),
             part.rows[rows][None],
             at_points=at_points,
             arc=None if curve is None else (number, patch),

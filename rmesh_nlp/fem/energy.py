@@ -6,21 +6,20 @@ All energies are per unit thickness, in N m/m. Columns run node by node:
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 from scipy.special import roots_jacobi
-from skfem.quadrature import get_quadrature_line, get_quadrature_tri
+from skfem.quadrature import get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem import arcs
-from rmesh_nlp.fem.element import PointValues
-from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, ElementTerm, Field, Index, constant_field
+from rmesh_nlp.fem.element import NO_ROWS, PointValues, affine, corners, line_rule
+from rmesh_nlp.fem.fields import CONSTANT, ElementTerm, Field, constant_field
+from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, PointLoad, Traction
 from rmesh_nlp.problem.body import sides_on
-from rmesh_nlp.problem.coefficients import Coefficient, at, is_nonzero
+from rmesh_nlp.problem.coefficients import at, is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
 
 HIGHEST_TABULATED_DEGREE = 19
@@ -28,7 +27,7 @@ HIGHEST_TABULATED_DEGREE = 19
 
 TRACTION_DEGREE = 4
 """Least degree of the Gauss rule for tractions: exact for cubic ones times P1. A rule of higher degree for
-the load, such as that of the audit, is taken for tractions too."""
+the load, such as that of the assessment, is taken for tractions too."""
 
 
 def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
@@ -59,24 +58,17 @@ def _conical_product_rule(degree: int) -> tuple[Array, Array]:
 
 def strain_energy(law: Law) -> ca.Function:
     """``(X_e, u_e) -> (energy, empty)`` of one P1 triangle: 1/2 a(u, u) of (3.3), (3.15)."""
-    X, u = ca.SX.sym("X", 2, 3), ca.SX.sym("u", law.components, 3)
-    jacobian = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
-    det = jacobian[0, 0] * jacobian[1, 1] - jacobian[0, 1] * jacobian[1, 0]
-    # gradients of the barycentric coordinates, without a division per entry
-    inverse = ca.vertcat(
-        ca.horzcat(jacobian[1, 1], -jacobian[0, 1]), ca.horzcat(-jacobian[1, 0], jacobian[0, 0])
+    X, u = corners(3, law.components)
+    det, scaled = affine(X, u)
+    return ca.Function(
+        "strain_energy", [ca.vec(X), ca.vec(u)], [energy_density(law, scaled) / (2 * det), NO_ROWS]
     )
-    difference = ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0])
-    scaled_gradient = difference @ inverse  # det * grad u
-    # the density is quadratic, so the division by det comes once, at the end
-    energy = energy_density(law, scaled_gradient) / (2 * det)
-    return ca.Function("strain_energy", [ca.vec(X), ca.vec(u)], [energy, ca.SX(0, 1)])
 
 
 def load_energy(law: Law, quadrature: str | int) -> tuple[ca.Function, PointValues]:
     """``(X_e, u_e, load at the points) -> (-integral of load . u, empty)`` of one P1 triangle."""
     barycentric, weights = triangle_rule(quadrature)
-    X, u = ca.SX.sym("X", 2, 3), ca.SX.sym("u", law.components, 3)
+    X, u = corners(3, law.components)
     return _load_energy(
         law, X, u, _area(X, 0, 1, 2), X @ ca.DM(barycentric), u @ ca.DM(barycentric * weights)
     )
@@ -88,7 +80,7 @@ def load_energy_of_edge(law: Law) -> tuple[ca.Function, PointValues]:
     ``X_e`` holds the ends and the vertices to the left and right of the edge, ``u_e`` the ends.
     Two triangles share the values there, a third of the work for each of its three edges.
     """
-    X, u = ca.SX.sym("X", 2, 4), ca.SX.sym("u", law.components, 2)
+    X, u = corners(4, 1)[0], corners(2, law.components)[1]
     thirds = (_area(X, 0, 1, 2) + _area(X, 1, 0, 3)) / 3
     return _load_energy(law, X, u, thirds, (X[:, 0] + X[:, 1]) / 2, (u[:, 0] + u[:, 1]) / 2)
 
@@ -96,13 +88,12 @@ def load_energy_of_edge(law: Law) -> tuple[ca.Function, PointValues]:
 def _load_energy(
     law: Law, X: ca.SX, u: ca.SX, area: ca.SX, points: ca.SX, weighted: ca.SX
 ) -> tuple[ca.Function, PointValues]:
-    load = ca.SX.sym("f", *weighted.shape)
-    columns = [ca.vec(X), ca.vec(u)]
+    load, columns = ca.SX.sym("f", *weighted.shape), [ca.vec(X), ca.vec(u)]
     energy = -area * ca.dot(load, weighted)
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     value = ca.vertcat(*[at(component, x, y) for component in law.load])
     return (
-        ca.Function("load_energy", [*columns, ca.vec(load)], [energy, ca.SX(0, 1)]),
+        ca.Function("load_energy", [*columns, ca.vec(load)], [energy, NO_ROWS]),
         PointValues(ca.Function("points", columns, [points]), ca.Function("load", [x, y], [value])),
     )
 
@@ -127,61 +118,58 @@ def edges_with_opposite(triangles: Index) -> Index:
     return result
 
 
-def traction_energy(traction: Traction, degree: int = TRACTION_DEGREE) -> ca.Function:
+def traction_energy(traction: Traction, degree: int) -> ca.Function:
     """``(X_e, u_e) -> (-integral of traction . u, empty)`` on one boundary edge."""
-    X, u = ca.SX.sym("X", 2, 2), ca.SX.sym("u", len(traction.value), 2)
-    points, weights = get_quadrature_line(degree)
-    work = _work(traction.value, X, u, np.vstack([1 - points, points]), weights)
+    X, u = corners(2, len(traction.value))
+    work = ca.SX(0)
+    points, weights = line_rule(degree)
+    for point, weight in zip(points.T, weights, strict=True):
+        x, y = ca.vertsplit(X @ point)
+        value = ca.vertcat(*[at(component, x, y) for component in traction.value])
+        work += weight * ca.dot(value, u @ point)
     length = ca.norm_2(X[:, 1] - X[:, 0])
-    return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, ca.SX(0, 1)])
+    return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, NO_ROWS])
 
 
 def point_energy(load: PointLoad) -> ca.Function:
     """``(u_i,) -> (-force . u, empty)`` at one node."""
     u = ca.SX.sym("u", len(load.force))
-    return ca.Function("point_energy", [u], [-ca.dot(ca.DM(load.force), u), ca.SX(0, 1)])
+    return ca.Function("point_energy", [u], [-ca.dot(ca.DM(load.force), u), NO_ROWS])
 
 
-def _work(load: tuple[Coefficient, ...], X: ca.SX, u: ca.SX, barycentric: Array, weights: Array) -> Any:
-    """Weighted sum of load . u over the points; the mean over the element."""
-    work = ca.SX(0)
-    for point, weight in zip(barycentric.T, weights, strict=True):
-        x, y = ca.vertsplit(X @ point)
-        value = ca.vertcat(*[at(component, x, y) for component in load])
-        work += weight * ca.dot(value, u @ point)
-    return work
-
-
-def strain_terms(problem: ContactProblem) -> list[ElementTerm]:
+def strain_terms(space: DisplacementSpace) -> list[ElementTerm]:
     """Strain energy of positions and displacement, a term per region; more for triangles beside a curve."""
     terms = []
-    for law, straight, beside in _elements(problem):
-        terms.append(ElementTerm(strain_energy(law), (problem.triangles[:, straight],) * 2))
-        terms += [_beside(arcs.strain_energy(law, curve), *place) for curve, place in beside]
+    for law, straight, beside in _elements(space.problem):
+        vertices = space.problem.triangles[:, straight]
+        terms.append(ElementTerm(strain_energy(law), (vertices, space.nodes_of(vertices))))
+        terms += [_beside(space, arcs.strain_energy(law, curve), *place) for curve, place in beside]
     return terms
 
 
-def load_terms(problem: ContactProblem, rule: str | int) -> list[ElementTerm]:
+def load_terms(space: DisplacementSpace, rule: str | int) -> list[ElementTerm]:
     """Minus the work of source or body force, tractions and point loads, of positions and displacement."""
-    terms, degree = [], TRACTION_DEGREE if isinstance(rule, str) else max(rule, TRACTION_DEGREE)
+    problem, terms = space.problem, []
+    degree = TRACTION_DEGREE if isinstance(rule, str) else max(rule, TRACTION_DEGREE)
     for law, straight, beside in _elements(problem):
         if any(is_nonzero(component) for component in law.load):
-            terms.append(_load_term(law, rule, problem.triangles[:, straight]))
-            terms += [_beside(arcs.load_energy(law, curve, degree), *place) for curve, place in beside]
+            terms.append(_load_term(space, law, rule, problem.triangles[:, straight]))
+            terms += [_beside(space, arcs.load_energy(law, curve, degree), *place) for curve, place in beside]
     for traction in problem.tractions:
         for number, edges in problem.edges_by_curve(traction.boundary):
+            nodes = space.nodes_of(edges)
             if number < 0:
-                terms.append(ElementTerm(traction_energy(traction, degree), (edges, edges)))
+                terms.append(ElementTerm(traction_energy(traction, degree), (edges, nodes)))
             else:
                 function = arcs.traction_energy(traction.value, problem.curves[number], degree)
-                terms.append(ElementTerm(function, (None, edges), arc=(number, edges)))
+                terms.append(ElementTerm(function, (None, nodes), arc=(number, edges)))
     for load in problem.point_loads:
-        terms.append(ElementTerm(point_energy(load), (None, np.array([[load.node]]))))
+        terms.append(ElementTerm(point_energy(load), (None, space.nodes_of(np.array([[load.node]])))))
     return terms
 
 
 Place = tuple[int, Index]
-"""The number of a curve, and the nodes a, b, c (3, elements) of triangles with an arc ab on it."""
+"""The number of a curve, and the vertices a, b, c (3, elements) of triangles with an arc ab on it."""
 
 
 def _elements(problem: ContactProblem) -> list[tuple[Law, Index, list[tuple[Curve, Place]]]]:
@@ -212,38 +200,28 @@ def _elements(problem: ContactProblem) -> list[tuple[Law, Index, list[tuple[Curv
     return found
 
 
-def _beside(function: ca.Function, number: int, nodes: Index) -> ElementTerm:
-    return ElementTerm(function, (nodes[2:], nodes), arc=(number, nodes[:2]))
+def _beside(space: DisplacementSpace, function: ca.Function, number: int, vertices: Index) -> ElementTerm:
+    return ElementTerm(function, (vertices[2:], space.nodes_of(vertices)), arc=(number, vertices[:2]))
 
 
-def _load_term(law: Law, rule: str | int, triangles: Index) -> ElementTerm:
+def _load_term(space: DisplacementSpace, law: Law, rule: str | int, triangles: Index) -> ElementTerm:
     if rule == "midpoint":
         edges = edges_with_opposite(triangles)
         function, at_points = load_energy_of_edge(law)
-        return ElementTerm(function, (edges, edges[:2]), at_points=at_points)
+        return ElementTerm(function, (edges, space.nodes_of(edges[:2])), at_points=at_points)
     function, at_points = load_energy(law, rule)
-    return ElementTerm(function, (triangles, triangles), at_points=at_points)
+    return ElementTerm(function, (triangles, space.nodes_of(triangles)), at_points=at_points)
 
 
-def displacement_field(problem: ContactProblem) -> tuple[Field, int]:
+def displacement_field(space: DisplacementSpace) -> tuple[Field, int]:
     """The displacement as unknowns numbered from zero, fixed where it is given.
 
     Returns the field (components, nodes) and the number of unknowns.
     """
-    held, value = problem.held()
-    field = constant_field(value)
-    movable = ~held
-    movable[:, np.setdiff1d(np.arange(held.shape[1]), problem.mesh.t)] = False
-    count = int(movable.sum())
+    held, value = space.given()
+    count = int((~held).sum())
     # node by node, so that the unknowns of a node stay together
     index = np.full(held.T.shape, CONSTANT)
-    index[movable.T] = np.arange(count)
-    return Field(index.T, field.scale, field.offset), count
-
-
-def objective_group(
-    function: ca.Function, local: tuple[Field, ...], at_points: PointValues | None = None
-) -> ElementGroup:
-    """Elements that add to the objective and to no constraint."""
-    no_rows = np.zeros((0, local[0].index.shape[1]), dtype=np.int64)
-    return ElementGroup(function, local, no_rows, at_points)
+    index[~held.T] = np.arange(count)
+    field = constant_field(value)
+    return Field(index.T, field.scale, field.offset, space=space), count

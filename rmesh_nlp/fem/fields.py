@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,11 +13,15 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.element import PointValues
+from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.fem.space import Index as Index
 from rmesh_nlp.meshes.curves import on_values
 
-Index = NDArray[np.int64]
 CONSTANT = -1
 """Index of a local value that does not depend on any unknown or parameter."""
+
+STRAIGHT = -1
+"""Number of no function in :class:`Bends`."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +41,11 @@ class Bends:
 
     @cached_property
     def _slopes(self) -> tuple[ca.Function, ...]:
-        return tuple(_slope(function) for function in self.functions)
+        slopes = []
+        for function in self.functions:
+            t = (ca.SX if function.is_a("SXFunction") else ca.MX).sym("t")
+            slopes.append(ca.Function("slope", [t], [ca.jacobian(function(t), t)]))
+        return tuple(slopes)
 
     def applied(self, t: Array) -> Array:
         """Values of the field where its affine part has the values ``t``."""
@@ -53,21 +63,11 @@ class Bends:
         return result
 
 
-def _slope(function: ca.Function) -> ca.Function:
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
-    t = kind.sym("t")
-    return ca.Function("slope", [t], [ca.jacobian(function(t), t)])
-
-
-STRAIGHT = -1
-"""Number of no function in :class:`Bends`."""
-
-
 @dataclass(frozen=True)
 class Field:
     """A nodal field as an affine function of one vector, ``scale * w[index] + offset``.
 
-    The vector ``w`` is the unknowns ``x`` of a program or, if ``parameter``, its ``p``.
+    The vector ``w`` is the unknowns ``x`` of a model or, if ``parameter``, its ``p``.
 
     Attributes
     ----------
@@ -79,6 +79,8 @@ class Field:
         Where the value is not this affine function but a function of it.
     along : Field, optional
         Of positions: (curves, nodes), the parameters of the nodes that are on a curve of the motion.
+    space : DisplacementSpace, optional
+        Of displacements: the space whose nodes these are; by default the nodes are the vertices.
     """
 
     index: Index
@@ -87,6 +89,7 @@ class Field:
     parameter: bool = False
     bends: Bends | None = None
     along: Field | None = None
+    space: DisplacementSpace | None = None
 
     def at(self, nodes: Index) -> Field:
         """Local values on elements.
@@ -95,29 +98,27 @@ class Field:
         runs through the components of the first node, then of the second, ...
         """
         shape = (self.index.shape[0] * nodes.shape[0], nodes.shape[1])
+        return self._picked(lambda a: np.moveaxis(a[:, nodes], 0, 1).reshape(shape))
 
-        def pick(a: NDArray) -> NDArray:
-            return np.moveaxis(a[:, nodes], 0, 1).reshape(shape)
-
-        bends = self.bends and Bends(pick(self.bends.which), self.bends.functions)
-        return Field(pick(self.index), pick(self.scale), pick(self.offset), self.parameter, bends)
+    def on(self, cells: Index) -> Field:
+        """Local values on triangles, edges or points given by their vertices (vertices per cell, cells)."""
+        return self.at(cells if self.space is None else self.space.nodes_of(cells))
 
     def component(self, number: int) -> Field:
         """One component as a field of its own."""
-        part = slice(number, number + 1)
-        bends = self.bends and Bends(self.bends.which[part], self.bends.functions)
-        return Field(self.index[part], self.scale[part], self.offset[part], self.parameter, bends)
+        return self._picked(lambda a: a[number : number + 1])
 
     def elements(self, chosen: Index) -> Field:
         """Some columns of a field of local values."""
-        bends = self.bends and Bends(self.bends.which[:, chosen], self.bends.functions)
-        part = (self.index[:, chosen], self.scale[:, chosen], self.offset[:, chosen])
-        return Field(*part, self.parameter, bends)
+        return self._picked(lambda a: a[:, chosen])
+
+    def _picked(self, pick: Callable[[NDArray], NDArray]) -> Field:
+        bends = self.bends and Bends(pick(self.bends.which), self.bends.functions)
+        return Field(pick(self.index), pick(self.scale), pick(self.offset), self.parameter, bends)
 
     def numbered_from(self, first: int) -> Field:
         """The same field, its unknowns numbered from ``first`` instead of from zero."""
-        index = np.where(self.index == CONSTANT, CONSTANT, self.index + first)
-        return replace(self, index=index)
+        return replace(self, index=np.where(self.index == CONSTANT, CONSTANT, self.index + first))
 
     def in_units(self, unit: float) -> Field:
         """The same field of unknowns that are measured in ``unit``."""
@@ -180,16 +181,17 @@ class ElementGroup:
         """Number of elements."""
         return int(self.arguments[0].index.shape[1])
 
+    def some(self, chosen: Index) -> ElementGroup:
+        """The same group of some of its elements."""
+        arguments = tuple(field.elements(chosen) for field in self.arguments)
+        return replace(self, arguments=arguments, rows=self.rows[:, chosen])
 
-def without_elements(group: ElementGroup) -> ElementGroup:
-    """The same group of no elements at all."""
-    return some_elements(group, np.zeros(0, np.int64))
 
-
-def some_elements(group: ElementGroup, chosen: Index) -> ElementGroup:
-    """The same group of some of its elements."""
-    arguments = tuple(field.elements(chosen) for field in group.arguments)
-    return ElementGroup(group.function, arguments, group.rows[:, chosen], group.at_points)
+def objective_group(
+    function: ca.Function, local: tuple[Field, ...], at_points: PointValues | None = None
+) -> ElementGroup:
+    """Elements that add to the objective and to no constraint."""
+    return ElementGroup(function, local, np.zeros((0, local[0].index.shape[1]), dtype=np.int64), at_points)
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,8 @@ class ElementTerm:
     Attributes
     ----------
     function : casadi.Function
-        See :class:`ElementGroup`.
+        See :class:`ElementGroup`. Its arguments are parameters, parameters of a curve, the fields of
+        :meth:`on`, constants; each only where the term has it.
     nodes : tuple of (nodes per element, elements) int arrays or None
         For each field of :meth:`on` the nodes at which the function takes it; None if it does not.
     rows : (len(g), elements) int array, optional
@@ -208,9 +211,10 @@ class ElementTerm:
         The last field has one component per obstacle: take this one.
     at_points : PointValues, optional
     arc : (int, (nodes per element, elements) int array), optional
-        The first argument of the function is the parameters of these nodes on this curve of the motion.
+        The function takes the parameters of these vertices on this curve of the motion.
     constants : (length, elements) array, optional
-        The last argument.
+    parameters : int array, optional
+        Numbers of those entries of p that the function takes, the same for all elements.
     """
 
     function: ca.Function
@@ -220,9 +224,10 @@ class ElementTerm:
     at_points: PointValues | None = None
     arc: tuple[int, Index] | None = None
     constants: Array | None = None
+    parameters: Index | None = None
 
-    def on(self, *fields: Field, first_row: int = 0) -> ElementGroup:
-        """The element group on these fields, its rows numbered from ``first_row``."""
+    def on(self, *fields: Field, first_row: int = 0, p: Field | None = None) -> ElementGroup:
+        """The element group on these fields and parameters (1, n_p), its rows numbered from ``first_row``."""
         if self.component is not None:
             fields = (*fields[:-1], fields[-1].component(self.component))
         chosen = zip(fields, self.nodes, strict=True)
@@ -230,8 +235,57 @@ class ElementTerm:
         if self.arc is not None and fields[0].along is not None:
             curve, nodes = self.arc
             local = (fields[0].along.component(curve).at(nodes), *local)
+        size = local[0].index.shape[1]
         if self.constants is not None:
             local = (*local, constant_field(self.constants))
-        none = np.zeros((0, local[0].index.shape[1]), dtype=np.int64)
-        rows = none if self.rows is None else first_row + self.rows
+        if self.parameters is not None:
+            if p is None:
+                raise ValueError(f"{self.function.name()} takes {self.parameters.size} parameters, got none")
+            local = (p.at(np.tile(self.parameters[:, None], size)), *local)
+        rows = np.zeros((0, size), dtype=np.int64) if self.rows is None else first_row + self.rows
         return ElementGroup(self.function, local, rows, self.at_points)
+
+
+def straightened(group: ElementGroup) -> list[ElementGroup]:
+    """The same elements in groups whose arguments are affine functions of the unknowns.
+
+    A curve is put into the function of the element: what is differentiated is the composition. Elements are
+    sorted by which of their values are on which curve, and each sort has a function of its own.
+    """
+    if all(field.bends is None for field in group.arguments) or group.size == 0:
+        return [group]
+    which = np.vstack(
+        [np.full(f.index.shape, STRAIGHT) if f.bends is None else f.bends.which for f in group.arguments]
+    )
+    sorts, member = np.unique(which, axis=1, return_inverse=True)
+    lengths = np.cumsum([field.index.shape[0] for field in group.arguments])[:-1]
+    result = []
+    for number, sort in enumerate(sorts.T):
+        part = group.some(np.flatnonzero(member.ravel() == number))
+        if np.any(sort != STRAIGHT):
+            part = _composed(part, np.split(sort, lengths))
+        result.append(replace(part, arguments=tuple(replace(f, bends=None) for f in part.arguments)))
+    return result
+
+
+def _composed(group: ElementGroup, sort: list[Index]) -> ElementGroup:
+    """The group as a function of the affine values behind its arguments."""
+    function, at_points = group.function, group.at_points
+    bends = [field.bends.functions if field.bends else () for field in group.arguments]
+    used = [functions[k] for functions, row in zip(bends, sort, strict=True) for k in row if k != STRAIGHT]
+    kind: Any = ca.SX if all(f.is_a("SXFunction") for f in (function, *used)) else ca.MX
+    columns = [kind.sym(f"a{i}", field.index.shape[0]) for i, field in enumerate(group.arguments)]
+    bent = [
+        column if np.all(row == STRAIGHT) else _bent(column, row, functions)
+        for column, row, functions in zip(columns, sort, bends, strict=True)
+    ]
+    values = [] if at_points is None else [kind.sym("values", function.size1_in(len(columns)))]
+    composed = ca.Function(function.name(), [*columns, *values], function(*bent, *values))
+    if at_points is not None:
+        at_points = PointValues(ca.Function("points", columns, [at_points.points(*bent)]), at_points.function)
+    return replace(group, function=composed, at_points=at_points)
+
+
+def _bent(column: Any, row: Index, functions: tuple[ca.Function, ...]) -> Any:
+    parts = zip(ca.vertsplit(column), row, strict=True)
+    return ca.vertcat(*[part if k == STRAIGHT else functions[k](part) for part, k in parts])

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.element import local_symbols
-from rmesh_nlp.fem.fields import ElementGroup, Field
+from rmesh_nlp.fem.fields import ElementGroup, Field, objective_group
+from rmesh_nlp.fem.space import Index
 from rmesh_nlp.problem import ContactProblem
 
 Groups = Callable[[ContactProblem, Field, Field, Field], list[ElementGroup]]
@@ -33,6 +34,8 @@ class Term:
         Whether it depends on the positions alone.
     barrier : bool
         Whether it is infinite at the boundary of the valid meshes, and NaN beyond.
+    minimised_only : bool
+        Whether nobody wants it to be large: its weight must be positive.
     """
 
     name: str
@@ -40,11 +43,12 @@ class Term:
     needs_exact: bool = False
     of_positions: bool = False
     barrier: bool = False
+    minimised_only: bool = False
 
 
 @dataclass(frozen=True)
 class Objective:
-    """A weighted sum of terms, which a strategy minimises.
+    """A weighted sum of terms, which a formulation minimises.
 
     Objectives are added and multiplied by numbers. ``str`` gives the text for records.
 
@@ -70,26 +74,14 @@ class Objective:
 
     @property
     def collapses(self) -> bool:
-        """Whether it is the energy, once, and terms in the positions alone: the levels are one program."""
+        """Whether it is the energy, once, and terms in the positions alone: both levels are one NLP."""
         energies = [weight for weight, term in self.terms if term.name == "energy"]
-        others = [term for _, term in self.terms if term.name != "energy"]
-        return energies == [1.0] and all(term.of_positions for term in others)
+        return energies == [1.0] and all(t.of_positions for _, t in self.terms if t.name != "energy")
 
     @property
     def has_barrier(self) -> bool:
         """Whether a term is infinite at the boundary of the valid meshes."""
         return any(term.barrier for _, term in self.terms)
-
-    def position_groups(
-        self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
-    ) -> list[ElementGroup]:
-        """Element groups of the terms in the positions alone."""
-        return [
-            scaled_group(group, weight)
-            for weight, term in self.terms
-            if term.of_positions
-            for group in term.groups(problem, positions, displacement, slip)
-        ]
 
     @property
     def of_positions(self) -> bool:
@@ -111,6 +103,13 @@ class Objective:
             for group in term.groups(problem, positions, displacement, slip)
         ]
 
+    def position_groups(
+        self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+    ) -> list[ElementGroup]:
+        """Element groups of the terms in the positions alone."""
+        chosen = Objective(tuple((weight, term) for weight, term in self.terms if term.of_positions))
+        return chosen.groups(problem, positions, displacement, slip)
+
     def __add__(self, other: Objective) -> Objective:
         return Objective((*self.terms, *other.terms)) if isinstance(other, Objective) else NotImplemented
 
@@ -120,27 +119,14 @@ class Objective:
         if not (np.isfinite(factor) and factor != 0):
             raise ValueError(f"the weight {factor} of {self.text!r} must be finite and not zero")
         for _, term in self.terms:
-            if factor < 0 and term.name in MINIMISED_ONLY:
-                raise ValueError(f"the weight {factor} of {term.name!r} must be positive and finite")
+            if term.minimised_only and factor < 0:
+                raise ValueError(f"the weight {factor} of {term.name!r} must be positive")
         return Objective(tuple((float(factor) * weight, term) for weight, term in self.terms))
 
     __rmul__ = __mul__
 
     def __neg__(self) -> Objective:
         return -1 * self
-
-
-MINIMISED_ONLY = (
-    "energy",
-    "error-energy",
-    "error-l2",
-    "error-h1",
-    "contact",
-    "friction",
-    "certificate",
-    *DISTORTIONS,
-)
-"""Terms that no one wants to be large."""
 
 
 def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
@@ -150,3 +136,11 @@ def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
     symbols = local_symbols(group.function)
     f, g = group.function(*symbols)
     return replace(group, function=ca.Function(group.function.name(), symbols, [weight * f, g]))
+
+
+def cell_group(
+    name: str, X: Any, u: Any, value: Any, cells: Index, positions: Field, displacement: Field
+) -> ElementGroup:
+    """The sum over cells of a value of X (2, k) and u (components, k); ``cells`` are vertices (k, n)."""
+    function = ca.Function(name, [ca.vec(X), ca.vec(u)], [value, type(value)(0, 1)])
+    return objective_group(function, (positions.at(cells), displacement.on(cells)))

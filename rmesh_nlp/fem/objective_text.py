@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.expressions import value_of
-from rmesh_nlp.fem.objective import MINIMISED_ONLY, Objective, Term
+from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import TERMS
 from rmesh_nlp.fem.quantities import at_point, body_integral, boundary_integral, peak_pressure
 
@@ -42,27 +42,23 @@ def parse_objective(text: str | Objective) -> Objective:
     """
     if isinstance(text, Objective):
         return text
-    terms: list[tuple[float, Term]] = []
-    for part in _split(text, "+"):
-        weight, objective = _weighted(part, text)
-        if not np.isfinite(weight) or weight == 0 or (weight < 0 and _minimised_only(objective)):
-            raise ValueError(f"the weight {_split(part, '*')[0]!r} in {text!r} must be positive and finite")
-        terms += (weight * objective).terms
-    return Objective(tuple(terms))
+    parts = [_weighted(part, text) for part in _split(text, "+")]
+    return Objective(tuple(term for part in parts for term in part.terms))
 
 
-def _weighted(part: str, whole: str) -> tuple[float, Objective]:
-    """Weight and term of ``0.5*term``, ``-term`` or ``term``."""
+def _weighted(part: str, whole: str) -> Objective:
+    """``0.5*term``, ``-term`` or ``term``."""
     first, *rest = _split(part, "*")
-    if rest:
-        try:
-            weight = float(first)
-        except ValueError:
-            raise ValueError(f"the weight {first!r} in {whole!r} is not a number") from None
-        return weight, _term("*".join(rest), whole)
-    if part.startswith("-"):
-        return -1.0, _term(part[1:].strip(), whole)
-    return 1.0, _term(part, whole)
+    if not rest:
+        return -1.0 * _term(part[1:].strip(), whole) if part.startswith("-") else _term(part, whole)
+    try:
+        weight = float(first)
+    except ValueError:
+        raise ValueError(f"the weight {first!r} in {whole!r} is not a number") from None
+    try:
+        return weight * _term("*".join(rest), whole)
+    except ValueError as error:
+        raise ValueError(f"{whole!r}: {error}") from None
 
 
 def _term(text: str, whole: str) -> Objective:
@@ -73,10 +69,6 @@ def _term(text: str, whole: str) -> Objective:
         return QUANTITIES[kind.strip()](text, _split(rest[:-1], ","))
     known = (*TERMS, *(f"{kind}(...)" for kind in QUANTITIES))
     raise ValueError(f"unknown objective {text!r} in {whole!r}: choose from {', '.join(known)}")
-
-
-def _minimised_only(objective: Objective) -> bool:
-    return any(term.name in MINIMISED_ONLY for _, term in objective.terms)
 
 
 def _body(text: str, arguments: list[str]) -> Objective:

@@ -16,18 +16,17 @@ Errors are measured against the problem's exact solution u:
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import casadi as ca
-import numpy as np
-from skfem.quadrature import get_quadrature_line
 
-from rmesh_nlp.fem.contact_terms import contact_edges, friction_terms
+from rmesh_nlp.fem.contact_terms import friction_terms
 from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
-from rmesh_nlp.fem.energy import load_terms, objective_group, strain_terms, triangle_rule
-from rmesh_nlp.fem.fields import ElementGroup, Field, Index
-from rmesh_nlp.fem.objective import Objective, Term
+from rmesh_nlp.fem.element import affine, corners, line_rule
+from rmesh_nlp.fem.energy import load_terms, strain_terms, triangle_rule
+from rmesh_nlp.fem.fields import ElementGroup, Field
+from rmesh_nlp.fem.objective import Groups, Objective, Term, cell_group
+from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
 from rmesh_nlp.problem import ContactProblem, ExactSolution, Law, Obstacle
 from rmesh_nlp.problem.laws import energy_density
 
@@ -38,47 +37,42 @@ SPLINE_DEGREE = 5
 """The same for a reference given by splines, which are dear and smooth on the scale of an element."""
 
 
-def energy(problem: ContactProblem, positions: Field, displacement: Field, slip: Field) -> list[ElementGroup]:
+def _energy(
+    problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+) -> list[ElementGroup]:
     """The total potential energy (3.3), (3.15)."""
-    bulk = [*strain_terms(problem), *load_terms(problem, problem.rule)]
+    space = displacement.space or DisplacementSpace.of(problem)
+    bulk = [*strain_terms(space), *load_terms(space, problem.rule)]
     return [
         *(term.on(positions, displacement) for term in bulk),
-        *(term.on(positions, slip) for term in friction_terms(problem)),
+        *(term.on(positions, slip) for term in friction_terms(space)),
     ]
 
 
-def error_energy(
-    problem: ContactProblem, positions: Field, displacement: Field, slip: Field
-) -> list[ElementGroup]:
-    """I1 of (4.1)."""
-    exact = _exact(problem, "error-energy")
-    return [
-        _triangles(problem, positions, displacement, partial(_strain_energy_of_error, law), exact, elements)
-        for law, elements in problem.regions
-    ]
+def _error(name: str, density: Callable[[Law, Any, Any], Any]) -> Groups:
+    """Integral over the body of a density of the law, the error and its gradient."""
+
+    def groups(
+        problem: ContactProblem, positions: Field, displacement: Field, _: Field
+    ) -> list[ElementGroup]:
+        exact = _exact(problem, name)
+        barycentric, weights = triangle_rule(ERROR_DEGREE if exact.symbol is ca.SX else SPLINE_DEGREE)
+        solution, found = _gradient(exact), []
+        for law, elements in problem.regions:
+            X, u = corners(3, problem.components, exact.symbol)
+            det, scaled = affine(X, u)
+            total = exact.symbol(0)
+            for point, weight in zip(barycentric.T, weights, strict=True):
+                value, slope = solution(*ca.vertsplit(X @ point))
+                total += weight * density(law, u @ point - value, scaled / det - slope)
+            cells = problem.triangles[:, elements]
+            found.append(cell_group("error", X, u, total * det / 2, cells, positions, displacement))
+        return found
+
+    return groups
 
 
-def _strain_energy_of_error(law: Law, error: Any, gradient: Any) -> Any:
-    return energy_density(law, gradient)
-
-
-def error_l2(
-    problem: ContactProblem, positions: Field, displacement: Field, slip: Field
-) -> list[ElementGroup]:
-    """Squared L2 norm of the error."""
-    exact = _exact(problem, "error-l2")
-    return [_triangles(problem, positions, displacement, lambda e, de: ca.sumsqr(e), exact)]
-
-
-def error_h1(
-    problem: ContactProblem, positions: Field, displacement: Field, slip: Field
-) -> list[ElementGroup]:
-    """Squared H1 seminorm of the error."""
-    exact = _exact(problem, "error-h1")
-    return [_triangles(problem, positions, displacement, lambda e, de: ca.sumsqr(de), exact)]
-
-
-def contact(
+def _contact(
     problem: ContactProblem, positions: Field, displacement: Field, slip: Field
 ) -> list[ElementGroup]:
     """I2 of (4.2): integral of (T(u) . normal) times the discrete gap over the contact boundary.
@@ -93,7 +87,7 @@ def contact(
     ]
 
 
-def friction(
+def _friction(
     problem: ContactProblem, positions: Field, displacement: Field, slip: Field
 ) -> list[ElementGroup]:
     """I3 of (4.2): integral of ``g |u_t| + T_t(u) u_t`` over the contact boundary.
@@ -107,12 +101,13 @@ def friction(
         raise ValueError("the objective 'friction' needs a contact boundary with friction")
     if len(problem.laws) > 1:
         raise ValueError("the objective 'friction' needs one law")
+    space = displacement.space or DisplacementSpace.of(problem)
     return [
-        *(term.on(positions, slip) for term in friction_terms(problem)),
+        *(term.on(positions, slip) for term in friction_terms(space)),
         *(
-            _contact_work(problem, positions, displacement, exact, part.obstacle, along=True)
-            for part in problem.contact_sets
-            if part.obstacle.frictional
+            _contact_work(problem, positions, displacement, exact, obstacle, along=True)
+            for obstacle in problem.obstacles
+            if obstacle.frictional
         ),
     ]
 
@@ -127,53 +122,29 @@ def _contact_work(
 ) -> ElementGroup:
     """Work of the exact stress on one contact boundary: normal on the gap, or ``along`` it on the slip."""
     traction = _traction(problem.laws[0], exact)
-    kind, components = exact.symbol, problem.components
-    X_column, u_column = kind.sym("X", 4), kind.sym("u", 2 * components)
-    X, u = ca.reshape(X_column, 2, 2), ca.reshape(u_column, components, 2)
+    X, u = corners(2, problem.components, exact.symbol)
     tangent = X[:, 1] - X[:, 0]
     outward = ca.vertcat(tangent[1], -tangent[0])  # times the length; the body is on the left
-    total = kind(0)
-    points, weights = get_quadrature_line(ERROR_DEGREE)
-    for point, weight in zip(np.vstack([1 - points, points]).T, weights, strict=True):
+    total = exact.symbol(0)
+    points, weights = line_rule(ERROR_DEGREE)
+    for point, weight in zip(points.T, weights, strict=True):
         x, y = ca.vertsplit(X @ point)
-        if along:
-            direction = obstacle.tangential(x, y)
-            way = ca.dot(direction, u @ point)
-        else:
-            direction = obstacle.direction(x, y)
-            way = ca.dot(direction, u @ point) + obstacle.distance(x, y)
+        direction = obstacle.tangential(x, y) if along else obstacle.direction(x, y)
+        way = ca.dot(direction, u @ point) + (0 if along else obstacle.distance(x, y))
         total += weight * ca.dot(direction, traction(x, y, outward)) * way
-    function = ca.Function("contact_error", [X_column, u_column], [total, kind(0, 1)])
-    edges = _with_body_on_the_left(problem, contact_edges(problem, obstacle))
-    return objective_group(function, (positions.at(edges), displacement.at(edges)))
+    edges = outward_edges(problem, str(obstacle.boundary))
+    return cell_group("contact_error", X, u, total, edges, positions, displacement)
 
 
-def _distortion(
-    name: str, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
-) -> list[ElementGroup]:
-    return [distortion_group(problem, positions, name)]
+def _distortion(name: str) -> Groups:
+    return lambda problem, positions, displacement, slip: [distortion_group(problem, positions, name)]
 
 
-def certificate(
+def _certificate(
     problem: ContactProblem, positions: Field, displacement: Field, slip: Field
 ) -> list[ElementGroup]:
     """Not a sum of element functions: the lower bound is a maximum over all of the mesh."""
     raise ValueError("the objective 'certificate' is minimised by nested only")
-
-
-TERMS: dict[str, Term] = {
-    "energy": Term("energy", energy),
-    "error-energy": Term("error-energy", error_energy, needs_exact=True),
-    "error-l2": Term("error-l2", error_l2, needs_exact=True),
-    "error-h1": Term("error-h1", error_h1, needs_exact=True),
-    "contact": Term("contact", contact, needs_exact=True),
-    "friction": Term("friction", friction, needs_exact=True),
-    "certificate": Term("certificate", certificate),
-    **{name: Term(name, partial(_distortion, name), of_positions=True, barrier=True) for name in DISTORTIONS},
-}
-"""The named terms."""
-
-ENERGY = Objective(((1.0, TERMS["energy"]),))
 
 
 def _exact(problem: ContactProblem, name: str) -> ExactSolution:
@@ -191,50 +162,35 @@ def _gradient(exact: ExactSolution) -> ca.Function:
     return ca.Function("exact", [x, y], [u, ca.horzcat(ca.jacobian(u, x), ca.jacobian(u, y))])
 
 
-def _triangles(
-    problem: ContactProblem,
-    positions: Field,
-    displacement: Field,
-    density: Callable[[Any, Any], Any],
-    exact: ExactSolution,
-    elements: Index | None = None,
-) -> ElementGroup:
-    """Integral of a density of the error and of its gradient over the triangles, or some of them."""
-    kind, components = exact.symbol, problem.components
-    X_column, u_column = kind.sym("X", 6), kind.sym("u", 3 * components)
-    X, u = ca.reshape(X_column, 2, 3), ca.reshape(u_column, components, 3)
-    edges = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
-    det = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
-    adjugate = ca.vertcat(ca.horzcat(edges[1, 1], -edges[0, 1]), ca.horzcat(-edges[1, 0], edges[0, 0]))
-    gradient = ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]) @ adjugate / det
-    solution = _gradient(exact)
-    barycentric, weights = triangle_rule(ERROR_DEGREE if kind is ca.SX else SPLINE_DEGREE)
-    total = kind(0)
-    for point, weight in zip(barycentric.T, weights, strict=True):
-        value, slope = solution(*ca.vertsplit(X @ point))
-        total += weight * density(u @ point - value, gradient - slope)
-    function = ca.Function("error", [X_column, u_column], [total * det / 2, kind(0, 1)])
-    triangles = problem.triangles if elements is None else problem.triangles[:, elements]
-    return objective_group(function, (positions.at(triangles), displacement.at(triangles)))
-
-
 def _traction(law: Law, exact: ExactSolution) -> Callable[[Any, Any, Any], Any]:
     """The exact traction on a surface with outward normal n (of any length, which scales it)."""
     solution = _gradient(exact)
-
-    def traction(x: Any, y: Any, n: Any) -> Any:
-        slope = solution(x, y)[1]
-        # the traction is the derivative of the energy density with respect to the gradient
-        variable = ca.SX.sym("gradient", law.components, 2)
-        stress = ca.Function("stress", [variable], [ca.gradient(energy_density(law, variable), variable)])
-        return stress(slope) @ n
-
-    return traction
+    variable = ca.SX.sym("gradient", law.components, 2)
+    # the stress is the derivative of the energy density by the gradient
+    stress = ca.Function("stress", [variable], [ca.gradient(energy_density(law, variable), variable)])
+    return lambda x, y, n: stress(solution(x, y)[1]) @ n
 
 
-def _with_body_on_the_left(problem: ContactProblem, edges: Index) -> Index:
-    """The edges oriented so that their triangle is on the left."""
-    t, n_nodes = problem.triangles, problem.mesh.p.shape[1]
-    directed = np.hstack([t[[0, 1]], t[[1, 2]], t[[2, 0]]])
-    forward = np.isin(edges[0] * n_nodes + edges[1], directed[0] * n_nodes + directed[1])
-    return np.where(forward, edges, edges[::-1])
+def _terms() -> dict[str, Term]:
+    errors = {
+        "error-energy": _error("error-energy", lambda law, e, de: energy_density(law, de)),
+        "error-l2": _error("error-l2", lambda law, e, de: ca.sumsqr(e)),
+        "error-h1": _error("error-h1", lambda law, e, de: ca.sumsqr(de)),
+        "contact": _contact,
+        "friction": _friction,
+    }
+    return {
+        "energy": Term("energy", _energy, minimised_only=True),
+        **{name: Term(name, f, needs_exact=True, minimised_only=True) for name, f in errors.items()},
+        "certificate": Term("certificate", _certificate, minimised_only=True),
+        **{
+            name: Term(name, _distortion(name), of_positions=True, barrier=True, minimised_only=True)
+            for name in DISTORTIONS
+        },
+    }
+
+
+TERMS: dict[str, Term] = _terms()
+"""The named terms."""
+
+ENERGY = Objective(((1.0, TERMS["energy"]),))

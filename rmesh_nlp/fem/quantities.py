@@ -13,23 +13,30 @@ integrals are taken with rules of high degree.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from skfem.quadrature import get_quadrature_line
 
-from rmesh_nlp.fem.contact_pressure import peak_pressure
-from rmesh_nlp.fem.energy import objective_group, triangle_rule
-from rmesh_nlp.fem.fields import ElementGroup, Field, Index
-from rmesh_nlp.fem.objective import Groups, Objective, Term
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.fem.element import affine, corners, line_rule, plain
+from rmesh_nlp.fem.energy import load_energy, strain_energy, triangle_rule
+from rmesh_nlp.fem.fields import ElementGroup, Field
+from rmesh_nlp.fem.objective import Groups, Objective, Term, cell_group
+from rmesh_nlp.fem.space import Index, contact_edges, outward_edges
+from rmesh_nlp.problem import ContactProblem, Law, Obstacle
+from rmesh_nlp.problem.coefficients import is_nonzero
 
 __all__ = ["at_point", "body_integral", "boundary_integral", "nodal", "peak_pressure"]
 
 DEGREE = 8
 """Degree of the rules for densities of one's own."""
+
+
+def _quantity(name: str) -> Callable[[Groups], Objective]:
+    """Makes an objective of the element groups of one term."""
+    return lambda groups: Objective(((1.0, Term(name, groups)),))
 
 
 def body_integral(
@@ -52,22 +59,24 @@ def body_integral(
         Of the quadrature.
     """
 
-    def groups(
+    @_quantity(name)
+    def quantity(
         problem: ContactProblem, positions: Field, displacement: Field, _: Field
     ) -> list[ElementGroup]:
         triangles = problem.triangles
         if subdomain is not None:
             triangles = triangles[:, _named(problem, "subdomain", subdomain)]
-        X, u = _corners(problem, 3)
-        det, slope = _affine(X, u)
+        X, u = corners(3, problem.components)
+        det, scaled = affine(X, u)
+        slope = scaled / det
         barycentric, weights = triangle_rule(degree)
         total = ca.SX(0)
         for point, weight in zip(barycentric.T, weights, strict=True):
             x, y = ca.vertsplit(X @ point)
             total += weight * _scalar(density(x, y, u @ point, slope), name)
-        return [_group(X, u, total * det / 2, triangles, positions, displacement)]
+        return [cell_group("quantity", X, u, total * det / 2, triangles, positions, displacement)]
 
-    return _objective(name, groups)
+    return quantity
 
 
 def boundary_integral(
@@ -92,21 +101,26 @@ def boundary_integral(
         Of the quadrature.
     """
 
-    def groups(
+    @_quantity(name)
+    def quantity(
         problem: ContactProblem, positions: Field, displacement: Field, _: Field
     ) -> list[ElementGroup]:
-        edges = _edges(problem, boundary)[:2]
-        X, u = _corners(problem, 2)
-        length, normal = _outward(X)
+        if np.any(problem.mesh.f2t[1, _named(problem, "boundary", boundary)] >= 0):
+            raise ValueError(f"{boundary!r} is an interface inside the body, not a boundary")
+        edges = outward_edges(problem, boundary)
+        X, u = corners(2, problem.components)
+        tangent = X[:, 1] - X[:, 0]
+        length = ca.norm_2(tangent)
+        normal = ca.vertcat(tangent[1], -tangent[0]) / length
         total = ca.SX(0)
-        points, weights = get_quadrature_line(degree)
-        for point, weight in zip(np.vstack([1 - points, points]).T, weights, strict=True):
+        points, weights = line_rule(degree)
+        for point, weight in zip(points.T, weights, strict=True):
             x, y = ca.vertsplit(X @ point)
             total += weight * _scalar(density(x, y, u @ point, normal), name)
         share = 1 / _length(problem, edges) if mean else 1.0
-        return [_group(X, u, share * length * total, edges, positions, displacement)]
+        return [cell_group("quantity", X, u, share * length * total, edges, positions, displacement)]
 
-    return _objective(name, groups)
+    return quantity
 
 
 def nodal(
@@ -126,16 +140,18 @@ def nodal(
     """
     chosen = np.asarray(nodes, dtype=np.int64).reshape(-1, 1)
 
-    def groups(
+    @_quantity(name)
+    def quantity(
         problem: ContactProblem, positions: Field, displacement: Field, _: Field
     ) -> list[ElementGroup]:
         n = problem.mesh.p.shape[1]
         if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
             raise ValueError(f"{name}: node numbers must lie between 0 and {n - 1}, got {list(nodes)}")
-        X, u = _corners(problem, chosen.size)
-        return [_group(X, u, _scalar(function(X, u), name), chosen, positions, displacement)]
+        X, u = corners(chosen.size, problem.components)
+        value = _scalar(function(X, u), name)
+        return [cell_group("quantity", X, u, value, chosen, positions, displacement)]
 
-    return _objective(name, groups)
+    return quantity
 
 
 def at_point(
@@ -163,7 +179,8 @@ def at_point(
         When it meets a mesh without a node there.
     """
 
-    def groups(
+    @_quantity(name)
+    def quantity(
         problem: ContactProblem, positions: Field, displacement: Field, slip: Field
     ) -> list[ElementGroup]:
         p = problem.mesh.p
@@ -175,51 +192,101 @@ def at_point(
         one = nodal([node], lambda X, u: function(X[0, 0], X[1, 0], u[:, 0]), name=name)
         return one.groups(problem, positions, displacement, slip)
 
-    return _objective(name, groups)
+    return quantity
 
 
-def _objective(name: str, groups: Groups) -> Objective:
-    return Objective(((1.0, Term(name, groups)),))
+def peak_pressure(
+    boundary: str, reference: float, *, exponent: int = 8, name: str = "peak pressure"
+) -> Objective:
+    """The peak of the contact pressure, smoothed: the mean of ``(pressure / reference)^exponent``.
+
+    The pressure at a node is the force with which its elements pull at it, less their load, over the node's
+    share omega_i of the boundary (5.9): at equilibrium the pressure that solutions report. Stresses of the
+    elements would be less accurate; an optimiser lowers them while the forces grow.
+
+    The mean is over the length of the contact boundary on the initial mesh, by the trapezoidal
+    rule. ``reference * value**(1 / exponent)`` lies between the mean and the peak; it is not taken as the
+    objective itself, because its second derivatives would couple all nodes of the boundary,
+    while the minimisers are the same. Tractions and point loads at contact nodes are not taken off.
+
+    Parameters
+    ----------
+    boundary : str
+        A contact boundary.
+    reference : float
+        A pressure of the size that is expected, in units of stress.
+    exponent : int
+        At least 3, so that second derivatives are continuous; the larger, the closer to the peak.
+    name : str
+    """
+    if not (np.isfinite(reference) and reference > 0):
+        raise ValueError(f"{name}: the reference pressure must be positive, got {reference}")
+    if not exponent >= 3:
+        raise ValueError(f"{name}: the exponent must be at least 3, got {exponent}")
+
+    @_quantity(name)
+    def quantity(
+        problem: ContactProblem, positions: Field, displacement: Field, _: Field
+    ) -> list[ElementGroup]:
+        obstacle, contact = _contact_on(problem, boundary)
+        forces = [_force(law, problem.rule) for law, _ in problem.regions]
+        edges = contact_edges(problem, obstacle)
+        length, result = _length(problem, edges), []
+        for (laws, ends), patches in _patches(problem, contact, edges).items():
+            nodes = np.array(patches).T
+            n = nodes.shape[0]
+            X, u = corners(n, problem.components)
+            force = ca.SX.zeros(problem.components)
+            for k, law in enumerate(laws):
+                triangle = slice(3 * k, 3 * k + 3)
+                force += forces[law](ca.vec(X[:, triangle]), ca.vec(u[:, triangle]))
+            share = sum(ca.norm_2(X[:, n - 1 - k] - X[:, 0]) for k in range(ends)) / 2
+            pressure = ca.fmax(ca.dot(obstacle.direction(X[0, 0], X[1, 0]), force) / share, 0)
+            value = share / length * (pressure / reference) ** exponent
+            result.append(cell_group("peak_pressure", X, u, value, nodes, positions, displacement))
+        return result
+
+    return quantity
 
 
-def _corners(problem: ContactProblem, n: int) -> tuple[Any, Any]:
-    """Symbols for the positions (2, n) and displacements (components, n) of n nodes."""
-    X, u = ca.SX.sym("X", 2 * n), ca.SX.sym("u", problem.components * n)
-    return ca.reshape(X, 2, n), ca.reshape(u, problem.components, n)
+def _contact_on(problem: ContactProblem, boundary: str) -> tuple[Obstacle, Index]:
+    """The obstacle of a contact boundary and its contact vertices."""
+    for part in problem.contact_sets:
+        if part.obstacle.boundary == boundary:
+            return part.obstacle, part.nodes
+    known = [str(obstacle.boundary) for obstacle in problem.obstacles if isinstance(obstacle.boundary, str)]
+    raise ValueError(f"{boundary!r} is not a contact boundary: choose from {', '.join(known) or 'none'}")
 
 
-def _group(X: Any, u: Any, value: Any, nodes: Index, positions: Field, displacement: Field) -> ElementGroup:
-    function = ca.Function("quantity", [ca.vec(X), ca.vec(u)], [value, ca.SX(0, 1)])
-    return objective_group(function, (positions.at(nodes), displacement.at(nodes)))
+def _force(law: Law, quadrature: str | int) -> ca.Function:
+    """``(X_e, u_e) ->`` what a triangle pulls with at its first vertex, its load taken off (components,)."""
+    X, u = (ca.vec(symbols) for symbols in corners(3, law.components))
+    energy = strain_energy(law)(X, u)[0]
+    if any(is_nonzero(component) for component in law.load):
+        energy += plain(*load_energy(law, quadrature))(X, u)[0]
+    return ca.Function("force", [X, u], [ca.gradient(energy, u)[: law.components]])
 
 
-def _affine(X: Any, u: Any) -> tuple[Any, Any]:
-    """Twice the area of a triangle, and the displacement gradient (components, 2) on it."""
-    edges = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
-    det = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
-    adjugate = ca.vertcat(ca.horzcat(edges[1, 1], -edges[0, 1]), ca.horzcat(-edges[1, 0], edges[0, 0]))
-    return det, ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]) @ adjugate / det
+def _patches(
+    problem: ContactProblem, contact: Index, edges: Index
+) -> dict[tuple[tuple[int, ...], int], list[list[int]]]:
+    """Nodes around each contact node, by the laws of its triangles and the number of its edges.
 
-
-def _outward(X: Any) -> tuple[Any, Any]:
-    """Length and outward unit normal of the edge from the first to the second node, the body on its left."""
-    tangent = X[:, 1] - X[:, 0]
-    length = ca.norm_2(tangent)
-    return length, ca.vertcat(tangent[1], -tangent[0]) / length
-
-
-def _edges(problem: ContactProblem, boundary: str) -> Index:
-    """(3, edges): the ends of the edges of a boundary, the body on their left, and the vertex there."""
-    facets = _named(problem, "boundary", boundary)
-    ends, beside = np.sort(problem.mesh.facets[:, facets], axis=0), problem.mesh.f2t[:, facets]
-    if np.any(beside[1] >= 0):
-        raise ValueError(f"{boundary!r} is an interface inside the body, not a boundary")
-    result = np.zeros((3, facets.size), dtype=np.int64)
-    for turn in range(3):
-        corners = np.roll(problem.triangles[:, beside[0]], turn, axis=0)
-        here = np.all(np.sort(corners[:2], axis=0) == ends, axis=0)
-        result[:, here] = corners[:, here]
-    return result
+    The vertices of its triangles, itself first in each, then the other ends of its contact edges.
+    """
+    law_of = np.empty(problem.mesh.t.shape[1], dtype=int)
+    for number, (_, elements) in enumerate(problem.regions):
+        law_of[elements] = number
+    patches: dict[tuple[tuple[int, ...], int], list[list[int]]] = defaultdict(list)
+    triangles = problem.triangles
+    for node in contact:
+        corner, element = np.nonzero(triangles == node)
+        order = np.argsort(law_of[element], kind="stable")
+        around = [np.roll(triangles[:, element[i]], -corner[i]) for i in order]
+        ends = [int(pair[1 - pair.tolist().index(node)]) for pair in edges.T if node in pair]
+        key = tuple(int(law_of[element[i]]) for i in order), len(ends)
+        patches[key].append([*(int(vertex) for vertex in np.concatenate(around)), *ends])
+    return patches
 
 
 def _length(problem: ContactProblem, edges: Index) -> float:
@@ -227,7 +294,7 @@ def _length(problem: ContactProblem, edges: Index) -> float:
     return float(np.linalg.norm(p[:, edges[1]] - p[:, edges[0]], axis=0).sum())
 
 
-def _named(problem: ContactProblem, kind: str, name: str) -> Any:
+def _named(problem: ContactProblem, kind: str, name: str) -> Index:
     """Numbers of the facets of a boundary, or of the elements of a subdomain."""
     known = (problem.mesh.boundaries if kind == "boundary" else problem.mesh.subdomains) or {}
     if name not in known:

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.assembly import Assembled, assemble
+from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.element import local_symbols
-from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_field, without_elements
+from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_field
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.body import Body
@@ -77,7 +77,7 @@ class Validity:
     @cached_property
     def assembled(self) -> Assembled:
         """The rows and their derivatives as functions of ``q`` and an empty ``p``."""
-        return assemble([self.group], self.q, ca.MX(0, 1), self.size, self.assembly)
+        return Assembled([self.group], self.q, ca.MX(0, 1), self.size, self.assembly)
 
     @property
     def upright_group(self) -> ElementGroup:
@@ -95,8 +95,8 @@ class Validity:
 
     def without_rows(self) -> Validity:
         """No rows at all, where a barrier stands in their place."""
-        none = np.zeros(0)
-        return Validity(none.astype(np.int64), without_elements(self.group), none, self.n_q, self.assembly)
+        none = np.zeros(0, dtype=np.int64)
+        return Validity(none, self.group.some(none), np.zeros(0), self.n_q, self.assembly)
 
 
 def validity(problem: ContactProblem, free: MeshMap, assembly: AssemblySettings = USUAL) -> Validity:

@@ -20,9 +20,14 @@ import numpy as np
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.contact_terms import (
+    bound_force_groups,
+    contact_force_groups,
+    gradient_group,
+    identity_group,
+)
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import ElementGroup, Index
-from rmesh_nlp.fem.kkt import bound_force_groups, contact_force_groups, gradient_group, identity_group
 from rmesh_nlp.fem.objective import Objective, scaled_group
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mpcc import MPCC
@@ -131,11 +136,11 @@ def bilevel(
         for group in parts.bulk(free.positions, displacement)
     ]
     groups += contact_force_groups(
-        parts.problem, parts.displacement.index, free.positions, normal_force, friction
+        parts.space, parts.displacement.index, free.positions, normal_force, friction
     )
     for weights in parts.friction:
         groups.append(gradient_group(weights.on(free.positions, slip), 1, n_u - (first + n_c), force))
-    groups += bound_force_groups(parts.problem, n_u, friction)
+    groups += bound_force_groups(parts.space, n_u, friction)
     n_equations, area_bound = n_u + n_s, parts.validity.bound
     validity = parts.validity.upright_group
     groups.append(replace(validity, rows=validity.rows + n_equations))

@@ -18,7 +18,7 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.contact_terms import contact_edges
+from rmesh_nlp.fem.space import contact_edges
 from rmesh_nlp.io.vtu import Fields
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.style import FOUNDATION, GRID_LINE, MAP

@@ -19,7 +19,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import constant_field
-from rmesh_nlp.fem.objectives import error_energy
+from rmesh_nlp.fem.objectives import TERMS
 from rmesh_nlp.fem.stress import gradients
 from rmesh_nlp.models.regularisation import edge_gains, marked
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
@@ -118,7 +118,7 @@ def exact_errors(problem: ContactProblem) -> np.ndarray:
     model = ContactSolver(judged)
     values = model.displacement.values(model.solve(problem.mesh.p).u)
     fields = (constant_field(problem.mesh.p), constant_field(values), constant_field(values))
-    return element_values(error_energy(judged, *fields))(np.zeros(0))[0]
+    return element_values(TERMS["error-energy"].groups(judged, *fields))(np.zeros(0))[0]
 
 
 def _case(

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rmesh_nlp as rm
-from rmesh_nlp.fem.assembly import assemble
+from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.stress import stresses, von_mises
@@ -104,7 +104,7 @@ def energy_norm(solution: Solution) -> float:
         constant_field(solution.displacement),
         constant_field(np.zeros((1, nodes.shape[1]))),
     )
-    value = assemble(groups, nothing, ca.MX(0, 1), 0).f
+    value = Assembled(groups, nothing, ca.MX(0, 1), 0).f
     return float(ca.Function("error", [nothing], [value])(0))
 
 

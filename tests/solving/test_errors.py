@@ -8,7 +8,7 @@ import pytest
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.assembly import assemble
+from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem, ExactSolution, Laplace
@@ -24,7 +24,7 @@ def evaluate(problem: ContactProblem, text: str, nodes: np.ndarray, u: np.ndarra
         constant_field(model.displacement.values(u)),
         constant_field(np.zeros((1, nodes.shape[1]))),
     )
-    return float(ca.Function("f", [x], [assemble(groups, x, ca.MX(0, 1), 0).f])(0))
+    return float(ca.Function("f", [x], [Assembled(groups, x, ca.MX(0, 1), 0).f])(0))
 
 
 def test_errors_of_a_linear_function_are_those_by_hand() -> None:

@@ -1,0 +1,155 @@
+"""Nothing but the space knows which nodes carry unknowns: another numbering gives the same discretisation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.discretisation import Discretisation, discretise
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.assembly import Assembled
+from rmesh_nlp.fem.fields import ElementTerm, constant_field, unknown_field
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle
+from support.contact_geometry import block_between_two_foundations
+from support.curved import disc
+from support.problems import sloped_block
+
+PROBLEMS = {
+    "6.1": lambda: EXAMPLES["6.1"](4),
+    "6.3": lambda: EXAMPLES["6.3"]((6, 3)),
+    "sloped": sloped_block,
+    "two foundations": block_between_two_foundations,
+    "along edges": lambda: replace(sloped_block(), obstacle=replace(sloped_block().obstacle, gap="edge")),
+    "curved": disc,
+    "interior": lambda: replace(
+        EXAMPLES["6.1"](4),
+        law=Laplace(-20.0),
+        exact=None,
+        obstacle=Obstacle.interior(-0.1),
+        motion=Motion(0.05),
+    ),
+}
+
+
+@pytest.fixture(params=PROBLEMS)
+def both(request: pytest.FixtureRequest) -> tuple[ContactProblem, Discretisation]:
+    """A problem, and its discretisation whose nodes are numbered in another order than the vertices."""
+    problem = PROBLEMS[request.param]()
+    order = np.random.default_rng(7).permutation(problem.mesh.p.shape[1])
+    return problem, Discretisation(problem, displacement_space=DisplacementSpace(problem, order))
+
+
+def test_another_numbering_has_the_same_equilibrium(both: tuple[ContactProblem, Discretisation]) -> None:
+    problem, permuted = both
+    X = problem.mesh.p
+    solver, other = ContactSolver(problem), ContactSolver(permuted)
+    system, theirs = solver.system(X), other.system(X)
+    np.testing.assert_allclose(theirs.offset, system.offset, atol=1e-14)
+    np.testing.assert_allclose(theirs.slip_bound, system.slip_bound, rtol=1e-13)
+    np.testing.assert_allclose(permuted.space.weights(X), discretise(problem).space.weights(X), rtol=1e-14)
+    one, two = solver.solve(X), other.solve(X)
+    assert two.energy == pytest.approx(one.energy, rel=1e-12)
+    np.testing.assert_array_equal(two.active.touching, one.active.touching)
+    np.testing.assert_allclose(two.normal_force, one.normal_force, atol=1e-9 * system.force_scale)
+    values, nodal = solver.displacement.values(one.u), other.displacement.values(two.u)
+    scale = np.max(np.abs(values))
+    np.testing.assert_allclose(permuted.space.at_vertices(nodal), values, atol=1e-10 * scale)
+    assert np.max(np.abs(nodal - values)) > 1e-3 * scale  # the numbering is another one
+    strains = [s.strain_and_friction(X, e.u) for s, e in ((solver, one), (other, two))]
+    np.testing.assert_allclose(*strains, rtol=1e-9)
+
+
+def test_another_numbering_has_the_same_energy_nlp(both: tuple[ContactProblem, Discretisation]) -> None:
+    problem, permuted = both
+    nlps = [relocation(parts).nlp for parts in (problem, permuted)]
+    rng, n = np.random.default_rng(0), discretise(problem).n_q
+    q = 0.3 * rng.uniform(-1, 1, n)
+    nodal = rng.uniform(-1e-2, 1e-2, (problem.components, problem.mesh.p.shape[1]))
+    found = []
+    for nlp, parts in zip(nlps, (discretise(problem), permuted), strict=True):
+        index, space = parts.displacement.index, parts.space
+        u = np.zeros(parts.n_u)
+        u[index[index >= 0]] = space.of_linear(nodal)[index >= 0]
+        s = np.zeros(parts.n_s)
+        index = parts.slip.index
+        s[index[index >= 0]] = np.tile(space.of_linear(nodal[:1]), (len(index), 1))[index >= 0]
+        f, g = ca.Function("f", [nlp.x], [nlp.f, nlp.g])(np.concatenate([q, u, s]))
+        found.append(np.append(float(f), np.ravel(g)))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-11, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "text", ["body(u_x**2 + x*u)", "mean(contact, u*nx + y)", "error-l2", "contact", "energy"]
+)
+def test_objectives_ask_the_space(text: str) -> None:
+    problem = EXAMPLES["6.1"](3)
+    n = problem.mesh.p.shape[1]
+    order, u = np.random.default_rng(1).permutation(n), np.random.default_rng(2).uniform(-1, 1, (1, n))
+    values = []
+    for space in (DisplacementSpace.of(problem), DisplacementSpace(problem, order)):
+        displacement = replace(constant_field(space.of_linear(u)), space=space)
+        groups = parse_objective(text).groups(
+            problem, constant_field(problem.mesh.p), displacement, displacement
+        )
+        nothing = ca.MX.sym("x", 0)
+        assembled = Assembled(groups, nothing, ca.MX(0, 1), 0)
+        values.append(float(ca.Function("f", [nothing], [assembled.f])(ca.DM(0, 1))))
+    assert values[1] == pytest.approx(values[0], rel=1e-12)
+
+
+def test_interpolation_is_exact_for_linear_fields() -> None:
+    problem = sloped_block()
+    X, order = problem.mesh.p, np.random.default_rng(3).permutation(problem.mesh.p.shape[1])
+    space = DisplacementSpace(problem, order)
+    field = np.array([[0.3, -2.0], [1.0, 0.7]])
+    nodal = field @ space.points(X) + 1.0
+    elements = np.array([0, 3, 3])
+    barycentric = np.random.default_rng(4).dirichlet(np.ones(3), 3).T
+    points = np.einsum("cvp,vp->cp", X[:, problem.triangles[:, elements]], barycentric)
+    np.testing.assert_allclose(
+        space.interpolated(nodal, elements, barycentric), field @ points + 1.0, rtol=1e-13
+    )
+    np.testing.assert_allclose(space.at_vertices(nodal), field @ X + 1.0, rtol=1e-13)
+
+
+def test_weights_sum_to_the_length_or_area_of_the_contact() -> None:
+    problem = EXAMPLES["6.2"]((6, 3))
+    assert np.sum(DisplacementSpace.of(problem).weights(problem.mesh.p)) == pytest.approx(4 - 4 / 6 / 2)
+    interior = PROBLEMS["interior"]()
+    weights = DisplacementSpace.of(interior).weights(interior.mesh.p)
+    x, y = interior.mesh.p[:, interior.contact_nodes]
+    np.testing.assert_allclose(weights[(x > 0) & (x < 1) & (y > 0) & (y < 1)], 1 / 16)
+
+
+def test_the_body_is_on_the_left_of_outward_edges() -> None:
+    problem = sloped_block()
+    X = problem.mesh.p
+    for name in problem.mesh.boundaries:
+        a, b = outward_edges(problem, name)
+        tangent, centre = X[:, b] - X[:, a], X.mean(axis=1, keepdims=True) - X[:, a]
+        assert a.size == problem.mesh.boundaries[name].size
+        assert np.all(tangent[0] * centre[1] - tangent[1] * centre[0] > 0)
+
+
+def test_parameters_are_arguments_of_element_terms() -> None:
+    """Spring i of stiffness p_1 + p_2: its energy and its derivatives by u at given p."""
+    p, u = ca.SX.sym("p", 2), ca.SX.sym("u")
+    spring = ca.Function("spring", [p, u], [ca.sum1(p) * u**2 / 2, ca.SX(0, 1)])
+    term = ElementTerm(spring, (np.arange(3)[None],), parameters=np.array([2, 0]))
+    x, parameter = ca.MX.sym("x", 3), ca.MX.sym("p", 3)
+    given = unknown_field((1, 3), parameter=True)
+    assembled = Assembled([term.on(unknown_field((1, 3)), p=given)], x, parameter, 0)
+    at = np.array([1.0, 2.0, -3.0]), np.array([5.0, 100.0, 0.5])
+    f, gradient = assembled.grad_f(*at)
+    assert float(f) == pytest.approx(5.5 * 14 / 2)
+    np.testing.assert_allclose(np.ravel(gradient), 5.5 * at[0])
+    np.testing.assert_allclose(assembled.hess_lag(*at, 1, []).full(), 5.5 * np.eye(3))
+    with pytest.raises(ValueError, match="spring takes 2 parameters"):
+        term.on(unknown_field((1, 3)))
