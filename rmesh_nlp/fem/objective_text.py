@@ -55,10 +55,11 @@ def _weighted(part: str, whole: str) -> Objective:
         weight = float(first)
     except ValueError:
         raise ValueError(f"the weight {first!r} in {whole!r} is not a number") from None
+    term = _term("*".join(rest), whole)
     try:
-        return weight * _term("*".join(rest), whole)
-    except ValueError as error:
-        raise ValueError(f"{whole!r}: {error}") from None
+        return weight * term
+    except ValueError:
+        raise ValueError(f"the weight {first!r} in {whole!r} must be positive and finite") from None
 
 
 def _term(text: str, whole: str) -> Objective:

@@ -147,9 +147,9 @@ def test_texts_are_split_outside_of_brackets_and_numbers(text: str, separator: s
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("inf*quality", "must be finite and not zero"),
-        ("nan*quality", "must be finite and not zero"),
-        ("0*body(x)", "must be finite and not zero"),
+        ("inf*quality", "must be positive and finite"),
+        ("nan*quality", "must be positive and finite"),
+        ("0*body(x)", "must be positive and finite"),
         ("-0.5*quality", "must be positive"),
         ("x*quality", "'x' in .* is not a number"),
         ("body", "unknown objective 'body'"),
