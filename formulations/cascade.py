@@ -17,7 +17,7 @@ from rmesh_nlp.models.cascade import CascadeResult, CascadeSettings, cascade
 from rmesh_nlp.models.levels import COARSER, prolonged
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate
-from rmesh_nlp.models.regularised_descent import LargeMoves, finished
+from rmesh_nlp.models.regularised_descent import descend, finished
 from rmesh_nlp.optimize.status import Status, StoppedError
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Count, Limit, Positive
@@ -170,8 +170,10 @@ class Descent(Formulation):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         track, energy = monitor.track(outer), outer.energy
         monitor.work += Work(ESTIMATE_SOLVES)
-        found = LargeMoves(energy, approximate=True)(
+        found = descend(
+            energy,
             q,
+            approximate=True,
             gain_tolerance=self.end,
             reference=energy(q).value + gain_estimate(outer.problem).value,
             max_iterations=self.iterations,

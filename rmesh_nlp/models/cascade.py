@@ -37,7 +37,7 @@ from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.levels import accepted, coarsened, prolonged
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised, weights
-from rmesh_nlp.models.regularised_descent import LargeMoves
+from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.optimize.status import Status, StoppedError
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.rigid import rigid_motions
@@ -388,7 +388,7 @@ class _Runner:
     def _descend(
         self, energy: ReducedEnergy, q: Array, gain: float, end: float, limit: int
     ) -> tuple[Array, Status]:
-        moves, before = LargeMoves(energy, approximate=True), self._total
+        before = self._total
 
         def report(iteration: int, x: Array, value: float) -> bool:
             if self._on_move is not None and self._on_move(before + iteration, energy, x, value):
@@ -398,7 +398,15 @@ class _Runner:
         # relative to what there is to gain at all, so that a good start ends soon
         began = time.process_time()
         reference = energy(q).value + gain
-        result = moves(q, gain_tolerance=end, reference=reference, max_iterations=limit, on_step=report)
+        result = descend(
+            energy,
+            q,
+            gain_tolerance=end,
+            reference=reference,
+            max_iterations=limit,
+            approximate=True,
+            on_step=report,
+        )
         self.seconds += time.process_time() - began
         self._iterations += result.iterations
         self._total += result.iterations

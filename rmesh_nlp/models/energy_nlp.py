@@ -1,21 +1,13 @@
-"""The relocation problem as one nonlinear program in node moves, displacement and slip.
+"""The energy NLP: node relocation as one nonlinear program in outer variables, displacement and slip.
 
 With the energy as outer objective the two levels collapse: min over X of min over u of J is
 the minimum over both,
 
     min J(u, s; X)  s.t.  gap(X, u) >= 0,  s - u_t >= 0,  s + u_t >= 0,  area_e(X) >= bound,
 
-in ``x = (q, u, s)``: node moves in units of their boxes, displacement unknowns, and one slip
-magnitude per contact node with friction. This program is what ``joint`` solves; its
-derivatives also give the energy gradient (5.7), (5.11) of ``nested`` and the audit.
-
-Second derivatives of the energy program at a contact solution, block by block.
-
-Element validity as walls of a descent.
-
-The rows are those of :mod:`rmesh_nlp.mapping.validity`, less their bounds: areas are
-bilinear in the moves, so a step along their linearisation may invert elements. Evaluating them costs
-nothing beside a contact solve, so what a step violates is taken back on the rows themselves.
+in ``x = (q, u, s)``: outer variables q in units of their move limits, displacement unknowns, and one slip
+magnitude per contact node with friction. ``joint`` solves it; its derivatives also give the energy gradient
+(5.7), (5.11) of ``nested`` and of the assessment.
 """
 
 from __future__ import annotations
@@ -37,14 +29,22 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import ROUNDING, Validity
-from rmesh_nlp.optimize.constraints import Polyhedron, Wall
+from rmesh_nlp.optimize.constraints import Linearised, Polyhedron
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem
+
+KEPT, NEAR_BOUND = 0.01, 1e-2
+"""Part of its slack that a step leaves to an element, since far away the linearisation is not to be trusted;
+elements with no more slack than the second number may lose all of it."""
+
+CROWDED, RETURNS = 20, 10
+"""Violated rows beyond which a step is not corrected, since a shorter step is cheaper; linearisations of a
+correction."""
 
 
 @dataclass(frozen=True)
 class Relocation:
-    """The energy program and where its parts are.
+    """The energy NLP and where its parts are.
 
     Attributes
     ----------
@@ -52,8 +52,8 @@ class Relocation:
     x : MX symbol
         The unknowns ``(q, u, s)``.
     assembled : Assembled
-        Objective, rows and their derivatives, each stated when it is first asked for: a descent in the
-        moves alone needs the first derivatives only.
+        Objective, rows and their derivatives, each built when it is first asked for: a descent in q alone
+        needs the first derivatives only.
     displacement, slip : Field
         (components, nodes) and (obstacles, nodes), functions of the unknowns; slip is zero where there
         is no friction.
@@ -73,7 +73,7 @@ class Relocation:
 
     @cached_property
     def nlp(self) -> NLP:
-        """The program with its derivatives; rows: gaps, the two slip rows of each contact node, validity."""
+        """The NLP with its derivatives; rows: gaps, the two slip rows of each contact node, validity."""
         bound, rest = self.mesh_map.bound, np.full(self.n_u + self.n_s, np.inf)
         ends = np.cumsum([0, self.n_q, self.n_u, self.n_s]).tolist()
         return NLP(
@@ -96,12 +96,12 @@ class Relocation:
 
     @property
     def mesh_map(self) -> MeshMap:
-        """The moves of the nodes."""
+        """Outer variables to node positions."""
         return self.discretisation.mesh_map
 
     @property
     def n_q(self) -> int:
-        """Number of moves."""
+        """Number of outer variables."""
         return self.discretisation.n_q
 
     @property
@@ -159,16 +159,16 @@ class Relocation:
         return self.mesh_map.positions.values(q)
 
 
-def with_lower_rule(stated: Relocation, rule: int) -> Relocation:
+def with_lower_rule(own: Relocation, rule: int) -> Relocation:
     """The same with loads by a rule of degree ``rule``; as it is if its own rule is no higher."""
-    own = stated.problem.rule
-    if not isinstance(own, int) or own <= rule:
-        return stated
-    return relocation(stated.discretisation.with_rule(rule), stated.objective)
+    degree = own.problem.rule
+    if not isinstance(degree, int) or degree <= rule:
+        return own
+    return relocation(own.discretisation.with_rule(rule), own.objective)
 
 
 def relocation(problem: ContactProblem | Discretisation, objective: Objective = ENERGY) -> Relocation:
-    """State the energy program of a problem, with assembled derivatives.
+    """Build the energy NLP of a problem, with assembled derivatives.
 
     Parameters
     ----------
@@ -209,15 +209,15 @@ def relocation(problem: ContactProblem | Discretisation, objective: Objective = 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Blocks of the Hessian of ``J - lambda . gap - tau . u_t`` in moves q, displacement u and slip s.
+    """Blocks of the Hessian of ``J - lambda . gap - tau . u_t`` in q, displacement u and slip s.
 
     Attributes
     ----------
     qq, qu, qs : sparse arrays
     gap : (contact nodes, n_q) sparse array
-        Derivative of the gaps by the moves.
+        Derivative of the gaps by q.
     slip : (n_s, n_q) sparse array
-        Derivative of the slips u_t by the moves; zero where no foundation is curved.
+        Derivative of the slips u_t by q; zero where no foundation is curved.
     """
 
     qq: sp.csc_array
@@ -263,54 +263,40 @@ class SecondDerivatives:
         )
 
 
-KEPT = 0.01
-"""Part of its slack that a step leaves to an element: far away the linearisation is not to be trusted ..."""
-
-NEAR_BOUND = 1e-2
-"""... unless it has no more slack than this."""
-
-CROWDED = 20
-"""Rows that are not obeyed beyond which there is no way back: a shorter step is cheaper."""
-
-RETURNS = 10
-"""Linearisations on the way back."""
-
-
 class ElementConstraints:
-    """The validity rows of one problem as functions of the moves q.
+    """The validity rows of one problem, less their bounds, for :mod:`rmesh_nlp.optimize.trust_region`.
 
-    Parameters
-    ----------
-    relocation : Relocation
+    Areas are bilinear in q, so a step along their linearisation may invert elements. Evaluating them costs
+    nothing beside a contact solve, so what a step violates is taken back on the rows themselves.
     """
 
     def __init__(self, relocation: Relocation) -> None:
-        self._validity = relocation.validity
         rows, self._bound = relocation.validity.assembled, relocation.validity.bound
         self._first, self._second = Evaluator(rows.jac_g), Evaluator(rows.hess_lag)
         self._jacobian = Block(numbered(rows.jac_g.sparsity_out(1)), slice(None), slice(None))
         self._hessian = Symmetric(numbered(rows.hess_lag.sparsity_out(0)))
 
-    def at(self, q: Array) -> Wall:
-        """The rows at valid moves ``q``."""
+    def at(self, q: Array) -> Linearised:
+        """The rows at a valid ``q``."""
         slack, jacobian = self._rows(q)
-        return Wall(slack, np.where(slack > NEAR_BOUND, KEPT * slack, np.minimum(ROUNDING, slack)), jacobian)
+        floor = np.where(slack > NEAR_BOUND, KEPT * slack, np.minimum(ROUNDING, slack))
+        return Linearised(slack, floor, jacobian)
 
     def hessian(self, q: Array, multipliers: Array) -> sp.csc_array:
         """The Hessian of ``multipliers . rows``."""
         (values,) = self._second(q, [], 0.0, multipliers)
         return self._hessian(values)
 
-    def back(self, q: Array, wall: Wall, lower: Array, upper: Array, scale: Array) -> Array | None:
-        """Moves near ``q`` that are valid, by Newton's method on the rows; None if it fails."""
-        enough = np.minimum(wall.floor, 0.5 * ROUNDING)
+    def back(self, q: Array, rows: Linearised, lower: Array, upper: Array, scale: Array) -> Array | None:
+        """A valid point near ``q``, by Newton's method on the rows; None if it fails."""
+        enough = np.minimum(rows.floor, 0.5 * ROUNDING)
         for _ in range(RETURNS):
             slack, jacobian = self._rows(q)
             if np.all(slack >= enough):
                 return q
             if np.count_nonzero(slack < enough) > CROWDED:
                 return None
-            steps = Polyhedron(lower - q, upper - q, slack - wall.floor, jacobian, scale)
+            steps = Polyhedron(lower - q, upper - q, slack - rows.floor, jacobian, scale)
             q = np.clip(q + steps.project(np.zeros(q.size)), lower, upper)
         return None
 

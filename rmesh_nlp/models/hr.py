@@ -17,7 +17,7 @@ from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.flips import POOR, equilateral, flip_edges, mean_around
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import edge_gains, marked, regularised
-from rmesh_nlp.models.regularised_descent import LargeMoves
+from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.contact_problem import locally_refined
 from rmesh_nlp.settings import check_positive
@@ -126,8 +126,10 @@ def _relocated(
     objective = regularised(gain, settings.regularisation, settings.distortion)
     energy = ReducedEnergy(relocation(problem, objective))
     q = np.zeros(energy.relocation.n_q)
-    result = LargeMoves(energy, approximate=True)(
+    result = descend(
+        energy,
         q,
+        approximate=True,
         gain_tolerance=settings.end,
         reference=energy(q).value + gain,
         max_iterations=settings.brief,

@@ -1,13 +1,14 @@
-"""The reduced energy L(q) = min_u J(u; X(q)) with its gradient: the outer function of ``nested``.
+"""The reduced model: an outer objective as a function of the outer variables q alone, with its gradient.
 
-The guaranteed bound of the error as an outer objective: upper less lower bound of the least energy.
+Each value is an exact contact solve, u(X(q)) = argmin J(u; X(q)).
 
-The upper bound is the energy of the displacement by the rule of the audit, the lower one the dual energy of a
-flux in equilibrium (:mod:`rmesh_nlp.certificate.lower_bound`). Half the square of the error in the energy
-norm is at most their difference. Both are minima or maxima over the mesh, and both are differentiated with
-what attains them held.
-
-The outer objective of a problem as a function of the moves alone, by what it consists of.
+- :class:`ReducedEnergy` is L(q) = min_u J(u; X(q)), what ``nested`` minimises.
+- :class:`ReducedObjective` is any other F(X, u(X)), with its gradient by the adjoint.
+- :class:`ReducedCertificate` has the guaranteed bound of the error among its terms, the upper less the lower
+  bound of the least energy. The upper one is the energy of the displacement by the rule of the assessment,
+  the lower one the dual energy of a flux in equilibrium (:mod:`rmesh_nlp.certificate.lower_bound`). Half the
+  square of the error in the energy norm is at most their difference. Both are minima or maxima over the mesh,
+  and are differentiated with what attains them held.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from rmesh_nlp.models.energy_nlp import ElementConstraints, Relocation, SecondDe
 
 @dataclass(frozen=True)
 class ReducedPoint:
-    """An outer objective, its gradient with respect to the moves q, and the contact solution behind it."""
+    """An outer objective, its gradient with respect to q, and the contact solution behind it."""
 
     q: Array
     value: float
@@ -56,8 +57,8 @@ class ReducedPoint:
 class ReducedEnergy:
     """Evaluates L(q) by one contact solve, warm-started from the last active set.
 
-    If the program's objective has terms in the positions alone, such as a distortion, they are part of
-    value and gradient. The gradient of the energy is (5.7), (5.11): the partial derivative of the
+    If the objective has terms in the positions alone, such as a distortion, they are part of value and
+    gradient. The gradient of the energy is (5.7), (5.11): the partial derivative of the
     Lagrangian of the inner problem with respect to the positions, at fixed displacement and multipliers.
     It includes the motion of the gap, of the friction weights, and of a curved foundation's tangent.
 
@@ -96,9 +97,19 @@ class ReducedEnergy:
             relocation.objective.position_groups(relocation.problem, *fields)
         )
 
+    @property
+    def energy(self) -> ReducedEnergy:
+        """Itself, as the energy of any reduced objective."""
+        return self
+
+    @property
+    def objective(self) -> Objective:
+        """The energy, and terms in the positions alone if there are any."""
+        return self.relocation.objective
+
     @cached_property
     def validity(self) -> ElementConstraints:
-        """Element validity as a function of the moves."""
+        """Element validity as a function of q."""
         return ElementConstraints(self.relocation)
 
     def of_positions(self, q: Array) -> float:
@@ -117,7 +128,7 @@ class ReducedEnergy:
         return bool(np.isfinite(self.of_positions(q)))
 
     def __call__(self, q: Array) -> ReducedPoint:
-        """Evaluate at moves ``q``; the last point is remembered."""
+        """Evaluate at ``q``; the last point is remembered."""
         if self._last is not None and np.array_equal(self._last.q, q):
             return self._last
         system = self.model.system(self.relocation.nodes(q))
@@ -156,7 +167,7 @@ class ReducedEnergy:
         return ReducedPoint(np.array(q), value, gradient, system, equilibrium, True)
 
     def gradient(self, x: Array, normal_force: Array, friction: Array) -> Array:
-        """Derivative by the moves of the inner Lagrangian at unknowns ``x = (q, u, s)`` and contact forces.
+        """Derivative by q of the inner Lagrangian at unknowns ``x = (q, u, s)`` and contact forces.
 
         Parameters
         ----------
@@ -168,11 +179,11 @@ class ReducedEnergy:
         return self._gradient(x, normal_force, friction)[0]
 
     def point(self, q: Array, equilibrium: Equilibrium) -> Array:
-        """The unknowns ``(q, u, s)`` of the energy program at a contact solution."""
+        """The unknowns ``(q, u, s)`` of the energy NLP at a contact solution."""
         return self.unknowns(q, equilibrium.u)
 
     def unknowns(self, q: Array, u: Array) -> Array:
-        """The unknowns ``(q, u, s)`` of the energy program at moves and displacements (n_u,)."""
+        """The unknowns ``(q, u, s)`` of the energy NLP at q and displacements (n_u,)."""
         rows = self.relocation.friction_rows
         slip = self.model.slips(self.relocation.nodes(q), u)[rows] if rows.size else np.zeros(0)
         return np.concatenate([q, u, np.abs(slip)])
@@ -195,21 +206,15 @@ class ReducedObjective:
         outer = rel.discretisation.assemble(groups, rel.x, ca.MX(0, 1), 0)
         self._kept = outer
         self._outer = Evaluator(outer.grad_f)
-        self._has_barrier = objective.has_barrier
         self._derivatives = SecondDerivatives(rel)
-
-    @property
-    def contact_solves(self) -> int:
-        """Number of contact solves so far."""
-        return self.energy.contact_solves
 
     def is_defined(self, q: Array) -> bool:
         """Whether a distortion in the objective is defined: no element is inverted."""
         rel = self.energy.relocation
-        return not self._has_barrier or is_upright(rel.problem, rel.nodes(q))
+        return not self.objective.has_barrier or is_upright(rel.problem, rel.nodes(q))
 
     def __call__(self, q: Array) -> ReducedPoint:
-        """Evaluate at moves ``q``."""
+        """Evaluate at ``q``."""
         return self.of(self.energy(q))
 
     def of(self, inner: ReducedPoint) -> ReducedPoint:
@@ -237,7 +242,7 @@ CERTIFICATE = "certificate"
 
 
 class ReducedCertificate:
-    """An outer objective with the bound of the error among its terms, with its gradient.
+    """An outer objective with the bound of the error among its terms.
 
     Attributes
     ----------
@@ -245,7 +250,7 @@ class ReducedCertificate:
         Of the problem with its own rule.
     objective : Objective
     upper : ReducedEnergy
-        By the rule of the audit.
+        By the rule of the assessment.
     weight : float
         Of the bound in the objective.
 
@@ -264,17 +269,12 @@ class ReducedCertificate:
         others = tuple((weight, term) for weight, term in objective.terms if term.name != CERTIFICATE)
         self._others = ReducedObjective(energy, Objective(others)) if others else None
 
-    @property
-    def contact_solves(self) -> int:
-        """Number of contact solves so far, equilibrations included."""
-        return self.energy.contact_solves + self.upper.contact_solves + self._lower.solves
-
     def is_defined(self, q: Array) -> bool:
         """Whether a distortion in the objective is defined: no element is inverted."""
         return self._others is None or self._others.is_defined(q)
 
     def __call__(self, q: Array) -> ReducedPoint:
-        """Evaluate at moves ``q``."""
+        """Evaluate at ``q``."""
         return self.of(self.energy(q))
 
     def of(self, inner: ReducedPoint) -> ReducedPoint:
@@ -296,7 +296,7 @@ class ReducedCertificate:
 
 
 Reduced = ReducedEnergy | ReducedObjective | ReducedCertificate
-"""An outer objective as a function of the moves alone."""
+"""An outer objective as a function of q alone."""
 
 
 def has_certificate(objective: Objective) -> bool:

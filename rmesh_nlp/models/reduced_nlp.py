@@ -1,30 +1,27 @@
-"""The outer problem as a nonlinear program in the moves alone, whose objective is a contact solve.
+"""The outer problem as an NLP in the outer variables alone, whose objective is a contact solve.
 
-The reduced objective's Hessian as a dense matrix, for solvers that factorise.
+Its second derivatives are a dense matrix (:func:`with_hessian`): one column is one product, a
+back-substitution with the stiffness of the contact solve. Up to a few thousand outer variables all columns
+together cost less than what solvers without them spend in more iterations. The NLP is smooth but for jumps of
+the second derivative where contact changes.
 
-One column of the Hessian is one product with it, a back-substitution with the stiffness of the contact solve:
-up to a few thousand moves all columns together cost less than what solvers without them spend in
-more iterations. The program is smooth but for jumps of the second derivative where contact changes.
-
-The reduced energy's Newton steps by sparse matrices, for solvers that factorise.
-
-L'' is dense, but a Schur complement of a sparse matrix in moves and displacements
-(:meth:`rmesh_nlp.models.second_derivatives.Hessian.lifted`). So the program is given
-additional unknowns w, one per
-displacement, of which its objective does not depend, and that matrix in place of the Hessian:
+For the energy L'' is a Schur complement of a sparse matrix in outer variables and displacements
+(:meth:`rmesh_nlp.models.second_derivatives.Hessian.lifted`). So :func:`lifted` gives the NLP additional
+unknowns w, one per displacement, of which its objective does not depend, and that matrix in place of the
+Hessian:
 
     [ L_qq + ...  C^T ] [dq]     [ -L' ]
     [ C           K   ] [dw]  =  [  0  ]
 
 has L'' dq = -L' as its Schur complement in dq, with the terms of barriers and constraints on both sides. K is
 positive definite, so by Haynsworth's inertia additivity the whole has as many negative eigenvalues as the
-Newton matrix of the reduced program. The directions of a solver are therefore those it would take with L''
-itself, and dw has no effect. One factorisation takes the place of one back-substitution per move.
+Newton matrix of the reduced NLP. The directions of a solver are therefore those it would take with L''
+itself, and dw has no effect. One factorisation takes the place of one back-substitution per outer variable.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,36 +34,36 @@ from rmesh_nlp.fem.edge_gaps import edges_of, holds_along_edges
 from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
-from rmesh_nlp.models.reduced_model import Reduced, ReducedCertificate, ReducedEnergy
+from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy
 from rmesh_nlp.models.residual import OuterResidual
-from rmesh_nlp.models.second_derivatives import Curvature, ObjectiveCurvature, SecantCurvature
+from rmesh_nlp.models.second_derivatives import Curvature, curvature_of
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
+
+COLUMNS = 256
+"""Columns of the Hessian that are computed at a time; it bounds the memory for changes of displacement."""
+
+STIFF = 1e8
+"""Size of the stiffness's diagonal in the units of w, relative to the block of the outer variables: multiples
+of the identity that a solver adds to make the matrix positive definite then act on those only."""
 
 
 @dataclass(frozen=True)
-class ReducedProgram:
-    """The outer problem: its NLP in the moves q and the function behind its objective.
+class ReducedNLP:
+    """The outer problem: its NLP in the outer variables q and the function behind its objective.
 
     A solver should end with a first-order ``residual`` of at most ``tolerance``. The objective of the NLP is
-    in units of ``scale``. ``oracle`` must live as long as the NLP: CasADi does not own Python callbacks.
-    ``warm`` says that the start is likely to be close to a minimiser.
+    in units of ``scale``, its size on the given mesh. ``warm`` says that the start is likely to be close to a
+    minimiser.
     """
 
     nlp: NLP
     function: Reduced
-    areas: ca.Function
-    oracle: ca.Callback
     is_valid: Callable[[Array], bool]
     residual: OuterResidual
     scale: float
     tolerance: float
     out_of_time: Callable[[], bool] = lambda: False
     warm: bool = False
-
-    @property
-    def unit(self) -> float:
-        """What the gradient is measured in."""
-        return self.residual.unit
 
 
 def reduced_nlp(
@@ -75,11 +72,11 @@ def reduced_nlp(
     is_valid: Callable[[Array], bool],
     residual: OuterResidual,
     tolerance: float,
-) -> ReducedProgram:
-    """The NLP ``min F(q)`` over boxes and element areas; its objective is a contact solve."""
+) -> ReducedNLP:
+    """The NLP ``min F(q)`` within move limits and element areas; its objective is a contact solve."""
     q, p = rel.validity.q, ca.MX(0, 1)
     areas, bound = rel.validity.assembled, rel.validity.bound
-    scale = scale_of(function, rel.n_q)
+    scale = abs(function(np.zeros(rel.n_q)).value) or 1.0
     oracle = _Oracle(function, rel, scale)
     value, gradient = oracle(q)
     nlp = NLP(
@@ -95,32 +92,43 @@ def reduced_nlp(
             grad_f=ca.Function("nlp_grad_f", [q, p], [value, gradient]),
             jac_g=areas.jac_g,
             hess_lag=None,
-            kernels=areas.kernels,
+            kernels=(*areas.kernels, oracle),
         ),
     )
-    return ReducedProgram(nlp, function, areas.jac_g, oracle, is_valid, residual, scale, tolerance)
+    return ReducedNLP(nlp, function, is_valid, residual, scale, tolerance)
 
 
-class _Oracle(ca.Callback):
-    """F(q) and its gradient as a CasADi Function, in units of ``|F(0)|``: a squared error may be small."""
+class _Callback(ca.Callback):
+    """A CasADi Function of dense columns by a Python method ``eval``.
 
-    def __init__(self, function: Reduced, relocation: Relocation, scale: float) -> None:
+    CasADi does not own Python callbacks: they must live as long as what is made of them.
+    """
+
+    def __init__(self, name: str, inputs: Sequence[int], outputs: Sequence[ca.Sparsity]) -> None:
         super().__init__()
-        self._function, self._scale, self._n = function, scale, relocation.n_q
-        self._relocation = relocation
-        self.construct("reduced_energy", {})
+        self._inputs, self._outputs = inputs, outputs
+        self.construct(name, {})
 
     def get_n_in(self) -> int:
-        return 1
+        return len(self._inputs)
 
     def get_n_out(self) -> int:
-        return 2
+        return len(self._outputs)
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._n)
+        return ca.Sparsity.dense(self._inputs[i])
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._n if i else 1)
+        return self._outputs[i]
+
+
+class _Oracle(_Callback):
+    """F(q) and its gradient in units of ``|F(0)|``: a squared error may be small."""
+
+    def __init__(self, function: Reduced, relocation: Relocation, scale: float) -> None:
+        self._function, self._scale, self._relocation = function, scale, relocation
+        self._n = n = relocation.n_q
+        super().__init__("reduced_objective", [n], [ca.Sparsity.dense(1), ca.Sparsity.dense(n)])
 
     def eval(self, arg: list[ca.DM]) -> list[Any]:
         q = arg[0].full().ravel()
@@ -137,182 +145,70 @@ class _Oracle(ca.Callback):
         return self._function.is_defined(q)
 
 
-def scale_of(function: Reduced, n: int) -> float:
-    """Size of the objective on the initial mesh, the unit in which it is minimised."""
-    return abs(function(np.zeros(n)).value) or 1.0
+class _SecondOracle(_Callback):
+    """Upper triangle of the Hessian of ``lam_f f + lam_g^T g``, f in the units of the NLP."""
 
-
-COLUMNS = 256
-"""Columns of the Hessian that are computed at a time; it bounds the memory for changes of displacement."""
-
-
-def curvature_of(program: ReducedProgram) -> Curvature | ObjectiveCurvature | SecantCurvature:
-    """Second derivatives of the outer objective of a program."""
-    function = program.function
-    if isinstance(function, ReducedEnergy):
-        return Curvature(function)
-    if isinstance(function, ReducedCertificate):
-        return SecantCurvature(function)
-    return ObjectiveCurvature(function.energy, function.objective)
-
-
-def with_hessian(program: ReducedProgram) -> ReducedProgram:
-    """The same program, with the second derivatives of its Lagrangian."""
-    nlp = program.nlp
-    assert nlp.derivatives is not None
-    second = _SecondOracle(program)
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nlp.n_g)
-    hess_lag = ca.Function("nlp_hess_l", [nlp.x, nlp.p, lam_f, lam_g], [second(nlp.x, lam_f, lam_g)])
-    derivatives = replace(nlp.derivatives, hess_lag=hess_lag, kernels=(*nlp.derivatives.kernels, second))
-    return replace(program, nlp=replace(nlp, derivatives=derivatives))
-
-
-class _SecondOracle(ca.Callback):
-    """Upper triangle of the Hessian of ``lam_f f + lam_g^T g``, f in the units of the program."""
-
-    def __init__(self, program: ReducedProgram) -> None:
-        super().__init__()
-        self._n, self._rows = program.nlp.n_x, program.nlp.n_g
-        self._function, self._scale = program.function, program.scale
-        self._curvature = curvature_of(program)
-        function = program.function
-        energy = function if isinstance(function, ReducedEnergy) else function.energy
-        self._validity = energy.validity if self._rows else None
-        self._upper = ca.Sparsity.upper(self._n)
-        rows, columns = (np.array(index, dtype=np.int64) for index in self._upper.get_triplet())
-        self._rows_of, self._columns_of = rows, columns
-        self.construct("reduced_hessian", {})
-
-    def get_n_in(self) -> int:
-        return 3
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense((self._n, 1, self._rows)[i])
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return self._upper
+    def __init__(self, problem: ReducedNLP, upper: ca.Sparsity) -> None:
+        self._function, self._scale, self._upper = problem.function, problem.scale, upper
+        self._n, self._rows = problem.nlp.n_x, problem.nlp.n_g
+        super().__init__("reduced_hessian", [self._n, 1, self._rows], [upper])
 
     def eval(self, arg: list[ca.DM]) -> list[ca.DM]:
-        q, lam_f, lam_g = arg[0].full().ravel(), float(arg[1]), arg[2].full().ravel()
-        hessian = dense(self._curvature.at(self._function(q)), self._n) * (lam_f / self._scale)
-        if self._validity is not None:
-            hessian += self._validity.hessian(q, lam_g)
-        return [ca.DM(self._upper, hessian[self._rows_of, self._columns_of].tolist())]
+        q, lam_f, lam_g = arg[0].full().ravel(), float(arg[1]) / self._scale, arg[2].full().ravel()
+        rows = self._function.energy.validity.hessian(q, lam_g) if self._rows else None
+        return [ca.DM(self._upper, self._values(q, lam_f, rows).tolist())]
+
+    def _values(self, q: Array, factor: float, rows: sp.csc_array | None) -> Array:
+        """Nonzeros of ``factor F''`` and the Hessian of the rows."""
+        raise NotImplementedError
 
 
-def dense(model: Callable[[Array], Array], n: int) -> Array:
-    """The matrix of a model, symmetric up to rounding and made so."""
-    matrix = np.empty((n, n))
-    for first in range(0, n, COLUMNS):
-        unit = np.zeros((n, min(COLUMNS, n - first)))
-        unit[first + np.arange(unit.shape[1]), np.arange(unit.shape[1])] = 1.0
-        matrix[:, first : first + unit.shape[1]] = model(unit)
-    return np.asarray(0.5 * (matrix + matrix.T))
+class _Dense(_SecondOracle):
+    """As a dense matrix."""
+
+    def __init__(self, problem: ReducedNLP) -> None:
+        super().__init__(problem, ca.Sparsity.upper(problem.nlp.n_x))
+        self._curvature = curvature_of(problem.function)
+        self._at = tuple(np.array(index, dtype=np.int64) for index in self._upper.get_triplet())
+
+    def _values(self, q: Array, factor: float, rows: sp.csc_array | None) -> Array:
+        hessian = dense(self._curvature.at(self._function(q)), self._n) * factor
+        return np.asarray((hessian if rows is None else hessian + rows)[self._at])
 
 
-STIFF = 1e8
-"""Size of the stiffness's diagonal in the units of w, relative to the block of the moves: multiples of the
-identity that a solver adds to make the matrix positive definite then act on the moves only."""
+class _Lifted(_SecondOracle):
+    """As a sparse matrix in outer variables and displacements."""
 
-
-@dataclass(frozen=True)
-class LiftedProgram:
-    """A program in ``(q, w)`` whose solution in q is that of the reduced one.
-
-    Attributes
-    ----------
-    nlp : NLP
-    n_q : int
-        Number of moves.
-    n_w : int
-        Number of the unknowns w, which start at zero.
-    """
-
-    nlp: NLP
-    n_q: int
-    n_w: int
-
-    def start(self, q: Array) -> Array:
-        """Unknowns to start from at moves ``q``."""
-        return np.concatenate([q, np.zeros(self.n_w)])
-
-
-def lifted(program: ReducedProgram) -> LiftedProgram:
-    """The lifted program of a reduced energy."""
-    function = program.function
-    if not isinstance(function, ReducedEnergy):
-        raise TypeError("only the energy's second derivatives are lifted")
-    n_w = function.relocation.n_u
-    free = np.full(n_w, np.inf)
-    nlp = program.nlp.extended(x=ca.MX.sym("w", n_w), lbx=-free, ubx=free)
-    assert nlp.derivatives is not None
-    oracle = _LiftedOracle(program, function)
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nlp.n_g)
-    hess_lag = ca.Function(
-        "nlp_hess_l", [nlp.x, nlp.p, lam_f, lam_g], [oracle(nlp.x[: program.nlp.n_x], lam_f, lam_g)]
-    )
-    derivatives = replace(nlp.derivatives, hess_lag=hess_lag, kernels=(*nlp.derivatives.kernels, oracle))
-    return LiftedProgram(replace(nlp, derivatives=derivatives), program.nlp.n_x, n_w)
-
-
-class _LiftedOracle(ca.Callback):
-    """Upper triangle of the lifted Hessian of ``lam_f f + lam_g^T g``, f in the units of the program."""
-
-    def __init__(self, program: ReducedProgram, energy: ReducedEnergy) -> None:
-        super().__init__()
-        self._energy, self._scale = energy, program.scale
-        self._n_q, self._rows = program.nlp.n_x, program.nlp.n_g
-        self._curvature = Curvature(energy)
-        self._validity = energy.validity if self._rows else None
+    def __init__(self, problem: ReducedNLP, energy: ReducedEnergy) -> None:
         pattern = _pattern(energy.relocation)
-        self._size = pattern.shape[0]
-        self._keys = _keys(pattern)
-        self._upper = ca.Sparsity(*pattern.shape, pattern.indptr.tolist(), pattern.indices.tolist())
-        self.construct("lifted_hessian", {})
+        self._curvature, self._keys = Curvature(energy), _keys(pattern)
+        columns, rows = pattern.indptr.tolist(), pattern.indices.tolist()
+        super().__init__(problem, ca.Sparsity(*pattern.shape, columns, rows))
 
-    def get_n_in(self) -> int:
-        return 3
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense((self._n_q, 1, self._rows)[i])
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return self._upper
-
-    def eval(self, arg: list[ca.DM]) -> list[ca.DM]:
-        q, lam_f, lam_g = arg[0].full().ravel(), float(arg[1]), arg[2].full().ravel()
-        values = np.zeros(self._keys.size)
-        matrix = self._matrix(q, lam_f, lam_g)
+    def _values(self, q: Array, factor: float, rows: sp.csc_array | None) -> Array:
+        matrix, values = self._matrix(q, factor, rows), np.zeros(self._keys.size)
         keys = _keys(matrix)
         place = np.minimum(np.searchsorted(self._keys, keys), self._keys.size - 1)
         known = self._keys[place] == keys
         if np.any(matrix.data[~known]):
             raise RuntimeError("the lifted Hessian has entries outside its pattern")
         values[place[known]] = matrix.data[known]
-        return [ca.DM(self._upper, values.tolist())]
+        return values
 
-    def _matrix(self, q: Array, lam_f: float, lam_g: Array) -> sp.csc_array:
+    def _matrix(self, q: Array, factor: float, rows: sp.csc_array | None) -> sp.csc_array:
         """The upper triangle over all unknowns."""
-        found, factor = self._curvature.at(self._energy(q)).lifted(), lam_f / self._scale
+        found = self._curvature.at(self._function.energy(q)).lifted()
         moves = factor * found.moves
-        if self._validity is not None:
-            moves = moves + self._validity.hessian(q, lam_g)
+        if rows is not None:
+            moves = moves + rows
         size = float(np.max(np.abs(moves.data), initial=0.0)) or 1.0
         # in these units of w the factor, which may be 0, need not be divided by
         unit = sp.diags_array(np.sqrt(STIFF * size / found.stiffness.diagonal()))
         stiffness, mixed = unit @ found.stiffness @ unit, np.sqrt(factor) * (unit @ found.mixed)
-        diagonal = np.full(found.n_u, STIFF * size)  # of unknowns that contact holds
+        diagonal = np.full(found.n_u, STIFF * size)  # of unknowns that contact determines
         diagonal[found.free] = 0.0
-        put = sp.csc_array(
-            (np.ones(found.free.size), (found.free, np.arange(found.free.size))),
-            shape=(found.n_u, found.free.size),
-        )
+        shape = (found.n_u, found.free.size)
+        put = sp.csc_array((np.ones(found.free.size), (found.free, np.arange(found.free.size))), shape=shape)
         corner = put @ stiffness @ put.T + sp.diags_array(diagonal)
         mixed = put @ mixed
         matrix = sp.csc_array(sp.triu(sp.block_array([[moves, mixed.T], [mixed, corner]])))
@@ -320,12 +216,50 @@ class _LiftedOracle(ca.Callback):
         return matrix
 
 
-def _pattern(relocation: Relocation) -> sp.csc_array:
-    """Where the lifted Hessian may have entries, of its upper triangle.
+def with_hessian(problem: ReducedNLP) -> ReducedNLP:
+    """The same NLP, with the second derivatives of its Lagrangian as a dense matrix."""
+    return replace(problem, nlp=_with(problem.nlp, _Dense(problem), problem.nlp.n_x))
 
-    Nodes meet in an element. A touching node follows the moves that its gap depends on: its own, and those of
-    its neighbours on the contact boundary where gaps hold along edges. So moves meet where nodes do that
-    follow them.
+
+def lifted(problem: ReducedNLP) -> NLP:
+    """The NLP of a reduced energy in ``(q, w)``, whose solution in q is that of the reduced one.
+
+    The unknowns w start at zero.
+    """
+    function = problem.function
+    if not isinstance(function, ReducedEnergy):
+        raise TypeError("only the energy's second derivatives are lifted")
+    n_w = function.relocation.n_u
+    free = np.full(n_w, np.inf)
+    larger = problem.nlp.extended(x=ca.MX.sym("w", n_w), lbx=-free, ubx=free)
+    return _with(larger, _Lifted(problem, function), problem.nlp.n_x)
+
+
+def _with(nlp: NLP, oracle: _SecondOracle, n_q: int) -> NLP:
+    """The NLP with the Hessian of a callback in its first ``n_q`` unknowns."""
+    assert nlp.derivatives is not None
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nlp.n_g)
+    hessian = oracle(nlp.x[:n_q], lam_f, lam_g)
+    hess_lag = ca.Function("nlp_hess_l", [nlp.x, nlp.p, lam_f, lam_g], [hessian])
+    kernels = (*nlp.derivatives.kernels, oracle)
+    return replace(nlp, derivatives=replace(nlp.derivatives, hess_lag=hess_lag, kernels=kernels))
+
+
+def dense(model: Callable[[Array], Array], n: int) -> Array:
+    """The matrix of a model, symmetric up to rounding and made so."""
+    matrix, unit = np.empty((n, n)), np.eye(n)
+    for first in range(0, n, COLUMNS):
+        columns = np.arange(first, min(first + COLUMNS, n))
+        matrix[:, columns] = model(unit[:, columns])
+    return np.asarray(0.5 * (matrix + matrix.T))
+
+
+def _pattern(relocation: Relocation) -> sp.csc_array:
+    """Upper triangle of where the lifted Hessian may have entries, whatever is active.
+
+    Unknowns meet if their nodes meet in an element. A touching node follows the outer variables that its gap
+    depends on: its own, and those of its neighbours on the contact boundary where gaps hold along edges. So
+    outer variables meet where nodes do that follow them.
     """
     meet = _elements(relocation)
     follows = sp.csr_array(sp.eye_array(meet.shape[0]) + _beside(relocation))
@@ -368,12 +302,11 @@ def _to_unknowns(index: Index, n: int) -> sp.csr_array:
     """(nodes, n) Which unknowns a field has at each node; ``index`` is (components, nodes)."""
     node = np.broadcast_to(np.arange(index.shape[1]), index.shape)
     inside = index >= 0
-    return sp.csr_array(
-        (np.ones(int(inside.sum())), (node[inside], index[inside])), shape=(index.shape[1], n)
-    )
+    pairs = node[inside], index[inside]
+    return sp.csr_array((np.ones(pairs[0].size), pairs), shape=(index.shape[1], n))
 
 
-def _keys(matrix: sp.csc_array) -> np.ndarray:
+def _keys(matrix: sp.csc_array) -> Array:
     """One number per entry, in ascending order."""
     columns = np.repeat(np.arange(matrix.shape[1], dtype=np.int64), np.diff(matrix.indptr))
     return np.asarray(columns * matrix.shape[0] + matrix.indices)

@@ -1,14 +1,12 @@
-"""Descents of an energy with a distortion: as far as the elements allow, without boxes.
+"""Descents of an energy with a distortion: relocation without move limits, as far as the elements allow.
 
-Connects :func:`rmesh_nlp.optimize.local_newton.descend` with the mesh: how far a node is trusted, how far
+Connects :func:`rmesh_nlp.optimize.trust_region.minimise` with the mesh: the local radii of the nodes, how far
 a step may go before an element degenerates, and which model is used.
 
-From the end of a cascade to a stationary point of the regularised energy.
-
-Far from it conjugate gradients with the diagonal are the cheapest per iteration. Near it the second
-derivatives are nearly singular in many directions, along which elements slide past each other at
-hardly any cost; there one factorisation of the second derivatives in moves and displacements together is
-a nearly exact preconditioner, and Newton's method converges quadratically.
+Far from a stationary point conjugate gradients with the diagonal are the cheapest per iteration. Near it the
+second derivatives are nearly singular in many directions, along which elements slide past each other at
+hardly any cost; there one factorisation of the second derivatives in outer variables and displacements
+together is a nearly exact preconditioner, and Newton's method converges quadratically (:func:`finished`).
 """
 
 from __future__ import annotations
@@ -24,15 +22,13 @@ from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.second_derivatives import Curvature, Hessian
-from rmesh_nlp.optimize.local_newton import Scaled, descend
-from rmesh_nlp.optimize.newton_settings import LocalNewtonSettings
-from rmesh_nlp.optimize.newton_step import PreconditionedStep, Preconditioner, Shifted, positive_definite
+from rmesh_nlp.optimize.newton_step import BoxStep, Preconditioner, Scaled, Shifted, positive_definite
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.trust_region import Evaluation, NewtonResult
+from rmesh_nlp.optimize.trust_region import LOCAL, Evaluation, LocalRadii, NewtonResult, minimise
 from rmesh_nlp.problem import signed_areas
 
 MODEL_RULE = 3
-"""Degree of the quadrature rule of the loads in the second derivatives of the model.
+"""Degree of the quadrature rule of the loads in the second derivatives of approximate models.
 
 Values and gradients have the rule of the problem. With 4 points in place of 12 a model of Example 6.1 costs
 half, and descents go as far."""
@@ -40,80 +36,75 @@ half, and descents go as far."""
 KEPT = 0.1
 """Part of its present area that a step leaves to every element."""
 
+NEAR = 3e-3
+"""First-order residual below which the second derivatives are factorised (chosen on Example 6.1)."""
+
+FORCING, EXACT_FORCING = 0.01, 1e-4
+"""Conjugate gradients stop at this part of the residual they began with; at the second one in steps that are
+accepted by the first-order residual."""
+
+POLISH = 10
+"""Largest number of factorisations for such steps."""
+
 OnPoint = Callable[[int, Array, float], bool | None]
 
 
-class LargeMoves:
-    """Descents of one regularised energy.
+def descend(
+    energy: ReducedEnergy,
+    q: Array,
+    *,
+    gain_tolerance: float,
+    reference: float | None = None,
+    max_iterations: int = 100,
+    approximate: bool = False,
+    on_step: OnPoint | None = None,
+    forcing: float = LOCAL.forcing,
+    preconditioner: Callable[[Hessian, Array], Preconditioner | None] | None = None,
+) -> NewtonResult:
+    """Descend from outer variables ``q``; see :func:`rmesh_nlp.optimize.trust_region.minimise`.
 
     Parameters
     ----------
     energy : ReducedEnergy
-        Of a program whose objective has a distortion, which keeps the elements valid.
-    settings : LocalNewtonSettings, optional
+        Its objective must have a distortion, which keeps the elements valid.
     approximate : bool
         Second derivatives with loads by a lower rule, see ``MODEL_RULE``: for descents that are not followed
         to a stationary point.
-
-    Attributes
-    ----------
-    iterations, products : int
-        So far, over all descents.
     """
+    relocation = energy.relocation
+    if not relocation.objective.has_barrier:
+        raise ValueError("without a distortion in the objective elements would be inverted")
+    curvature, bound = Curvature(energy, MODEL_RULE if approximate else None), relocation.mesh_map.bound
 
-    def __init__(
-        self, energy: ReducedEnergy, settings: LocalNewtonSettings | None = None, approximate: bool = False
-    ) -> None:
-        if not energy.relocation.objective.has_barrier:
-            raise ValueError("large moves need a distortion in the objective, or elements would be inverted")
-        self.energy, self.relocation = energy, energy.relocation
-        self._curvature = Curvature(energy, MODEL_RULE if approximate else None)
-        self._settings = settings
-        self.iterations = self.products = 0
-
-    def __call__(
-        self,
-        q: Array,
-        *,
-        gain_tolerance: float,
-        reference: float | None = None,
-        max_iterations: int = 100,
-        on_step: OnPoint | None = None,
-        forcing: float | None = None,
-        preconditioned: Callable[[Hessian, Array], Preconditioner | None] | None = None,
-    ) -> NewtonResult:
-        """Descend from moves ``q``; see :func:`rmesh_nlp.optimize.local_newton.descend`."""
-        bound, before = self.relocation.mesh_map.bound, self.iterations
-        result = descend(
-            self._evaluate,
-            q,
-            -bound,
-            bound,
-            lambda x: node_widths(self.relocation, x),
-            lambda x, s: longest_valid(self.relocation, x, s),
-            gain_tolerance=gain_tolerance,
-            reference=reference,
-            max_iterations=max_iterations,
-            forcing=forcing,
-            settings=self._settings,
-            preconditioned=preconditioned,
-            on_step=None if on_step is None else lambda i, x, here: on_step(before + i, x, here.value),
-        )
-        self.iterations += result.iterations
-        self.products += result.products
-        return result
-
-    def _evaluate(self, q: Array) -> Evaluation | None:
-        if not is_upright(self.relocation.problem, self.relocation.nodes(q)):
+    def evaluate(x: Array) -> Evaluation | None:
+        if not is_upright(relocation.problem, relocation.nodes(x)):
             return None
-        point = self.energy(q)
+        point = energy(x)
         if not np.isfinite(point.value):
             return None
-        return Evaluation(point.value, point.gradient, lambda: self._curvature.at(point))
+        return Evaluation(point.value, point.gradient, lambda: curvature.at(point))
+
+    return minimise(
+        evaluate,
+        q,
+        -bound,
+        bound,
+        tolerance=np.inf,
+        gain_tolerance=gain_tolerance,
+        reference=reference,
+        max_iterations=max_iterations,
+        local=LocalRadii(
+            lambda x: node_widths(relocation, x),
+            lambda x, step: longest_valid(relocation, x, step),
+            preconditioner,
+        ),
+        settings=replace(LOCAL, forcing=forcing),
+        on_step=None if on_step is None else lambda i, x, here: on_step(i, x, here.value),
+    )
 
 
 def node_widths(relocation: Relocation, q: Array) -> Array:
-    """Least height of the elements at the node behind each move, in the unit of the move."""
+    """Least height of the elements at the node behind each outer variable, in the unit of the variable."""
     triangles, positions = relocation.problem.triangles, relocation.mesh_map.positions
     nodes = relocation.nodes(q)
     corner = nodes[:, triangles]
@@ -124,7 +115,7 @@ def node_widths(relocation: Relocation, q: Array) -> Array:
         np.minimum.at(least, vertices, height)
     index = positions.index
     moving = index != CONSTANT
-    # a move behind both coordinates, or of several tied nodes, is as wide as the narrowest allows
+    # a variable behind both coordinates, or of several tied nodes, is as wide as the narrowest allows
     steps = np.zeros(q.size)
     np.maximum.at(steps, index[moving], np.abs(positions.slopes(q))[moving])
     room = np.full(q.size, np.inf)
@@ -153,22 +144,9 @@ def longest_valid(relocation: Relocation, q: Array, step: Array) -> float:
     return float(min(1.0, np.min(roots[real], initial=1.0)))
 
 
-NEAR = 3e-3
-"""First-order residual below which the second derivatives are factorised (chosen on Example 6.1)."""
-
-FORCING = 0.01
-"""Conjugate gradients stop at this part of the residual they began with."""
-
-EXACT = 1e-4
-"""The same for steps that are judged by the residual."""
-
-POLISH = 10
-"""Largest number of factorisations for such steps."""
-
-
 @dataclass(frozen=True)
 class Finish:
-    """How the way to a stationary point ended.
+    """Where :func:`finished` ended.
 
     Attributes
     ----------
@@ -176,7 +154,7 @@ class Finish:
         CONVERGED if the residual is at most the tolerance.
     residual : float
     factorisations : int
-        Of second derivatives in moves and displacements together.
+        Of second derivatives in outer variables and displacements together.
     """
 
     result: NewtonResult
@@ -194,7 +172,7 @@ def finished(
     max_iterations: int,
     on_step: OnPoint | None = None,
 ) -> Finish:
-    """Descend from moves ``q`` until the first-order residual is at most ``tolerance``.
+    """Descend from ``q`` until the first-order residual is at most ``tolerance``.
 
     Parameters
     ----------
@@ -226,14 +204,15 @@ def finished(
         factorisations += 0 if found is None else found.factorisations
         return found
 
-    result = LargeMoves(energy)(
+    result = descend(
+        energy,
         q,
         gain_tolerance=0.0,
         reference=reference,
         max_iterations=max_iterations,
         on_step=report,
         forcing=FORCING,
-        preconditioned=factorised,
+        preconditioner=factorised,
     )
     here = residual(energy(result.x))
     q, status = result.x, result.status
@@ -250,7 +229,7 @@ def finished(
 def _polished(
     energy: ReducedEnergy, q: Array, residual: Callable[[ReducedPoint], float], here: float, tolerance: float
 ) -> tuple[Array, float, int]:
-    """Newton steps that are judged by the residual: decreases of the value are rounding by now."""
+    """Newton steps that are accepted by the residual: decreases of the value are rounding by now."""
     curvature, bound, count = Curvature(energy), energy.relocation.mesh_map.bound, 0
     while here > tolerance and count < POLISH:
         model, width = curvature.at(energy(q)), node_widths(energy.relocation, q)
@@ -258,9 +237,9 @@ def _polished(
         if factor is None:
             break
         count += factor.factorisations
-        step = PreconditionedStep(Scaled(model, width), width * energy(q).gradient, factor)
+        step = BoxStep(Scaled(model, width), width * energy(q).gradient, factor)
         low, high = (-bound - q) / width, (bound - q) / width
-        move, _ = step.solve(np.maximum(low, -1.0), np.minimum(high, 1.0), EXACT)
+        move, _ = step.solve(np.maximum(low, -1.0), np.minimum(high, 1.0), EXACT_FORCING)
         there = np.clip(q + width * move, -bound, bound)
         if not energy.is_defined(there) or not residual(energy(there)) < here:
             break

@@ -1,6 +1,7 @@
-"""Second derivatives of the reduced energy L(q), as products with a vector.
+"""Second derivatives of the reduced model, as products with a vector.
 
-With the active set of the contact solution held, and Lambda the Lagrangian of the energy program,
+Of the reduced energy L(q) (:class:`Curvature`): with the active set of the contact solution held, and Lambda
+the Lagrangian of the energy NLP,
 
     L'' d = Lambda_qq d + Lambda_qu u' + Lambda_qs s' - gamma_q^T lambda' - sigma_q^T tau',
 
@@ -8,22 +9,18 @@ where ``u', s', lambda', tau'`` are the first-order changes of displacement, sli
 contact force when the nodes move along d: one more solve with the factorised stiffness of the contact
 solve. The slips at fixed displacement, sigma, move where a foundation is curved.
 
-Second derivatives of any outer objective F(X, u(X)), as products with a vector.
-
-With the active set of the contact solution held, displacement, slip and forces y are a smooth function
-of the moves q, given by as many equations C(q, y) = 0: equilibrium, and of each pair the member that is
-zero. With the adjoint multipliers nu, ``C_y^T nu = -F_y``, and the Lagrangian ``Lambda = F + nu^T C``,
+Of any outer objective F(X, u(X)) (:class:`ObjectiveCurvature`): with the active set held, displacement, slip
+and forces y are a smooth function of q, given by as many equations C(q, y) = 0: equilibrium, and of each pair
+the member that is zero. With the adjoint multipliers nu, ``C_y^T nu = -F_y``, and ``Lambda = F + nu^T C``,
 
     F' = F_q + C_q^T nu,      F'' d = Lambda_qq d + Lambda_qy y' + C_q^T nu',
     C_y y' = -C_q d,          C_y^T nu' = -(Lambda_yq d + Lambda_yy y'),
 
 one factorisation of C_y and two solves with it for each product (the second-order adjoint).
 
-Second derivatives of an objective with the bound of the error: exact where known, else by secants.
-
-The bound is the upper less the lower bound of the energy. The second derivative of the upper one, the reduced
-energy, is known; that of the rest is approximated by the symmetric rank-one formula [1]_ from the gradients
-at the points that a descent passes,
+Of an objective with the bound of the error (:class:`SecantCurvature`), the upper less the lower bound of the
+energy: the second derivative of the upper one, the reduced energy, is known; that of the rest is approximated
+by the symmetric rank-one formula [1]_ from the gradients at the points that a descent passes,
 
     B + r r^T / (r . s),    r = y - B s,
 
@@ -39,7 +36,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
@@ -50,7 +46,23 @@ from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.models.energy_nlp import Blocks, SecondDerivatives
 from rmesh_nlp.models.kkt_model import bilevel
-from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, ReducedPoint
+from rmesh_nlp.models.reduced_model import Reduced, ReducedCertificate, ReducedEnergy, ReducedPoint
+
+DENSE = 200
+"""Outer variables up to which all products are formed at once: one solve with as many right sides costs less
+than the products of a step one by one (7 against 25 on Example 6.1 with 126 of them; as much with 286)."""
+
+MEMORY = 100
+"""Secants that are kept; then they are forgotten all at once."""
+
+SKIPPED = 1e-8
+"""Cosine of the angle between r and s below which a secant is skipped, as in [1]_, (6.26)."""
+
+
+def _scaling(matrix: sp.sparray) -> Array:
+    """Size of the diagonal, kept away from zero."""
+    diagonal = np.abs(matrix.diagonal())
+    return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
 
 
 class Curvature:
@@ -73,16 +85,11 @@ class Curvature:
         return Hessian(point, self._derivatives(x, point.equilibrium), rows)
 
 
-DENSE = 200
-"""Moves up to which all products are formed at once: one solve with as many right sides costs less than the
-products of a step one by one (7 against 25 on Example 6.1 with 126 moves; as much with 286)."""
-
-
 @dataclass(frozen=True)
 class Lifted:
     """L'' as a Schur complement, ``moves - mixed^T stiffness^-1 mixed``, all three of them sparse.
 
-    Where the change of a displacement is known from the moves, at touching and at sticking nodes, it is put
+    Where the change of a displacement is known from that of q, at touching and at sticking nodes, it is put
     in; what is left is the stiffness over the displacements that contact leaves free.
 
     Attributes
@@ -123,22 +130,16 @@ class Hessian:
 
     def diagonal(self) -> Array:
         """Size of the diagonal of Lambda_qq, kept away from zero."""
-        diagonal = np.abs(self.qq.diagonal())
-        return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
+        return _scaling(self.qq)
 
     def lifted(self) -> Lifted:
-        """The sparse matrix in moves and displacements whose Schur complement is L''."""
+        """The sparse matrix in q and displacements whose Schur complement is L''."""
         rotated, active = self._rotated, self._active
-        mixed = self._uq
-        moves = self.qq
+        mixed, moves = self._uq, self.qq
         n_contact, n_q = active.touching.size, moves.shape[0]
         slip = sp.csr_array((n_contact, n_q))
         if self._rows.size:
-            at_contact = sp.csr_array(
-                (np.ones(self._rows.size), (self._rows, np.arange(self._rows.size))),
-                shape=(n_contact, self._rows.size),
-            )
-            slip = sp.csr_array(at_contact @ self._slip)
+            slip = sp.csr_array(sp.csr_array(sp.eye_array(n_contact))[:, self._rows] @ self._slip)
             friction = self._qs @ sp.diags_array(self._sliding)
             mixed = mixed + self._tangents.T @ friction.T
             moves = moves + friction @ self._slip + (friction @ self._slip).T
@@ -155,14 +156,7 @@ class Hessian:
         return Lifted(sp.csc_array(moves), sp.csc_array(mixed), corner, inside, rotated.F.size)
 
     def joint(self, width: Array) -> tuple[sp.csc_array, int]:
-        """The matrix of :meth:`lifted` with the moves in units of ``width``.
-
-        Returns
-        -------
-        matrix : sparse array
-        n : int
-            The first n unknowns are the moves.
-        """
+        """The matrix of :meth:`lifted` with q in units of ``width``, and n: its first n unknowns are q."""
         lifted, scale = self.lifted(), sp.diags_array(width)
         mixed = lifted.mixed @ scale
         matrix = sp.block_array([[scale @ lifted.moves @ scale, mixed.T], [mixed, lifted.stiffness]])
@@ -217,7 +211,8 @@ class ObjectiveCurvature:
         self._gradient = Evaluator(mpcc.derivatives.grad_f)
         self._jacobian = Evaluator(mpcc.derivatives.jac_g)
         self._hessian = Evaluator(mpcc.derivatives.hess_lag)
-        self._jacobian_at = _coordinates(mpcc.derivatives.jac_g.sparsity_out(1))
+        rows, columns = mpcc.derivatives.jac_g.sparsity_out(1).get_triplet()
+        self._jacobian_at = np.asarray(rows), np.asarray(columns)
         self._symmetric = Symmetric(numbered(mpcc.derivatives.hess_lag.sparsity_out(0)))
 
     def at(self, point: ReducedPoint) -> ObjectiveHessian:
@@ -262,26 +257,13 @@ class ObjectiveHessian:
 
     def diagonal(self) -> Array:
         """Size of the diagonal of Lambda_qq, kept away from zero."""
-        diagonal = np.abs(self.qq.diagonal())
-        return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
+        return _scaling(self.qq)
 
     def __call__(self, d: Array) -> Array:
         """``F'' d`` for a vector (n,), or for each column of a matrix (n, k)."""
         y = -self._factors.solve(self._of_q @ d)
         nu = -self._factors.solve(self._yq @ d + self._yy @ y, "T")
         return np.asarray(self.qq @ d + self._qy @ y + self._of_q_t @ nu)
-
-
-def _coordinates(sparsity: ca.Sparsity) -> tuple[Array, Array]:
-    rows, columns = sparsity.get_triplet()
-    return np.asarray(rows), np.asarray(columns)
-
-
-MEMORY = 100
-"""Secants that are kept; then they are forgotten all at once."""
-
-SKIPPED = 1e-8
-"""Cosine of the angle between r and s below which a secant is skipped, as in [1]_, (6.26)."""
 
 
 class SecantCurvature:
@@ -346,3 +328,12 @@ class SecantHessian:
     def __call__(self, d: Array) -> Array:
         """The product with a vector, or with the columns of a matrix."""
         return self.weight * self.upper(d) + self.rest(d)
+
+
+def curvature_of(function: Reduced) -> Curvature | ObjectiveCurvature | SecantCurvature:
+    """Second derivatives of an outer objective."""
+    if isinstance(function, ReducedEnergy):
+        return Curvature(function)
+    if isinstance(function, ReducedCertificate):
+        return SecantCurvature(function)
+    return ObjectiveCurvature(function.energy, function.objective)

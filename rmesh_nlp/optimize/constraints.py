@@ -1,17 +1,16 @@
-"""Smooth constraints ``c(x) >= 0`` of a descent, many of them, few of which are met.
+"""Smooth constraints ``c(x) >= 0`` of a descent, of which few are active: linearisation and projection.
 
-A box cut by a few linear rows, and the nearest point of it.
-
-The projection is that of the norm ``d . scale d``. Its dual has one unknown per row, is concave and
-piecewise quadratic, and nearly all multipliers are zero: Newton's method on the rows that pull
-takes a few small systems, damped where a kink is in the way (a semismooth Newton method: L. Qi,
-J. Sun, A nonsmooth version of Newton's method, Math. Programming 58 (1993) 353-367).
+The steps that obey the linearised rows in a box are a polyhedron. The projection on it is that of the norm
+``d . scale d``. Its dual has one unknown per row, is concave and piecewise quadratic, and nearly all
+multipliers are zero: Newton's method on the active rows takes a few small systems, damped at a kink (a
+semismooth Newton method: L. Qi, J. Sun, A nonsmooth version of Newton's method, Math. Programming 58 (1993)
+353-367).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -22,16 +21,29 @@ from scipy.optimize import lsq_linear, nnls
 from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.activity import ROW_WITH_MULTIPLIER
-from rmesh_nlp.optimize.newton_settings import ProjectionSettings
+from rmesh_nlp.optimize.activity import ROW_OF_A_STEP, ROW_WITH_MULTIPLIER
 
 LARGEST_DENSE = 2_000_000
 """Entries of a least-squares matrix that is solved densely."""
 
+MAX_STEPS, EXACT = 200, 1e-10
+"""Newton steps on the dual of a projection, one factorisation each, and violation of a row at which it
+ends."""
+
+REGULAR = 1e-10
+"""Part of a row's own coupling that is added to it: the rows of one element may depend on each other."""
+
+DAMPING, DAMPING_UP, DAMPING_DOWN = 1e-4, 10.0, 0.01
+"""First such part where a Newton step does not raise the dual enough; factors after failure and success."""
+
+SHORTEN, SEARCHES, SUFFICIENT = 0.3, 8, 1e-4
+"""Factor between the parts of a Newton step that are tried before it is damped, how many are tried, and least
+part of the slope of the dual that an accepted one gives (Armijo's rule)."""
+
 
 @dataclass(frozen=True)
-class Wall:
-    """The rows at a point.
+class Linearised:
+    """The constraints at a point.
 
     Attributes
     ----------
@@ -59,19 +71,19 @@ class Wall:
         return multipliers
 
 
-class Walls(Protocol):
+class Constraints(Protocol):
     """Constraints that cost nothing beside the function."""
 
-    def at(self, x: Array) -> Wall:
+    def at(self, x: Array) -> Linearised:
         """The rows at a point."""
 
     def hessian(self, x: Array, multipliers: Array) -> sp.csc_array:
         """The Hessian of ``multipliers . c``."""
 
-    def back(self, x: Array, wall: Wall, lower: Array, upper: Array, scale: Array) -> Array | None:
+    def back(self, x: Array, rows: Linearised, lower: Array, upper: Array, scale: Array) -> Array | None:
         """A point of the box near ``x`` that obeys the rows, in the norm of ``scale``; None if none is found.
 
-        ``wall`` is where the step to ``x`` began: rows that are not obeyed come back to its floor.
+        ``rows`` is where the step to ``x`` began: violated rows come back to its floor.
         """
 
 
@@ -84,7 +96,7 @@ def nonnegative_fit(matrix: Any, right: Array) -> Array:
 
 @dataclass(frozen=True)
 class Face:
-    """A face of the set: some rows hold, some variables are held by their bounds.
+    """A face of the polyhedron: some rows are active, some variables are at their bounds.
 
     Attributes
     ----------
@@ -109,7 +121,6 @@ class Polyhedron:
     jacobian : (rows, n) sparse array, by rows
     scale : (n,) array
         The positive diagonal of the norm.
-    settings : ProjectionSettings
     """
 
     lower: Array
@@ -117,13 +128,12 @@ class Polyhedron:
     slack: Array
     jacobian: sp.csr_array
     scale: Array
-    settings: ProjectionSettings = field(default_factory=ProjectionSettings)
 
     def nearest(self, d: Array) -> Array:
         """The projection of ``d`` if d = 0 is in the set, or a point on the way there if it is not found."""
         near = self.project(d)
         change = self.jacobian @ near
-        short = self.slack + change < -self.settings.held
+        short = self.slack + change < -ROW_OF_A_STEP
         if np.any(short):
             near = near * np.min(self.slack[short] / -change[short])
         return near
@@ -132,37 +142,36 @@ class Polyhedron:
         """The projection of ``d``, as exactly as Newton's method finds it."""
         multipliers = np.zeros(self.slack.size)
         near, dual = self._lagrangian(d, multipliers)
-        use = self.settings
-        damping = use.regular
-        for _ in range(use.max_steps):
+        damping = REGULAR
+        for _ in range(MAX_STEPS):
             value = self.slack + self.jacobian @ near
-            if np.all(np.where(multipliers > 0, np.abs(value), -value) <= use.exact):
+            if np.all(np.where(multipliers > 0, np.abs(value), -value) <= EXACT):
                 break
             pulling = np.flatnonzero((multipliers > 0) | (value < 0))
             inside = (near > self.lower) & (near < self.upper)
             newton = np.zeros(multipliers.size)
             newton[pulling] = -self._coupled(pulling, inside, damping)(value[pulling])
-            damping = max(use.damping, use.damping_up * damping)
-            for k in range(use.searches):
-                trial = np.maximum(multipliers + use.shorten**k * newton, 0.0)
+            damping = max(DAMPING, DAMPING_UP * damping)
+            for k in range(SEARCHES):
+                trial = np.maximum(multipliers + SHORTEN**k * newton, 0.0)
                 near_there, dual_there = self._lagrangian(d, trial)
                 slope = -float(value @ (trial - multipliers))
-                if slope > 0 and dual_there >= dual + use.sufficient * slope:
+                if slope > 0 and dual_there >= dual + SUFFICIENT * slope:
                     multipliers, near, dual = trial, near_there, dual_there
-                    damping = max(use.regular, use.damping_down * damping)
+                    damping = max(REGULAR, DAMPING_DOWN * damping)
                     break
         return near
 
     def active(self, d: Array) -> NDArray[np.int64]:
-        """The rows that hold ``d``."""
-        return np.flatnonzero(self.slack + self.jacobian @ d <= self.settings.held)
+        """The rows that are active at ``d``."""
+        return np.flatnonzero(self.slack + self.jacobian @ d <= ROW_OF_A_STEP)
 
     def face(self, rows: NDArray[np.int64], inside: NDArray[np.bool_]) -> Face:
-        """The face where these rows hold and only the variables ``inside`` are free."""
+        """The face where these rows are active and only the variables ``inside`` are free."""
         weight = inside / self.scale
         if rows.size == 0:
             return Face(lambda r: weight * r, lambda r: np.zeros(0))
-        jacobian, solve = self.jacobian[rows], self._coupled(rows, inside, self.settings.regular)
+        jacobian, solve = self.jacobian[rows], self._coupled(rows, inside, REGULAR)
 
         def multipliers(r: Array) -> Array:
             return solve(jacobian @ (weight * r))
@@ -188,6 +197,6 @@ class Polyhedron:
 
     @cached_property
     def _whole(self) -> Array:
-        """Diagonal of the coupling if no variable is held; 1 for a row without variables."""
+        """Diagonal of the coupling if all variables are free; 1 for a row without variables."""
         whole = np.asarray(self.jacobian.power(2) @ (1 / self.scale))
         return np.where(whole > 0, whole, 1.0)

@@ -1,12 +1,7 @@
-"""One step of projected Newton-CG: a quadratic model minimised approximately in a box that walls may cut.
+"""One step of projected Newton-CG: a quadratic model minimised approximately in a box or a polyhedron.
 
 A Cauchy point, then rounds of conjugate gradients on the face of the set where the step is, each with a
 projected search, all on the same model (:mod:`rmesh_nlp.optimize.trust_region`).
-
-Steps of projected Newton-CG with a preconditioner other than the diagonal, and such preconditioners.
-
-A preconditioner is a symmetric positive definite operator on gradients. On a face of the box its principal
-part is taken, which is positive definite again.
 """
 
 from __future__ import annotations
@@ -21,8 +16,33 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.constraints import Polyhedron, Wall
-from rmesh_nlp.optimize.newton_settings import NewtonSettings, StepSettings
+from rmesh_nlp.optimize.constraints import Linearised, Polyhedron
+
+MAX_PRODUCTS = 40
+"""Hessian products of one step. On 6.1 with 128 squares a side they take 0.7 of the time of a step."""
+
+MAX_PRODUCTS_CONSTRAINED = 250
+"""The same along constraints: there the conjugate gradients, not the model, end a step."""
+
+WORTHWHILE = 0.06
+"""Least part of a step's decrease that the last round of conjugate gradients must give."""
+
+OVERSHOOT = 2.0
+"""How far beyond the trust region, in its widths, a direction is followed before it is projected."""
+
+DECREASE = 0.01
+"""Least part of the slope that a Cauchy point and a projected search give: mu_0 of Lin and Moré."""
+
+SHORTEN_CAUCHY, SHORTEN, SEARCHES = 0.25, 0.5, 30
+"""Factors of the steps that are tried for a Cauchy point and in a projected search, and most tries of
+that."""
+
+FIRST_SHIFT, GROWTH, LARGEST_SHIFT = 1e-3, 10.0, 1e6
+"""First multiple of the mean diagonal that is added to an indefinite matrix, factor between shifts, and the
+largest one that is tried."""
+
+Preconditioner = Callable[[Array], Array]
+"""A symmetric positive definite operator on gradients."""
 
 
 class Model(Protocol):
@@ -35,14 +55,48 @@ class Model(Protocol):
         """A positive diagonal to scale the variables with."""
 
 
-class BoxStep:
-    """Minimises ``g . s + 1/2 s . H s`` approximately over a box that holds s = 0."""
+@dataclass(frozen=True)
+class Scaled:
+    """A model in units of the widths of a trust region."""
 
-    def __init__(self, model: Model, g: Array, settings: StepSettings | None = None) -> None:
-        self._model, self._g, self._settings = model, g, settings or StepSettings()
-        self.max_products = self._settings.max_products
+    model: Model
+    width: Array
+
+    def __call__(self, d: Array) -> Array:
+        """Hessian times ``d``."""
+        return self.width * self.model(self.width * d)
+
+    def diagonal(self) -> Array:
+        """That of the model."""
+        return self.width**2 * self.model.diagonal()
+
+
+class BoxStep:
+    """Minimises ``g . s + 1/2 s . H s`` approximately over a box that contains s = 0.
+
+    Parameters
+    ----------
+    model : Model
+    g : (n,) array
+    preconditioner : callable, optional
+        Of the conjugate gradients; by default the inverse diagonal of the model. On a face its principal part
+        is taken, which is positive definite again.
+    max_products : int
+        Largest number of Hessian products.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        g: Array,
+        preconditioner: Preconditioner | None = None,
+        max_products: int = MAX_PRODUCTS,
+    ) -> None:
+        self._model, self._g, self._preconditioner = model, g, preconditioner
+        self.max_products = max_products
         self.scale = model.diagonal()
         self.products = 0
+        self._free: NDArray[np.bool_] | slice = slice(None)
 
     def solve(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
         """A step within the box, and the decrease that the model predicts."""
@@ -58,12 +112,12 @@ class BoxStep:
             moved, H_moved = self._projected_search(s, gradient, w)
             decrease = -float(gradient @ moved + 0.5 * moved @ H_moved)
             s, Hs = s + moved, Hs + H_moved
-            if decrease <= self._settings.worthwhile * self._decrease(s, Hs):
+            if decrease <= WORTHWHILE * self._decrease(s, Hs):
                 break
         return s, self._decrease(s, Hs)
 
-    def rows_held(self, s: Array) -> int:
-        """Number of the rows of a wall that hold a step."""
+    def rows_active(self, s: Array) -> int:
+        """Number of constraints that are active at a step."""
         return 0
 
     def _decrease(self, s: Array, Hs: Array) -> float:
@@ -77,11 +131,16 @@ class BoxStep:
         return float(np.sqrt(np.maximum(r @ self._precondition(r), 0.0)))
 
     def _precondition(self, r: Array) -> Array:
-        return r / self.scale
+        if self._preconditioner is None:
+            return r / self.scale
+        z = np.zeros_like(r)
+        z[self._free] = self._preconditioner(r)[self._free]
+        return z
 
     def _face(self, s: Array) -> NDArray[np.bool_]:
-        """The variables that no bound holds at ``s``."""
-        return (s > self._lower) & (s < self._upper)
+        """The variables that are off their bounds at ``s``."""
+        self._free = free = (s > self._lower) & (s < self._upper)
+        return free
 
     def _clip(self, s: Array) -> Array:
         return np.clip(s, self._lower, self._upper)
@@ -93,15 +152,15 @@ class BoxStep:
         s = self._clip(direction)
         while np.any(s):
             Hs = self._product(s)
-            if self._g @ s + 0.5 * s @ Hs <= self._settings.decrease * (self._g @ s):
+            if self._g @ s + 0.5 * s @ Hs <= DECREASE * (self._g @ s):
                 return s, Hs
-            alpha *= self._settings.shorten_cauchy
+            alpha *= SHORTEN_CAUCHY
             s = self._clip(alpha * direction)
         return s, np.zeros_like(s)
 
     def _conjugate_gradients(self, residual: Array, free: NDArray[np.bool_], forcing: float) -> Array:
         """Steps over the free variables, until they converge or lead far out of the box."""
-        far = self._settings.overshoot * float(np.max(np.maximum(self._upper, -self._lower)))
+        far = OVERSHOOT * float(np.max(np.maximum(self._upper, -self._lower)))
         w, r = np.zeros_like(residual), -residual
         z = self._precondition(r)
         p, rz = z.copy(), float(r @ z)
@@ -123,38 +182,36 @@ class BoxStep:
     def _projected_search(self, s: Array, gradient: Array, w: Array) -> tuple[Array, Array]:
         """A step along the projected path of ``w`` that decreases the model."""
         beta = 1.0
-        for _ in range(self._settings.searches):
+        for _ in range(SEARCHES):
             moved = self._clip(s + beta * w) - s
             H_moved = self._product(moved)
             slope = gradient @ moved
-            if slope + 0.5 * moved @ H_moved <= self._settings.decrease * np.minimum(slope, 0.0):
+            if slope + 0.5 * moved @ H_moved <= DECREASE * np.minimum(slope, 0.0):
                 return moved, H_moved
-            beta *= self._settings.shorten
+            beta *= SHORTEN
         return np.zeros_like(s), np.zeros_like(s)
 
 
-class WalledStep(BoxStep):
-    """The same where the linearised rows of a wall hold too; conjugate gradients run along active ones."""
+class ConstrainedStep(BoxStep):
+    """The same where linearised constraints hold too; conjugate gradients run along active ones."""
 
-    def __init__(self, model: Model, g: Array, wall: Wall, settings: NewtonSettings | None = None) -> None:
-        chosen = settings or NewtonSettings()
-        super().__init__(model, g, chosen.step)
-        self.max_products = chosen.step.max_products_walled
-        self._wall, self._projection = wall, chosen.projection
+    def __init__(self, model: Model, g: Array, rows: Linearised) -> None:
+        super().__init__(model, g, max_products=MAX_PRODUCTS_CONSTRAINED)
+        self._rows = rows
 
     def solve(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
         """A step within the box and the rows, and the decrease that the model predicts."""
-        room = self._wall.slack - self._wall.floor
-        self._set = Polyhedron(lower, upper, room, self._wall.jacobian, self.scale, self._projection)
+        room = self._rows.slack - self._rows.floor
+        self._set = Polyhedron(lower, upper, room, self._rows.jacobian, self.scale)
         return super().solve(lower, upper, forcing)
 
-    def rows_held(self, s: Array) -> int:
-        """Number of the rows of the wall that hold a step."""
+    def rows_active(self, s: Array) -> int:
+        """Number of rows that are active at a step."""
         return int(self._set.active(s).size)
 
     def multipliers(self, s: Array) -> Array:
-        """What the rows that hold the step ``s`` pull with, by least squares; not negative."""
-        result, active = np.zeros(self._wall.slack.size), self._set.active(s)
+        """Multipliers of the rows that are active at the step ``s``, by least squares; not negative."""
+        result, active = np.zeros(self._rows.slack.size), self._set.active(s)
         if active.size:
             self._face(s)
             result[active] = np.maximum(self._along.multipliers(self._g + self._product(s)), 0.0)
@@ -170,46 +227,6 @@ class WalledStep(BoxStep):
 
     def _precondition(self, r: Array) -> Array:
         return self._along.precondition(r)
-
-
-Preconditioner = Callable[[Array], Array]
-
-FIRST_SHIFT = 1e-3
-"""First multiple of the mean diagonal that is added to an indefinite matrix."""
-
-GROWTH = 10.0
-"""Factor between shifts."""
-
-LARGEST_SHIFT = 1e6
-"""Shift at which a matrix counts as none that can be used."""
-
-
-class PreconditionedStep(BoxStep):
-    """The step of :class:`~rmesh_nlp.optimize.newton_step.BoxStep` by preconditioned conjugate gradients.
-
-    Parameters
-    ----------
-    model : Model
-    g : (n,) array
-    preconditioner : callable
-        See the module.
-    settings : StepSettings, optional
-    """
-
-    def __init__(
-        self, model: Model, g: Array, preconditioner: Preconditioner, settings: StepSettings | None = None
-    ) -> None:
-        super().__init__(model, g, settings)
-        self._apply = preconditioner
-        self._free: NDArray[np.bool_] | None = None
-
-    def _face(self, s: Array) -> NDArray[np.bool_]:
-        self._free = super()._face(s)
-        return self._free
-
-    def _precondition(self, r: Array) -> Array:
-        z = self._apply(r)
-        return z if self._free is None else np.where(self._free, z, 0.0)
 
 
 @dataclass(frozen=True)
@@ -240,29 +257,16 @@ class Shifted:
         return np.asarray(self.factor.solve(whole)[: self.n])
 
 
-def positive_definite(matrix: sp.csc_array, n: int, shift: float = 0.0) -> Shifted | None:
+def positive_definite(matrix: sp.csc_array, n: int) -> Shifted | None:
     """Factorise ``matrix + shift I`` with the least shift of a sequence that makes it positive definite.
 
     ``L D L^T`` without interchanges: by Sylvester's law of inertia the signs of D are those of the
-    eigenvalues. The identity is that of the first n unknowns; the matrix must be positive definite
-    on the others.
-
-    Parameters
-    ----------
-    matrix : (m, m) sparse array
-        Symmetric.
-    n : int
-    shift : float
-        To begin with, in units of the mean size of the diagonal.
-
-    Returns
-    -------
-    Shifted or None
-        None if no shift helps.
+    eigenvalues. The identity is that of the first n unknowns; the symmetric matrix (m, m) must be positive
+    definite on the others. None if no shift helps.
     """
     unit = max(float(np.mean(np.abs(matrix.diagonal()[:n]))), 1e-300)
     on_first = sp.diags_array(np.where(np.arange(matrix.shape[0]) < n, unit, 0.0), format="csc")
-    count = 0
+    shift, count = 0.0, 0
     while shift <= LARGEST_SHIFT:
         factor, count = _signed_factor(sp.csc_array(matrix + shift * on_first)), count + 1
         if factor is not None:

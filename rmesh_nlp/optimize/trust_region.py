@@ -1,38 +1,120 @@
-"""Projected Newton-CG with a trust region for a smooth function in a box.
+"""Projected Newton-CG with a trust region, for a smooth function in a box and within smooth constraints.
 
-In the manner of TRON (C.-J. Lin, J. J. Moré, Newton's method for large bound-constrained
-optimization problems, SIAM J. Optim. 9 (1999) 1100-1127): a Cauchy point, then conjugate
-gradients over the variables that are free, with a projected search that lets many bounds become
-active at once, again and again on the same quadratic model.
+In the manner of TRON (C.-J. Lin, J. J. Moré, Newton's method for large bound-constrained optimization
+problems, SIAM J. Optim. 9 (1999) 1100-1127): a Cauchy point, then conjugate gradients over the free
+variables, with a projected search that lets many bounds become active at once, again and again on the same
+quadratic model (:mod:`rmesh_nlp.optimize.newton_step`).
 
-The trust region is a box too. TRON's ball stops a step where the conjugate gradients leave it
-or meet negative curvature; the projection then shortens that step, so that the ball never grows
-although the model is right. In a box the step ends in a corner of the trusted part of the box
-instead, and the same model is used until it has nothing left to give: of the functions here, a
-derivative costs as much as dozens of Hessian products.
-
-Walls are smooth constraints that cost nothing beside the function. They are handled in the manner of feasible
-sequential quadratic programming (E. R. Panier, A. L. Tits, On combining feasibility, descent and
-superlinear convergence in inequality constrained optimization, Math. Programming 59 (1993) 261-276):
-a step obeys their linearisation, the model has the Hessian of the Lagrangian, and what curvature
-leaves of a violation is taken back before the function is evaluated. So the function itself is
-the merit, there is no penalty or barrier, and a wall that is not met changes nothing.
+- The trust region is a box too. TRON's ball stops a step where the conjugate gradients leave it or meet
+  negative curvature; the projection then shortens that step, so that the ball never grows although the model
+  is right. In a box the step ends in a corner of the trusted part instead, and the same model is used until
+  it has nothing left to give: of the functions here, a derivative costs as much as dozens of Hessian
+  products.
+- Constraints that cost nothing beside the function are handled in the manner of feasible sequential quadratic
+  programming (E. R. Panier, A. L. Tits, On combining feasibility, descent and superlinear convergence in
+  inequality constrained optimization, Math. Programming 59 (1993) 261-276): a step obeys their linearisation,
+  the model has the Hessian of the Lagrangian, and what curvature leaves of a violation is taken back before
+  the function is evaluated. The function itself is the merit; there is no penalty or barrier.
+- A function that is its own barrier may have :class:`LocalRadii`: each variable is trusted within a width of
+  its own. A uniform radius is held back everywhere by the smallest element; with widths one radius of order
+  one suits all variables. A step that leaves the domain of the function is cut at a part of its way to the
+  boundary, as interior points do, and not refused: the cut costs no evaluation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.activity import is_inside
-from rmesh_nlp.optimize.constraints import Walls
-from rmesh_nlp.optimize.newton_settings import NewtonSettings
-from rmesh_nlp.optimize.newton_step import BoxStep, Model, WalledStep
+from rmesh_nlp.optimize.constraints import Constraints
+from rmesh_nlp.optimize.newton_step import (
+    MAX_PRODUCTS,
+    BoxStep,
+    ConstrainedStep,
+    Model,
+    Preconditioner,
+    Scaled,
+)
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.settings import Count, Factor, Part, Positive, Settings
+
+NEGLIGIBLE, CREEPING = 1e-10, 0.8
+"""Along constraints a descent gives up if the model predicts less than the first part of the decrease so far,
+and the last step has left more than the second part of the residual."""
+
+NOTHING, NOTHING_LOCAL = 1e-16, 1e-20
+"""Predicted decrease, relative to the value, below which no step follows; with local radii the second one."""
+
+HIDDEN = 0.05
+"""Part of the variables that may end a step at the edge of local radii without their hiding a decrease."""
+
+LEAST_RADIUS = 1e-6
+"""Local radius, in widths, at which a descent gives up."""
+
+ROUNDING = 1e-14
+"""Error of a function with local radii, relative to its value: near the end both decreases are rounding, and
+then count as alike (A. R. Conn, N. I. M. Gould, Ph. L. Toint, Trust-region methods, SIAM 2000, 17.4.2)."""
+
+
+@dataclass(frozen=True)
+class NewtonSettings(Settings):
+    """Settings of the descents.
+
+    For the ratios see A. R. Conn, N. I. M. Gould, Ph. L. Toint, Trust-region methods, SIAM 2000, section 6.1;
+    docs/notes/speed.md and docs/notes/large_moves.md have the benchmarks that chose the method.
+
+    Attributes
+    ----------
+    sufficient : float
+        Least ratio of actual to predicted decrease of an accepted step.
+    poor, good : float
+        Ratios below and above which the trust region shrinks and grows.
+    shrink, grow : float
+        Its factors then.
+    forcing : float
+        Conjugate gradients stop at this part of the residual they began with.
+    first_radius : float
+        First half-width of the trust region, as a part of the longest component of the scaled gradient step;
+        of local radii, in widths.
+    max_products : int
+        Hessian products of one step without active constraints.
+    close : float
+        Slack at which a constraint counts as met, and from when on steps take account of constraints. If
+        they always do, Newton-CG ends the paper's 6.2 at -4.90994 in place of -4.91034.
+    crowded : int
+        Active constraints of one step beyond which the descent gives up: projections on so many cost more
+        than the rest of a step, and conjugate gradients along them crawl.
+    """
+
+    sufficient: Positive = 1e-4
+    poor: Positive = 0.25
+    good: Part = 0.75
+    shrink: Part = 0.25
+    grow: Factor = 4.0
+    forcing: Part = 0.1
+    first_radius: Positive = 0.5
+    max_products: Count = MAX_PRODUCTS
+    close: Positive = 1e-2
+    crowded: Count = 20
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.sufficient <= self.poor < self.good:
+            raise BadInputError(
+                "a trust region needs sufficient <= poor < good, got "
+                f"{self.sufficient!r}, {self.poor!r} and {self.good!r}"
+            )
+
+
+LOCAL = NewtonSettings(grow=2.0, first_radius=1.0)
+"""Settings of descents with local radii."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +130,7 @@ class Evaluation:
 class NewtonResult:
     """Where the method stopped.
 
-    ``crowded`` says that too many walls held a step; the status is then STALLED.
+    ``crowded`` says that too many constraints were active in a step; the status is then STALLED.
     """
 
     x: Array
@@ -57,6 +139,26 @@ class NewtonResult:
     iterations: int
     products: int
     crowded: bool = False
+
+
+@dataclass(frozen=True)
+class LocalRadii:
+    """A trust region of its own for each variable.
+
+    Attributes
+    ----------
+    widths : callable
+        Positive widths (n,) of the trust region at a point, for radius 1.
+    longest : callable
+        ``(x, step) -> part`` of the step, at most 1, that stays well within the domain of the function.
+    preconditioner : callable, optional
+        ``(model, widths) -> preconditioner`` of the conjugate gradients, in units of the widths; where it is
+        None, or returns None, the diagonal of the model.
+    """
+
+    widths: Callable[[Array], Array]
+    longest: Callable[[Array, Array], float]
+    preconditioner: Callable[[Any, Array], Preconditioner | None] | None = None
 
 
 def minimise(
@@ -70,14 +172,15 @@ def minimise(
     reference: float | None = None,
     unit: float | None = None,
     max_iterations: int = 200,
-    walls: Walls | None = None,
+    constraints: Constraints | None = None,
+    local: LocalRadii | None = None,
     on_step: Callable[[int, Array, Evaluation], bool | None] | None = None,
     settings: NewtonSettings | None = None,
 ) -> NewtonResult:
-    """Minimise in the box ``lower <= x <= upper``, and within walls if there are any.
+    """Minimise in the box ``lower <= x <= upper``, and within constraints if there are any.
 
-    Converged means two things: the point is stationary, and the model sees no decrease worth a
-    step. On a fine mesh every point is nearly stationary, for each node has little to say.
+    Converged means two things: the point is stationary, and the model predicts no decrease worth a
+    step. On a fine mesh every point is nearly stationary, since no node matters much.
 
     Parameters
     ----------
@@ -86,7 +189,7 @@ def minimise(
         defined, which makes the trust region shrink.
     start, lower, upper : (n,) arrays
     tolerance : float
-        Stationary: ``max |x - proj(x - g / unit)|`` is at most this, g less the pull of the walls.
+        Stationary: ``max |x - proj(x - r / unit)|`` is at most this, r the gradient of the Lagrangian.
     gain_tolerance : float
         No decrease: the model predicts less than this fraction of the decrease so far.
     reference : float, optional
@@ -94,135 +197,204 @@ def minimise(
     unit : float, optional
         What the gradient is measured in; by default the size of the function.
     max_iterations : int
-    walls : Walls, optional
-        Constraints that ``start`` obeys.
+    constraints : Constraints, optional
+        Obeyed by ``start``; not together with ``local``.
+    local : LocalRadii, optional
     on_step : callable, optional
         Called with the iteration, the point and its evaluation; the descent stops if it returns True.
     settings : NewtonSettings, optional
+        By default ``LOCAL`` with local radii.
     """
-    use = settings or NewtonSettings()
+    domain: _Box
+    if local is not None:
+        domain = _LocalBox(lower, upper, settings or LOCAL, local)
+    elif constraints is not None:
+        domain = _ConstrainedBox(lower, upper, settings or NewtonSettings(), constraints)
+    else:
+        domain = _Box(lower, upper, settings or NewtonSettings())
+    use = domain.settings
     x = np.clip(start, lower, upper)
     here = evaluate(x)
     if here is None:
         return NewtonResult(x, np.nan, Status.EVALUATION_ERROR, 0, 0)
     reference, products = here.value if reference is None else reference, 0
-    radius = 0.0
-    model = here.model()
-    domain = _Box(lower, upper, use) if walls is None else _WalledBox(lower, upper, walls, use)
-    domain.arrive(x)
-    before = np.inf
+    radius, before = 0.0, np.inf
     for iteration in range(max_iterations + 1):
         if on_step is not None and on_step(iteration, x, here):
             return NewtonResult(x, here.value, Status.INTERRUPTED, iteration, products)
-        g = here.gradient
-        size = max(abs(here.value), 1e-300)
-        step_down = np.clip(x - domain.released(g) / (unit or size), lower, upper)
-        residual = np.max(np.abs(x - step_down), initial=0.0)
         if iteration == max_iterations:
             break
-        accepted = False
-        while not accepted:
-            step = domain.step(model, g)
-            if radius == 0.0:
-                newton_like = np.clip(x - g / step.scale, lower, upper) - x
-                radius = use.first_radius * float(np.max(np.abs(newton_like), initial=0.0))
-            s, predicted = step.solve(
-                np.maximum(lower - x, -radius), np.minimum(upper - x, radius), use.forcing
-            )
+        size = max(abs(here.value), 1e-300)
+        domain.arrive(x, here)
+        downhill = np.clip(x - domain.released / (unit or size), lower, upper)
+        residual = float(np.max(np.abs(x - downhill), initial=0.0))
+        stationary = residual <= tolerance
+        while True:
+            step = domain.step()
+            radius = radius or domain.first_radius(step)
+            y, predicted = step.solve(*domain.trusted(radius), use.forcing)
             products += step.products
-            if step.rows_held(s) > use.crowded:
-                return NewtonResult(x, here.value, Status.STALLED, iteration, products, crowded=True)
-            if residual <= tolerance and predicted <= gain_tolerance * (reference - here.value):
+            gained, nothing = reference - here.value, predicted <= domain.nothing * size
+            crowded = step.rows_active(y) > use.crowded
+            enough = predicted <= gain_tolerance * gained and not domain.hides(y, radius)
+            if not crowded and stationary and (enough or nothing):
                 return NewtonResult(x, here.value, Status.CONVERGED, iteration, products)
-            creeps = isinstance(step, WalledStep) and tolerance < residual > use.creeping * before
-            if creeps and predicted <= use.negligible * (reference - here.value):
-                return NewtonResult(x, here.value, Status.STALLED, iteration, products)
-            if not np.any(s) or predicted <= 1e-16 * size:
-                status = Status.CONVERGED if residual <= tolerance else Status.STALLED
-                return NewtonResult(x, here.value, status, iteration, products)
-            landed = domain.land(np.clip(x + s, lower, upper), step, s)
+            creeps = isinstance(step, ConstrainedStep) and tolerance < residual > CREEPING * before
+            creeps = creeps and predicted <= NEGLIGIBLE * gained
+            if crowded or creeps or nothing or radius < domain.least_radius:
+                return NewtonResult(x, here.value, Status.STALLED, iteration, products, crowded)
+            part, predicted = domain.cut(y, predicted)
+            products += part < 1
+            landed = domain.land(part, y, step)
             there = None if landed is None else evaluate(landed)
-            actual = here.value - there.value if there is not None else -np.inf
-            ratio = actual / predicted
-            if ratio < use.poor:
-                radius = use.shrink * float(np.max(np.abs(s)))
+            ratio, rounding = -np.inf, domain.rounding * size
+            if there is not None:
+                ratio = (here.value - there.value + rounding) / (max(predicted, 0.0) + rounding)
+            if not ratio >= use.poor:
+                radius = use.shrink * part * float(np.max(np.abs(y)))
+            elif part < 1:
+                radius = max(part * radius, domain.least_radius)
             elif ratio > use.good:
                 radius = use.grow * radius
             if landed is not None and there is not None and ratio > use.sufficient:
-                x, here, accepted, before = landed, there, True, residual
-                model = here.model()
-                domain.arrive(x)
+                x, here, before = landed, there, residual
+                break
     return NewtonResult(x, here.value, Status.ITERATION_LIMIT, max_iterations, products)
 
 
 class _Box:
-    """Where the method may go, seen from its last point."""
+    """Where the method may go, seen from its last point, in units in which the trust region is a cube."""
+
+    nothing, rounding, least_radius = NOTHING, 0.0, 0.0
 
     def __init__(self, lower: Array, upper: Array, settings: NewtonSettings) -> None:
-        self._lower, self._upper, self._settings = lower, upper, settings
+        self._lower, self._upper, self.settings = lower, upper, settings
 
-    def arrive(self, x: Array) -> None:
+    def arrive(self, x: Array, here: Evaluation) -> None:
         """Take note of a new point."""
+        self._x, self._g, self._model = x, here.gradient, here.model()
 
-    def released(self, g: Array) -> Array:
-        """A gradient less the pull of the walls."""
-        return g
+    @property
+    def released(self) -> Array:
+        """Gradient of the Lagrangian."""
+        return self._g
 
-    def step(self, model: Model, g: Array) -> BoxStep:
+    def first_radius(self, step: BoxStep) -> float:
+        gradient_step = np.clip(self._x - self._g / step.scale, self._lower, self._upper) - self._x
+        return self.settings.first_radius * float(np.max(np.abs(gradient_step), initial=0.0))
+
+    def trusted(self, radius: float) -> tuple[Array, Array]:
+        """Bounds of a step."""
+        return np.maximum(self._lower - self._x, -radius), np.minimum(self._upper - self._x, radius)
+
+    def step(self) -> BoxStep:
         """The minimiser of the model."""
-        return BoxStep(model, g, self._settings.step)
+        return BoxStep(self._model, self._g, max_products=self.settings.max_products)
 
-    def land(self, trial: Array, step: BoxStep, s: Array) -> Array | None:
-        """The point that the step ``s`` to ``trial`` leads to; None if there is none."""
-        return trial
+    def hides(self, y: Array, radius: float) -> bool:
+        """Whether the trust region may hide a decrease."""
+        return False
+
+    def cut(self, y: Array, predicted: float) -> tuple[float, float]:
+        """Part of a step that stays in the domain, and the decrease that the model predicts of it."""
+        return 1.0, predicted
+
+    def land(self, part: float, y: Array, step: BoxStep) -> Array | None:
+        """The point that a step leads to; None if there is none."""
+        return np.clip(self._x + y, self._lower, self._upper)
 
 
-class _WalledBox(_Box):
-    """The same with walls; keeps their multipliers from one step to the next.
+class _LocalBox(_Box):
+    """The same with a radius for each variable."""
 
-    Steps take account of walls from when one is first met.
+    nothing, rounding, least_radius = NOTHING_LOCAL, ROUNDING, LEAST_RADIUS
+
+    def __init__(self, lower: Array, upper: Array, settings: NewtonSettings, local: LocalRadii) -> None:
+        super().__init__(lower, upper, settings)
+        self._local = local
+
+    def arrive(self, x: Array, here: Evaluation) -> None:
+        super().arrive(x, here)
+        self._width = self._local.widths(x)
+        make = self._local.preconditioner
+        self._preconditioner = None if make is None else make(self._model, self._width)
+
+    def first_radius(self, step: BoxStep) -> float:
+        return self.settings.first_radius
+
+    def trusted(self, radius: float) -> tuple[Array, Array]:
+        low, high = (self._lower - self._x) / self._width, (self._upper - self._x) / self._width
+        return np.maximum(low, -radius), np.minimum(high, radius)
+
+    def step(self) -> BoxStep:
+        scaled, slope = Scaled(self._model, self._width), self._width * self._g
+        return BoxStep(scaled, slope, self._preconditioner, self.settings.max_products)
+
+    def hides(self, y: Array, radius: float) -> bool:
+        return y.size > 0 and float(np.mean(np.abs(y) >= 0.999 * radius)) > HIDDEN
+
+    def cut(self, y: Array, predicted: float) -> tuple[float, float]:
+        part = self._local.longest(self._x, self._width * y)
+        if part < 1:
+            s = part * (self._width * y)
+            predicted = -float(self._g @ s + 0.5 * s @ self._model(s))
+        return part, predicted
+
+    def land(self, part: float, y: Array, step: BoxStep) -> Array | None:
+        s = self._width * y
+        return np.clip(self._x + (part * s if part < 1 else s), self._lower, self._upper)
+
+
+class _ConstrainedBox(_Box):
+    """The same within constraints; keeps their multipliers from one step to the next.
+
+    Steps take account of constraints from when one is first met.
     """
 
-    def __init__(self, lower: Array, upper: Array, walls: Walls, settings: NewtonSettings) -> None:
+    def __init__(
+        self, lower: Array, upper: Array, settings: NewtonSettings, constraints: Constraints
+    ) -> None:
         super().__init__(lower, upper, settings)
-        self._walls = walls
-        self._pull: Array | None = None  # of the last step that took account of walls
+        self._constraints = constraints
+        self._multipliers: Array | None = None  # of the last step that took account of constraints
         self._met = False
 
-    def arrive(self, x: Array) -> None:
-        self._x, self._wall = x, self._walls.at(x)
-        self._inside = is_inside(x, self._lower, self._upper)
-        self._met = self._met or bool(np.any(self._wall.slack < self._settings.close))
+    def arrive(self, x: Array, here: Evaluation) -> None:
+        super().arrive(x, here)
+        self._rows = self._constraints.at(x)
+        self._fitted = self._rows.fitted(self._g, is_inside(x, self._lower, self._upper))
+        self._met = self._met or bool(np.any(self._rows.slack < self.settings.close))
 
-    def released(self, g: Array) -> Array:
-        self._fitted = self._wall.fitted(g, self._inside)
-        return g - self._wall.jacobian.T @ self._fitted
+    @property
+    def released(self) -> Array:
+        return self._g - self._rows.jacobian.T @ self._fitted
 
-    def step(self, model: Model, g: Array) -> BoxStep:
+    def step(self) -> BoxStep:
         if not self._met:
-            return super().step(model, g)
-        pull = self._fitted if self._pull is None else self._pull
-        bent = _Bent(model, self._walls.hessian(self._x, pull))
-        return WalledStep(bent, g, self._wall, self._settings)
+            return super().step()
+        multipliers = self._fitted if self._multipliers is None else self._multipliers
+        lagrangian = _Lagrangian(self._model, self._constraints.hessian(self._x, multipliers))
+        return ConstrainedStep(lagrangian, self._g, self._rows)
 
-    def land(self, trial: Array, step: BoxStep, s: Array) -> Array | None:
-        if isinstance(step, WalledStep):
+    def land(self, part: float, y: Array, step: BoxStep) -> Array | None:
+        if isinstance(step, ConstrainedStep):
             # of a step that will be rejected too: its rows are those that the next one meets
-            self._pull = step.multipliers(s)
-        landed = self._walls.back(trial, self._wall, self._lower, self._upper, step.scale)
+            self._multipliers = step.multipliers(y)
+        trial = np.clip(self._x + y, self._lower, self._upper)
+        landed = self._constraints.back(trial, self._rows, self._lower, self._upper, step.scale)
         self._met = self._met or landed is not trial
         return landed
 
 
 @dataclass(frozen=True)
-class _Bent:
-    """A model less the curvature of walls that pull: the Hessian of the Lagrangian."""
+class _Lagrangian:
+    """A model less the curvature of active constraints: the Hessian of the Lagrangian."""
 
     model: Model
-    walls: sp.csc_array
+    curvature: sp.csc_array
 
     def __call__(self, d: Array) -> Array:
-        return self.model(d) - self.walls @ d
+        return self.model(d) - self.curvature @ d
 
     def diagonal(self) -> Array:
         return self.model.diagonal()

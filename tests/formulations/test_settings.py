@@ -22,21 +22,14 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.models.cascade import CascadeSettings
 from rmesh_nlp.models.outer_solvers import NestedSettings
 from rmesh_nlp.mpcc import MPCC, Options, solve
-from rmesh_nlp.optimize.newton_settings import (
-    LocalNewtonSettings,
-    NewtonSettings,
-    ProjectionSettings,
-    StepSettings,
-    TrustRegionSettings,
-)
+from rmesh_nlp.optimize.trust_region import NewtonSettings
 from rmesh_nlp.settings import Settings
 from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.vectorised import AssemblySettings
 
-NEWTON = (TrustRegionSettings, NewtonSettings, LocalNewtonSettings, StepSettings, ProjectionSettings)
 WRAPPERS = (Confirmed, Flips, MultiStart, Polished, Refined, Schedule)
 FORMULATIONS = (AllAtOnce, Auto, Descent, Fixed, Joint, Nested, *WRAPPERS)
-KINDS = (*NEWTON, *FORMULATIONS, NestedSettings, CascadeSettings, AssemblySettings, Options, Limits)
+KINDS = (NewtonSettings, *FORMULATIONS, NestedSettings, CascadeSettings, AssemblySettings, Options, Limits)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -81,8 +74,8 @@ def test_what_is_no_number_is_checked_too(kind: type[Settings], given: dict[str,
 
 def test_a_change_keeps_what_was_chosen_before() -> None:
     first = NestedSettings.of({"tol": 1e-5, "newton": {"close": 0.5}})
-    both = first.having({"newton": {"step": {"searches": 5}}})
-    assert both.changed() == {"tol": 1e-5, "newton": {"close": 0.5, "step": {"searches": 5}}}
+    both = first.having({"newton": {"max_products": 5}})
+    assert both.changed() == {"tol": 1e-5, "newton": {"max_products": 5, "close": 0.5}}
 
 
 def _pair() -> tuple[Any, ...]:

@@ -15,7 +15,7 @@ from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.levels import _continuous, accepted
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised
-from rmesh_nlp.models.regularised_descent import LargeMoves, finished
+from rmesh_nlp.models.regularised_descent import descend, finished
 from rmesh_nlp.models.second_derivatives import Curvature
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Traction
@@ -82,7 +82,7 @@ def test_a_map_that_gains_by_penetration_is_not_taken() -> None:
     )
     energy = regularised_energy(problem)
     zero = np.zeros(energy.relocation.n_q)
-    found = LargeMoves(energy)(zero, gain_tolerance=0, max_iterations=4).x
+    found = descend(energy, zero, gain_tolerance=0, max_iterations=4).x
     assert energy(found).equilibrium.energy < energy(zero).equilibrium.energy
     assert accepted(energy, found)[1] == 0
 

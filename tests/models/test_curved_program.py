@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.models.reduced_nlp import ReducedProgram, dense, reduced_nlp, with_hessian
+from rmesh_nlp.models.reduced_nlp import ReducedNLP, dense, reduced_nlp, with_hessian
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import nested
@@ -16,7 +16,7 @@ PROBLEMS = {
 }
 
 
-def program_of(problem: ContactProblem, objective: str) -> ReducedProgram:
+def program_of(problem: ContactProblem, objective: str) -> ReducedNLP:
     outer = Outer(problem, objective)
     return with_hessian(
         reduced_nlp(outer.relocation, outer.function, outer.is_valid, outer.residual, outer.tolerance)

@@ -8,7 +8,7 @@ import pytest
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.reduced_nlp import STIFF, ReducedProgram, lifted, reduced_nlp, with_hessian
+from rmesh_nlp.models.reduced_nlp import STIFF, ReducedNLP, lifted, reduced_nlp, with_hessian
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.solving.clock import TOLERANCE
 from rmesh_nlp.solving.outer import Outer
@@ -39,7 +39,7 @@ def test_newton_converges_with_gaps_along_edges(friction: float) -> None:
     assert solution.iterations <= 100
 
 
-def program_of(problem: ContactProblem, objective: str = "energy") -> ReducedProgram:
+def program_of(problem: ContactProblem, objective: str = "energy") -> ReducedNLP:
     outer = Outer(problem, objective)
     return reduced_nlp(outer.relocation, outer.function, outer.is_valid, outer.residual, outer.tolerance)
 
@@ -55,7 +55,9 @@ def test_the_schur_complement_in_the_moves_is_the_dense_hessian(name: str, facto
     larger, n = lifted(program), program.nlp.n_x
     rng = np.random.default_rng(7)
     q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, program.nlp.n_g)
-    matrix = whole(larger.nlp.derivatives.hess_lag(larger.start(q), [], factor, lam_g).full())
+    matrix = whole(
+        larger.derivatives.hess_lag(np.append(q, np.zeros(larger.n_x - n)), [], factor, lam_g).full()
+    )
     corner = matrix[n:, n:]
     schur = matrix[:n, :n] - matrix[:n, n:] @ np.linalg.solve(corner, matrix[n:, :n])
     other = with_hessian(program)  # its callback must outlive the call
@@ -70,13 +72,13 @@ def test_additional_unknowns_change_neither_objective_nor_constraints() -> None:
     program = program_of(PROBLEMS["6.1, areas"]())
     larger, n = lifted(program), program.nlp.n_x
     rng = np.random.default_rng(1)
-    x = np.concatenate([0.02 * rng.uniform(-1, 1, n), rng.standard_normal(larger.n_w)])
-    value, slope = larger.nlp.derivatives.grad_f(x, [])
+    x = np.concatenate([0.02 * rng.uniform(-1, 1, n), rng.standard_normal(larger.n_x - n)])
+    value, slope = larger.derivatives.grad_f(x, [])
     own, own_slope = program.nlp.derivatives.grad_f(x[:n], [])
     assert float(value) == float(own)
     np.testing.assert_array_equal(slope.full()[:n], own_slope.full())
     assert not np.any(slope.full()[n:])
-    rows = larger.nlp.derivatives.jac_g(x, [])[1].full()
+    rows = larger.derivatives.jac_g(x, [])[1].full()
     np.testing.assert_array_equal(rows[:, :n], program.nlp.derivatives.jac_g(x[:n], [])[1].full())
     assert not np.any(rows[:, n:])
 

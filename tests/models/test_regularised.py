@@ -14,7 +14,7 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised, weights
-from rmesh_nlp.models.regularised_descent import KEPT, LargeMoves, longest_valid, node_widths
+from rmesh_nlp.models.regularised_descent import KEPT, descend, longest_valid, node_widths
 from rmesh_nlp.models.second_derivatives import Curvature
 from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
 from support.problems import sloped_block
@@ -143,9 +143,8 @@ def test_a_descent_without_boxes_converges_to_a_valid_lower_and_stationary_mesh(
     problem = PROBLEMS[name]()
     gain = gain_estimate(problem).value
     energy = ReducedEnergy(relocation(problem, regularised(gain, 0.01)))
-    moves = LargeMoves(energy)
     before = energy(np.zeros(energy.relocation.n_q))
-    result = moves(before.q, gain_tolerance=1e-6, max_iterations=200)
+    result = descend(energy, before.q, gain_tolerance=1e-6, max_iterations=200)
     after = energy(result.x)
     assert result.status.value == "converged"
     assert before.equilibrium.energy - after.equilibrium.energy > 0.2 * gain
@@ -174,8 +173,10 @@ def test_models_are_exact_unless_they_are_asked_to_take_loads_by_a_lower_rule() 
     energy = ReducedEnergy(relocation(problem, regularised(gain_estimate(problem).value, 0.01)))
     end = {}
     for approximate in (False, True):
-        moves = LargeMoves(energy, approximate=approximate)
-        end[approximate] = moves(np.zeros(energy.relocation.n_q), gain_tolerance=1e-12, max_iterations=40)
+        start = np.zeros(energy.relocation.n_q)
+        end[approximate] = descend(
+            energy, start, gain_tolerance=1e-12, max_iterations=40, approximate=approximate
+        )
     # Newton's method converges quadratically, with another model linearly
     assert end[False].status.value == "converged"
     assert end[False].iterations < end[True].iterations
@@ -184,8 +185,9 @@ def test_models_are_exact_unless_they_are_asked_to_take_loads_by_a_lower_rule() 
 
 
 def test_large_moves_need_a_barrier() -> None:
+    energy = ReducedEnergy(relocation(PROBLEMS["6.1"]()))
     with pytest.raises(ValueError, match="distortion"):
-        LargeMoves(ReducedEnergy(relocation(PROBLEMS["6.1"]())))
+        descend(energy, np.zeros(energy.relocation.n_q), gain_tolerance=0)
 
 
 def test_widths_are_heights() -> None:

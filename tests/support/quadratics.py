@@ -23,3 +23,9 @@ class Matrix:
 def quadratic(A: np.ndarray, b: np.ndarray, x: np.ndarray) -> Evaluation:
     """1/2 x^T A x - b^T x."""
     return Evaluation(0.5 * x @ A @ x - b @ x, A @ x - b, lambda: Matrix(A))
+
+
+def convex(rng: np.random.Generator, n: int) -> np.ndarray:
+    """A positive definite matrix."""
+    root = rng.standard_normal((n, n))
+    return root @ root.T + 0.1 * np.eye(n)

@@ -1,0 +1,110 @@
+"""One step in a box or polyhedron, and factorisations as preconditioners."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.constraints import Linearised
+from rmesh_nlp.optimize.newton_step import BoxStep, ConstrainedStep, Scaled, positive_definite
+from support.quadratics import Matrix, convex
+
+
+def stiff(n: int) -> Array:
+    """Positive definite, with a condition number of about 1e4 that no diagonal mends."""
+    matrix = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    return matrix @ matrix
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_predicted_decrease_is_that_of_the_model_and_the_step_is_stationary(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, g, upper = convex(rng, 15), rng.standard_normal(15), rng.uniform(0.01, 1, 15)
+    s, predicted = BoxStep(Matrix(A), g, max_products=400).solve(-upper, upper, 1e-9)
+    assert predicted == pytest.approx(-(g @ s + 0.5 * s @ A @ s), rel=1e-9)
+    assert np.all(np.abs(s) <= upper)
+    # rounds end where one gives less than 6 % of the decrease: that is near the minimum, not at it
+    best = min(-0.5 * predicted, 0.0)
+    assert g @ s + 0.5 * s @ A @ s < best < 0
+
+
+def test_a_model_in_widths_is_the_model_of_the_scaled_function() -> None:
+    A, width = convex(np.random.default_rng(0), 4), np.array([1.0, 0.1, 3.0, 2.0])
+    scaled, d = Scaled(Matrix(A), width), np.array([1.0, -1.0, 2.0, 0.5])
+    np.testing.assert_allclose(scaled(d), np.diag(width) @ A @ np.diag(width) @ d)
+    np.testing.assert_allclose(scaled.diagonal(), width**2 * Matrix(A).diagonal())
+
+
+def test_a_limit_of_products_is_kept() -> None:
+    rng = np.random.default_rng(0)
+    A, g, wide = convex(rng, 30), rng.standard_normal(30), np.full(30, 1e3)
+    free, short = BoxStep(Matrix(A), g), BoxStep(Matrix(A), g, max_products=5)
+    for step in (free, short):
+        step.solve(-wide, wide, 1e-8)
+    assert short.products <= 6 < free.products  # one more for the search that ends a round
+
+
+def test_a_constrained_step_ends_on_the_rows_with_their_multipliers() -> None:
+    # nearest point of the half plane x + y <= 1 to (1, 2): (0, 1), multiplier 1
+    rows = Linearised(np.array([1.0]), np.zeros(1), sp.csr_array([[-1.0, -1.0]]))
+    step = ConstrainedStep(Matrix(np.eye(2)), -np.array([1.0, 2.0]), rows)
+    s, predicted = step.solve(-np.full(2, 9.0), np.full(2, 9.0), 1e-8)
+    np.testing.assert_allclose(s, [0.0, 1.0], atol=1e-5)
+    assert predicted == pytest.approx(2 - 0.5, rel=1e-4)
+    assert step.rows_active(s) == 1
+    np.testing.assert_allclose(step.multipliers(s), [1.0], atol=1e-3)
+    assert step.rows_active(np.zeros(2)) == 0
+    np.testing.assert_array_equal(step.multipliers(np.zeros(2)), [0.0])
+
+
+def test_a_positive_definite_matrix_is_factorised_as_it_is() -> None:
+    matrix = stiff(12)
+    found = positive_definite(sp.csc_array(matrix), 12)
+    assert found is not None
+    assert (found.shift, found.factorisations) == (0, 1)
+    r = np.arange(12.0)
+    np.testing.assert_allclose(found(r), np.linalg.solve(matrix, r), rtol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_indefinite_matrix_is_shifted_until_its_inverse_is_positive_definite(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, m = 6, 10
+    matrix = rng.standard_normal((m, m))
+    matrix = matrix + matrix.T
+    rest = matrix[n:, n:]
+    matrix[n:, n:] = rest + (1 - np.linalg.eigvalsh(rest).min()) * np.eye(m - n)
+    matrix[:n, :n] -= 3 * np.eye(n)
+    assert np.linalg.eigvalsh(matrix).min() < 0
+    found = positive_definite(sp.csc_array(matrix), n)
+    assert found is not None
+    assert found.shift > 0
+    unit = np.mean(np.abs(np.diag(matrix)[:n]))
+
+    def shifted(shift: float) -> Array:
+        return matrix + np.diag(np.r_[np.full(n, shift * unit), np.zeros(m - n)])
+
+    inverse = np.column_stack([found(e) for e in np.eye(n)])
+    np.testing.assert_allclose(inverse, np.linalg.inv(shifted(found.shift))[:n, :n], atol=1e-9)
+    assert np.linalg.eigvalsh(inverse).min() > 0
+    # it is the least shift of the sequence 1e-3, 1e-2, ...
+    assert found.shift == pytest.approx(1e-3 * 10.0 ** (found.factorisations - 2))
+    assert found.shift <= 1e-3 or np.linalg.eigvalsh(shifted(found.shift / 10)).min() <= 0
+
+
+def test_a_good_preconditioner_saves_products_and_gives_the_same_minimum_in_a_box() -> None:
+    n = 40
+    model, g = Matrix(stiff(n)), np.random.default_rng(0).standard_normal(n)
+    factor = positive_definite(sp.csc_array(model.A), n)
+    wide, narrow = np.full(n, 1e6), np.full(n, 0.3)
+    step, plain = BoxStep(model, g, factor), BoxStep(model, g)
+    s, _ = step.solve(-wide, wide, 1e-8)
+    np.testing.assert_allclose(s, -np.linalg.solve(model.A, g), rtol=1e-6)
+    plain.solve(-wide, wide, 1e-8)
+    assert step.products < plain.products / 3
+    inside, decrease = BoxStep(model, g, factor).solve(-narrow, narrow, 1e-6)
+    assert np.all(np.abs(inside) <= narrow)
+    assert decrease > 0
+    assert decrease == pytest.approx(-(g @ inside + 0.5 * inside @ model.A @ inside))
