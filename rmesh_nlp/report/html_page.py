@@ -41,10 +41,9 @@ from rmesh_nlp.report.blocks import (
     variant,
     variants_of,
 )
-from rmesh_nlp.report.columns import MISSING
 from rmesh_nlp.report.figures import convergence_figure, profile_figure
 from rmesh_nlp.report.histories import curve
-from rmesh_nlp.report.markup import markdown_table
+from rmesh_nlp.report.markup import MISSING, markdown_table
 from rmesh_nlp.report.notes import LEGEND, block_notes, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_rows
 from rmesh_nlp.report.style import SETTINGS

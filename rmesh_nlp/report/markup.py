@@ -8,28 +8,12 @@ from collections.abc import Iterator, Sequence
 Rows = Sequence[Sequence[str]]
 Groups = Sequence[tuple[str, Rows]]
 
+MISSING = "-"
+"""What stands for a figure that is not known."""
+
 _NUMBER = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
 _SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 _SPECIAL |= {character: "\\" + character for character in "&%$#_{}"}
-
-
-def markdown_table(head: Sequence[str], rows: Rows) -> str:
-    """A Markdown table with its columns padded, the first to the left, the others to the right."""
-    cells = [[cell.replace("|", "\\|") for cell in row] for row in (head, *rows)]
-    widths = [max(3, *(len(row[i]) for row in cells)) for i in range(len(head))]
-    lines = [
-        "| "
-        + " | ".join(_pad(cell, width, i) for i, (cell, width) in enumerate(zip(row, widths, strict=True)))
-        + " |"
-        for row in cells
-    ]
-    rule = (
-        "|"
-        + "|".join(":" + "-" * (w + 1) if i == 0 else "-" * (w + 1) + ":" for i, w in enumerate(widths))
-        + "|"
-    )
-    return "\n".join([lines[0], rule, *lines[1:]]) + "\n"
-
 
 COLUMN, PAGE = 229.0, 345.0
 """Points of the width of a column of the class ``article`` with two columns, and with one."""
@@ -42,6 +26,18 @@ GAP = 5.0
 
 LABEL = 60.0
 """Points that the first column keeps at least; longer labels are set in several lines."""
+
+
+def markdown_table(head: Sequence[str], rows: Rows) -> str:
+    """A Markdown table with its columns padded, the first to the left, the others to the right."""
+    cells = [[cell.replace("|", "\\|") for cell in row] for row in (head, *rows)]
+    widths = [max(3, *(len(row[i]) for row in cells)) for i in range(len(head))]
+    lines = []
+    for row in cells:
+        first, *others = (f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True))
+        lines.append(f"| {' | '.join([f'{row[0]:<{len(first)}}', *others])} |\n")
+    marks = [":" + "-" * (widths[0] + 1), *("-" * (width + 1) + ":" for width in widths[1:])]
+    return "".join([lines[0], f"|{'|'.join(marks)}|\n", *lines[1:]])
 
 
 def latex_table(head: Sequence[str], groups: Groups, caption: str, notes: Sequence[str] = ()) -> str:
@@ -59,29 +55,26 @@ def latex_table(head: Sequence[str], groups: Groups, caption: str, notes: Sequen
     notes : sequence of str
         Sentences below the table.
     """
-    widths = [
-        max(_width(line) for line in (*_lines(head[i]), *(row[i] for _, rows in groups for row in rows)))
-        for i in range(len(head))
-    ]
+    rows = [row for _, rows in groups for row in rows]
+    widths = [max(map(_width, (*_lines(head[i]), *(row[i] for row in rows)))) for i in range(len(head))]
     room = PAGE - sum(widths[1:]) - GAP * (len(widths) - 1)
     first = max(LABEL, room)
     whole = min(widths[0], first) + PAGE - room
     place = "table" if whole <= COLUMN else "table*"
     size = r"\footnotesize" if whole <= PAGE else r"\scriptsize"
+    # a hyphen before a number is a minus sign
+    said = re.sub(r"(?<![\w.])-(?=\d)", "$-$", " ".join(latex_text(note) for note in notes))
     tables = []
     for number, part in enumerate(_parts(groups)):
+        again = (r"\addtocounter{table}{-1}", " (continued)") if number else ("", "")
         lines = [
             rf"\begin{{{place}}}[tbp]",
             r"\setlength{\abovecaptionskip}{0pt}\setlength{\belowcaptionskip}{5pt}",
-            rf"\addtocounter{{table}}{{-1}}\caption{{{caption} (continued)}}"
-            if number
-            else rf"\caption{{{caption}}}",
+            rf"{again[0]}\caption{{{caption}{again[1]}}}",
             rf"\centering{size}\setlength{{\tabcolsep}}{{{GAP / 2:g}pt}}",
             *_tabular(head, part, first if widths[0] > first else None),
         ]
         if notes:
-            # a hyphen before a number is a minus sign
-            said = re.sub(r"(?<![\w.])-(?=\d)", "$-$", " ".join(latex_text(note) for note in notes))
             lines += [r"\par\smallskip", rf"\parbox{{\linewidth}}{{\scriptsize {said}}}"]
         tables.append("\n".join([*lines, rf"\end{{{place}}}"]) + "\n")
     return "\n".join(tables)
@@ -104,6 +97,34 @@ def _parts(groups: Groups) -> Iterator[list[tuple[str, Rows]]]:
         yield part
 
 
+def _tabular(head: Sequence[str], groups: Groups, first: float | None) -> list[str]:
+    """As wide as the line; labels longer than ``first`` points are set in several lines."""
+    lines = [
+        rf"\begin{{tabular*}}{{\linewidth}}{{@{{\extracolsep{{\fill}}}}l{'r' * (len(head) - 1)}@{{}}}}",
+        r"\toprule",
+        " & ".join(head) + r" \\",
+    ]
+    for title, rows in groups:
+        # without a width of its own a title does not widen the columns below it
+        text = rf"\raggedright\emph{{{_latex_title(title)}}}\strut"
+        box = rf"\makebox[0pt][l]{{\parbox[t]{{\linewidth}}{{{text}}}}}"
+        lines += [r"\midrule", rf"\multicolumn{{{len(head)}}}{{@{{}}l@{{}}}}{{{box}}} \\"]
+        for row in rows:
+            name = latex_cell(row[0])
+            if first is not None and _width(row[0]) > first:
+                name = rf"\parbox[t]{{{first:.0f}pt}}{{\raggedright {name}\strut}}"
+            lines.append(" & ".join([name, *map(latex_cell, row[1:])]) + r" \\")
+    return [*lines, r"\bottomrule", r"\end{tabular*}"]
+
+
+def latex_heading(text: str) -> str:
+    """A heading whose lines are separated by a bar; a J of its own is a symbol."""
+    lines = [re.sub(r"\bJ\b(?![-(])", "$J$", line.replace("%", r"\%")) for line in text.split("|")]
+    if len(lines) == 1:
+        return lines[0]
+    return rf"\begin{{tabular}}[b]{{@{{}}r@{{}}}}{lines[0]}\\ {{{lines[1]}}}\end{{tabular}}"
+
+
 def _lines(head: str) -> list[str]:
     """The lines of a heading without LaTeX's commands."""
     inside = re.sub(r"\\begin\{tabular\}\[b\]\{@\{\}r@\{\}\}|\\end\{tabular\}", "", head)
@@ -119,29 +140,9 @@ def _width(text: str) -> float:
     return 4.3 * len(mantissa) + 2.4 * text.startswith("-") + (17 + 3.8 * len(exponent) if exponent else 0)
 
 
-def _tabular(head: Sequence[str], groups: Groups, first: float | None) -> list[str]:
-    """As wide as the line; labels longer than ``first`` points are set in several lines."""
-    lines = [
-        rf"\begin{{tabular*}}{{\linewidth}}{{@{{\extracolsep{{\fill}}}}l{'r' * (len(head) - 1)}@{{}}}}",
-        r"\toprule",
-        " & ".join(head) + r" \\",
-    ]
-    for title, rows in groups:
-        # without a width of its own a title does not widen the columns below it
-        text = rf"\raggedright\emph{{{latex_title(title)}}}\strut"
-        box = rf"\makebox[0pt][l]{{\parbox[t]{{\linewidth}}{{{text}}}}}"
-        lines += [r"\midrule", rf"\multicolumn{{{len(head)}}}{{@{{}}l@{{}}}}{{{box}}} \\"]
-        for row in rows:
-            name = latex_cell(row[0])
-            if first is not None and _width(row[0]) > first:
-                name = rf"\parbox[t]{{{first:.0f}pt}}{{\raggedright {name}\strut}}"
-            lines.append(" & ".join([name, *map(latex_cell, row[1:])]) + r" \\")
-    return [*lines, r"\bottomrule", r"\end{tabular*}"]
-
-
 def latex_cell(text: str) -> str:
     """A cell; numbers become formulas, so that minus signs and exponents are set as such."""
-    if text == "-":
+    if text == MISSING:
         return "--"
     if not _NUMBER.fullmatch(text):
         return latex_text(text)
@@ -149,7 +150,7 @@ def latex_cell(text: str) -> str:
     return f"${mantissa}$" if not exponent else rf"${mantissa}\cdot 10^{{{int(exponent)}}}$"
 
 
-def latex_title(title: str) -> str:
+def _latex_title(title: str) -> str:
     """Settings in words, their symbols as formulas."""
     text = re.sub(r"(?<=\d) ?x ?(?=\d)", r" $\\times$ ", latex_text(title))
     return text.replace("n = ", "$n$ = ").replace("delta = ", r"$\delta$ = ")
@@ -158,7 +159,3 @@ def latex_title(title: str) -> str:
 def latex_text(text: str) -> str:
     """Plain text with LaTeX's special characters escaped."""
     return "".join(_SPECIAL.get(character, character) for character in text)
-
-
-def _pad(cell: str, width: int, column: int) -> str:
-    return cell.ljust(width) if column == 0 else cell.rjust(width)

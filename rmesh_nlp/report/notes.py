@@ -9,7 +9,7 @@ from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import units_of
-from rmesh_nlp.report.blocks import Block, audited, blocks, label, objective_of
+from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, audited, blocks, label, objective_of
 
 ROUNDING = 1e-9
 """An energy is below a bound if by more than this part of it."""
@@ -17,10 +17,13 @@ ROUNDING = 1e-9
 TIED = 1e-8
 """Energies that differ by less than this part of them are one: two solvers' ends of the same minimum."""
 
-LEGEND = (
-    "J is the total potential energy of the contact solution on the given and on the relocated mesh, audited "
-    "with quadrature of degree 20. Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.",
+ENERGY = (
+    "J is the total potential energy of the contact solution on the given and on the relocated mesh, as "
+    "assessed: loads by an adaptive rule, gaps along whole edges, friction and curves integrated."
 )
+"""What the audited energy is, for tables in Markdown and in LaTeX."""
+
+LEGEND = (f"{ENERGY} Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.",)
 """What the main table needs to be read."""
 
 DETAILED_LEGEND = (
@@ -40,20 +43,14 @@ DETAILED_LEGEND = (
 
 def main_notes(records: Sequence[Record]) -> list[str]:
     """What is needed to read the main table: meaning of its columns, units, and how solves ended."""
-    found = [*LEGEND, *units_notes(records)]
-    for block in blocks(records):
-        found += below_infimum(block)
-    return [*found, *stopped_early(records), *failures(records)]
-
-
-def failures(records: Sequence[Record]) -> list[str]:
-    """Why solves did not succeed."""
-    return [
+    below = [note for block in blocks(records) for note in below_infimum(block)]
+    failures = [
         f"{block.example}, {label(record)}: {record['status']}: {record.get('message', '')}"
         for block in blocks(records)
         for record in block.records
         if not record["success"]
     ]
+    return [*LEGEND, *units_notes(records), *below, *stopped_early(records), *failures]
 
 
 def detailed_notes(records: Sequence[Record]) -> list[str]:
@@ -63,20 +60,14 @@ def detailed_notes(records: Sequence[Record]) -> list[str]:
 
 def block_notes(records: Sequence[Record]) -> list[str]:
     """What the records show: impossible energies, printed values that are met, stick zones, a ranking."""
-    found = []
-    for block in blocks(records):
-        found += below_infimum(block)
-        found += paper_notes(block)
-        found += stick_zone(block)
-        found += ranking(block)
-    return found
+    kinds = (below_infimum, paper_notes, stick_zone, ranking)
+    return [note for block in blocks(records) for kind in kinds for note in kind(block)]
 
 
 def stopped_early(records: Sequence[Record]) -> list[str]:
     """What a success is whose status is not "converged"."""
-    early = [str(record["status"]) for record in records if record["success"]]
-    names = sorted({status for status in early if status != Status.CONVERGED.value})
-    return [f"{', '.join(names)}: a success that is {NOT_STATIONARY_YET}."] if names else []
+    early = {str(record["status"]) for record in records if record["success"]} - {Status.CONVERGED.value}
+    return [f"{', '.join(sorted(early))}: a success that is {NOT_STATIONARY_YET}."] if early else []
 
 
 def units_notes(records: Sequence[Record]) -> list[str]:
@@ -91,7 +82,7 @@ def units_notes(records: Sequence[Record]) -> list[str]:
 
 
 def stick_zone(block: Block) -> list[str]:
-    """Says so where no node with friction sticks: what such an example cannot show."""
+    """A remark where no node with friction sticks: what such an example cannot show."""
     known = [record for record in block.records if record.get("sticking_nodes") is not None]
     if not known or any(record["sticking_nodes"] for record in known):
         return []
@@ -104,15 +95,13 @@ def stick_zone(block: Block) -> list[str]:
 def ranking(block: Block) -> list[str]:
     """The successful formulations by audited energy, of those that minimised it."""
     rows = [record for record in block.succeeded if objective_of(record) == "energy"]
-    if len(rows) < 2:
-        return []
     places: list[tuple[float, list[str]]] = []
     for record in sorted(rows, key=audited):
         if not places or not _tied(audited(record), places[-1][0]):
             places.append((audited(record), []))
         places[-1][1].append(label(record))
     order = "; ".join(f"{' = '.join(names)} {energy:.6f}" for energy, names in places)
-    return [f"{block.name}: by audited energy {order}."]
+    return [f"{block.name}: by audited energy {order}."] if len(rows) > 1 else []
 
 
 def _tied(energy: float, lower: float) -> bool:
@@ -128,11 +117,9 @@ def below_infimum(block: Block) -> list[str]:
             lower = record["energy_audited"] - above
         elif record.get("guaranteed_lower"):
             lower = record.get("energy_lower_bound")
-        if lower is None:
-            continue
         for name, words in (("energy", "energy"), ("energy_audited", "audited energy")):
             value = record.get(name)
-            if value is not None and value < lower - ROUNDING * abs(lower):
+            if lower is not None and value is not None and value < lower - ROUNDING * abs(lower):
                 found.append(
                     f"{block.name}, {label(record)}: the {words} {value:.6f} lies BELOW the "
                     f"infimum {lower:.6f}: its quadrature was exploited."
@@ -148,9 +135,7 @@ def paper_notes(block: Block) -> list[str]:
     if paper is None:
         return [f"{block.title}: not the paper's settings, so not compared with its values."]
     notes = [*_initial(block, paper), *_final(block, paper)]
-    if paper.misprint:
-        notes.insert(0, paper.misprint)
-    return [f"{block.name}: {note}" for note in notes]
+    return [f"{block.name}: {note}" for note in ([paper.misprint] if paper.misprint else []) + notes]
 
 
 def _initial(block: Block, paper: PaperValues) -> list[str]:
@@ -159,7 +144,7 @@ def _initial(block: Block, paper: PaperValues) -> list[str]:
     if given is not None:
         met = truncated(given) == truncated(paper.energy_initial)
         notes.append(_met(f"printed initial energy {paper.energy_initial:.4f}", met, f"{given:.6f}"))
-    fixed = next((r for r in block.succeeded if r["formulation"] == "fixed"), None)
+    fixed = next((r for r in block.succeeded if r["formulation"] == RELOCATING_NOTHING), None)
     if fixed is not None and paper.u_min_initial is not None and paper.u_max_initial is not None:
         pairs = ((fixed["u_min"], paper.u_min_initial), (fixed["u_max"], paper.u_max_initial))
         # one unit in the last place: the paper truncates some of its figures and rounds others
@@ -169,8 +154,16 @@ def _initial(block: Block, paper: PaperValues) -> list[str]:
     return notes
 
 
+def _met(printed: str, met: bool, ours: str) -> str:
+    return f"{printed}: {'met' if met else 'NOT met'}, here {ours}."
+
+
 def _final(block: Block, paper: PaperValues) -> list[str]:
-    moved = [r for r in block.succeeded if r["formulation"] != "fixed" and objective_of(r) == "energy"]
+    moved = [
+        record
+        for record in block.succeeded
+        if record["formulation"] != RELOCATING_NOTHING and objective_of(record) == "energy"
+    ]
     if not moved:
         return ["no formulation relocated the grid here, so the printed final energy is not compared."]
     lowest = min(record["energy"] for record in moved)
@@ -189,7 +182,3 @@ def _final(block: Block, paper: PaperValues) -> list[str]:
             f"{best['u_max']:.4f} ({label(best)})."
         )
     return notes
-
-
-def _met(printed: str, met: bool, ours: str) -> str:
-    return f"{printed}: {'met' if met else 'NOT met'}, here {ours}."

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from rmesh_nlp.evaluation import Array
 
 SAME = 1e-9
 """Ratios that agree to this are one: costs of two clocks' ticks are ties."""
@@ -41,23 +41,16 @@ class Profile:
         return np.concatenate([[0.0], self.share])[place]
 
 
-def _profile(values: Array) -> Profile:
-    """The distribution of values, those that are infinite never reached."""
-    finite = np.sort(values[np.isfinite(values)])
-    if not finite.size:
-        return Profile(finite, finite)
-    at, last = np.unique(finite, return_index=True)
-    counts = np.append(last[1:], finite.size)
-    return Profile(at, counts / max(values.size, 1))
+def data_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
+    """Moré and Wild's profiles over the cost itself, in contact solves.
 
-
-def _table(costs: Mapping[str, ArrayLike]) -> Array:
-    table = np.array([np.asarray(row, dtype=float) for row in costs.values()])
-    if table.ndim != 2:
-        raise ValueError("every formulation needs a cost for every problem")
-    if np.any(table[np.isfinite(table)] < 0) or np.any(np.isnan(table)):
-        raise ValueError("costs must not be negative; a failure is infinite")
-    return table
+    Parameters
+    ----------
+    costs : mapping from formulations to (problems,) arrays
+        Cost at which a part of the best gain was reached, see
+        :func:`rmesh_nlp.report.histories.cost_of_gain`; infinite if it never was.
+    """
+    return {name: _profile(row) for name, row in zip(costs, _table(costs), strict=True)}
 
 
 def performance_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
@@ -72,19 +65,7 @@ def performance_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
     best = np.min(table, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratios = np.where(best > 0, table / best, np.where(table == 0, 1.0, np.inf))
-    ratios[~np.isfinite(table)] = np.inf
-    return {name: _profile(row) for name, row in zip(costs, ratios, strict=True)}
-
-
-def data_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
-    """Moré and Wild's profiles over the cost itself, in contact solves.
-
-    Parameters
-    ----------
-    costs : mapping from formulations to (problems,) arrays
-        Cost at which a part of the best gain was reached, see :func:`cost_of_gain`; infinite if it never was.
-    """
-    return {name: _profile(row) for name, row in zip(costs, _table(costs), strict=True)}
+    return {name: _profile(row) for name, row in zip(costs, _failing(ratios, table), strict=True)}
 
 
 def quality_profiles(energies: Mapping[str, ArrayLike], initial: ArrayLike) -> dict[str, Profile]:
@@ -98,9 +79,28 @@ def quality_profiles(energies: Mapping[str, ArrayLike], initial: ArrayLike) -> d
         Energies of the given meshes. Where no formulation gains anything, all that did not fail miss nothing.
     """
     table = np.array([np.asarray(row, dtype=float) for row in energies.values()])
-    best, start = np.min(table, axis=0), np.asarray(initial, dtype=float)
-    gain = start - best
+    best = np.min(table, axis=0)
+    gain = np.asarray(initial, dtype=float) - best
     with np.errstate(invalid="ignore", divide="ignore"):
         missed = np.where(gain > 0, (table - best) / gain, np.where(table <= best, 0.0, np.inf))
-    missed[~np.isfinite(table)] = np.inf
-    return {name: _profile(row) for name, row in zip(energies, missed, strict=True)}
+    return {name: _profile(row) for name, row in zip(energies, _failing(missed, table), strict=True)}
+
+
+def _table(costs: Mapping[str, ArrayLike]) -> Array:
+    table = np.array([np.asarray(row, dtype=float) for row in costs.values()])
+    if table.ndim != 2:
+        raise ValueError("every formulation needs a cost for every problem")
+    if np.any(table[np.isfinite(table)] < 0) or np.any(np.isnan(table)):
+        raise ValueError("costs must not be negative; a failure is infinite")
+    return table
+
+
+def _failing(values: Array, table: Array) -> Array:
+    """The values, infinite where the table says that a formulation failed."""
+    return np.where(np.isfinite(table), values, np.inf)
+
+
+def _profile(values: Array) -> Profile:
+    """The distribution of values, those that are infinite never reached."""
+    at, counts = np.unique(values[np.isfinite(values)], return_counts=True)
+    return Profile(at, np.cumsum(counts) / max(values.size, 1))

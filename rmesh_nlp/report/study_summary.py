@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
-from typing import Any
 
 import numpy as np
 
@@ -19,38 +18,45 @@ from rmesh_nlp.report.blocks import (
     variant,
     variants_of,
 )
-from rmesh_nlp.report.columns import MISSING
 from rmesh_nlp.report.histories import cost_of_gain, curve, shift_to_audited
-from rmesh_nlp.report.profiles import (
-    Profile,
-    data_profiles,
-    performance_profiles,
-    quality_profiles,
-)
+from rmesh_nlp.report.markup import MISSING
+from rmesh_nlp.report.profiles import Profile, data_profiles, performance_profiles, quality_profiles
 
-MAIN = (
-    "family",
-    "formulation",
-    "solves",
-    "success",
-    "converged",
-    "gain [%]",
-    "contact solves",
-    "build + solve [s]",
+HEAD = (
+    *("family", "formulation", "solves", "success", "converged", "gain [%]", "of best [%]"),
+    *("iterations", "contact solves", "build + solve [s]", "cost [contact solves]"),
 )
-"""Columns of the short table of a study."""
+"""Columns of the table of a study."""
+
+SHORT = (0, 1, 2, 3, 4, 5, 8, 9)
+"""Those that a first reader needs."""
+
+RANGES = (
+    "Medians over successful solves, in brackets their range. Of best: the gain over the largest one of any "
+    "formulation on that problem. Cost: time of build and solve over that of one contact solve on the given "
+    "mesh."
+)
+"""What the columns mean."""
 
 LEVELS = (0.9, 0.99, 0.999)
 """Parts of the best gain for data profiles."""
 
 INF = float("inf")
 
+COSTS: dict[str, tuple[str, Callable[[Record], float | None]]] = {
+    "iterations": ("iterations", lambda record: record["iterations"]),
+    "contact_solves": ("contact solves (all at once: 1)", lambda record: record["contact_solves"]),
+    "time_contact_solves": ("build and solve, in contact solves", contact_units),
+    "build_and_solve": ("build and solve, in seconds", seconds_of_work),
+}
+"""Costs of performance profiles by the names of their figures: words, and the cost of a success."""
+
 Instance = tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Chart:
-    """Profiles of all formulations over one quantity.
+    """Profiles of all formulations over one quantity, on a logarithmic axis.
 
     Attributes
     ----------
@@ -77,56 +83,67 @@ def is_study(records: Sequence[Record]) -> bool:
 
 def instance(record: Record) -> Instance:
     """What has to agree for two variants to have solved the same."""
-    # a variant without a seed, and one that failed before it had a box, still solve the instance
+    # a variant without a seed, and one that failed before it had move limits, still solve the instance
     return str(record["example"]), str(record["n"]), objective_of(record)
 
 
 def summary_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table by family and variant; repetitions are joined by medians."""
-    head = ["family", "formulation", "solves", "success", "converged", "gain [%]", "of best [%]"]
-    head += ["iterations", "contact solves", "build + solve [s]", "cost [contact solves]"]
-    best = _best_gain(records)
-    groups: dict[tuple[str, str], list[Record]] = {}
+    best: dict[Instance, float] = {}
+    groups: dict[tuple[str, bool, str], list[Record]] = {}
     for record in records:
-        if record["status"] != "refused":
-            groups.setdefault((family(record), variant(record)), []).append(record)
+        gain = _gain(record)
+        if record["success"] and gain is not None:
+            best[instance(record)] = max(best.get(instance(record), -INF), gain)
+        if record["status"] != "refused":  # the baseline first, then by name
+            moves = record["formulation"] != RELOCATING_NOTHING
+            groups.setdefault((family(record), moves, variant(record)), []).append(record)
     rows = []
-    for (name, method), group in sorted(groups.items(), key=lambda item: (item[0][0], _rank(item[1][0]))):
+    for (name, _, method), group in sorted(groups.items(), key=lambda item: item[0]):
         good = [record for record in group if record["success"]]
         converged = sum(record["status"] == "converged" for record in good)
-        gains = [_relative_gain(record) for record in good]
-        parts = [_part_of_best(record, best) for record in good]
-        cells = [name, method, str(len(group)), str(len(good)), str(converged)]
-        cells += [_range(gains, "{:.3g}"), _range(parts, "{:.4g}")]
-        for entry, form in (
-            ("iterations", "{:.0f}"),
-            ("contact_solves", "{:.0f}"),
-        ):
-            cells.append(_range([record[entry] for record in good], form))
-        cells.append(_range([seconds_of_work(record) for record in good], "{:.3g}"))
-        cells.append(_range([contact_units(record) for record in good], "{:.4g}"))
-        rows.append(cells)
-    return head, rows
-
-
-def _rank(record: Record) -> tuple[bool, str]:
-    """The baseline first, then by name."""
-    return record["formulation"] != RELOCATING_NOTHING, variant(record)
+        columns: tuple[tuple[str, Callable[[Record], float | None]], ...] = (
+            (".3g", lambda record: _part(_gain(record), abs(_start(record) or 0))),
+            (".4g", lambda record: _part(_gain(record), best.get(instance(record)))),
+            (".0f", lambda record: record["iterations"]),
+            (".0f", lambda record: record["contact_solves"]),
+            (".3g", seconds_of_work),
+            (".4g", contact_units),
+        )
+        figures = [_range([value(record) for record in good], form) for form, value in columns]
+        rows.append([name, method, str(len(group)), str(len(good)), str(converged), *figures])
+    return list(HEAD), rows
 
 
 def median_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the columns of :func:`summary_rows` that a first reader needs, without ranges."""
     head, rows = summary_rows(records)
-    places = [head.index(name) for name in MAIN]
-    return [head[i] for i in places], [[row[i].split(" [")[0] for i in places] for row in rows]
+    return [head[i] for i in SHORT], [[row[i].split(" [")[0] for i in SHORT] for row in rows]
 
 
-DETAILS = (
-    "Medians over successful solves, in brackets their range. Of best: the gain over the largest one of any "
-    "formulation on that problem. Cost: time of build and solve over that of one contact solve on the given "
-    "mesh."
-)
-"""What the columns of :func:`summary_rows` mean."""
+def _start(record: Record) -> float | None:
+    """The audited energy of the given mesh; that of the own rule where no other is known."""
+    value = record.get("energy_initial_audited")
+    return record["energy_initial"] if value is None else float(value)
+
+
+def _gain(record: Record) -> float | None:
+    start, end = _start(record), record["energy_audited"]
+    return None if start is None or end is None else start - end
+
+
+def _part(gain: float | None, whole: float | None) -> float | None:
+    """Per cent of a whole that is above zero."""
+    return None if gain is None or not whole or whole <= 0 else 100 * gain / whole
+
+
+def _range(values: Sequence[float | None], form: str) -> str:
+    """Median with the range in brackets."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return MISSING
+    middle, low, high = (format(f(known), form) for f in (median, min, max))
+    return middle if low == high else f"{middle} [{low}, {high}]"
 
 
 def study_notes(records: Sequence[Record]) -> list[str]:
@@ -162,112 +179,49 @@ def charts(results: Sequence[Result]) -> list[Chart]:
     for one in rows:
         found.setdefault((variant(one.record), instance(one.record)), []).append(one)
 
-    def costs(cost: Callable[[Result], float]) -> dict[str, list[float]]:
-        return {
-            name: [_typical([cost(one) for one in found.get((name, where), [])]) for where in instances]
+    def typical(value: Callable[[Result], float | None]) -> dict[str, list[float]]:
+        """Medians over repetitions and starts; infinite if most failed or there is none."""
+
+        def cost(one: Result) -> float:
+            known = value(one) if one.record["success"] else None
+            return INF if known is None else float(known)
+
+        every = {
+            name: [[cost(one) for one in found.get((name, where), [])] for where in instances]
             for name in names
         }
+        return {name: [median(costs) if costs else INF for costs in row] for name, row in every.items()}
 
     made = []
-    for entry, title in (
-        ("iterations", "iterations"),
-        ("contact_solves", "contact solves (all at once: 1)"),
-        ("time_contact_solves", "build and solve, in contact solves"),
-        ("build_and_solve", "build and solve, in seconds"),
-    ):
-        profiles = performance_profiles(costs(lambda one, e=entry: _cost(one.record, e)))  # type: ignore[misc]
-        made.append(Chart(entry, f"Performance profile: {title}", "factor of the cheapest", profiles))
-    energies = costs(lambda one: one.record["energy_audited"] if one.record["success"] else INF)
-    initial = [_initial(found, names, where) for where in instances]
-    made.append(
-        Chart(
-            "quality",
-            "Quality: final audited energy",
-            "part of the best gain missed",
-            quality_profiles(energies, initial),
-        )
-    )
+    for name, (words, cost) in COSTS.items():
+        profiles = performance_profiles(typical(lambda one, cost=cost: cost(one.record)))  # type: ignore[misc]
+        made.append(Chart(name, f"Performance profile: {words}", "factor of the cheapest", profiles))
+    energies = typical(lambda one: one.record["energy_audited"])
+    starts = [
+        next((s for r in rows if instance(r.record) == where and (s := _start(r.record)) is not None), INF)
+        for where in instances
+    ]
+    profiles = quality_profiles(energies, starts)
+    made.append(Chart("quality", "Quality: final audited energy", "part of the best gain missed", profiles))
     lowest = {where: min(energies[name][i] for name in names) for i, where in enumerate(instances)}
     for level in LEVELS:
-        reached = costs(lambda one, part=level: _cost_of_level(one, lowest, part))  # type: ignore[misc]
+        reached = typical(lambda one, part=level: _cost_of_level(one, lowest, part))  # type: ignore[misc]
         title = f"Data profile: {100 * level:g} % of the best gain"
         made.append(Chart(f"data-{100 * level:g}", title, "cost [contact solves]", data_profiles(reached)))
     return made
 
 
-def _typical(values: Sequence[float]) -> float:
-    """The median over repetitions and starts; infinite if most failed or there is none."""
-    return float(median(values)) if values else INF
-
-
-def _cost(record: Record, entry: str) -> float:
-    if not record["success"]:
-        return INF
-    of_work = {"time_contact_solves": contact_units, "build_and_solve": seconds_of_work}
-    value = of_work[entry](record) if entry in of_work else record[entry]
-    return INF if value is None else float(value)
-
-
-def _initial(found: Any, names: Sequence[str], where: Instance) -> float:
-    for name in names:
-        for one in found.get((name, where), []):
-            value = _initial_audited(one.record)
-            if value is not None:
-                return value
-    return INF
-
-
-def _initial_audited(record: Record) -> float | None:
-    value = record.get("energy_initial_audited")
-    return record["energy_initial"] if value is None else float(value)
-
-
 def _cost_of_level(one: Result, lowest: dict[Instance, float], level: float) -> float:
     """Cost at which a part of the best gain was reached, by the history or, without one, at the end."""
     record = one.record
-    start, best = _initial_audited(record), lowest[instance(record)]
-    if not record["success"] or start is None or not np.isfinite(best):
+    start, best = _start(record), lowest[instance(record)]
+    if start is None or not np.isfinite(best):
         return INF
-    # the history is of the problem's own rule, the best of the audit's: shift by what sets them apart
-    shift = shift_to_audited(record)
     drawn = curve(one)
     if drawn is not None:
-        energy = np.where(drawn.feasible, drawn.energy + shift, np.nan)
+        # the history is of the problem's own rule, the best of the assessment's
+        energy = np.where(drawn.feasible, drawn.energy + shift_to_audited(record), np.nan)
         cost = cost_of_gain(energy, drawn.cost, start, best, level)
         if np.isfinite(cost):
             return cost
-    units = contact_units(record)
-    return cost_of_gain([record["energy_audited"]], [units or INF], start, best, level)
-
-
-def _gain(record: Record) -> float | None:
-    start, end = _initial_audited(record), record["energy_audited"]
-    return None if start is None or end is None else start - end
-
-
-def _relative_gain(record: Record) -> float | None:
-    gain, start = _gain(record), _initial_audited(record)
-    return None if gain is None or not start else 100 * gain / abs(start)
-
-
-def _best_gain(records: Sequence[Record]) -> dict[Instance, float]:
-    best: dict[Instance, float] = {}
-    for record in records:
-        gain = _gain(record) if record["success"] else None
-        if gain is not None:
-            best[instance(record)] = max(best.get(instance(record), -INF), gain)
-    return best
-
-
-def _part_of_best(record: Record, best: dict[Instance, float]) -> float | None:
-    gain, most = _gain(record), best.get(instance(record))
-    return None if gain is None or not most or most <= 0 else 100 * gain / most
-
-
-def _range(values: Sequence[float | None], form: str) -> str:
-    """Median with the range in brackets."""
-    known = [value for value in values if value is not None]
-    if not known:
-        return MISSING
-    middle, low, high = (form.format(f(known)) for f in (median, min, max))
-    return middle if low == high else f"{middle} [{low}, {high}]"
+    return cost_of_gain([record["energy_audited"]], [contact_units(record) or INF], start, best, level)

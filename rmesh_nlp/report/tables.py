@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import ModuleType
 
 import pandas as pd
 
@@ -12,7 +11,6 @@ from rmesh_nlp.display import for_markdown, for_spreadsheet
 from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import TABLES, Results
-from rmesh_nlp.report import multistart, refinement, study_summary
 from rmesh_nlp.report.blocks import Block, blocks, contact_units, names_of_solves, objective_of
 from rmesh_nlp.report.columns import (
     CERTIFICATES,
@@ -26,21 +24,16 @@ from rmesh_nlp.report.columns import (
     Column,
     body,
 )
+from rmesh_nlp.report.joined import joined_tables
 from rmesh_nlp.report.markup import Groups, latex_table, latex_text, markdown_table
-from rmesh_nlp.report.notes import detailed_notes, main_notes, stopped_early, units_notes
-from rmesh_nlp.report.study_summary import (
-    is_study,
-    median_rows,
-    study_notes,
-    summary_rows,
-)
+from rmesh_nlp.report.notes import ENERGY, detailed_notes, main_notes, stopped_early, units_notes
+from rmesh_nlp.report.study_summary import RANGES, is_study, median_rows, study_notes, summary_rows
 
 DETAILS = "## Details"
 """What stands below this line is in ``table.md``, and printed with ``--verbose`` only."""
 
 CAPTIONS = {
-    MAIN: r"Relocation by each formulation. $J$ is the total potential energy of the contact solution on "
-    r"the given and on the relocated mesh, both with quadrature of degree 20; the gain is in per cent of "
+    MAIN: f"Relocation by each formulation. {ENERGY.replace('J is', '$J$ is')} The gain is in per cent of "
     r"$|J|$ on the given mesh. Times are wall times of build, solve and audit.",
     ENERGIES: r"Energies by the quadrature rule of the problem, extremes of the displacement $u$, and the "
     r"least element area over the given one.",
@@ -67,7 +60,16 @@ WANTED: dict[tuple[Column, ...], Callable[[Record], bool]] = {
 
 def markdown(records: Sequence[Record]) -> str:
     """The short tables of :func:`short_markdown`, and below ``DETAILS`` all others."""
-    return f"{short_markdown(records)}\n{DETAILS}\n\n{for_markdown(_details(records))}"
+    parts = [short_markdown(records), f"{DETAILS}\n"]
+    if is_study(records):
+        parts += [markdown_table(*summary_rows(records)) + f"- {RANGES}\n"]
+    else:
+        for block in blocks(records):
+            parts.append(f"### {block.title}\n")
+            for columns in (ENERGIES, COSTS, COMMON, RESIDUALS, ERRORS):
+                parts += [_block_table(columns, one) for one in _having(columns, block.records)]
+        parts.append(f"### Notes\n\n{_items(detailed_notes(records))}")
+    return for_markdown("\n".join(parts))
 
 
 def short_markdown(records: Sequence[Record]) -> str:
@@ -81,11 +83,13 @@ def short_markdown(records: Sequence[Record]) -> str:
     ]
     for columns in (OBJECTIVES, CERTIFICATES):
         for block in _having(columns, records):
-            parts += [f"### {block.title}\n", markdown_table(_heads(columns), body(columns, block))]
-    for module, groups in _joined(records):
-        for name, rows in groups:
-            parts.append(f"## {module.TITLE}: {name}\n\n{markdown_table(module.HEAD, rows)}")
-    parts.append(_items([*refinement.refinement_notes(records), *main_notes(records)]))
+            parts += [f"### {block.title}\n", _block_table(columns, block)]
+    notes: list[str] = []
+    for joined in joined_tables(records):
+        notes += joined.notes
+        for name, rows in joined.groups:
+            parts.append(f"## {joined.title}: {name}\n\n{markdown_table(joined.head, rows)}")
+    parts.append(_items([*notes, *main_notes(records)]))
     return for_markdown("\n".join(parts))
 
 
@@ -93,60 +97,11 @@ def main_table(records: Sequence[Record]) -> str:
     """Audited energies, work and status, one row per solve."""
     solved = [row for block in blocks(records) for row in body(MAIN, block)]
     named = [[name, *row[1:]] for name, row in zip(names_of_solves(records), solved, strict=True)]
-    return markdown_table(["solve", *_heads(MAIN)[1:]], named)
+    return markdown_table(["solve", *(column.head for column in MAIN[1:])], named)
 
 
-def _details(records: Sequence[Record]) -> str:
-    """Everything else that is known, and what of it means what."""
-    if is_study(records):
-        return f"{markdown_table(*summary_rows(records))}\n- {study_summary.DETAILS}\n"
-    parts = []
-    for block in blocks(records):
-        parts.append(f"### {block.title}\n")
-        for columns in (ENERGIES, COSTS, COMMON, RESIDUALS, ERRORS):
-            if _having(columns, block.records):
-                parts.append(markdown_table(_heads(columns), body(columns, block)))
-    parts.append(f"### Notes\n\n{_items(detailed_notes(records))}")
-    return "\n".join(parts)
-
-
-def latex(records: Sequence[Record]) -> str:
-    r"""Tables of at most eight columns, examples below each other; needs ``\usepackage{booktabs}``.
-
-    What has no place in them is in ``table.md`` and ``table.csv``.
-    """
-    parts = ["% made by rmesh table; needs \\usepackage{booktabs}\n"]
-    if is_study(records):
-        head, rows = median_rows(records)
-        families = dict.fromkeys(row[0] for row in rows)
-        groups = [(name, [row[1:] for row in rows if row[0] == name]) for name in families]
-        names = [latex_text(cell) for cell in head[1:]]
-        return parts[0] + latex_table(names, groups, "Results of the study.", study_notes(records))
-    parts += [latex_table(*table) for table in _latex_tables(records)]
-    return "\n".join(parts)
-
-
-def _latex_tables(records: Sequence[Record]) -> Iterator[tuple[list[str], Groups, str, Sequence[str]]]:
-    """Heads, rows, caption and notes of each."""
-    units = units_notes(records)
-    printed = ["The paper truncates its digits."] if any(block.paper for block in blocks(records)) else []
-    below = {MAIN: [*units, *stopped_early(records)], ENERGIES: [*printed, *units]}
-    for columns, caption in CAPTIONS.items():
-        own = [(block.title, body(columns, block)) for block in _having(columns, records)]
-        if own:
-            yield [column.tex for column in columns], own, caption, below.get(columns, ())
-    for module, groups in _joined(records):
-        said = refinement.refinement_notes(records) if module is refinement else ()
-        yield [latex_text(cell) for cell in module.HEAD], groups, module.CAPTION, said
-
-
-def _joined(records: Sequence[Record]) -> list[tuple[ModuleType, Groups]]:
-    """The tables whose rows join several records: those of several starts, and of several meshes."""
-    joined: list[tuple[ModuleType, Groups]] = [
-        (multistart, multistart.multistart_rows(records)),
-        (refinement, refinement.refinement_rows(records)),
-    ]
-    return [(module, groups) for module, groups in joined if groups]
+def _block_table(columns: tuple[Column, ...], block: Block) -> str:
+    return markdown_table([column.head for column in columns], body(columns, block))
 
 
 def _having(columns: tuple[Column, ...], records: Sequence[Record]) -> list[Block]:
@@ -155,12 +110,37 @@ def _having(columns: tuple[Column, ...], records: Sequence[Record]) -> list[Bloc
     return [block for block in blocks(records) if any(wanted(record) for record in block.records)]
 
 
-def _heads(columns: tuple[Column, ...]) -> list[str]:
-    return [column.head for column in columns]
-
-
 def _items(notes: Sequence[str]) -> str:
     return "".join(f"- {note}\n" for note in notes)
+
+
+def latex(records: Sequence[Record]) -> str:
+    r"""Tables of at most eight columns, examples below each other; needs ``\usepackage{booktabs}``.
+
+    What has no place in them is in ``table.md`` and ``table.csv``.
+    """
+    tables = (latex_table(*table) for table in _latex_tables(records))
+
+    return "\n".join(["% made by rmesh table; needs \\usepackage{booktabs}\n", *tables])
+
+
+def _latex_tables(records: Sequence[Record]) -> Iterator[tuple[list[str], Groups, str, Sequence[str]]]:
+    """Heads, groups of rows, caption and notes of each."""
+    if is_study(records):
+        head, rows = median_rows(records)
+        families = dict.fromkeys(row[0] for row in rows)
+        groups = [(name, [row[1:] for row in rows if row[0] == name]) for name in families]
+        yield [latex_text(cell) for cell in head[1:]], groups, "Results of the study.", study_notes(records)
+        return
+    units = units_notes(records)
+    printed = ["The paper truncates its digits."] if any(block.paper for block in blocks(records)) else []
+    below = {MAIN: [*units, *stopped_early(records)], ENERGIES: [*printed, *units]}
+    for columns, caption in CAPTIONS.items():
+        own = [(block.title, body(columns, block)) for block in _having(columns, records)]
+        if own:
+            yield [column.tex for column in columns], own, caption, below.get(columns, ())
+    for table in joined_tables(records):
+        yield [latex_text(cell) for cell in table.head], table.groups, table.caption, table.notes
 
 
 def frame(records: Sequence[Record]) -> pd.DataFrame:
@@ -193,9 +173,5 @@ def write_tables(records: Sequence[Record], folder: Path) -> None:
         If a file of one of these names is there that this package did not write.
     """
     Results(folder).manifest.claim(*TABLES)
-    for name, content in (
-        ("table.md", markdown(records)),
-        ("table.tex", latex(records)),
-        ("table.csv", csv(records)),
-    ):
+    for name, content in zip(TABLES, (markdown(records), latex(records), csv(records)), strict=True):
         write_text(folder / name, content)

@@ -9,7 +9,7 @@ import pytest
 
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result, write_history
 from rmesh_nlp.report.histories import with_common_costs
-from rmesh_nlp.report.multistart import multistart_rows
+from rmesh_nlp.report.joined import multistart_rows
 from rmesh_nlp.report.tables import markdown
 from support.reporting import failed_61, fixed_61, joint_61
 

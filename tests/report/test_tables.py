@@ -13,9 +13,9 @@ import pytest
 
 from rmesh_nlp.io.records import REQUIRED
 from rmesh_nlp.report.blocks import names_of_solves
+from rmesh_nlp.report.joined import refinement_notes, refinement_rows
 from rmesh_nlp.report.markup import LINES, latex_cell, latex_table, latex_text, markdown_table
 from rmesh_nlp.report.notes import detailed_notes, main_notes
-from rmesh_nlp.report.refinement import TITLE, refinement_notes, refinement_rows
 from rmesh_nlp.report.tables import DETAILS, latex, markdown, short_markdown, write_tables
 from rmesh_nlp.report.tables import csv as as_csv
 from support.reporting import joint_61
@@ -29,7 +29,7 @@ MARKDOWN = """\
 | 6.2, joint | -4.854190 |   -4.910330 |     1.16 |         44 |              3 |    0.083 | converged |
 | 6.2, mpcc  |         - |           - |        - |          - |              - |    0.083 |    failed |
 
-- J is the total potential energy of the contact solution on the given and on the relocated mesh, audited with quadrature of degree 20. Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.
+- J is the total potential energy of the contact solution on the given and on the relocated mesh, as assessed: loads by an adaptive rule, gaps along whole edges, friction and curves integrated. Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.
 - 6.2, mpcc: failed: RuntimeError: 100% & more_
 
 ## Details
@@ -181,8 +181,8 @@ def test_relocation_stands_beside_refinement() -> None:
     assert others == [["as given", "joint", "100", "0.2"], ["refined", "no motion", "400", "0.4"]]
     (note,) = refinement_notes([finer, given, moved])
     assert "one uniform refinement (400 nodes) gains 2 times as much as joint on 100 nodes, in 0.1" in note
-    assert TITLE in markdown([given, moved, finer])
-    assert TITLE not in markdown([given, moved])
+    assert "Relocation against uniform refinement" in markdown([given, moved, finer])
+    assert "Relocation against uniform refinement" not in markdown([given, moved])
 
 
 def test_ends_of_one_minimum_share_a_place_and_the_first_row_is_named_as_the_lowest() -> None:

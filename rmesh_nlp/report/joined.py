@@ -1,0 +1,148 @@
+"""Tables whose rows join several records: ends of several starts, and relocation against refinement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from rmesh_nlp.io.records import Record
+from rmesh_nlp.report.blocks import (
+    RELOCATING_NOTHING,
+    audited,
+    blocks,
+    contact_units,
+    label,
+    objective_of,
+)
+from rmesh_nlp.report.columns import shown
+from rmesh_nlp.report.markup import Groups
+
+STARTS = ("formulation", "starts", "best", "median", "worst", "failures", "cost [contact solves]")
+MESHES = ("mesh", "formulation", "nodes", "J audited", "gain", "time [s]")
+
+
+@dataclass(frozen=True)
+class Joined:
+    """One table: its title, head and groups of rows, a caption in LaTeX, and sentences about it."""
+
+    title: str
+    head: Sequence[str]
+    groups: Groups
+    caption: str
+    notes: Sequence[str] = ()
+
+
+def joined_tables(records: Sequence[Record]) -> list[Joined]:
+    """Those of the two that have rows."""
+    tables = (
+        Joined(
+            "Several starts",
+            STARTS,
+            multistart_rows(records),
+            "Ends of solves from several starts: audited energies, or values of another objective. The cost "
+            "is the median of one start.",
+        ),
+        Joined(
+            "Relocation against uniform refinement",
+            MESHES,
+            refinement_rows(records),
+            "Relocation against uniform refinement: audited energies $J$ and gains over the given mesh, with "
+            "the wall time of each solve.",
+            refinement_notes(records),
+        ),
+    )
+    return [table for table in tables if table.groups]
+
+
+def multistart_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]]]]:
+    """Per block, a row for each formulation and objective that was solved from two starts or more."""
+    found = []
+    for block in blocks(records):
+        groups: dict[str, list[Record]] = {}
+        for record in block.records:
+            if record["status"] != "refused":
+                groups.setdefault(label({**record, "seed": None}), []).append(record)
+        rows = [row for name, group in groups.items() if (row := _starts(name, group))]
+        if rows:
+            found.append((block.title, rows))
+    return found
+
+
+def _starts(name: str, group: Sequence[Record]) -> list[str] | None:
+    """Best, median and worst end of several solves, or of one whose solve had starts of its own."""
+    ends: list[float | None]
+    if len(group) == 1 and group[0].get("start_energies"):
+        ends = list(group[0].get("start_values") or group[0]["start_energies"])
+        costs: list[float] = []
+    elif len({record["seed"] for record in group}) > 1:
+        ends = [_end(record) if record["success"] else None for record in group]
+        costs = [cost for r in group if r["success"] and (cost := contact_units(r)) is not None]
+    else:
+        return None
+    known = [end for end in ends if end is not None]
+    figures = [shown(f(known) if known else None, ".7g") for f in (min, median, max)]
+    middle = shown(median(costs) if costs else None, ".3g")
+    return [name, str(len(ends)), *figures, str(len(ends) - len(known)), middle]
+
+
+def _end(record: Record) -> float | None:
+    """The audited energy, or the value of another objective."""
+    value = audited(record) if objective_of(record) == "energy" else record.get("objective_value")
+    return None if value is None else float(value)
+
+
+def refinement_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]]]]:
+    """Per example that was solved on several meshes, its rows: the given mesh first, then finer ones.
+
+    Gains are those of the audited energy over the given mesh, the one of fewest nodes.
+    """
+    groups = []
+    for name, own in _several_meshes(records).items():
+        coarsest, start = own[0]["nodes"], own[0]["energy_initial_audited"]
+        rows = [
+            [
+                "as given" if record["nodes"] == coarsest else "refined",
+                "no motion" if record["formulation"] == RELOCATING_NOTHING else label(record),
+                f"{record['nodes']}",
+                f"{record['energy_audited']:.6g}",
+                f"{start - record['energy_audited']:.4g}",
+                f"{record['wall_time_s']:.3g}",
+            ]
+            for record in own
+        ]
+        groups.append((name, rows))
+    return groups
+
+
+def refinement_notes(records: Sequence[Record]) -> list[str]:
+    """One sentence per example: what one refinement gains against the best relocation."""
+    notes = []
+    for name, own in _several_meshes(records).items():
+        start, coarsest = own[0]["energy_initial_audited"], own[0]["nodes"]
+        moved = [r for r in own if r["formulation"] != RELOCATING_NOTHING and r["nodes"] == coarsest]
+        finer = [r for r in own if r["formulation"] == RELOCATING_NOTHING and r["nodes"] > coarsest]
+        if not moved or not finer:
+            continue
+        best = min(moved, key=lambda record: record["energy_audited"])
+        gain, other = start - best["energy_audited"], start - finer[0]["energy_audited"]
+        if gain <= 0:
+            notes.append(f"{name}: no formulation gained on the given mesh.")
+            continue
+        times = finer[0]["wall_time_s"] / best["wall_time_s"]
+        notes.append(
+            f"{name}: one uniform refinement ({finer[0]['nodes']} nodes) gains {other / gain:.2g} times as "
+            f"much as {label(best)} on {coarsest} nodes, in {times:.2g} times its time."
+        )
+    return notes
+
+
+def _several_meshes(records: Sequence[Record]) -> dict[str, list[Record]]:
+    """Successful records of the energy by problem, of those with several meshes; coarser meshes first."""
+    found: dict[str, list[Record]] = {}
+    for record in records:
+        known = record.get("nodes") and record.get("energy_initial_audited") is not None
+        if record["success"] and known and str(record["objective"]).startswith("energy"):
+            found.setdefault(str(record["example"]), []).append(record)
+    several = {name: own for name, own in found.items() if len({record["nodes"] for record in own}) > 1}
+    return {name: sorted(own, key=lambda record: int(record["nodes"])) for name, own in several.items()}
