@@ -257,16 +257,14 @@ def error_figure(field: Fields, bounds: tuple[Array, Array], record: Record) -> 
     ]
     high = max(float(np.max(values)) for values in density)
     norm = LogNorm(max(high, 1e-300) / 10**DECADES, max(high, 1e-299))
-    shape = np.ptp(field.nodes, axis=1)
-    rows, columns = (2, 1) if shape[0] > 2 * shape[1] else (1, 2)
-    height = 0.9 + rows * (TWO_COLUMNS - 1.4) / columns * float(shape[1] / shape[0])
-    figure = new_figure(TWO_COLUMNS, min(height, 8.0))
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    limits = window([body_of(field)])
+    figure, axes = Page().panels(2, [limits], below=0.15, beside=1.0)
     titles = [f"given, {_percent(record, '_initial')}", f"relocated, {_percent(record, '')}"]
-    for axis, title, nodes, values in zip(axes, titles, meshes, density, strict=True):
+    for axis, title, nodes, values in zip(axes[0], titles, meshes, density, strict=True):
         drawn = draw_field(axis, nodes, field.triangles, np.maximum(values, norm.vmin or 0), norm=norm)
-        axis.set(aspect="equal", xlabel="$x_1$", ylabel="$x_2$", title=title)
-    figure.colorbar(drawn, ax=axes.tolist(), label="error bound per root of area", aspect=30)
+        frame(axis, limits, "")
+        axis.set_title(title)
+    figure.colorbar(drawn, ax=axes[0].tolist(), label="error bound\nper root of area", aspect=20)
     return figure
 
 

@@ -35,12 +35,11 @@ from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     Block,
     blocks,
-    contact_units,
-    gain_in_per_cent,
     objective_of,
     variant,
     variants_of,
 )
+from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, MAIN, RESIDUALS, STATUS, Column, shown
 from rmesh_nlp.report.figures import convergence_figure, profile_figure
 from rmesh_nlp.report.histories import curve
 from rmesh_nlp.report.markup import MISSING, markdown_table
@@ -58,32 +57,18 @@ CHART = 4.4
 CONVERGENCE, MESHES, STARTS = 12, 60, 8
 """Most problems whose convergence, solves whose meshes, and starts whose names are on the page."""
 
-WHICH = (("example", "problem", "s"), ("n", "size", "s"), ("seed", "seed", "d"))
-COLUMNS = (
-    ("status", "status", "s"),
-    ("energy_initial_audited", "J given", ".6g"),
-    ("energy_audited", "J relocated", ".6g"),
-    ("gain_per_cent", "gain [%]", ".2f"),
-    ("iterations", "iterations", "d"),
-    ("contact_solves", "contact solves", "d"),
-    ("wall_time_s", "time [s]", ".3g"),
+WHICH = (
+    Column("formulation", variant),
+    Column("problem", lambda record: str(record["example"])),
+    Column("size", lambda record: str(record["n"])),
+    Column("seed", lambda record: shown(record["seed"], "d")),
 )
-MORE = (
-    ("time_contact_solves", "cost [contact solves]", ".4g"),
-    ("u_min", "u min", ".4g"),
-    ("u_max", "u max", ".4g"),
-    ("min_area_ratio", "least area ratio", ".3f"),
-    ("equilibrium_residual", "equilibrium", ".1e"),
-    ("complementarity_residual", "complementarity", ".1e"),
-    ("stationarity_residual", "first-order residual", ".1e"),
-    ("stationarity", "label", "s"),
-    ("error_bound_initial", "error bound, given", ".3g"),
-    ("error_bound", "error bound, relocated", ".3g"),
-)
-"""Entry, heading and format: what tells solves apart, their main table, and a second one. Columns that no row
-has are left out."""
+"""What tells solves apart."""
 
-RESIDUALS = (
+MORE = (*COSTS[-1:], *ENERGIES[1:], *RESIDUALS[1:], *CERTIFICATES[1:])
+"""Columns of the second table of all solves; those that no row has are left out."""
+
+COST = (
     "Cost: time of build and solve over that of one contact solve on the given mesh. Residuals are "
     "dimensionless: equilibrium and complementarity of an independent contact solve on the relocated mesh, "
     "and the first-order residual of the outer problem over that on the given mesh."
@@ -137,10 +122,6 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
     with rc_context(SETTINGS):
         profiles = [(one.title, svg(profile_figure(one, CHART, heading=False))) for one in charts(results)]
     failures = [[str(r.get(name) or "") for name in ("example", "n", "status", "message")] for r in records]
-    rows = [
-        {**record, "time_contact_solves": contact_units(record), "gain_per_cent": gain_in_per_cent(record)}
-        for record in records
-    ]
     shared = sum(bool(record.get("shared")) for record in records)
     remarks = study_notes(records) if is_study(records) else block_notes(records)
     sections = (
@@ -166,14 +147,14 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         not_drawn=not_drawn,
         meshes=meshes,
         meshes_left=meshes_left,
-        solves=_solves(rows, (*WHICH, *COLUMNS), failed),
-        more=_solves(rows, (*WHICH, *MORE), failed),
+        solves=_solves(records, (STATUS, *MAIN[1:-1]), failed),
+        more=_solves(records, MORE, failed),
         failures=Table(
             ["formulation", "problem", "size", "status", "message"],
             [[variant(records[i]), *failures[i]] for i in sorted(failed)],
             texts=5,
         ),
-        remarks=[*LEGEND, RESIDUALS, *units_notes(records), *stopped_early(records), *remarks],
+        remarks=[*LEGEND, COST, *units_notes(records), *stopped_early(records), *remarks],
         environments=_environments(folder, records),
         shared=f"{shared} of {len(records)} solves shared their core with something." if shared else "",
     )
@@ -234,17 +215,10 @@ def _convergence(results: Sequence[Result]) -> tuple[list[tuple[str, str]], str]
     return found, f"The first {CONVERGENCE} problems; {more} more are not drawn." if more > 0 else ""
 
 
-def _solves(rows: Sequence[Record], wanted: Sequence[tuple[str, str, str]], failed: Set[int]) -> Table:
-    shown = [column for column in wanted if any(row.get(column[0]) not in (None, "") for row in rows)]
-    head = ["formulation", *(name for _, name, _ in shown)]
-    cells = [[variant(row), *(_cell(row.get(name), form) for name, _, form in shown)] for row in rows]
-    return Table(head, cells, texts=2, failed=failed)
-
-
-def _cell(value: str | float | None, form: str) -> str:
-    if value is None or value == "":
-        return MISSING
-    return str(value) if form == "s" or isinstance(value, str) else format(value, form)
+def _solves(records: Sequence[Record], columns: Sequence[Column], failed: Set[int]) -> Table:
+    cells = {column.head: [column.cell(record) for record in records] for column in (*WHICH, *columns)}
+    known = {head: own for head, own in cells.items() if set(own) != {MISSING}}
+    return Table(list(known), list(zip(*known.values(), strict=True)), texts=2, failed=failed)
 
 
 def _meshes(results: Sequence[Result]) -> tuple[list[dict[str, Any]], str]:

@@ -1,20 +1,21 @@
-"""Figures: that they exist, show the data they are made from, and can be read in print."""
+"""Figures: that they exist, show the data they are made from, come from files alone, and can be read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
-import matplotlib.text
 import numpy as np
 import pytest
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Result, Results, read_results
-from rmesh_nlp.io.vtu import read_vtu
+from rmesh_nlp.io.vtu import Fields, read_vtu
+from rmesh_nlp.problem.units import Units
 from rmesh_nlp.report.blocks import blocks
-from rmesh_nlp.report.figures import block_figures, write_figures
+from rmesh_nlp.report.figures import block_figures, stress_figure, write_figures
 from rmesh_nlp.report.histories import curve
 from rmesh_nlp.report.style import LOOKS, SETTINGS, TWO_COLUMNS, add_legend, new_figure
 from rmesh_nlp.study.cases import plan_comparison
@@ -31,44 +32,47 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> list[Result]:
     return read_results(folder)
 
 
-def figures(results: list[Result], example: str) -> dict[str, Figure]:
-    chosen = [result for result in results if result.record["example"] == example]
-    (block,) = blocks([result.record for result in chosen])
-    return dict(block_figures(block, chosen))
-
-
-def texts(figure: Figure) -> Iterator[matplotlib.text.Text]:
-    return (t for t in figure.findobj(matplotlib.text.Text) if t.get_text() and t.get_visible())
+@pytest.fixture(scope="module")
+def figures(results: list[Result]) -> dict[str, Figure]:
+    records = [result.record for result in results]
+    return {
+        name: figure
+        for block in blocks(records)
+        for name, figure in block_figures(block, [r for r in results if r.record in block.records])
+    }
 
 
 @pytest.mark.slow
-def test_every_example_has_its_figures(results: list[Result], tmp_path: Path) -> None:
+def test_every_example_has_its_figures_without_a_solve(
+    results: list[Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("a solver was called")
+
+    monkeypatch.setattr("rmesh_nlp.contact.solver.ContactSolver.solve", refuse)
+    monkeypatch.setattr("casadi.nlpsol", refuse)
     paths = write_figures(results, tmp_path)
-    names = {path.name for path in paths}
     grids = ("nested-grid", "joint-grid", "mpcc-grid")
     stems = {f"6.1-4-{what}" for what in (*grids, "stress", "surface", "convergence")}
     stems |= {f"6.3-4x3-{what}" for what in ("joint-grid", "stress", "convergence")}
-    assert names == {f"{stem}.{kind}" for stem in stems for kind in ("png", "pdf")}
+    assert {path.name for path in paths} == {f"{stem}.{kind}" for stem in stems for kind in ("png", "pdf")}
     for path in paths:
-        head = path.read_bytes()[:5]
-        assert head == (b"\x89PNG\r" if path.suffix == ".png" else b"%PDF-")
+        assert path.read_bytes()[:5] == (b"\x89PNG\r" if path.suffix == ".png" else b"%PDF-")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("example", ["6.1", "6.3"])
-def test_texts_are_legible_and_do_not_overlap(results: list[Result], example: str) -> None:
-    for name, figure in figures(results, example).items():
+def test_texts_are_legible_and_do_not_overlap(figures: dict[str, Figure]) -> None:
+    for name, figure in figures.items():
         with rc_context(SETTINGS):
             figure.draw_without_rendering()
-        assert figure.get_size_inches()[0] <= 7.0
-        sizes = [text.get_fontsize() for text in texts(figure)]
-        assert min(sizes) >= 8, name
+        assert figure.get_size_inches()[0] <= TWO_COLUMNS
+        texts = [t for t in figure.findobj(Text) if t.get_text() and t.get_visible()]
+        assert min(text.get_fontsize() for text in texts) >= 8, name
         if name.endswith("surface"):
             continue  # three-dimensional axes keep texts of ticks that they do not draw
-        labels = [axis.xaxis.label for axis in figure.axes] + [axis.title for axis in figure.axes]
-        labels += [axis.yaxis.label for axis in figure.axes]
+        labels = [part for axis in figure.axes for part in (axis.xaxis.label, axis.yaxis.label, axis.title)]
         labels += [t for legend in figure.legends for t in legend.get_texts()]
-        boxes = [(t.get_text(), t.get_window_extent()) for t in labels if t.get_text()]
+        boxes = [(t.get_text(), t.get_window_extent()) for t in labels if t.get_text() and t.get_visible()]
         frame = figure.bbox.padded(1)
         for i, (text, box) in enumerate(boxes):
             assert frame.x0 <= box.x0 <= box.x1 <= frame.x1, (name, text)
@@ -78,48 +82,56 @@ def test_texts_are_legible_and_do_not_overlap(results: list[Result], example: st
 
 
 @pytest.mark.slow
-def test_grids_have_equal_axes_and_show_both_meshes(results: list[Result]) -> None:
-    figure = figures(results, "6.3")["6.3-4x3-joint-grid"]
-    grids = [axis for axis in figure.axes if axis.get_label() != "<colorbar>"]
+def test_grids_have_equal_axes_and_show_both_meshes(
+    results: list[Result], figures: dict[str, Figure]
+) -> None:
+    grids = [axis for axis in figures["6.3-4x3-joint-grid"].axes if axis.get_label() != "<colorbar>"]
     assert [axis.get_aspect() for axis in grids] == [1.0] * 4
     titles = [axis.get_title() for axis in grids]
     assert titles[:2] == ["given grid", "relocated by joint"]
     assert titles[2] == titles[3]
     magnification = float(titles[2].removeprefix("deformed, u and gap × "))
-    joint = next(r for r in results if r.record["example"] == "6.3" and r.record["formulation"] == "joint")
-    fields = read_vtu(joint.vtu)
+    fields = read_vtu(results[-1].vtu)
     drawn = np.array(grids[3].lines[0].get_xydata())
     moved = fields.nodes + magnification * fields.displacement
     for corner in (moved[:, 0], moved[:, -1]):
         assert np.nanmin(np.linalg.norm(drawn - corner, axis=1)) < 1e-12
 
 
-def test_looks_are_told_apart_without_colour() -> None:
-    assert len({(one.linestyle, one.marker) for one in LOOKS}) == len(LOOKS)
-
-
 @pytest.mark.slow
-def test_the_cost_of_every_formulation_is_time_in_contact_solves(results: list[Result]) -> None:
+def test_convergence_is_drawn_over_contact_solves(results: list[Result], figures: dict[str, Figure]) -> None:
     by_name = {r.record["formulation"]: r for r in results if r.record["example"] == "6.1"}
-    assert curve(by_name["fixed"]) is None
-    for name in ("joint", "nested"):
+    for name in ("joint", "nested", "mpcc"):
         found, result = curve(by_name[name]), by_name[name]
         assert found is not None
         last = result.steps()[-1]["seconds"] / result.record["contact_time_s"]
         assert found.cost[-1] == pytest.approx(max(last, 1.0))
-    figure = figures(results, "6.1")["6.1-4-convergence"]
-    assert "build and solve" in figure.axes[1].get_xlabel()
-
-
-@pytest.mark.slow
-def test_mpcc_begins_at_the_initial_energy(results: list[Result]) -> None:
-    (result,) = [r for r in results if r.record["formulation"] == "mpcc"]
-    found = curve(result)
-    assert found is not None
+    # mpcc begins at the given mesh, but Ipopt pushes forces and gaps off their bounds
     assert found.iteration[0] == 0
-    # Ipopt pushes forces and gaps off their bounds, by a hundredth of their unit
     assert found.energy[0] == pytest.approx(result.record["energy_initial"], rel=2e-2)
     assert found.energy[-1] == pytest.approx(result.record["energy"], abs=1e-8)
+    left, right = figures["6.1-4-convergence"].axes
+    assert "build and solve" in right.get_xlabel()
+    best = min(by_name[name].record["energy"] for name in ("joint", "nested", "mpcc"))
+    drawn = {line.get_color(): line.get_ydata() for line in left.lines if len(line.get_ydata()) > 1}
+    reference = -float(left.get_xlabel().split("−")[1].split(",")[0])
+    assert reference == pytest.approx(best, rel=1e-5)
+    assert len(drawn) == 3
+
+
+@pytest.mark.parametrize("content", [None, "<VTKFile", "<VTKFile/>", "no XML"])
+def test_missing_or_broken_solution_file_is_named(
+    results: list[Result], tmp_path: Path, content: str | None
+) -> None:
+    path = tmp_path / "it.vtu"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(BadInputError, match=r"it\.vtu"):
+        write_figures([Result(results[0].record, path, results[0].history)], tmp_path)
+
+
+def test_looks_are_told_apart_without_colour() -> None:
+    assert len({(one.linestyle, one.marker) for one in LOOKS}) == len(LOOKS)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +142,7 @@ def test_mpcc_begins_at_the_initial_energy(results: list[Result]) -> None:
         ["newton from forty random starts " * 6],
     ],
 )
-def test_a_legend_is_not_wider_than_its_figure(names: list[str]) -> None:
+def test_legend_is_not_wider_than_its_figure(names: list[str]) -> None:
     figure = new_figure(TWO_COLUMNS, 3.0)
     axis = figure.subplots()
     for name in names:
@@ -140,3 +152,47 @@ def test_a_legend_is_not_wider_than_its_figure(names: list[str]) -> None:
     (legend,) = figure.legends
     figure.draw_without_rendering()
     assert legend.get_window_extent().width <= figure.get_window_extent().width
+
+
+def fields(friction: float, components: int = 2, upright: bool = False) -> Fields:
+    """Three contact nodes out of order, and one that is none."""
+    nodes = np.array([[2.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.1, 3.0]])
+    nodes = nodes[::-1] if upright else nodes
+    return Fields(
+        nodes=nodes, initial=nodes, triangles=np.array([[0], [1], [2]]),
+        displacement=np.zeros((components, 4)), pressure=np.array([20.0, 0.0, 10.0, 99.0]),
+        tangential_stress=np.array([2.0, 0.0, -1.0, 99.0]),
+        friction_bound=np.array([friction, friction, 2 * friction, 0.0]),
+        contact=np.array([True, True, True, False]), foundation=nodes,
+    )  # fmt: skip
+
+
+def test_contact_stress_is_drawn_along_the_boundary() -> None:
+    (axis,) = stress_figure({"given grid": fields(0.0), "joint": fields(0.0)}).axes
+    assert [line.get_label() for line in axis.lines] == ["given grid", "joint"]
+    for line in axis.lines:
+        np.testing.assert_array_equal(line.get_xydata(), [[0, 0], [1, 10], [2, 20]])
+    assert axis.get_xlabel().startswith("$x_1$")
+    (axis,) = stress_figure({"a": fields(0.0, upright=True)}).axes
+    np.testing.assert_array_equal(axis.lines[0].get_xydata()[:, 0], [0, 1, 2])
+    assert axis.get_xlabel().startswith("$x_2$")
+
+
+def test_with_friction_a_second_panel_has_the_bounds() -> None:
+    figure = stress_figure({"given grid": fields(3.0)})
+    contact, tangential = figure.axes
+    assert len(contact.lines) == 1
+    drawn = [line.get_xydata().tolist() for line in tangential.lines]
+    assert drawn == [[[0, 0], [1, -1], [2, 2]], [[0, 3], [1, 6], [2, 3]], [[0, -3], [1, -6], [2, -3]]]
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["given grid", "friction bound ±g"]
+    # friction of a single node, or of a later curve, is enough
+    rough = fields(0.0)
+    rough.friction_bound[2] = 1.0
+    assert len(stress_figure({"a": fields(0.0), "b": rough}).axes) == 2
+
+
+@pytest.mark.parametrize(("components", "label"), [(1, "contact stress"), (2, "contact stress [N/m²]")])
+def test_stress_has_its_unit_unless_the_problem_is_scalar(components: int, label: str) -> None:
+    (axis,) = stress_figure({"a": fields(0.0, components)}, Units("m", "N")).axes
+    assert axis.get_ylabel() == label

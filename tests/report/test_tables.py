@@ -1,4 +1,4 @@
-"""Tables against literal text, and against a page."""
+"""Tables and their notes against literal text, and against a page."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from rmesh_nlp.io.records import REQUIRED
-from rmesh_nlp.report.blocks import names_of_solves
-from rmesh_nlp.report.joined import refinement_notes, refinement_rows
+from rmesh_nlp.report.joined import multistart_rows, refinement_notes, refinement_rows
 from rmesh_nlp.report.markup import LINES, latex_cell, latex_table, latex_text, markdown_table
-from rmesh_nlp.report.notes import detailed_notes, main_notes
+from rmesh_nlp.report.notes import detailed_notes, main_notes, stopped_early, units_notes
 from rmesh_nlp.report.tables import DETAILS, latex, markdown, short_markdown, write_tables
 from rmesh_nlp.report.tables import csv as as_csv
-from support.reporting import joint_61
-from support.table_rows import ROWS, record
+from support.reporting import ROWS, failed, joint_61, joint_62
 
 MARKDOWN = """\
 # Comparison of formulations
@@ -70,7 +69,7 @@ mpcc & -- & -- & -- & -- & -- & $0.083$ & failed \\
 
 MANY = [
     *ROWS,
-    *(record(seed=seed) for seed in range(50)),
+    *(joint_62(seed=seed) for seed in range(50)),
     joint_61(
         **{
             "formulation": "mpcc",
@@ -81,7 +80,7 @@ MANY = [
         **{"objective": "error-l2+0.01*quality", "objective_initial": 1e-3, "objective_value": 2e-4},
     ),
     *(
-        record(
+        joint_62(
             **{"example": "a-long-name_of-a-file", "n": "123456 triangles", "delta": {"relative": 0.3}},
             **{"nodes": nodes, "energy_initial_audited": -1e-7, "energy_audited": -1.23e-7},
             **{"status": "too_few_freedoms", "wall_time_s": 1234.5, "I1": 0.1, "I2": 1e-9, "I3": 0.0},
@@ -95,37 +94,19 @@ MANY = [
 
 
 def test_markdown_literally() -> None:
-    assert markdown(ROWS).startswith(MARKDOWN)
-
-
-def test_short_markdown_is_table_of_one_row_per_solve() -> None:
-    text = short_markdown(ROWS)
-    assert markdown(ROWS).startswith(text)
-    assert DETAILS not in text
-    assert len(text.splitlines()) < 12
+    text = markdown(ROWS)
+    assert text.startswith(MARKDOWN)
+    short = short_markdown(ROWS)
+    assert text.startswith(short)
+    assert DETAILS not in short
     assert short_markdown([]).startswith("# Comparison of formulations\n\nNo solve has ended yet.")
-
-
-def test_solves_are_told_apart_by_the_settings_that_differ() -> None:
-    rows = [
-        record(),
-        record(n="24x12", delta=[0.1, 0.1]),
-        record(n="24x12", delta=[0.2, 0.2]),
-        joint_61(seed=7),
-    ]
-    assert names_of_solves(rows) == [
-        "6.2, n = 12x6, joint",
-        "6.2, n = 24x12, delta = 0.1, joint",
-        "6.2, n = 24x12, delta = 0.2, joint",
-        "6.1, joint, seed 7",
-    ]
 
 
 def test_latex_literally() -> None:
     text = latex(ROWS)
     assert LATEX_MAIN in text
     assert r"joint & $3.1\cdot 10^{-9}$ & $4.7\cdot 10^{-13}$" in text
-    assert "threeparttable" not in text
+    assert r"\begin{tabular}[b]{@{}r@{}}$J$ given,\\ {own rule}\end{tabular}" in text
 
 
 def test_latex_is_well_formed_and_tables_have_eight_columns_and_fit_a_page() -> None:
@@ -170,60 +151,147 @@ def test_latex_compiles_without_overfull_boxes(rows, options, tmp_path: Path) ->
 
 
 def test_relocation_stands_beside_refinement() -> None:
-    given = record(formulation="fixed", nodes=100, energy_initial_audited=-1.0, energy_audited=-1.0)
-    moved = record(nodes=100, energy_initial_audited=-1.0, energy_audited=-1.2, wall_time_s=10.0)
+    given = joint_62(formulation="fixed", nodes=100, energy_initial_audited=-1.0, energy_audited=-1.0)
+    moved = joint_62(nodes=100, energy_initial_audited=-1.0, energy_audited=-1.2, wall_time_s=10.0)
     finer = {**given, "n": "f", "nodes": 400, "energy_initial_audited": -1.4, "energy_audited": -1.4}
     finer["wall_time_s"] = 1.0
     ((name, rows),) = refinement_rows([finer, given, moved])
-    assert name == given["example"]
-    given_row, *others = [[*row[:3], row[4]] for row in rows]
-    assert given_row == ["as given", "no motion", "100", "0"]
-    assert others == [["as given", "joint", "100", "0.2"], ["refined", "no motion", "400", "0.4"]]
+    assert name == "6.2"
+    assert [[*row[:3], row[4]] for row in rows] == [
+        ["as given", "no motion", "100", "0"],
+        ["as given", "joint", "100", "0.2"],
+        ["refined", "no motion", "400", "0.4"],
+    ]
     (note,) = refinement_notes([finer, given, moved])
     assert "one uniform refinement (400 nodes) gains 2 times as much as joint on 100 nodes, in 0.1" in note
     assert "Relocation against uniform refinement" in markdown([given, moved, finer])
     assert "Relocation against uniform refinement" not in markdown([given, moved])
 
 
-def test_ends_of_one_minimum_share_a_place_and_the_first_row_is_named_as_the_lowest() -> None:
+def test_several_starts_are_joined() -> None:
+    rows = [joint_61(seed=seed, energy_audited=end) for seed, end in ((None, -1.47), (1, -1.48), (2, -1.46))]
+    rows.append(failed(joint_61(), formulation="joint", seed=3))
+    ((title, ((*cells, cost),)),) = multistart_rows(rows)
+    assert title.startswith("Example 6.1")
+    assert cells == ["joint", "4", "-1.48", "-1.47", "-1.46", "1"]
+    assert float(cost) == pytest.approx(50)
+    assert "Several starts" in markdown(rows)
+    assert not multistart_rows(rows[:1])
+
+
+def test_starts_of_one_solve_are_joined() -> None:
+    record = joint_61(start_energies=[-1.4, None, -1.5])
+    other = joint_61(start_energies=[-1.4, -1.5], start_values=[0.25, 0.5], objective="error-l2")
+    ((_, (cells,)),) = multistart_rows([record])
+    assert cells == ["joint", "3", "-1.5", "-1.45", "-1.4", "1", "-"]
+    ((_, (cells,)),) = multistart_rows([other])
+    assert cells[2:5] == ["0.25", "0.375", "0.5"]
+
+
+@pytest.mark.parametrize(
+    ("energy", "said"),
+    [
+        (-4.910329789, "is NOT reached: the lowest here is -4.910330 (joint). "),
+        (-4.91879, "is NOT reached"),  # truncated, not rounded, it would be printed as -4.9187
+        (-4.91889, "is met"),
+        (-4.9189, "is passed"),
+    ],
+)
+def test_printed_final_energy_is_compared_truncated(energy: float, said: str) -> None:
+    (final,) = [note for note in detailed_notes([joint_62(energy=energy)]) if "printed final energy" in note]
+    assert final.startswith(f"Example 6.2: printed final energy -4.9188 {said}")
+
+
+def test_printed_initial_energy_is_met_or_not() -> None:
+    for energy, said in ((-4.854190196, "met, here -4.854190."), (-4.85409, "NOT met, here -4.854090.")):
+        notes = detailed_notes([joint_62(energy_initial=energy)])
+        assert f"Example 6.2: printed initial energy -4.8541: {said}" in notes
+
+
+def test_problem_of_ones_own_is_not_compared_with_the_paper() -> None:
+    text = markdown([joint_62(example="mine", n="144 triangles")])
+    assert "### Problem mine: 144 triangles, delta = " in text
+    assert "Example" not in text
+    assert "paper" not in text
+
+
+@pytest.mark.parametrize("changes", [{"n": "24x12"}, {"delta": [0.2, 0.07333]}, {"quadrature": 6}])
+def test_other_settings_are_not_compared(changes: dict[str, Any]) -> None:
+    rows = [joint_62(**changes)]
+    assert any("not the paper's settings" in note for note in detailed_notes(rows))
+    assert "paper, given grid" not in markdown(rows)
+
+
+def test_extremes_of_61_are_compared() -> None:
+    rows = [
+        joint_61(formulation="fixed", energy=-1.124602, u_min=-0.454855, u_max=0.475281),
+        joint_61(energy=-1.475161, u_min=-0.5228, u_max=0.5266),
+    ]
+    text = "\n".join(detailed_notes(rows))
+    assert "extremes -0.4549, 0.4753 on the given grid: met, here -0.45486, 0.47528." in text
+    assert "final energy -1.4445 is passed: the lowest here is -1.475161 (joint)." in text
+    assert "here -0.5228, 0.5266 (joint)" in text
+    rows[0]["u_max"] = 0.4755
+    assert "on the given grid: NOT met" in "\n".join(detailed_notes(rows))
+
+
+def test_success_that_is_not_stationary_is_explained() -> None:
+    early = joint_62(status="iteration_limit")
+    (said,) = [note for note in main_notes([joint_62(), early]) if note.startswith("iteration_limit")]
+    assert said.endswith("valid and not worse than the given mesh, but not stationary to the tolerance.")
+    assert not stopped_early([joint_62(), {**early, "success": False}])
+
+
+def test_units_of_several_examples_are_named_once() -> None:
+    units = {"length": "m", "force": "N"}
+    rows = [joint_62(units=units), joint_62(example="6.3", units=units), joint_61(units={})]
+    assert units_notes(rows) == ["Example 6.2, Example 6.3: u in m, J in N, the energy per m of depth."]
+
+
+@pytest.mark.parametrize(("counted", "said"), [([0, 0], True), ([0, 1], False), ([None, None], False)])
+def test_missing_stick_zone_is_said(counted: list[int | None], said: bool) -> None:
+    text = "\n".join(detailed_notes([joint_62(sticking_nodes=number) for number in counted]))
+    assert ("there is no stick zone" in text) is said
+
+
+def test_ends_of_one_minimum_share_a_place_and_the_first_row_is_the_lowest() -> None:
     # two solvers stop at one minimum, apart by rounding: neither is to be called the better one
-    joint = record(energy=-4.92, energy_audited=-4.92)
-    mpcc = record(formulation="mpcc", energy=-4.92 - 1e-11, energy_audited=-4.92 + 1e-11)
-    nested = record(formulation="nested", energy=-4.92 + 1e-6, energy_audited=-4.92 + 1e-6)
-    said = detailed_notes([joint, mpcc, nested])
+    ends = {"joint": (-4.92, -4.92), "mpcc": (-4.92 - 1e-11, -4.92 + 1e-11), "nested": (-4.919999, -4.919999)}
+    rows = [joint_62(formulation=k, energy=own, energy_audited=end) for k, (own, end) in ends.items()]
+    said = detailed_notes(rows)
     (order,) = [note for note in said if "by audited energy" in note]
     assert order.endswith("by audited energy joint = mpcc -4.920000; nested -4.919999.")
     assert any("-4.920000 (joint)" in note for note in said)
 
 
-def test_an_energy_below_the_infimum_is_flagged() -> None:
-    row = record(example="6.1", energy=-4.51, energy_audited=-1.1, energy_above_exact=0.845)
+def test_energy_below_the_infimum_is_flagged() -> None:
+    row = joint_62(example="6.1", energy=-4.51, energy_audited=-1.1, energy_above_exact=0.845)
     (said,) = [note for note in main_notes([row]) if "BELOW" in note]
     assert "the energy -4.510000 lies BELOW the infimum -1.945000" in said
-    assert not [note for note in main_notes([record(energy_above_exact=0.1)]) if "BELOW" in note]
+    assert not [note for note in main_notes([joint_62(energy_above_exact=0.1)]) if "BELOW" in note]
+    certified = joint_62(guaranteed_lower=True, energy_lower_bound=-4.9)
+    assert len([note for note in main_notes([certified]) if "infimum -4.900000" in note]) == 2
 
 
-def test_the_terms_of_theorem_41_have_a_table() -> None:
-    text = markdown([record(I1=0.5, I2=1e-3, I3=0.0, energy_above_exact=0.501)])
+def test_errors_and_other_objectives_have_tables_of_their_own() -> None:
+    text = markdown([joint_62(I1=0.5, I2=1e-3, I3=0.0, energy_above_exact=0.501)])
     assert "| 0.500000 | 1.00e-03 |   0 | 0.501000 |            0.501000 |" in text
+    row = joint_62(
+        formulation="mpcc", objective="error-l2", relaxation="lin-fukushima", biactive_nodes=[3, 4]
+    )
+    text = markdown([{**row, "objective_initial": 2.929e-3, "objective_value": 9.08e-4}])
+    assert "| mpcc, lin-fukushima, error-l2 | 2.929000e-03 | 9.080000e-04 |        2 |" in text
     assert "I1" not in markdown(ROWS)
+    assert "final" not in short_markdown(ROWS)
 
 
-def test_csv_has_every_scalar_field_and_the_paper_s_values() -> None:
+def test_csv_has_every_scalar_field_and_the_values_of_the_paper() -> None:
     first, second = csv.DictReader(io.StringIO(as_csv(ROWS)))
-    assert first["energy"] == "-4.910329789"
-    assert first["paper_energy_final"] == "-4.9188"
+    assert (first["energy"], first["paper_energy_final"]) == ("-4.910329789", "-4.9188")
     assert first["delta"] == "0.15667x0.07333"
     assert float(first["time_contact_solves"]) == pytest.approx(20.0)
     assert (second["status"], second["energy"]) == ("failed", "")
     assert set(REQUIRED) - {"versions"} <= set(first)
-
-
-def test_outer_objectives_have_a_table_of_their_own() -> None:
-    row = record(formulation="mpcc", objective="error-l2", relaxation="lin-fukushima", biactive_nodes=[3, 4])
-    text = markdown([{**row, "objective_initial": 2.929e-3, "objective_value": 9.08e-4}])
-    assert "| mpcc, lin-fukushima, error-l2 | 2.929000e-03 | 9.080000e-04 |        2 |" in text
-    assert "final" not in short_markdown(ROWS)
 
 
 def test_markup_escapes() -> None:
@@ -235,19 +303,15 @@ def test_markup_escapes() -> None:
 
 @pytest.mark.parametrize("name", ["=cmd|'/c calc'!A1", "+1", "-2+3", "@SUM(A1)", "\t=1"])
 def test_names_are_no_formulas_in_a_csv(name: str) -> None:
-    hostile = record(example=name, message=name, **{name: 1.0})
-    (row,) = csv.DictReader(io.StringIO(as_csv([hostile])))
+    (row,) = csv.DictReader(io.StringIO(as_csv([joint_62(example=name, message=name, **{name: 1.0})])))
     assert (row["example"], row["message"], row[f"'{name}"]) == (f"'{name}", f"'{name}", "1.0")
     assert float(row["energy"]) < 0  # a number stays one
 
 
 def test_names_are_no_html_in_markdown() -> None:
     name = "<img src=x onerror=alert(1)>"
-    for rows in (
-        [record(example=name, formulation=name)],
-        [record(example=name, variant=name, family=name)],
-    ):
-        text = markdown(rows)
+    for changes in ({"formulation": name}, {"variant": name, "family": name}):
+        text = markdown([joint_62(example=name, **changes)])
         assert text.count("&lt;img src=x") >= 2
         assert "<" not in text
 

@@ -6,68 +6,64 @@ from typing import Any
 
 from rmesh_nlp.io.records import REQUIRED, Record
 
-PAPER_61: Record = {
+FIXED_61: Record = {
     **dict.fromkeys(REQUIRED),
-    "example": "6.1",
-    "formulation": "fixed",
-    "objective": "energy",
-    "n": "8",
-    "delta": [0.0275, 0.0275],
-    "quadrature": "midpoint",
-    "status": "converged",
-    "success": True,
-    "energy_initial": -1.1246023,
-    "energy": -1.1246023,
-    "energy_audited": -1.1172085,
-    "gain": 0.0,
-    "u_min": -0.45486,
-    "u_max": 0.47528,
-    "min_area_ratio": 1.0,
-    "iterations": 4,
-    "contact_solves": 1,
-    "wall_time_s": 0.002,
-    "contact_time_s": 0.0025,
-    "equilibrium_residual": 5.5e-16,
-    "complementarity_residual": 0.0,
-    "stationarity_residual": 3.1e-2,
-    "stationarity": "",
-    "versions": {"python": "3.12.0"},
+    **{"example": "6.1", "formulation": "fixed", "objective": "energy", "n": "8", "delta": [0.0275, 0.0275]},
+    **{"quadrature": "midpoint", "status": "converged", "success": True, "versions": {"python": "3.12.0"}},
+    **{"energy_initial": -1.1246023, "energy": -1.1246023, "energy_audited": -1.1172085, "gain": 0.0},
+    **{"u_min": -0.45486, "u_max": 0.47528, "min_area_ratio": 1.0, "iterations": 4, "contact_solves": 1},
+    **{"wall_time_s": 0.002, "contact_time_s": 0.0025, "equilibrium_residual": 5.5e-16},
+    **{"complementarity_residual": 0.0, "stationarity_residual": 3.1e-2, "stationarity": ""},
+}
+JOINT_61: Record = {
+    **FIXED_61,
+    **{"formulation": "joint", "energy": -1.4740087, "energy_audited": -1.4757774, "gain": 0.3494064},
+    **{"u_min": -0.52152, "u_max": 0.52777, "min_area_ratio": 0.3189, "iterations": 45},
+    **{"wall_time_s": 0.125, "stationarity_residual": 7.6e-6, "stationarity": "KKT"},
+}
+KEPT = ("example", "objective", "n", "delta", "quadrature", "versions")
+JOINT_62: Record = {
+    **FIXED_61,
+    **{"key": "6.2-12x6-joint", "example": "6.2", "formulation": "joint", "n": "12x6"},
+    **{"delta": [0.15667, 0.07333], "message": "Converged to the tolerance."},
+    **{"energy_initial": -4.854190196, "energy": -4.910329789, "gain": 0.056139593, "gain_audited": 0.056},
+    **{"energy_initial_audited": -4.854190196, "energy_audited": -4.910329789, "start": "given"},
+    **{"build_time_s": 0.02, "solve_time_s": 0.06, "audit_time_s": 0.003, "wall_time_s": 0.083},
+    **{"own_equilibrium_residual": 3.1e-9, "assessed_equilibrium_residual": 4.7e-13},
+    **{"own_complementarity_residual": 2e-10, "assessed_complementarity_residual": 0.0},
+    **{"biactive_nodes": [], "u_min": -0.053583, "u_max": 0.0094881, "min_area_ratio": 0.13213},
+    **{"iterations": 44, "contact_solves": 3, "cold_contact_solves": 1, "contact_factorisations": 7},
+    **{"kkt_factorisations": 44, "contact_time_s": 0.004, "stationarity": "KKT"},
+    **{"stationarity_residual": 2.94e-6},
 }
 
 
 def fixed_61(**changes: Any) -> Record:
     """``fixed`` on Example 6.1 with the paper's settings."""
-    return {**PAPER_61, **changes}
+    return {**FIXED_61, **changes}
 
 
 def joint_61(**changes: Any) -> Record:
     """``joint`` on Example 6.1 with the paper's settings."""
-    moved = {
-        "formulation": "joint",
-        "energy": -1.4740087,
-        "energy_audited": -1.4757774,
-        "gain": 0.3494064,
-        "u_min": -0.52152,
-        "u_max": 0.52777,
-        "min_area_ratio": 0.3189,
-        "iterations": 45,
-        "wall_time_s": 0.125,
-        "stationarity_residual": 7.6e-6,
-        "stationarity": "KKT",
-    }
-    return {**PAPER_61, **moved, **changes}
+    return {**JOINT_61, **changes}
+
+
+def joint_62(**changes: Any) -> Record:
+    """``joint`` on Example 6.2 with the paper's settings, and all that a record of today has."""
+    return {**JOINT_62, **changes}
+
+
+def failed(record: Record, **changes: Any) -> Record:
+    """``mpcc`` that broke on the problem of a record: words and settings, no figures."""
+    known = {name: record[name] for name in KEPT}
+    broken = {"formulation": "mpcc", "status": "failed", "success": False, "stationarity": "", "seed": None}
+    return {**dict.fromkeys(record), **known, **broken, "message": "RuntimeError: 100% & more_", **changes}
 
 
 def failed_61(**changes: Any) -> Record:
-    """A formulation that broke: words and settings, no figures."""
-    kept = ("example", "objective", "n", "delta", "quadrature", "versions")
-    return {
-        **dict.fromkeys(REQUIRED),
-        **{name: PAPER_61[name] for name in kept},
-        "formulation": "mpcc",
-        "status": "failed",
-        "success": False,
-        "message": "ZeroDivisionError: a | b & c",
-        "stationarity": "",
-        **changes,
-    }
+    """A formulation that broke on Example 6.1."""
+    return failed(FIXED_61, **changes)
+
+
+ROWS = [joint_62(), failed(joint_62(), wall_time_s=0.083)]
+"""A success and a failure on Example 6.2."""

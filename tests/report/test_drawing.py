@@ -1,4 +1,4 @@
-"""Deformed bodies are drawn over the foundation as the curve that it is in space."""
+"""Deformed bodies over foundations as the curves that they are in space, and fields as colours."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from matplotlib.axes import Axes
 from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
-from rmesh_nlp.report.drawing import Body, Foundation, magnification
+from rmesh_nlp.report.drawing import Body, Foundation, draw_field, draw_mesh, magnification
 from rmesh_nlp.report.figures import grid_figure
 from rmesh_nlp.report.pictures import pictures
-from rmesh_nlp.report.style import Page
+from rmesh_nlp.report.style import Page, new_figure
 from rmesh_nlp.solving.solution import Solution
 from support.formulations import fixed
 
@@ -80,3 +80,19 @@ def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:
     assert magnification([body(0 * u, even)]) == magnification([body(1e4 * u, even)]) == 1.0
     (near,) = body(u, even).near
     np.testing.assert_allclose(near.displaced(5.0)[:, 0], 5 * even)
+
+
+@pytest.mark.parametrize("fine", [True, False])
+def test_lines_of_fine_meshes_are_rasterised_and_fields_always(
+    fine: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rmesh_nlp.report.drawing.FINE", 1 if fine else 100)
+    mesh, axis = rectangle(3, 2), new_figure(2, 2).subplots()
+    draw_mesh(axis, mesh.p, mesh.t)
+    assert all(line.get_rasterized() is fine for line in axis.lines)
+    smooth = draw_field(axis, mesh.p, mesh.t, 2 * mesh.p[0])
+    constant = draw_field(axis, mesh.p, mesh.t, np.arange(mesh.t.shape[1]))
+    assert smooth.get_rasterized()
+    assert constant.get_rasterized()
+    np.testing.assert_array_equal(smooth.get_array(), 2 * mesh.p[0])
+    np.testing.assert_array_equal(constant.get_array(), np.arange(mesh.t.shape[1]))
