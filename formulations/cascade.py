@@ -16,7 +16,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.models.cascade import CascadeResult, CascadeSettings, cascade
 from rmesh_nlp.models.levels import COARSER, prolonged
 from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate
+from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES
 from rmesh_nlp.models.regularised_descent import descend, finished
 from rmesh_nlp.optimize.status import Status, StoppedError
 from rmesh_nlp.problem import ContactProblem
@@ -24,7 +24,8 @@ from rmesh_nlp.settings import Count, Limit, Positive
 from rmesh_nlp.solving.formulation import Formulation, Wrapper
 from rmesh_nlp.solving.monitor import Monitor, Track
 from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer, Work
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Part, Work
 
 SPARE = 6
 """Contact solves that one more iteration may take, steps that are refused included."""
@@ -51,6 +52,25 @@ class Cascade(CascadeSettings, Formulation):
 
 
 @dataclass(frozen=True)
+class CascadeFigures(Part):
+    """What the cascade minimised, and its levels where it came to an end."""
+
+    outer: str
+    regularisation: float
+    distortion: str
+    stationary_for: str
+    cascade: list[dict[str, Any]] | None = None
+    gain_estimate: float | None = None
+
+
+@dataclass(frozen=True)
+class Finish(Part):
+    """Work of the way to a stationary point."""
+
+    finish: dict[str, float]
+
+
+@dataclass(frozen=True)
 class Maps(Formulation):
     """The descents of a cascade: each mesh begins with the map of the next coarser one.
 
@@ -64,20 +84,16 @@ class Maps(Formulation):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         chosen = self.settings
         levels = _Levels(outer, chosen, monitor)
-        details: dict[str, Any] = {
-            "outer": "newton",
-            "regularisation": chosen.regularisation,
-            "distortion": chosen.distortion,
-            "stationary_for": f"the energy with {chosen.distortion} weighted {chosen.regularisation:g} of "
-            "its estimated error",
-        }
+        weight, distortion = chosen.regularisation, chosen.distortion
+        minimised = f"the energy with {distortion} weighted {weight:g} of its estimated error"
+        figures = CascadeFigures("newton", weight, distortion, minimised)
         monitor.work += Work(ESTIMATE_SOLVES)
         try:
             found = cascade(outer.problem, chosen, levels, monitor.is_over)
         except (KeyboardInterrupt, StoppedError) as error:
             said = monitor.stop(error)
-            return Outcome(outer, levels.best(outer), said, details=details)
-        details |= {"cascade": found.record(), "gain_estimate": found.gain_estimate, "said": _said(found)}
+            return Outcome(outer, levels.best(outer), said, details=(figures,))
+        figures = replace(figures, cascade=found.record(), gain_estimate=found.gain_estimate)
         with monitor.clock.during("build"):
             end = (
                 outer.minimising(found.objective)
@@ -86,7 +102,8 @@ class Maps(Formulation):
             )
         end = monitor.tracked(end)
         q = found.q if end.is_valid(found.q) else np.zeros(end.n)
-        return Outcome(end, q, found.status, details=details)
+        end.gain = found.gain_estimate
+        return Outcome(end, q, found.status, details=(figures,), remarks=_said(found))
 
 
 def _said(found: CascadeResult) -> tuple[str, ...]:
@@ -169,13 +186,13 @@ class Descent(Formulation):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         track, energy = monitor.track(outer), outer.energy
-        monitor.work += Work(ESTIMATE_SOLVES)
+        gain = monitor.estimate(outer) if outer.gain is None else outer.gain
         found = descend(
             energy,
             q,
             approximate=True,
             gain_tolerance=self.end,
-            reference=energy(q).value + gain_estimate(outer.problem).value,
+            reference=energy(q).value + gain,
             max_iterations=self.iterations,
             on_step=lambda iteration, x, _: track.exact(iteration, x, energy(x)),
         )
@@ -219,7 +236,7 @@ class Polished(Wrapper):
                 q,
                 end.residual,
                 tolerance=end.tolerance,
-                reference=energy(q).value + found.details.get("gain_estimate", 0.0),
+                reference=energy(q).value + (end.gain or 0.0),
                 max_iterations=self.finish,
                 on_step=lambda i, x, _: (
                     track.exact(i, x, energy(x), energy_given=end.given.energy)
@@ -242,4 +259,4 @@ class Polished(Wrapper):
         there = end.assessor.solve(end.nodes(x), energy(x).equilibrium.active)
         if not (end.is_valid(x) and there.energy <= end.assessor.initial.energy):
             return found
-        return replace(found, q=x, status=status, details={**found.details, "finish": figures})
+        return found.having(Finish(figures), q=x, status=status)

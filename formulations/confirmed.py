@@ -13,12 +13,20 @@ from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Part
 
 RULES = (6, 10, 14, 20)
 """Degrees of the quadrature rule that are tried in turn; the last one is that of the assessment."""
 
 AGREEMENT = 0.01
 """Largest error of the gain by the rule, in parts of the assessed gain."""
+
+
+@dataclass(frozen=True)
+class Rules(Part):
+    """The quadrature rules that were used in turn."""
+
+    rules: tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
@@ -46,10 +54,10 @@ class Confirmed(Wrapper):
             rules.append(higher)
             with monitor.clock.during("build"):
                 finer = replace(found.outer.problem, quadrature=higher)
-                there = Outer(finer, found.outer.objective, outer.tolerance)
+                there = found.outer.on(finer)
             more = monitor.run(self.then or self.inner, there, found.q)
-            found = replace(more, details={**found.details, **more.details})
-        return replace(found, details={**found.details, "rules": rules})
+            found = more.after(found)
+        return found.having(Rules(tuple(rules)))
 
 
 def first_rule(problem: ContactProblem) -> str | int:

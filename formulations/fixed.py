@@ -13,8 +13,8 @@ from rmesh_nlp.settings import Count
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer, Work
-from rmesh_nlp.solving.parts import Step
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Step, Work
 
 
 @dataclass(frozen=True)

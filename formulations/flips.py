@@ -12,15 +12,24 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.flips import flips_and_moves
-from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer, Work
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Part, Work
 
 SOLVES = 3
 """Contact solves of a round of flips."""
+
+
+@dataclass(frozen=True)
+class FlipFigures(Part):
+    """How many edges were flipped, how many triangles are new, and both by rounds."""
+
+    flips: int
+    changed_triangles: int
+    flip_rounds: tuple[dict[str, Any], ...]
 
 
 @dataclass(frozen=True)
@@ -54,32 +63,29 @@ class Flips(Wrapper):
             if monitor.is_over():
                 return flipped
             with monitor.clock.during("build"):
-                there = Outer(flipped, first.outer.objective, outer.tolerance)
+                there = first.outer.on(flipped)
             found = monitor.run(_again(self), there, there.moves())
             return _moved(found)
 
-        gain = first.details.get("gain_estimate")
-        if gain is None:
-            gain = gain_estimate(given).value
-            monitor.work += Work(ESTIMATE_SOLVES)
+        gain = monitor.estimate(outer) if first.outer.gain is None else first.outer.gain
         try:
             last, rounds = flips_and_moves(_moved(first), gain, relocate, given=given, stop=monitor.is_over)
         except KeyboardInterrupt as error:
             monitor.stop(error)
-            return replace(found, details={**first.details, **found.details})
+            return found.after(first)
         monitor.work += Work(SOLVES * len(rounds))
         if rounds and not _same(_moved(found), last):
             with monitor.clock.during("build"):
-                there = Outer(last, first.outer.objective, outer.tolerance)
+                there = first.outer.on(last)
             found = Outcome(there, there.moves(), found.status)
         before = {tuple(t) for t in np.sort(given.triangles, axis=0).T}
         after = np.sort(found.outer.problem.triangles, axis=0).T
-        details = {
-            "flips": sum(one.flips for one in rounds),
-            "changed_triangles": sum(tuple(t) not in before for t in after),
-            "flip_rounds": [asdict(one) for one in rounds],
-        }
-        return replace(found, details={**first.details, **found.details, **details})
+        figures = FlipFigures(
+            flips=sum(one.flips for one in rounds),
+            changed_triangles=sum(tuple(t) not in before for t in after),
+            flip_rounds=tuple(asdict(one) for one in rounds),
+        )
+        return found.after(first).having(figures)
 
 
 def _again(flips: Flips) -> Any:

@@ -29,7 +29,8 @@ from rmesh_nlp.settings import Count, Positive
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor, Track
 from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer, Work
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Part, Work
 
 MOST = 3000
 """Ipopt's own limit of iterations."""
@@ -56,6 +57,13 @@ _BARRIER: Mapping[str, Any] = {
     "perturb_dec_fact": 0.2,
     "perturb_inc_fact": 1.5,
 }
+
+
+@dataclass(frozen=True)
+class NewtonSteps(Part):
+    """How many Newton steps followed Ipopt."""
+
+    newton_steps: int
 
 
 @dataclass(frozen=True)
@@ -140,7 +148,7 @@ class Joint(Formulation):
             before = monitor.iterations
             last = self._finished(outer, end, monitor)
             if last is not end:
-                return Outcome(outer, last, status, details={"newton_steps": monitor.iterations - before})
+                return Outcome(outer, last, status, details=(NewtonSteps(monitor.iterations - before),))
         return Outcome(outer, end, status, own=_own(outer, end, result), claimed=result.f)
 
     def minimised(self, outer: Outer, q: Array, track: Track) -> NLPResult:

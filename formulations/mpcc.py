@@ -30,7 +30,8 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer, Work
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Part, Work
 
 OPTIONS: Mapping[str, Any] = {
     "t0": 1e-2,
@@ -173,6 +174,29 @@ def build(problem: ContactProblem, objective: str | Objective = "energy") -> MPC
 
 
 @dataclass(frozen=True)
+class Relaxation(Part):
+    """The relaxation that was followed."""
+
+    relaxation: str
+
+
+@dataclass(frozen=True)
+class Homotopy(Part):
+    """The homotopy by stages, and what was found at its end: multipliers, residuals, biactive pairs."""
+
+    stages: list[dict[str, Any]]
+    label: str
+    b_stationary: bool | None
+    biactive: int
+    biactive_nodes: list[int]
+    equilibrium_multiplier: float
+    constraint_violation: float
+    complementarity: float
+    nlp_solves: int
+    rescues: int
+
+
+@dataclass(frozen=True)
 class AllAtOnce(Formulation):
     """Solves the MPCC by a homotopy of relaxations, and an exact finish.
 
@@ -247,9 +271,9 @@ class AllAtOnce(Formulation):
         result = solver(x, on_iteration=track.iterate)
         monitor.work += Work(kkt_factorisations=track.iterations)
         monitor.check()
-        details = {"relaxation": self.relaxation}
+        relaxation = Relaxation(self.relaxation)
         if result.status in LIMITS:
-            return Outcome(outer, track.best(q), result.status, label="", details=details)
+            return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))
         moves, u, normal, tangential = program.split(result.x)
         return Outcome(
             outer,
@@ -258,7 +282,7 @@ class AllAtOnce(Formulation):
             own=_equilibrium(outer, moves, u, normal, tangential, result),
             decides=True,
             label=result.stationarity,
-            details={**details, **_figures(outer, program, solves, result)},
+            details=(relaxation, _figures(outer, program, solves, result)),
         )
 
 
@@ -286,10 +310,9 @@ def _residual(outer: Outer, program: Bilevel) -> Callable[[Array], float]:
     return at
 
 
-def _figures(outer: Outer, program: Bilevel, solves: int, result: MPCCResult) -> dict[str, Any]:
-    """Record entries of the start, the homotopy and the label."""
-    return {
-        "stages": [
+def _figures(outer: Outer, program: Bilevel, solves: int, result: MPCCResult) -> Homotopy:
+    return Homotopy(
+        stages=[
             {
                 "phase": nlp.phase,
                 "t": nlp.t,
@@ -302,16 +325,16 @@ def _figures(outer: Outer, program: Bilevel, solves: int, result: MPCCResult) ->
             }
             for nlp in result.history
         ],
-        "label": result.label,
-        "b_stationary": result.b_stationary,
-        "biactive": int(result.biactive.size),
-        "biactive_nodes": _nodes(outer, program, result),
-        "equilibrium_multiplier": float(np.max(np.abs(result.lam_g[: program.n_u]))),
-        "constraint_violation": result.constraint_violation,
-        "complementarity": result.complementarity,
-        "nlp_solves": solves + result.counts["nlp_solves"],
-        "rescues": result.counts["rescues"],
-    }
+        label=result.label,
+        b_stationary=result.b_stationary,
+        biactive=int(result.biactive.size),
+        biactive_nodes=_nodes(outer, program, result),
+        equilibrium_multiplier=float(np.max(np.abs(result.lam_g[: program.n_u]))),
+        constraint_violation=result.constraint_violation,
+        complementarity=result.complementarity,
+        nlp_solves=solves + result.counts["nlp_solves"],
+        rescues=result.counts["rescues"],
+    )
 
 
 def _equilibrium(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +12,17 @@ from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome, continuous_energy
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Part
+
+
+@dataclass(frozen=True)
+class Starts(Part):
+    """Seeds of the starts, None for the mesh as given, with the energies and values at their ends."""
+
+    start_seeds: tuple[int | None, ...]
+    start_energies: tuple[float | None, ...]
+    start_spread: float | None
+    start_values: tuple[float | None, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -38,14 +49,17 @@ class MultiStart(Wrapper):
         values = energies if outer.objective.collapses else [_value(found) for _, found in ends]
         known = [energy for energy in energies if np.isfinite(energy)]
         best = ends[int(np.nanargmin(values))][1] if known else ends[0][1]
-        details = {
-            "start_seeds": seeds[: len(ends)],
-            "start_energies": [energy if np.isfinite(energy) else None for energy in energies],
-            "start_spread": max(known) - min(known) if known else None,
-        }
-        if values is not energies:
-            details["start_values"] = [value if np.isfinite(value) else None for value in values]
-        return replace(best, details={**best.details, **details})
+        starts = Starts(
+            start_seeds=tuple(seeds[: len(ends)]),
+            start_energies=_finite(energies),
+            start_spread=max(known) - min(known) if known else None,
+            start_values=None if values is energies else _finite(values),
+        )
+        return best.having(starts)
+
+
+def _finite(values: list[float]) -> tuple[float | None, ...]:
+    return tuple(value if np.isfinite(value) else None for value in values)
 
 
 def _value(found: Outcome) -> float:

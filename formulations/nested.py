@@ -18,7 +18,17 @@ from rmesh_nlp.solving.clock import Falling
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer, Work
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Part, Work
+
+
+@dataclass(frozen=True)
+class OuterFigures(Part):
+    """The outer solver, the method that it used, and the contact nodes without strict complementarity."""
+
+    outer: str
+    biactive_nodes: list[int]
+    outer_method: str | None = None
 
 
 @dataclass(frozen=True)
@@ -69,10 +79,8 @@ class Nested(NestedSettings, Formulation):
             monitor.work += Work(kkt_factorisations=found.iterations)
         monitor.check()
         weak = outer.contact.contact_nodes[function(found.q).weak]
-        details = {"outer": self.outer, "biactive_nodes": [int(node) for node in weak]}
-        if found.method:
-            details["outer_method"] = found.method
-        return Outcome(outer, found.q, found.status, details=details)
+        figures = OuterFigures(self.outer, weak.tolist(), found.method or None)
+        return Outcome(outer, found.q, found.status, details=(figures,))
 
 
 class _Decrease:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +14,14 @@ from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome, continuous_energy
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Part
+
+
+@dataclass(frozen=True)
+class Levels(Part):
+    """The continuous energies at the ends of the levels."""
+
+    level_energies: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -39,11 +47,11 @@ class Refined(Wrapper):
                 break
             coarse = found.outer.problem
             with monitor.clock.during("build"):
-                fine = Outer(refined(coarse), outer.objective, outer.tolerance)
+                fine = outer.on(refined(coarse))
                 start = fine.moves(prolong(coarse, found.outer.nodes(found.q), fine.problem))
             found = monitor.run(self.inner, fine, start)
             energies.append(continuous_energy(found))
-        return replace(found, details={**found.details, "level_energies": energies})
+        return found.having(Levels(tuple(energies)))
 
 
 def prolong(coarse: ContactProblem, nodes: Array, fine: ContactProblem) -> Array:

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate, regularised, weights
+from rmesh_nlp.models.regularisation import regularised, weights
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer, Work
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Part
+
+
+@dataclass(frozen=True)
+class Regularisation(Part):
+    """Weights relative to the estimated error of the energy, the last one absolutely, and that error."""
+
+    regularisation: float | list[float]
+    distortion: str
+    regularisation_weight: float
+    gain_estimate: float
 
 
 @dataclass(frozen=True)
@@ -45,8 +56,7 @@ class Schedule(Wrapper):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         schedule = weights(self.weights)
-        gain = gain_estimate(outer.problem).value
-        monitor.work += Work(ESTIMATE_SOLVES)
+        gain = monitor.estimate(outer)
         for weight in schedule:
             with monitor.clock.during("build"):
                 weighted = outer.minimising(regularised(gain, weight, self.distortion))
@@ -54,10 +64,5 @@ class Schedule(Wrapper):
             q = found.q
             if monitor.is_over():
                 break
-        details = {
-            "regularisation": list(schedule) if len(schedule) > 1 else schedule[0],
-            "distortion": self.distortion,
-            "regularisation_weight": schedule[-1] * gain,
-            "gain_estimate": gain,
-        }
-        return replace(found, details={**found.details, **details})
+        relative = list(schedule) if len(schedule) > 1 else schedule[0]
+        return found.having(Regularisation(relative, self.distortion, schedule[-1] * gain, gain))

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Protocol
 
 import numpy as np
-from skfem import MeshTri
 
 from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.certificate.bracket import Bracket, refined_bracket
@@ -17,24 +15,11 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.parts import Certificate
+from rmesh_nlp.solving.solution import Assessment
 
 
-class Solved(Protocol):
-    """What can be certified: a :class:`rmesh_nlp.solving.solution.Solution`, or its fields."""
-
-    problem: ContactProblem
-    mesh: MeshTri
-    displacement: Array
-    pressure: Array
-    tangential_stress: Array
-    status: Status
-    initial_nodes: Array
-    assessed: tuple[Admissible, Admissible] | None
-
-
-def certify(solution: Solved, *, refinements: int | None = None) -> Certificate:
+def certify(solution: Assessment, *, refinements: int | None = None) -> Certificate:
     """Bound the least energy and the error of a solution in the energy norm.
 
     The contact problem is solved once more on the given mesh, for the bound before the relocation. The
@@ -42,7 +27,7 @@ def certify(solution: Solved, *, refinements: int | None = None) -> Certificate:
 
     Parameters
     ----------
-    solution : Solution
+    solution : Solution or Assessment
     refinements : int, optional
         How often the mesh is refined for the field that proves the lower bound; more make the bounds
         closer and cost four times as much each. By default once on small meshes, see
@@ -135,10 +120,9 @@ def error_bound(one: Bracket) -> float:
     return float(np.sqrt(2 * max(one.upper - one.lower, 0.0)))
 
 
-def certified(solution: Solved) -> tuple[dict[str, Any], Certificate | None]:
-    """The entries of a record, and the certificate; without one the remark in the record says why."""
+def certified(found: Assessment) -> tuple[Certificate | None, str | None]:
+    """The certificate, or a remark that says why there is none."""
     try:
-        certificate = certify(solution)
+        return certify(found), None
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
-        return {"certificate_remark": f"no certificate: {' '.join(str(error).split())}"}, None
-    return certificate.record(), certificate
+        return None, f"no certificate: {' '.join(str(error).split())}"

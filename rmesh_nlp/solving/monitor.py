@@ -17,12 +17,13 @@ from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.reduced_model import ReducedPoint
+from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate
 from rmesh_nlp.mpcc import Iterate
 from rmesh_nlp.optimize.status import Status, StoppedError
 from rmesh_nlp.solving.clock import Clock, Limits, deferred
 from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer, Work
-from rmesh_nlp.solving.parts import Step
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Step, Work
 
 NAN = float("nan")
 
@@ -142,6 +143,12 @@ class Monitor:
             self._tracked.append(outer)
         return outer
 
+    def estimate(self, outer: Outer) -> float:
+        """Estimate the error of the energy on the mesh as given, for ``outer.gain``; count the work."""
+        outer.gain = gain_estimate(outer.problem).value
+        self.work += Work(ESTIMATE_SOLVES)
+        return outer.gain
+
     def is_given(self, mesh: MeshTri) -> bool:
         """Whether a mesh is the given one."""
         given = self.mesh
@@ -178,9 +185,9 @@ class Monitor:
         self.stopped = self.stopped or Status.TIME_LIMIT
         return self.stopped
 
-    def to_its_end(self, work: Callable[[], T]) -> T:
-        """The result of ``work``, which Ctrl-C does not end: what follows it is."""
-        with deferred() as pressed:
+    def finish(self, work: Callable[[], T]) -> T:
+        """The result of a part of the assessment; Ctrl-C is noted and ends what follows."""
+        with self.clock.during("audit"), deferred() as pressed:
             result = work()
         if pressed():
             self.stopped = Status.INTERRUPTED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
@@ -126,6 +127,23 @@ def request(formulation: str | Formulation | Chooser, options: Mapping[str, Any]
             raise BadInputError(f"{said}; it takes {', '.join(sorted(known))}")
     made = composed(formulation, rest) if isinstance(formulation, str) else formulation
     return {**asked, "formulation": made, "limits": limits}
+
+
+def with_settings(
+    formulation: str | Formulation | Chooser,
+    settings: Mapping[str, Any],
+    limits: Limits | None,
+    asked: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Keywords of a solve of a named formulation with settings, which may hold the limits of 0.1."""
+    if not isinstance(formulation, str):
+        example = f"{type(formulation).__name__}({next(iter(settings))}=...)"
+        raise TypeError(f"settings are fields of the formulation: {example}")
+    for old in LIMITS:
+        if old in settings:
+            warnings.warn(f"{old} is now a part of limits=Limits(...)", DeprecationWarning, stacklevel=3)
+    given = {} if limits is None else {key: getattr(limits, name) for key, name in LIMITS.items()}
+    return request(formulation, {**given, **settings, **asked})
 
 
 def accepted(formulation: str | Formulation | Chooser, names: Collection[str]) -> set[str]:

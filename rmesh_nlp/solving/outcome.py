@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Part
+
+P = TypeVar("P", bound=Part)
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,7 @@ class Outcome:
         What was minimised last: the outer problem that was given, or one on another mesh, with another rule
         or weight.
     q : (n,) array
-        Moves of ``outer``.
+        Outer variables of ``outer``.
     status : Status
         How the solver says that it ended.
     own : Equilibrium, optional
@@ -33,8 +35,10 @@ class Outcome:
         What the formulation says that the objective is.
     label : str, optional
         Stationarity of an MPCC; by default "KKT" where the measured residual allows.
-    details : mapping
-        Further entries of the record.
+    details : tuple of Part
+        Typed entries of the record.
+    remarks : tuple of str
+        For people: what else there is to say of a choice of settings.
     """
 
     outer: Outer
@@ -44,7 +48,22 @@ class Outcome:
     decides: bool = False
     claimed: float | None = None
     label: str | None = None
-    details: Mapping[str, Any] = field(default_factory=dict)
+    details: tuple[Part, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    def having(self, *parts: Part, **changes: Any) -> Outcome:
+        """The same with further entries, each in the place of one of its type."""
+        kept = {type(part): part for part in (*self.details, *parts)}
+        return replace(self, details=tuple(kept.values()), **changes)
+
+    def after(self, before: Outcome) -> Outcome:
+        """The same with the entries of what ran before, where it has none of their type."""
+        remarks = tuple(dict.fromkeys((*before.remarks, *self.remarks)))
+        return replace(self, details=before.having(*self.details).details, remarks=remarks)
+
+    def part(self, kind: type[P]) -> P | None:
+        """The entries of a type; None if there are none."""
+        return next((part for part in self.details if isinstance(part, kind)), None)
 
 
 def continuous_energy(found: Outcome) -> float:

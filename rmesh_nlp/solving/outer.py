@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -23,29 +22,7 @@ from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.checks import check_unknowns
 from rmesh_nlp.solving.clock import TOLERANCE
-
-
-@dataclass(frozen=True)
-class Work:
-    """What is counted of a solve.
-
-    Attributes
-    ----------
-    contact_solves, cold_contact_solves : int
-        All, and those without the active set of a neighbour.
-    contact_factorisations : int
-        Of the stiffness.
-    kkt_factorisations : int
-        Of all-at-once programs.
-    """
-
-    contact_solves: int = 0
-    cold_contact_solves: int = 0
-    contact_factorisations: int = 0
-    kkt_factorisations: int = 0
-
-    def __add__(self, other: Work) -> Work:
-        return Work(*(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
+from rmesh_nlp.solving.parts import Work
 
 
 class Outer:
@@ -72,6 +49,9 @@ class Outer:
         Wall time of a contact solve on the mesh as given, from nothing: the unit of cost.
     is_near : bool
         Whether the start is likely to be close to a minimiser.
+    gain : float or None
+        Estimated error of the energy on the mesh as given, once it is known:
+        :meth:`rmesh_nlp.solving.monitor.Monitor.estimate`.
     """
 
     def __init__(
@@ -79,7 +59,7 @@ class Outer:
     ) -> None:
         check_unknowns(problem)
         self.problem, self.tolerance, self.is_near = problem, tolerance, False
-        self.contact_seconds = float("nan")
+        self.contact_seconds, self.gain = float("nan"), None  # type: float, float | None
         self.discretisation: Discretisation = discretise(problem)
         self.contact = ContactSolver(self.discretisation)
         self._minimise(parse_objective(objective))
@@ -96,7 +76,7 @@ class Outer:
         """The outer problem of an energy that is stated already."""
         outer = cls.__new__(cls)
         outer.problem, outer.tolerance, outer.is_near = energy.relocation.problem, tolerance, False
-        outer.contact_seconds = float("nan")
+        outer.contact_seconds, outer.gain = float("nan"), None
         outer.discretisation, outer.contact = energy.relocation.discretisation, energy.model
         outer.objective, outer.relocation, outer.energy = (
             energy.relocation.objective,
@@ -113,6 +93,12 @@ class Outer:
         other._minimise(objective)
         if "given" in self.__dict__:
             other.energy.knows(self.given)
+        return other
+
+    def on(self, problem: ContactProblem) -> Outer:
+        """The same objective on another mesh, or with another rule, of the same problem."""
+        other = Outer(problem, self.objective, self.tolerance)
+        other.gain = self.gain
         return other
 
     def near(self) -> Outer:

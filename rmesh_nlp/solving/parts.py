@@ -1,16 +1,152 @@
-"""The parts of a solution: steps of its history, bounds of its error."""
+"""The typed parts of a solution: steps of its history, bounds of its error, further entries of its record."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.assessment.assessor import Quantities
 from rmesh_nlp.assessment.error_reduction import by_certificate
 from rmesh_nlp.display import figure
 from rmesh_nlp.evaluation import Array
+
+
+@dataclass(frozen=True)
+class Part:
+    """Entries of a record, by the names of the fields.
+
+    A field whose default is None is written where it is known only, all others always.
+    """
+
+    def record(self) -> dict[str, Any]:
+        """The entries."""
+        known = ((one, getattr(self, one.name)) for one in fields(self))
+        return {one.name: value for one, value in known if value is not None or one.default is not None}
+
+
+def entries(*parts: Part | None) -> dict[str, Any]:
+    """The entries of several parts, of the last one where two have the same."""
+    return {name: value for part in parts if part is not None for name, value in part.record().items()}
+
+
+@dataclass(frozen=True)
+class Work(Part):
+    """What is counted of a solve.
+
+    Attributes
+    ----------
+    contact_solves, cold_contact_solves : int
+        All, and those without the active set of a neighbour.
+    contact_factorisations : int
+        Of the stiffness.
+    kkt_factorisations : int
+        Of NLPs in positions and displacement together.
+    """
+
+    contact_solves: int = 0
+    cold_contact_solves: int = 0
+    contact_factorisations: int = 0
+    kkt_factorisations: int = 0
+
+    def __add__(self, other: Work) -> Work:
+        return Work(*(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
+
+    def record(self) -> dict[str, int]:
+        """What was counted at all, without the contact solves, which every record has."""
+        return {name: count for name, count in vars(self).items() if name != "contact_solves" and count}
+
+
+@dataclass(frozen=True)
+class Residuals(Part):
+    """Relative residuals of the contact problem on the final mesh.
+
+    Attributes
+    ----------
+    tolerance : float
+        Of the first-order residual.
+    own_equilibrium_residual, own_complementarity_residual : float
+        Of the formulation's own displacement and forces.
+    assessed_equilibrium_residual, assessed_complementarity_residual : float
+        Of the exact contact solve.
+    """
+
+    tolerance: float
+    own_equilibrium_residual: float
+    own_complementarity_residual: float
+    assessed_equilibrium_residual: float
+    assessed_complementarity_residual: float
+
+
+@dataclass(frozen=True)
+class Zones(Part):
+    """How many nodes with friction stick, and how many slide; None without friction."""
+
+    sticking_nodes: int | None = None
+    sliding_nodes: int | None = None
+
+
+@dataclass(frozen=True)
+class Findings(Part):
+    """What else was measured.
+
+    Attributes
+    ----------
+    exploits : str or None
+        The error of the discretisation that was exploited.
+    warnings : tuple of str
+    objective_value : float
+    objective_initial : float, optional
+        On the mesh as given, where it has the same edges.
+    domain_area_change : float, optional
+        Relative, where nodes slide along curves.
+    gain_surviving : float, optional
+        Part of the gain in an objective other than the energy that is left on refined meshes.
+    """
+
+    exploits: str | None
+    warnings: tuple[str, ...]
+    objective_value: float
+    objective_initial: float | None = None
+    domain_area_change: float | None = None
+    gain_surviving: float | None = None
+
+    def record(self) -> dict[str, Any]:
+        """The entries."""
+        return {**super().record(), "warnings": list(self.warnings)}
+
+
+@dataclass(frozen=True)
+class ContactQuantities(Part):
+    """Pressure, resultant and contact on the given mesh, on the last one and on its refinement."""
+
+    initial: Quantities
+    last: Quantities
+    refined: Quantities | None = None
+
+    def record(self) -> dict[str, float]:
+        """The entries."""
+        entries = {**self.initial.entries("_initial"), **self.last.entries()}
+        return entries if self.refined is None else {**entries, **self.refined.entries("_refined")}
+
+
+@dataclass(frozen=True)
+class Choices(Part):
+    """What was decided in the place of the caller.
+
+    Attributes
+    ----------
+    safe : str, optional
+        What followed an exploited end.
+    chosen_by, chosen : str, optional
+        Who chose the formulation, and why.
+    """
+
+    safe: str | None = None
+    chosen_by: str | None = None
+    chosen: str | None = None
 
 
 @dataclass(frozen=True)
@@ -150,11 +286,11 @@ class Certificate:
         """Whether the energy lies below a proven bound: then the displacement is not admissible."""
         return self.guaranteed_lower and self.upper < self.lower
 
-    def of_reduction(self, found: Mapping[str, Any]) -> Mapping[str, Any]:
+    def of_reduction(self, found: Mapping[str, Any]) -> dict[str, Any]:
         """The record of an error reduction with these bounds, where they are guaranteed."""
         proved = self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
         before, after = (bound**2 / 2 for bound in (self.error_bound_initial, self.error_bound))
-        return by_certificate(found, before, after, proved)
+        return dict(by_certificate(found, before, after, proved))
 
     @property
     def sentence(self) -> str:

@@ -5,17 +5,16 @@ The figures for print are made by :mod:`rmesh_nlp.report` from files.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib import pyplot
+from matplotlib.axes import Axes
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.stress import stresses, von_mises
-from rmesh_nlp.problem import ContactProblem, Place
-
-if TYPE_CHECKING:  # matplotlib takes a while to load, and most solves draw nothing
-    from matplotlib.axes import Axes
+from rmesh_nlp.problem import Place
+from rmesh_nlp.solving.solution import Solution
 
 MAP = "viridis"
 
@@ -23,26 +22,7 @@ WIDE = 1.6
 """Ratio of width to height from which on the colour bar stands below the body."""
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """What is drawn: a problem and the nodal fields of its solution.
-
-    Attributes
-    ----------
-    problem : ContactProblem
-    nodes : (2, nodes) array
-        Positions after the relocation.
-    displacement : (components, nodes) array
-    pressure : (nodes,) array
-    """
-
-    problem: ContactProblem
-    nodes: Array
-    displacement: Array
-    pressure: Array
-
-
-def plot(drawn: Drawn, what: str, axes: Axes | None = None, **style: Any) -> Axes:
+def plot(drawn: Solution, what: str, axes: Axes | None = None, **style: Any) -> Axes:
     """Draw one of ``PICTURES`` and return the axes, those of a new figure if none are given.
 
     Raises
@@ -53,24 +33,22 @@ def plot(drawn: Drawn, what: str, axes: Axes | None = None, **style: Any) -> Axe
     if what not in PICTURES:
         raise ValueError(f"unknown picture {what!r}: choose from {', '.join(PICTURES)}")
     if axes is None:
-        from matplotlib import pyplot
-
         _, axes = pyplot.subplots(layout="constrained")
     PICTURES[what](axes, drawn, style)
     return axes
 
 
-def _mesh(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
+def _mesh(axes: Axes, drawn: Solution, style: dict[str, Any]) -> None:
     """The given mesh in light grey below the relocated one."""
     initial = drawn.problem.mesh.p
     triangles = drawn.problem.triangles.T
-    if np.any(initial != drawn.nodes):
+    if np.any(initial != drawn.mesh.p):
         axes.triplot(*initial, triangles, color="0.85", linewidth=0.6)
-    axes.triplot(*drawn.nodes, triangles, **{"color": "0.2", "linewidth": 0.7, **style})
+    axes.triplot(*drawn.mesh.p, triangles, **{"color": "0.2", "linewidth": 0.7, **style})
     _in_plane(axes, "mesh")
 
 
-def _displacement(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
+def _displacement(axes: Axes, drawn: Solution, style: dict[str, Any]) -> None:
     u = drawn.displacement
     scalar = u.shape[0] == 1
     values = u[0] if scalar else np.linalg.norm(u, axis=0)
@@ -78,16 +56,16 @@ def _displacement(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
     _in_plane(axes, "displacement")
 
 
-def _stress(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
+def _stress(axes: Axes, drawn: Solution, style: dict[str, Any]) -> None:
     """Von Mises stress, or the size of the flux of a scalar problem, constant on each element."""
-    stress = stresses(drawn.problem, drawn.nodes, drawn.displacement)
+    stress = stresses(drawn.problem, drawn.mesh.p, drawn.displacement)
     scalar = drawn.problem.components == 1
     values = np.linalg.norm(stress, axis=0) if scalar else von_mises(stress)
     _coloured(axes, drawn, values, style, "|flux|" if scalar else "von Mises stress")
     _in_plane(axes, "flux" if scalar else "stress")
 
 
-def _pressure(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
+def _pressure(axes: Axes, drawn: Solution, style: dict[str, Any]) -> None:
     """Along the contact boundary; over the plane for an obstacle in the interior."""
     sets = drawn.problem.contact_sets
     if not sets:
@@ -96,11 +74,11 @@ def _pressure(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
         _coloured(axes, drawn, drawn.pressure, {"shading": "gouraud", **style}, "contact pressure")
         _in_plane(axes, "contact pressure")
         return
-    direction = _along(drawn.nodes[:, drawn.problem.contact_nodes])
+    direction = _along(drawn.mesh.p[:, drawn.problem.contact_nodes])
     for part in sets:
-        ordered = part.nodes[np.argsort(drawn.nodes[direction, part.nodes])]
+        ordered = part.nodes[np.argsort(drawn.mesh.p[direction, part.nodes])]
         look = {"marker": "o", "ms": 3, "label": str(part.obstacle.boundary), **style}
-        axes.plot(drawn.nodes[direction, ordered], drawn.pressure[ordered], **look)
+        axes.plot(drawn.mesh.p[direction, ordered], drawn.pressure[ordered], **look)
     if len(sets) > 1:
         axes.legend()
     axes.set(xlabel=f"$x_{direction + 1}$", ylabel="contact pressure", title="contact pressure")
@@ -115,9 +93,9 @@ def _along(points: Array) -> int:
     return int(np.argmax(np.ptp(points, axis=1)))
 
 
-def _coloured(axes: Axes, drawn: Drawn, values: Array, style: dict[str, Any], label: str) -> None:
+def _coloured(axes: Axes, drawn: Solution, values: Array, style: dict[str, Any], label: str) -> None:
     """Values at nodes or of elements as colours, with their bar."""
-    x, y = drawn.nodes
+    x, y = drawn.mesh.p
     painted = axes.tripcolor(x, y, values, **{"triangles": drawn.problem.triangles.T, "cmap": MAP, **style})
     wide = np.ptp(x) > WIDE * np.ptp(y)
     place: dict[str, Any] = (

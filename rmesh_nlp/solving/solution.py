@@ -1,4 +1,4 @@
-"""What a solve returns, and the record of it that tables and figures are made from."""
+"""What a solve returns: the assessment of where it ended, how it got there, and the record of both."""
 
 from __future__ import annotations
 
@@ -13,26 +13,39 @@ from skfem import MeshTri
 from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.assessor import Audit
 from rmesh_nlp.assessment.conclusion import Measured
+from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.optimize.status import Status, success_in_words
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving import plotting
-from rmesh_nlp.solving.parts import Certificate, Step, plain
+from rmesh_nlp.solving.clock import Limits
+from rmesh_nlp.solving.parts import (
+    Certificate,
+    Choices,
+    ContactQuantities,
+    Findings,
+    Part,
+    Residuals,
+    Step,
+    Work,
+    Zones,
+    entries,
+    plain,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
-class Solution:
-    """A relocated mesh with its contact solution.
+class Assessment:
+    """What was measured of where a formulation ended.
 
     Attributes
     ----------
     problem : ContactProblem
-    formulation, objective : str
+    objective : str
     mesh : skfem.MeshTri
         The relocated mesh, boundaries named as before.
     displacement : (components, nodes) array
@@ -46,7 +59,7 @@ class Solution:
     energy_initial : float
         The same on the initial mesh.
     energy_initial_audited : float
-        The same with the rule of the audit.
+        The same with the rule of the assessment.
     audit : Audit
     status : Status
     valid, improved, success : bool
@@ -56,41 +69,29 @@ class Solution:
     stationarity_residual : float
         First-order residual of the outer problem, relative to that on the mesh as given
         (:mod:`rmesh_nlp.models.residual`).
-    history : tuple of Step
-    iterations, contact_solves : int
-    build_time_s, solve_time_s, audit_time_s : float
-        Wall time by the one clock of all strategies (:mod:`rmesh_nlp.solving.clock`).
-    contact_time_s : float
-        One cold contact solve on the initial mesh with its assembly, the unit of cost.
-    start : str
-        "given", "random", "positions", or the strategy whose solution was the start.
-    settings : dict
-        Settings that differ from the defaults of the strategy.
-    seed : int or None
-    extra : dict
-        Further entries of the record.
-    multipliers : Multipliers or None
-        Of boxes, areas and angles; where they are large, position or connectivity is the limit.
-    detail : str
-        What the status leaves open, such as the degree of quadrature to take.
+    solver_status : Status
+        How the solver says that it ended; ``status`` is what the assessment says.
     initial_nodes : (2, nodes) array
         Positions in the mesh as given. Where edges were flipped ``problem`` is on the last mesh before the
-        last moves, and not on that one.
+        last relocation, and not on that one.
     initial_areas : (elements,) array
         Areas in the mesh as given of the triangles of the solution; one that it does not have counts as the
         mean of the given ones around its vertices.
-    solver_status : Status or None
-        How the solver says that it ended; ``status`` is the verdict on what it ended with.
+    multipliers : Multipliers or None
+        Of move limits, areas and angles; where they are large, position or connectivity is the limit.
+    detail : str
+        What the status leaves open, such as the degree of quadrature to take.
     measured : Measured or None
-        What the verdict rests on; None where the contact problem could not be solved.
+        What the status rests on; None where the contact problem could not be solved.
     assessed : tuple of Admissible, optional
         The admissible displacements on the given and on the last mesh.
-    certificate : Certificate, optional
-        Bounds of the error, if they were asked for.
+    residuals, zones, findings, quantities : optional
+        None where the contact problem could not be solved; ``quantities`` also without contact.
+    details : tuple of Part
+        What the formulation adds to the record.
     """
 
     problem: ContactProblem
-    formulation: str
     objective: str
     mesh: MeshTri
     displacement: Array
@@ -106,25 +107,18 @@ class Solution:
     success: bool
     stationarity: str
     stationarity_residual: float
+    solver_status: Status
     initial_nodes: Array
     initial_areas: Array
-    history: tuple[Step, ...]
-    iterations: int
-    contact_solves: int
-    contact_time_s: float
-    build_time_s: float = 0.0
-    solve_time_s: float = 0.0
-    audit_time_s: float = 0.0
-    start: str = "given"
-    settings: dict[str, Any] = field(default_factory=dict)
-    seed: int | None = None
-    extra: dict[str, Any] = field(default_factory=dict)
     multipliers: Multipliers | None = None
     detail: str = ""
-    solver_status: Status | None = None
     measured: Measured | None = field(default=None, repr=False)
     assessed: tuple[Admissible, Admissible] | None = field(default=None, repr=False)
-    certificate: Certificate | None = field(default=None, repr=False)
+    residuals: Residuals | None = None
+    zones: Zones | None = None
+    findings: Findings | None = None
+    quantities: ContactQuantities | None = None
+    details: tuple[Part, ...] = ()
 
     @property
     def message(self) -> str:
@@ -140,6 +134,73 @@ class Solution:
     def gain_audited(self) -> float:
         """Decrease of the energy by the rule of the audit."""
         return self.energy_initial_audited - self.audit.energy_audited
+
+
+@dataclass(frozen=True)
+class Solution(Assessment):
+    """A relocated mesh with its contact solution, as it was assessed, and how it was found.
+
+    Attributes
+    ----------
+    formulation : str
+    history : tuple of Step
+    iterations : int
+    work : Work
+    contact_time_s : float
+        One cold contact solve on the initial mesh with its assembly, the unit of cost.
+    build_time_s, solve_time_s, audit_time_s : float
+        Wall time by the one clock of all formulations (:mod:`rmesh_nlp.solving.clock`).
+    start : str
+        "given", "random", "positions", or the formulation whose solution was the start.
+    settings : dict
+        Settings that differ from the defaults of the formulation.
+    seed : int or None
+    limits : Limits
+    choices : Choices
+    error_reduction : ErrorReduction, optional
+        By how much the error of the energy fell, where ``auto`` chose.
+    certificate : Certificate, optional
+        Bounds of the error, if they were asked for.
+    certificate_remark : str, optional
+        Why there is none although it was asked for.
+    """
+
+    formulation: str = ""
+    history: tuple[Step, ...] = ()
+    iterations: int = 0
+    work: Work = Work()  # noqa: RUF009 frozen
+    contact_time_s: float = float("nan")
+    build_time_s: float = 0.0
+    solve_time_s: float = 0.0
+    audit_time_s: float = 0.0
+    start: str = "given"
+    settings: dict[str, Any] = field(default_factory=dict)
+    seed: int | None = None
+    limits: Limits = Limits()  # noqa: RUF009 frozen
+    choices: Choices = Choices()  # noqa: RUF009 frozen
+    error_reduction: ErrorReduction | None = None
+    certificate: Certificate | None = field(default=None, repr=False)
+    certificate_remark: str | None = None
+
+    @property
+    def contact_solves(self) -> int:
+        """Contact solves of the formulation."""
+        return self.work.contact_solves
+
+    @property
+    def extra(self) -> dict[str, Any]:
+        """The entries of the record that not every solution has."""
+        measured = (self.residuals, self.zones, self.findings, self.quantities)
+        extra = entries(*self.details, *measured, self.choices, self.work)
+        if changed := self.limits.changed():
+            extra["limits"] = changed
+        reduction = None if self.error_reduction is None else self.error_reduction.record()
+        if self.certificate is not None:
+            extra |= self.certificate.record()
+            reduction = None if reduction is None else self.certificate.of_reduction(reduction)
+        elif self.certificate_remark is not None:
+            extra["certificate_remark"] = self.certificate_remark
+        return extra if reduction is None else {**extra, "error_reduction": reduction}
 
     @property
     def wall_time_s(self) -> float:
@@ -159,7 +220,7 @@ class Solution:
             "valid": self.valid,
             "improved": self.improved,
             "message": self.message,
-            "solver_status": None if self.solver_status is None else self.solver_status.value,
+            "solver_status": self.solver_status.value,
             "energy_initial": self.energy_initial,
             "energy": self.energy,
             "energy_initial_audited": self.energy_initial_audited,
@@ -206,13 +267,14 @@ class Solution:
         style
             Keywords of matplotlib's function that draws, such as ``cmap`` or ``color``.
         """
-        nodes = np.asarray(self.mesh.p)
-        drawn = plotting.Drawn(self.problem, nodes, self.displacement, self.pressure)
-        return plotting.plot(drawn, what, axes, **style)
+        from rmesh_nlp.solving import plotting  # matplotlib takes a while to load
+
+        return plotting.plot(self, what, axes, **style)
 
     def summary(self) -> Rows:
         """Status, energies and measured residuals, as (label, value) rows for people."""
         audit, motion = self.audit, np.linalg.norm(self.mesh.p - self.initial_nodes, axis=0)
+        extra = self.extra
         rows = [
             ("status", f"{self.status.value}: {self.message}"),
             ("success", success_in_words(self.success, self.status)),
@@ -229,12 +291,10 @@ class Solution:
             ("iterations, contact solves", f"{self.iterations}, {self.contact_solves}"),
             ("seconds", f"{self.wall_time_s:.3g}"),
         ]
-        if self.extra.get("error_reduction"):
-            rows.append(("error reduction", self.extra["error_reduction"]["text"]))
-        if "gain_surviving" in self.extra:
-            rows.append(
-                ("gain left on refined meshes", f"{self.extra['gain_surviving']:.0%} of the objective's")
-            )
+        if "error_reduction" in extra:
+            rows.append(("error reduction", extra["error_reduction"]["text"]))
+        if "gain_surviving" in extra:
+            rows.append(("gain left on refined meshes", f"{extra['gain_surviving']:.0%} of the objective's"))
         if self.multipliers is not None:
             box, area = self.multipliers.box, self.multipliers.area
             rows.append(("limited by boxes", f"{np.sum(box > 0)} nodes, largest {figure(box.max())}"))

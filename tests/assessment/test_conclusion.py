@@ -203,7 +203,7 @@ def test_a_contact_solve_that_failed_anywhere_is_a_fault(monkeypatch: pytest.Mon
     ill.knows(replace(ill.given, status=Status.ITERATION_LIMIT), 1.0)
     judged = ended(ill, np.zeros(ill.n))
     assert (judged.status, judged.success) == (Status.ITERATION_LIMIT, False)
-    assert judged.fields["solver_status"] is Status.CONVERGED
+    assert judged.solver_status is Status.CONVERGED
 
 
 def pressed(*_: Any) -> Any:

@@ -15,6 +15,7 @@ from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import entries
 from support.endings import ended
 from support.formulations import fixed, joint
 
@@ -77,7 +78,8 @@ def test_an_objective_is_built_once_and_shares_the_contact_model(outer: Outer) -
 def test_zones_and_counts_of_a_record(problem: ContactProblem) -> None:
     outer = Outer(problem)
     n = outer.relocation.n_q
-    record = ended(outer, np.zeros(n)).details
+    found = ended(outer, np.zeros(n))
+    record = entries(found.zones, found.residuals)
     sliding = np.count_nonzero(outer.given.active.sliding[problem.friction_rows])
     assert (record["sliding_nodes"], record["sticking_nodes"]) == (
         sliding,
@@ -90,7 +92,7 @@ def test_zones_and_counts_of_a_record(problem: ContactProblem) -> None:
     assert still["cold_contact_solves"] == 1
     assert still["contact_factorisations"] == outer.given.iterations
     smooth = Outer(EXAMPLES["6.2"]((4, 2)))
-    assert "sliding_nodes" not in ended(smooth, np.zeros(smooth.n)).details
+    assert ended(smooth, np.zeros(smooth.n)).zones is None
 
 
 def test_own_residuals_are_those_of_the_strategy_s_state(problem: ContactProblem) -> None:
@@ -99,12 +101,12 @@ def test_own_residuals_are_those_of_the_strategy_s_state(problem: ContactProblem
     state = outer.energy(q).equilibrium
     off = replace(state, u=1.01 * state.u)
     found = ended(outer, q, own=off)
-    record = found.details
-    assert record["own_equilibrium_residual"] > 1e-3 > 1e-9 > record["assessed_equilibrium_residual"]
-    assert found.fields["energy"] == pytest.approx(state.energy, rel=1e-12)
+    measured = found.residuals
+    assert measured.own_equilibrium_residual > 1e-3 > 1e-9 > measured.assessed_equilibrium_residual
+    assert found.energy == pytest.approx(state.energy, rel=1e-12)
     taken = ended(outer, q, own=off, decides=True)
     assert taken.status is Status.INACCURATE
-    np.testing.assert_allclose(taken.fields["displacement"], outer.contact.displacement.values(off.u))
+    np.testing.assert_allclose(taken.displacement, outer.contact.displacement.values(off.u))
 
 
 def test_pressures_carry_the_weight_of_the_block() -> None:
@@ -177,7 +179,7 @@ def test_a_label_proves_stationarity_where_some_node_is_weak(
     found = ended(outer, np.zeros(outer.n), label=label)
     proved = label in ("S", "B") and any(weak)
     assert found.status is (Status.CONVERGED if proved else Status.NOT_STATIONARY)
-    assert found.fields["stationarity"] == (label or "")
+    assert found.stationarity == (label or "")
 
 
 @pytest.mark.parametrize(("weight", "improved"), [(1e-9, True), (1e6, False)])

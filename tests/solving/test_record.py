@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.solving.monitor import Monitor
-from rmesh_nlp.solving.outer import Outer, Work
-from rmesh_nlp.solving.parts import Step
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Step, Work
 from rmesh_nlp.solving.parts import plain as as_plain
 from rmesh_nlp.solving.solution import Solution, _gain
 from rmesh_nlp.study.progress import summary as one_line
+from support.endings import Own
 from support.formulations import joint
 
 
@@ -31,14 +33,14 @@ class TestRecord:
             solution, build_time_s=1.0, solve_time_s=20.0, audit_time_s=300.0, energy_initial=-1.0,
             energy=-1.5,
             energy_initial_audited=-2.0, audit=replace(solution.audit, energy_audited=-2.25), detail="More.",
-            stationarity_residual=float("nan"), seed=5, extra={"mine": np.float64(2.5)},
+            stationarity_residual=float("nan"), seed=5, details=(Own(np.float64(2.5)),),
         )  # fmt: skip
         record = made.record()
         assert (record["wall_time_s"], record["gain"], record["gain_audited"]) == (321.0, 0.5, 0.25)
         assert (record["u_min"], record["u_max"]) == (made.displacement.min(), made.displacement.max())
         assert (record["nodes"], record["triangles"]) == (made.mesh.p.shape[1], made.mesh.t.shape[1])
         assert record["stationarity_residual"] is None
-        assert (record["seed"], record["mine"], type(record["mine"])) == (5, 2.5, float)
+        assert (record["seed"], record["own"], type(record["own"])) == (5, 2.5, float)
         assert record["message"].endswith(" More.")
         rows = dict(made.summary())
         assert rows["audited gain"].endswith("(12.5 %)")
@@ -51,10 +53,8 @@ class TestRecord:
         assert rows["limited by areas"].startswith(f"{areas} elements")
         assert "limited by boxes" not in dict(replace(made, multipliers=None).summary())
         assert "error reduction" not in rows
-        assert (
-            dict(replace(made, extra={"error_reduction": {"text": "yes"}}).summary())["error reduction"]
-            == "yes"
-        )
+        fell = ErrorReduction((0.3, 0.4), (0.1, 0.2), 2.0, 3.0, "refinement", 15, 7)
+        assert dict(replace(made, error_reduction=fell).summary())["error reduction"] == fell.text()
 
     def test_success_says_what_it_lacks(self, solution: Solution) -> None:
         early = Status.ITERATION_LIMIT

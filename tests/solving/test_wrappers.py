@@ -12,7 +12,7 @@ import pytest
 
 from formulations.confirmed import Confirmed
 from formulations.flips import Flips
-from formulations.multistart import MultiStart
+from formulations.multistart import MultiStart, Starts
 from formulations.refined import Refined, prolong
 from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
@@ -29,7 +29,8 @@ from rmesh_nlp.solving.driver import solve, solve_by_options
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome, continuous_energy
 from rmesh_nlp.solving.outer import Outer
-from support.endings import Ends
+from rmesh_nlp.solving.parts import entries
+from support.endings import Ends, Own
 from support.solved import solve_once
 
 
@@ -60,7 +61,7 @@ class Script:
         end = -self.parts.pop(0) * slope / np.max(np.abs(slope))
         if self.tracks:
             monitor.track(outer).exact(len(self.begun), end)
-        self.ends.append(Outcome(outer, end, Status.CONVERGED, details={"own": len(self.ends)}))
+        self.ends.append(Outcome(outer, end, Status.CONVERGED, details=(Own(len(self.ends)),)))
         return self.ends[-1]
 
 
@@ -79,18 +80,18 @@ class TestMultiStart:
         for (_, begun), seed in zip(script.begun, (None, 1, 2, 3), strict=True):
             np.testing.assert_array_equal(begun, outer.moves(seed=seed))
         energies = [continuous_energy(end) for end in script.ends]
-        assert found.details == {
+        assert entries(*found.details) == {
             "own": 2,
-            "start_seeds": [None, 1, 2, 3],
-            "start_energies": [None if np.isnan(energy) else energy for energy in energies],
+            "start_seeds": (None, 1, 2, 3),
+            "start_energies": tuple(None if np.isnan(energy) else energy for energy in energies),
             "start_spread": np.nanmax(energies) - np.nanmin(energies),
         }
-        assert found.details["start_energies"][1] is None
+        assert np.isnan(energies[1])
 
     def test_of_another_objective_the_best_has_its_least_value(self, problem: ContactProblem) -> None:
         script, found, outer = self.made(problem, "body(-u)")
         values = [outer.function(end.q).value for end in script.ends if outer.is_valid(end.q)]
-        assert found.details["start_values"] == [values[0], None, *values[1:]]
+        assert found.part(Starts).start_values == (values[0], None, *values[1:])
         assert outer.function(found.q).value == min(values)
         script, found, outer = self.made(problem, "body(u)")  # a descent of the energy raises this one
         np.testing.assert_array_equal(found.q, script.ends[0].q)
@@ -99,7 +100,7 @@ class TestMultiStart:
         script, outer = Script(50.0, 60.0), Outer(problem)
         found = Monitor().run(MultiStart(script.formulation, 1), outer, np.zeros(outer.n))
         np.testing.assert_array_equal(found.q, script.ends[0].q)
-        assert (found.details["start_energies"], found.details["start_spread"]) == ([None, None], None)
+        assert found.part(Starts) == Starts((None, 1), (None, None), None)
 
     def test_an_end_on_which_contact_is_not_solved_has_no_energy(self, problem: ContactProblem) -> None:
         outer = Outer(problem)
@@ -113,7 +114,7 @@ class TestMultiStart:
         solution = solve_once(problem, MultiStart(script.formulation, 5))
         assert len(script.begun) == 2
         assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
-        assert solution.extra["start_seeds"] == [None, 1]
+        assert solution.extra["start_seeds"] == (None, 1)
         np.testing.assert_allclose(solution.mesh.p, script.ends[0].outer.nodes(script.ends[0].q))
 
     @pytest.mark.parametrize("options", [{"starts": 2, "levels": 1}, {"starts": 2, "seed": 0}])
@@ -163,7 +164,7 @@ class TestRefined:
             coarse = before.outer
             wanted = prolong(coarse.problem, coarse.nodes(before.q), fine.problem)
             np.testing.assert_allclose(fine.nodes(q), wanted, atol=1e-12)
-        assert solution.extra["level_energies"] == [continuous_energy(end) for end in script.ends]
+        assert solution.extra["level_energies"] == tuple(map(continuous_energy, script.ends))
         # compared with the refined mesh before any motion
         fine = refined(refined(problem))
         assert solution.energy_initial == pytest.approx(Outer(fine).given.energy, rel=1e-12)
@@ -209,7 +210,7 @@ def test_a_higher_rule_goes_on_from_where_the_last_one_ended(
     assert [outer.problem.rule for outer, _ in then.begun] == [10, 14]
     for before, (_, q) in zip((*first.ends, *then.ends), then.begun, strict=False):
         np.testing.assert_array_equal(q, before.q)
-    assert (solution.record()["rules"], solution.record()["quadrature"]) == ([6, 10, 14], 14)
+    assert (solution.record()["rules"], solution.record()["quadrature"]) == ((6, 10, 14), 14)
 
 
 @pytest.fixture(scope="module")
@@ -231,12 +232,12 @@ def ends(crooked: ContactProblem) -> tuple[Outer, Callable[[], Outer]]:
 
 class TestFlips:
     def test_edges_are_flipped_until_neither_flips_nor_moves_gain(self, crooked: ContactProblem) -> None:
-        first = Ends(lambda outer, q, _: Outcome(outer, q, Status.CONVERGED, details={"kept": 1}))
+        first = Ends(lambda outer, q, _: Outcome(outer, q, Status.CONVERGED, details=(Own(1),)))
         again = Script(*[0.001] * 9)
         solution = solve_once(crooked, Flips(first, then=again.formulation))
         row = solution.record()
         assert again.begun
-        assert row["kept"] == 1
+        assert row["own"] == len(again.begun) - 1
         assert row["flips"] == sum(one["flips"] for one in row["flip_rounds"]) > 0
         assert row["changed_triangles"] > 0
         np.testing.assert_array_equal(solution.initial_nodes, crooked.mesh.p)
