@@ -89,8 +89,8 @@ def solve(
         If there is no such formulation, or it does not take the problem or an option.
     """
     if settings:
-        asked = {"objective": objective, "start": start, "seed": seed, "tolerance": tolerance}
-        keywords = with_settings(formulation, settings, limits, asked)
+        named = {"objective": objective, "start": start, "seed": seed, "tolerance": tolerance}
+        keywords = with_settings(formulation, settings, limits, named)
         return solve(problem, **keywords, on_step=on_step, certify=certify)
     check_positive(tolerance=tolerance)
     monitor, outer_objective = Monitor(limits, on_step), parse_objective(objective)
