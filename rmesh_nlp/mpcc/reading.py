@@ -231,18 +231,4 @@ def _flat(values: list[Any]) -> list[Any]:
     return [part for value in values for part in (_flat(value) if isinstance(value, list) else [value])]
 
 
-def write_nosbench(problem: Problem, path: Path) -> None:
-    """Write a problem in the same form."""
-    mpcc = problem.mpcc
-    parts = {"g_fun": mpcc.g, "G_fun": mpcc.G, "H_fun": mpcc.H, "augmented_objective_fun": mpcc.f}
-    data: dict[str, Any] = {
-        name: ca.Function(name, [mpcc.x, mpcc.p], [part], ["w", "p"], [name[:-4]]).serialize()
-        for name, part in parts.items()
-    }
-    data |= {"w0": mpcc.start(problem.x0, problem.p0).tolist(), "p0": problem.p0.tolist()}
-    for ours, (theirs, _) in _BOUNDS.items():
-        data[theirs] = [float(v) if np.isfinite(v) else None for v in np.asarray(getattr(mpcc, ours))]
-    path.write_text(json.dumps(data), encoding="utf-8")
-
-
 READERS = {".nl": read_nl, ".json": read_nosbench}

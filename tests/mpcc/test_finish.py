@@ -1,8 +1,6 @@
 """The exact finish: which branches it visits, what it accepts, and how it says where it ended."""
 
-from __future__ import annotations
-
-from typing import Any
+import itertools
 
 import casadi as ca
 import numpy as np
@@ -16,229 +14,185 @@ from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.polish import Polished
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.stationarity import Stationarity
-from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import BranchCall, ScriptedRun, ended, two_minima
+from support.scripted_run import ScriptedRun, ended, two_minima
 
+x, y, w = (ca.SX.sym(name) for name in "xyw")
+XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
 ON_G, ON_H = np.array([True]), np.array([False])
 DOWN = Direction(-1.0, np.zeros(2), ON_H)
+START = np.array([0.1, 2.0])
 
 
-def judged(f: float, status: Status = Status.CONVERGED, direction: Direction | None = None) -> Finish:
+def labelled(f, status=Status.CONVERGED, direction=None):
     return Finish(np.array([2.0, 0.0]), f, status, Stationarity("W", None, None, direction), lpecs=1)
 
 
-class TestPolished:
-    """Pairs near the corner are put into it if the branch itself gives nothing stationary."""
+OPEN, GOOD, POOR = labelled(1.0, Status.STALLED), labelled(2.0), labelled(2.0, Status.STALLED)
 
-    @pytest.fixture
-    def fixed(self, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-        sets: list[Any] = []
-        self.answers: list[Finish | None] = []
 
-        def answer(run: Any, z: Any, warm: Any, fix_G: Any, fix_H: Any, ceiling: float) -> Finish | None:
-            sets.append((bool(fix_G[0]), bool(fix_H[0])))
-            return self.answers.pop(0)
-
-        monkeypatch.setattr(finishing, "_polished", answer)
-        return sets
-
-    def polished(self, z: tuple[float, float], corner: float, *answers: Finish | None) -> Finish | None:
-        self.answers = list(answers)
-        return polished(ScriptedRun(), np.array(z), ended(z), corner)
-
-    def test_a_stationary_point_of_the_branch_is_enough(self, fixed: list[Any]) -> None:
-        good = judged(1.0)
-        assert self.polished((0.1, 0.2), 0.3, good) is good
-        assert self.polished((0.2, 0.1), 0.3, good) is good
-        assert fixed == [(True, False), (False, True)]
-
-    def test_a_pair_far_from_the_corner_stays_in_its_branch(self, fixed: list[Any]) -> None:
-        open_end = judged(1.0, Status.STALLED)
-        assert self.polished((0.1, 0.4), 0.3, open_end) is open_end
-        assert fixed == [(True, False)]
-
-    @pytest.mark.parametrize("z", [(0.1, 0.2), (0.2, 0.1), (0.1, 0.3)])
-    def test_the_better_of_branch_and_corner_is_taken(self, fixed: list[Any], z: tuple[float, float]) -> None:
-        open_end, good = judged(1.0, Status.STALLED), judged(2.0)
-        assert self.polished(z, 0.3, open_end, good) is good
-        assert fixed[1] == (True, True)
-        assert self.polished(z, 0.3, open_end, None) is open_end
-        assert self.polished(z, 0.3, open_end, judged(2.0, Status.STALLED)) is open_end
-        assert self.polished(z, 0.3, None, good) is good
-        assert self.polished(z, 0.3, None, None) is None
+def run_of(mpcc, **options):
+    return Run(CompiledNLPs(mpcc, Options(**options)), np.zeros(0))
 
 
 @pytest.mark.parametrize(
-    ("z", "fix_G", "fix_H"),
+    ("z", "answers", "fixed", "taken"),
     [
-        ((0.1, 0.2, 0.1, 4.0), [True, True], [True, False]),
-        ((0.2, 0.1, 4.0, 0.1), [True, False], [True, True]),
-        ((0.1, 4.0, 0.2, 0.1), [True, True], [False, True]),
-        ((4.0, 0.1, 0.1, 0.2), [False, True], [True, True]),
+        ((0.1, 0.2), [GOOD], [(True, False)], GOOD),  # a stationary point of the branch is enough
+        ((0.2, 0.1), [GOOD], [(False, True)], GOOD),
+        ((0.1, 0.4), [OPEN], [(True, False)], OPEN),  # far from the corner the pair stays in its branch
+        ((0.1, 0.2), [OPEN, GOOD], [(True, False), (True, True)], GOOD),
+        ((0.2, 0.1), [OPEN, None], [(False, True), (True, True)], OPEN),
+        ((0.1, 0.3), [OPEN, POOR], [(True, False), (True, True)], OPEN),
+        ((0.1, 0.2), [None, POOR], [(True, False), (True, True)], POOR),
+        ((0.1, 0.2), [None, None], [(True, False), (True, True)], None),
     ],
 )
-def test_only_the_pairs_near_the_corner_are_put_into_it(
-    z: tuple[float, ...], fix_G: list[bool], fix_H: list[bool], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_better_of_branch_and_corner_is_taken(z, answers, fixed, taken, monkeypatch):
+    waiting, sets = list(answers), []
+
+    def answer(run, z, warm, fix_G, fix_H, ceiling):
+        sets.append((bool(fix_G[0]), bool(fix_H[0])))
+        return waiting.pop(0)
+
+    monkeypatch.setattr(finishing, "_polished", answer)
+    assert polished(ScriptedRun(), np.array(z), ended(z), 0.3) is taken
+    assert sets == fixed
+
+
+@pytest.mark.parametrize("z", list(itertools.permutations((0.1, 0.2, 0.25, 4.0))))
+def test_only_pairs_near_the_corner_are_put_into_it(z, monkeypatch):
     v = ca.SX.sym("v", 4)
     run = ScriptedRun(mpcc=MPCC(v, ca.sumsqr(v), None, v[:2], v[2:]))
-    calls: list[Any] = []
+    calls = []
     monkeypatch.setattr(finishing, "_polished", lambda run, z, warm, G, H, ceiling: calls.append((G, H)))
-    a, b, c, d = z  # pairs (a, b) and (c, d)
-    assert polished(run, np.array([a, c, b, d]), ended(z), 0.3) is None
-    sides = [(list(G), list(H)) for G, H in calls]
-    assert sides == [([a < b, c < d], [a > b, c > d]), (fix_G, fix_H)]
+    assert polished(run, np.array(z), ended(z), 0.3) is None
+    G, H = np.array(z[:2]), np.array(z[2:])
+    near = (G <= 0.3) & (H <= 0.3)
+    np.testing.assert_array_equal(calls, [(G < H, G > H), ((G < H) | near, (G > H) | near)][: 1 + any(near)])
 
 
-@pytest.mark.parametrize(("ceiling", "is_judged"), [(2.9, False), (3.0, True), (np.inf, True)])
-def test_a_polished_point_above_the_ceiling_is_not_judged(
-    ceiling: float, is_judged: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize(("ceiling", "is_labelled"), [(2.9, False), (3.0, True), (np.inf, True)])
+def test_polished_point_above_the_ceiling_is_not_labelled(ceiling, is_labelled, monkeypatch):
     point = Polished(np.array([2.0, 0.0]), 3.0, np.zeros(0), np.array([0.0, 2.0]))
     monkeypatch.setattr(finishing, "polish", lambda *_: point)
     run = ScriptedRun()
     found = finishing._polished(run, point.z, ended(point.z), ON_G, ON_H, ceiling)
-    assert (found is not None) == is_judged
-    assert [step.phase for step in run.steps] == ["polished"] * is_judged
+    assert (found is not None) == is_labelled
+    assert [step.phase for step in run.steps] == ["polished"] * is_labelled
     monkeypatch.setattr(finishing, "polish", lambda *_: None)
     assert finishing._polished(run, point.z, ended(point.z), ON_G, ON_H, np.inf) is None
 
 
-def test_an_end_by_itself_has_visited_nothing() -> None:
+def test_label_counts_a_program_over_the_branches_unless_s_is_proved():
+    """At (2, 0) of two minima nothing is biactive: S; at the corner both slopes descend: C, and an LPEC."""
+    good = finishing._labelled(ScriptedRun(), np.array([2.0, 0.0]), 1.0, (np.zeros(0), np.array([0.0, 2.0])))
+    assert (good.status, good.stationarity.label, good.lpecs, good.pivots) == (Status.CONVERGED, "S", 0, 0)
+    bad = finishing._labelled(ScriptedRun(), np.zeros(2), 5.0, None)
+    assert (bad.status, bad.stationarity.label, bad.lpecs) == (Status.STALLED, "C", 1)
     end = Finish(np.zeros(2), np.nan, Status.STALLED)
     assert (end.pivots, end.lpecs, end.stationarity, end.rank) == (0, 0, None, (False, False, -np.inf))
 
 
-def test_judging_counts_a_program_over_the_branches_unless_s_is_proved() -> None:
-    """At (2, 0) of two minima nothing is biactive: S; at the corner both slopes descend: C, and an LPEC."""
-    run = ScriptedRun()
-    good = finishing._labelled(run, np.array([2.0, 0.0]), 1.0, (np.zeros(0), np.array([0.0, 2.0])))
-    assert (good.status, good.stationarity.label, good.lpecs, good.pivots) == (Status.CONVERGED, "S", 0, 0)
-    bad = finishing._labelled(run, np.zeros(2), 5.0, None)
-    assert (bad.status, bad.stationarity.label, bad.lpecs) == (Status.STALLED, "C", 1)
-
-
-def test_a_polished_point_must_not_be_much_worse_than_the_relaxed_one() -> None:
+def test_polished_point_must_not_be_much_worse_than_the_relaxed_one():
     """f of two minima is 5 at the origin; a hundredth of the larger value may be lost."""
-    run = ScriptedRun()
-    at_origin = np.zeros(2)
     for f, is_faithful in ((4.0, True), (5.0, True), (5.04, True), (5.06, False), (9.0, False)):
-        assert finishing._faithful(run, judged(f), at_origin) == is_faithful
-    flat = ScriptedRun(mpcc=MPCC(two_minima().x, 0, None, *ca.vertsplit(two_minima().x)))
-    assert finishing._faithful(flat, judged(5e-5), at_origin)
-    assert finishing._faithful(flat, judged(1.005e-4), at_origin)
-    assert not finishing._faithful(flat, judged(1.02e-4), at_origin)
+        assert finishing._faithful(ScriptedRun(), labelled(f), np.zeros(2)) == is_faithful
+    flat = ScriptedRun(mpcc=MPCC(XY, 0, None, x, y))
+    for f, is_faithful in ((5e-5, True), (1.005e-4, True), (1.02e-4, False)):
+        assert finishing._faithful(flat, labelled(f), np.zeros(2)) == is_faithful
 
 
 class TestBranches:
-    """What `finish` makes of the ends of its branches."""
+    """What `finish` makes of the ends of its branches; a point is exact if it begins with 2."""
 
-    WARM = ended([0.1, 2.0])
-
-    @staticmethod
-    def run(*results: NLPResult, exact: bool | list[bool] = True, **options: Any) -> ScriptedRun:
-        waiting = list(results)
-        return ScriptedRun(
-            branches=lambda call: waiting.pop(0) if len(waiting) > 1 else waiting[0],
-            exact=lambda z: exact if isinstance(exact, bool) else bool(z[0] == 2.0),
-            **options,
-        )
+    WARM = ended(START)
+    GOOD, BAD = ended([2.0, 0.0], f=1.0), ended([0.3, 0.0], Status.STALLED)
 
     @pytest.fixture(autouse=True)
-    def _simple(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.polished: Finish | None = None
-        self.projected: Any = None
-        self.pivots: list[Finish] = []
-        self.tightened: list[Any] = []
+    def _simple(self, monkeypatch):
+        self.polished, self.projected, self.pivots, self.tightened = None, None, [], []
         monkeypatch.setattr(finishing, "polished", lambda *_: self.polished)
-        monkeypatch.setattr(finishing, "pivot", self._pivot)
-        monkeypatch.setattr(finishing, "_labelled", lambda run, z, f, lam: judged(f))
-        monkeypatch.setattr(finishing, "_tighten", self._tighten)
+        monkeypatch.setattr(finishing, "pivot", lambda run, here: self.pivots.append(here) or here)
+        monkeypatch.setattr(finishing, "_labelled", lambda run, z, f, lam: labelled(f))
+        monkeypatch.setattr(
+            finishing, "_tighten", lambda run, result, fix_G: self.tightened.append(fix_G) or result
+        )
         monkeypatch.setattr(finishing, "_projected", self._projected)
 
-    def _pivot(self, run: Any, here: Finish) -> Finish:
-        self.pivots.append(here)
-        return here
-
-    def _tighten(self, run: Any, result: NLPResult, fix_G: Any) -> NLPResult:
-        self.tightened.append(fix_G)
-        return result
-
-    def _projected(self, run: Any, z: Any, end: Finish) -> Any:
+    def _projected(self, run, z, end):
         self.projected = end
         return end
 
-    def test_newton_s_point_is_taken_if_it_is_faithful_and_stationary(self) -> None:
-        self.polished = judged(4.0)
-        run = self.run(ended([2.0, 0.0], f=1.0))
-        assert finish(run, np.array([0.1, 2.0]), search=True, warm=self.WARM) is self.polished
-        assert run.branch_calls == []
-        assert self.pivots == [self.polished]
+    def finish(self, *results, z=START, search=False, warm=None, ceiling=np.inf, **options):
+        waiting = list(results)
+        self.run = ScriptedRun(
+            branches=lambda call: waiting.pop(0) if len(waiting) > 1 else waiting[0],
+            exact=lambda z: bool(z[0] == 2.0), **options,
+        )  # fmt: skip
+        return finish(self.run, np.array(z), search=search, warm=warm, ceiling=ceiling)
 
-    @pytest.mark.parametrize("near", [None, judged(400.0), judged(4.0, Status.STALLED)])
-    def test_else_the_branch_is_solved_without_multipliers(self, near: Finish | None) -> None:
+    @property
+    def warms(self):
+        return [call.options.get("warm") for call in self.run.branch_calls]
+
+    def test_newton_s_point_is_taken_if_it_is_faithful_and_stationary(self):
+        self.polished = labelled(4.0)
+        assert self.finish(self.GOOD, search=True, warm=self.WARM) is self.polished
+        assert (self.run.branch_calls, self.pivots) == ([], [self.polished])
+
+    @pytest.mark.parametrize("near", [None, labelled(400.0), labelled(4.0, Status.STALLED)])
+    def test_else_the_branch_is_solved_without_multipliers(self, near):
         self.polished = near
-        run = self.run(ended([2.0, 0.0], f=1.0))
-        end = finish(run, np.array([0.1, 2.0]), search=True, warm=self.WARM)
-        assert end.f == 1.0
-        assert end.solved
-        (call,) = run.branch_calls
-        assert call.options == {"warm": None}
-        assert call.fix_G[0]
-        assert self.projected is None
-        assert self.tightened == [ON_G]
-
-    def test_without_newton_the_branch_begins_with_the_multipliers_and_again_without_if_it_fails(
-        self,
-    ) -> None:
-        good, bad = ended([2.0, 0.0], f=1.0), ended([0.3, 0.0], Status.STALLED)
-        run = self.run(good, newton_finish=False, exact=[])
-        finish(run, np.array([0.1, 2.0]), search=False, warm=self.WARM)
-        assert [call.options.get("warm") for call in run.branch_calls] == [self.WARM]
-        run = self.run(bad, good, newton_finish=False, exact=[])
-        assert finish(run, np.array([0.1, 2.0]), search=False, warm=self.WARM).solved
-        assert [call.options.get("warm") for call in run.branch_calls] == [self.WARM, None]
-        run = self.run(bad, newton_finish=False, exact=[])
-        finish(run, np.array([0.1, 2.0]), search=False)
-        assert len(run.branch_calls) == 1
-
-    def test_pairs_are_fixed_on_the_side_of_the_smaller_member(self) -> None:
-        for z, on_G in (((0.1, 2.0), True), ((2.0, 0.1), False), ((1.0, 1.0), True)):
-            run = self.run(ended([2.0, 0.0]))
-            finish(run, np.array(z), search=False)
-            assert run.branch_calls[0].fix_G[0] == on_G
-
-    def test_an_exact_point_without_a_bound_or_above_the_ceiling_is_not_improved(self) -> None:
-        end = finish(self.run(ended([2.0, 0.0], Status.UNBOUNDED, -1e20)), np.ones(2), search=False)
-        assert (end.status, end.f, end.stationarity) == (Status.UNBOUNDED, -1e20, None)
-        end = finish(self.run(ended([2.0, 0.0], f=3.0)), np.ones(2), search=True, ceiling=2.9)
-        assert (end.status, end.f, end.stationarity) == (Status.WORSE, 3.0, None)
-        assert finish(self.run(ended([2.0, 0.0], f=3.0)), np.ones(2), search=True, ceiling=3.0).solved
+        end = self.finish(self.GOOD, search=True, warm=self.WARM)
+        assert (end.f, end.solved, self.warms, self.projected, self.tightened) == (
+            1.0,
+            True,
+            [None],
+            None,
+            [ON_G],
+        )
+        assert self.run.branch_calls[0].fix_G[0]
 
     @pytest.mark.parametrize(
-        ("status", "said"),
-        [(Status.CONVERGED, Status.INACCURATE), (Status.STALLED, Status.STALLED),
-         (Status.UNBOUNDED, Status.UNBOUNDED)],
-    )  # fmt: skip
-    def test_a_point_that_is_not_exact_is_never_solved(
-        self, status: Status, said: Status, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        run = self.run(ended([0.3, 0.0], status, f=1.0), exact=False)
-        end = finish(run, np.ones(2), search=False, ceiling=0.5)
-        assert (end.status, end.stationarity, end.solved) == (said, None, False)
-        assert self.projected is None
-        assert self.tightened == []
-        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, fix_G, result: (result, fix_G))
-        finish(run, np.ones(2), search=True)
-        assert self.projected is not None  # with a search the relaxed point itself is tried at last
+        ("results", "warm", "warms"),
+        [([GOOD], WARM, [WARM]), ([BAD, GOOD], WARM, [WARM, None]), ([BAD], None, [None])],
+    )
+    def test_without_newton_the_branch_begins_with_the_multipliers(self, results, warm, warms):
+        end = self.finish(*results, warm=warm, newton_finish=False)
+        assert self.warms == warms
+        assert end.solved == (results[-1] is self.GOOD)
 
-    def test_only_a_search_looks_for_another_branch(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        good = ended([2.0, 0.0], f=1.0)
-        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, fix_G, result: (good, ON_H))
-        bad = ended([0.3, 0.0], Status.INFEASIBLE)
-        assert not finish(self.run(bad, exact=[]), np.ones(2), search=False).solved
-        assert finish(self.run(bad, exact=[]), np.ones(2), search=True).solved
+    def test_pairs_are_fixed_on_the_side_of_the_smaller_member(self):
+        for z, on_G in (((0.1, 2.0), True), ((2.0, 0.1), False), ((1.0, 1.0), True)):
+            self.finish(self.GOOD, z=z)
+            assert self.run.branch_calls[0].fix_G[0] == on_G
+
+    @pytest.mark.parametrize(
+        ("result", "ceiling", "status"),
+        [
+            (ended([2.0, 0.0], Status.UNBOUNDED, -1e20), np.inf, Status.UNBOUNDED),
+            (ended([2.0, 0.0], f=3.0), 2.9, Status.WORSE),
+            (ended([2.0, 0.0], f=3.0), 3.0, Status.CONVERGED),
+            (ended([0.3, 0.0], f=1.0), 0.5, Status.INACCURATE),  # a point that is not exact is never solved
+            (ended([0.3, 0.0], Status.STALLED), 0.5, Status.STALLED),
+            (ended([0.3, 0.0], Status.UNBOUNDED), 0.5, Status.UNBOUNDED),
+        ],
+    )
+    def test_end_says_why_it_is_none(self, result, ceiling, status, monkeypatch):
+        end = self.finish(result, ceiling=ceiling)
+        assert (end.status, end.f) == (status, result.f)
+        assert (end.stationarity is None) == (len(self.tightened) == 0) == (not end.solved)
+        assert self.projected is None
+        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, fix_G, result: (result, fix_G))
+        self.finish(result, search=True, ceiling=ceiling)
+        # with a search the relaxed point itself is tried at last
+        assert (self.projected is not None) == (result.x[0] != 2.0)
+
+    def test_only_a_search_looks_for_another_branch(self, monkeypatch):
+        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, fix_G, result: (self.GOOD, ON_H))
+        assert not self.finish(self.BAD).solved
+        assert self.finish(self.BAD, search=True).solved
         assert self.tightened == [ON_H]
 
 
@@ -246,78 +200,199 @@ class TestPivot:
     """A descent over branches, each lower than the one before."""
 
     @pytest.fixture
-    def descend(self, monkeypatch: pytest.MonkeyPatch) -> list[NLPResult | None]:
-        waiting: list[NLPResult | None] = []
+    def descend(self, monkeypatch):
+        waiting = []
         monkeypatch.setattr(finishing, "_descend", lambda *_: waiting.pop(0))
         monkeypatch.setattr(finishing, "_tighten", lambda run, result, fix_G: result)
         return waiting
 
-    def test_it_ends_at_a_point_without_a_direction(self, descend: Any, monkeypatch: Any) -> None:
+    @pytest.mark.parametrize(
+        ("ends", "stationary_at", "expected"),
+        [
+            ([3.0, 2.0, 1.0], 1.0, (1.0, 3, 4, Status.CONVERGED)),  # f, pivots, lpecs
+            ([None], 1.0, (4.0, 0, 1, Status.STALLED)),  # no branch is lower
+            ([3.0, 2.0, 1.0, 0.0, -1.0], -9.0, (1.0, 3, 4, Status.ITERATION_LIMIT)),
+            ([-1e20], 1.0, (-1e20, 1, 1, Status.UNBOUNDED)),
+        ],
+    )
+    def test_it_ends_where_no_branch_descends_or_at_its_limit(
+        self, ends, stationary_at, expected, descend, monkeypatch
+    ):
         monkeypatch.setattr(
             finishing, "_labelled",
-            lambda run, z, f, lam: judged(f, *((Status.STALLED, DOWN) if f > 1.0 else ())),
+            lambda run, z, f, lam: labelled(f, *((Status.STALLED, DOWN) if f > stationary_at else ())),
         )  # fmt: skip
-        descend += [ended([0, 0], f=3.0), ended([0, 0], f=2.0), ended([0, 0], f=1.0)]
-        end = pivot(ScriptedRun(), judged(4.0, Status.STALLED, DOWN))
-        assert (end.f, end.pivots, end.lpecs, end.solved) == (1.0, 3, 4, True)
-
-    def test_it_ends_where_no_branch_is_lower(self, descend: Any) -> None:
-        start = judged(4.0, Status.STALLED, DOWN)
-        descend += [None]
-        end = pivot(ScriptedRun(), start)
-        assert (end.f, end.pivots, end.status) == (4.0, 0, Status.STALLED)
-        assert pivot(ScriptedRun(), Finish(np.zeros(2), 1.0, Status.STALLED)).status is Status.STALLED
-
-    def test_its_limit_is_a_status(self, descend: Any, monkeypatch: Any) -> None:
-        monkeypatch.setattr(finishing, "_labelled", lambda run, z, f, lam: judged(f, Status.STALLED, DOWN))
-        descend += [ended([0, 0], f=3.0 - k) for k in range(5)]
-        end = pivot(ScriptedRun(max_pivots=2), judged(4.0, Status.STALLED, DOWN))
-        assert (end.f, end.pivots, end.lpecs, end.status) == (2.0, 2, 3, Status.ITERATION_LIMIT)
-
-    def test_a_branch_without_a_bound_ends_it(self, descend: Any) -> None:
-        descend += [ended([0, 0], Status.UNBOUNDED, -1e20)]
-        end = pivot(ScriptedRun(), judged(4.0, Status.STALLED, DOWN))
-        assert (end.f, end.pivots, end.lpecs, end.status) == (-1e20, 1, 1, Status.UNBOUNDED)
-        assert end.stationarity is None
+        unbounded = Status.UNBOUNDED if ends == [-1e20] else Status.CONVERGED
+        descend += [None if f is None else ended([0, 0], unbounded, f) for f in ends]
+        limit = 3 if stationary_at < 0 else 30
+        end = pivot(ScriptedRun(max_pivots=limit), labelled(4.0, Status.STALLED, DOWN))
+        assert (end.f, end.pivots, end.lpecs, end.status) == expected
+        assert (end.stationarity is None) == (unbounded is Status.UNBOUNDED)
+        inexact = Finish(np.zeros(2), 1.0, Status.STALLED)
+        assert pivot(ScriptedRun(), inexact).status is Status.STALLED
 
     @pytest.mark.parametrize(
         ("ends", "tries"),
-        [([(True, 0.9)], 1), ([(False, 0.5), (True, 0.9)], 2), ([(True, 1.5), (True, 1.0), (True, 0.9)], 3)],
-    )
-    def test_a_lower_point_is_sought_far_away_and_then_in_smaller_boxes(
-        self, ends: list[tuple[bool, float]], tries: int
-    ) -> None:
+        [([(True, 0.9)], 1), ([(False, 0.5), (True, 0.9)], 2), ([(True, 1.5), (True, 1.0), (True, 0.9)], 3),
+         ([(True, 1.0 - 1e-9), (True, 1.0), (False, 0.0)], 3)],
+    )  # fmt: skip
+    def test_a_lower_point_is_sought_far_away_and_then_in_smaller_boxes(self, ends, tries):
         here = Finish(np.array([3.0, 0.0]), 1.0, Status.STALLED)
-        waiting = list(ends)
-
-        def branch(call: BranchCall) -> NLPResult:
-            exact, f = waiting.pop(0)
-            return ended([float(exact), 0.0], f=f)
-
-        run = ScriptedRun(branches=branch, exact=lambda z: bool(z[0]))
-        assert finishing._descend(run, here, DOWN).f == 0.9
-        assert len(run.branch_calls) == tries
+        waiting = [ended([float(exact), 0.0], f=f) for exact, f in ends]
+        run = ScriptedRun(branches=lambda call: waiting.pop(0), exact=lambda z: bool(z[0]))
+        found = finishing._descend(run, here, DOWN)
+        assert (found is not None and found.f) == (ends[-1][0] and 0.9)
         boxes = [call.options["box"] for call in run.branch_calls]
-        assert boxes[0] is None
+        assert (len(boxes), boxes[0]) == (tries, None)
         for box, reach in zip(boxes[1:], (0.1, 1e-3), strict=False):
             np.testing.assert_allclose(box, [4 * reach, reach])  # relative to 1 + |z|
         assert all(call.fix_G is ON_H for call in run.branch_calls)
 
-    def test_a_fall_by_rounding_is_none(self) -> None:
+    def test_a_fall_by_rounding_is_none(self):
         here = Finish(np.zeros(2), -99.0, Status.STALLED)
         for f, accepted in ((-99.0 - 5e-8, False), (-99.0 - 2e-7, True)):
             run = ScriptedRun(branches=lambda call, f=f: ended([0, 0], f=f), exact=lambda z: True)
             assert (finishing._descend(run, here, DOWN) is not None) == accepted
 
+    def test_a_wrong_branch_is_left_by_the_descent(self):
+        """The finish started on the arm x = 0 of a problem whose corner is not B-stationary crosses it."""
+        end = finish(
+            run_of(MPCC(XY, (x - 1) ** 2 + (y + 1) ** 2, None, x, y)), np.array([0.0, 0.5]), search=False
+        )
+        assert (end.solved, end.pivots, end.z) == (True, 1, pytest.approx([1, 0], abs=1e-8))
 
-def test_a_projected_point_counts_if_it_is_better_than_the_end_it_replaces() -> None:
+
+def test_projected_point_counts_if_it_is_better_than_the_end_it_replaces():
     """The relaxed point next to the minimum (2, 0) of two minima: on its branch and stationary."""
-    run = Run(CompiledNLPs(two_minima(), Options()), np.zeros(0))
-    lost = Finish(np.ones(2), 0.0, Status.STALLED)
+    run, lost = run_of(two_minima()), Finish(np.ones(2), 0.0, Status.STALLED)
     found = finishing._projected(run, np.array([2.0, 1e-6]), lost)
-    assert found.solved
+    assert (found.solved, found.f, run.steps[-1].phase) == (True, pytest.approx(1.0), "polished")
     assert found.z == pytest.approx([2.0, 0.0], abs=1e-12)
-    assert found.f == pytest.approx(1.0)
-    assert run.steps[-1].phase == "polished"
     best = Finish(np.ones(2), 0.0, Status.CONVERGED, found.stationarity)
     assert finishing._projected(run, np.array([2.0, 1e-6]), best) is best
+
+
+def test_exact_point_above_the_ceiling_is_left():
+    z = np.array([1e-3, 1.0])  # next to the minimum 4
+    assert finish(run_of(two_minima()), z, search=False, ceiling=3.0).status is Status.WORSE
+    assert finish(run_of(two_minima()), z, search=False, ceiling=5.0).solved
+
+
+def test_feasible_branch_is_found_when_the_sides_are_unclear():
+    """x = y - 1e-3: at x = y the sides are a coin toss and one of them is infeasible."""
+    run = run_of(MPCC(XY, (x - y) ** 2 + x, y - x - 1e-3, x, y, lbg=0, ubg=0))
+    z = np.array([2e-3, 1e-3])  # fixes y, which is infeasible
+    assert not finish(run, z, search=False).solved
+    end = finish(run, z, search=True)
+    assert (end.solved, end.z) == (True, pytest.approx([0, 1e-3], abs=1e-9))
+
+
+class TestOtherBranch:
+    """A feasible branch near the relaxed point."""
+
+    @pytest.fixture
+    def nearest(self, monkeypatch):
+        self.answer, radii = (np.array([2.0, 0.0]), ON_H), []
+        monkeypatch.setattr(
+            finishing,
+            "nearest_branch",
+            lambda lifted, z, p, radius, seconds: radii.append(radius) or self.answer,
+        )
+        monkeypatch.setattr(finishing, "_follow_signs", lambda *_: None)
+        return radii
+
+    @staticmethod
+    def other(run, z):
+        return finishing._other_branch(run, np.array(z), ON_G, ended([9.0, 9.0], Status.INFEASIBLE))
+
+    def test_it_is_sought_at_a_distance_like_that_of_the_pairs_then_further(self, nearest):
+        good = ScriptedRun(branches=lambda call: ended([2.0, 0.0]), exact=lambda z: True)
+        result, fix_G = self.other(good, (0.3, 0.5))
+        assert (list(result.x), fix_G, nearest) == ([2.0, 0.0], ON_H, pytest.approx([0.6]))
+        bad = ScriptedRun(branches=lambda call: ended([1.0, 1.0]), exact=lambda z: False)
+        self.other(bad, (0.5, 0.3))
+        assert nearest[1:] == pytest.approx([0.6, 6.0])
+        assert len(bad.branch_calls) == 1  # the second time it is the same branch again
+        self.other(bad, (0.0, 1.0))  # a point on its branch: units of the corner's size
+        assert nearest[3:] == pytest.approx([2e-6, 2e-5])
+
+    def test_the_branch_that_is_known_to_fail_is_not_solved_again(self, nearest):
+        self.answer = (np.array([2.0, 0.0]), ON_G)
+        run = ScriptedRun(branches=lambda call: ended([2.0, 0.0]), exact=lambda z: True)
+        result, fix_G = self.other(run, (0.3, 0.5))
+        assert (run.branch_calls, list(result.x), fix_G) == ([], [9.0, 9.0], ON_G)
+        self.answer = None
+        assert self.other(run, (0.3, 0.5))[1] is ON_G
+
+    def test_signs_come_first(self, nearest, monkeypatch):
+        by_signs = (ended([2.0, 0.0]), ON_H)
+        monkeypatch.setattr(finishing, "_follow_signs", lambda *_: by_signs)
+        assert self.other(ScriptedRun(), (0.3, 0.5)) is by_signs
+        assert nearest == []
+
+
+@pytest.mark.parametrize(
+    ("ends", "exact", "on_G", "found"),
+    [
+        # a pair with a negative member changes sides
+        ([[0.0, -0.5], [0.4, 0.0], [2.0, 0.0]], True, [True, False, False], False),
+        ([[0.0, -0.5], [-0.6, 0.0], [2.0, 0.0]], True, [True, False], None),  # signs become worse
+        ([None, [2.0, 0.0]], True, [True], None),  # a branch fails
+        ([[0.0, -0.5], [-0.4, 0.0], [0.0, 0.3], [0, 0.3]], True, [True, False, True, True], True),
+        ([[0.0, 0.5], [0.0, 0.5]], False, [True, True], None),  # a branch that is not exact is no end
+        ([[0.0, -0.9e-8], [0.0, 0.0]], True, [True, True], True),  # signs within the tolerance are right
+        ([[0.0, -1.1e-8], [0.0, 0.0], [0.0, 0.0]], True, [True, False, False], False),
+    ],
+)
+def test_pairs_follow_the_signs_of_their_free_members(ends, exact, on_G, found):
+    waiting = [ended([0, -0.5], Status.STALLED) if end is None else ended(end) for end in ends]
+    run = ScriptedRun(branches=lambda call: waiting.pop(0), exact=lambda z: exact)
+    answer = finishing._follow_signs(run, np.array([0.1, 0.2]), ON_G)
+    assert [bool(call.fix_G[0]) for call in run.branch_calls] == on_G
+    assert (None if answer is None else bool(answer[1][0])) == found
+    signs = {"phase": "signs", "free_signs": True}
+    done = answer is not None or not exact
+    assert [call.options for call in run.branch_calls] == [signs] * (len(on_G) - done) + [{}] * done
+    for end, call in zip(ends, run.branch_calls[1:], strict=False):
+        assert list(call.z) == end  # each starts at the solution of the one before
+
+
+class TestTighten:
+    """Pairs next to the corner are put into it where that costs nothing."""
+
+    @pytest.mark.parametrize(
+        ("at", "f", "exact", "closes", "taken"),
+        [
+            (1e-5, 1.0 + 1e-9, True, True, True),
+            (1e-5, 1.0 + 3e-9, True, True, False),  # costs too much
+            (1e-5, 0.0, False, True, False),
+            (1e-5, 0.0, True, False, False),
+            (1e-9, 0.0, True, True, False),  # in the corner already
+            (1e-4, 0.0, True, True, False),  # far from it
+        ],
+    )
+    def test_both_members_are_fixed_where_that_is_free(self, at, f, exact, closes, taken, monkeypatch):
+        monkeypatch.setattr(finishing, "_can_close", lambda *_: closes)
+        tight, before = ended([0.0, 0.0], f=f), ended([0.0, at], f=1.0)
+        run = ScriptedRun(branches=lambda call: tight, exact=lambda z: exact)
+        assert finishing._tighten(run, before, ON_G) is (tight if taken else before)
+        assert len(run.branch_calls) == (closes and at == 1e-5)
+        for call in run.branch_calls:
+            assert (call.fix_G[0], call.fix_H[0], call.options) == (True, True, {"phase": "tightened"})
+
+    @pytest.mark.parametrize(
+        ("row", "ratio", "bounds", "closes"),
+        [
+            (None, 1.0, {}, True),
+            (y - 1e-5, 1.0, {"lbg": 0, "ubg": 0}, False),  # held open by an equation
+            (y - 1e-2 * w, 1e-2, {"lbg": 0, "ubg": 0}, True),  # w moves by a hundred times the gap
+            (y - 1e-5 * w, 1e-5, {"lbg": 0, "ubg": 0}, False),  # by 1e5 times the gap
+            (1e6 * (y - 1e-2 * w), 1e-2, {"lbg": 0, "ubg": 0}, True),  # the size of a row does not matter
+            (y + w, 1.0, {"lbg": -1}, True),  # a row that is not active does not hold
+            (y, 1.0, {"lbg": 1e-5}, False),
+        ],
+    )
+    def test_step_that_closes_the_pair_must_exist_and_be_small(self, row, ratio, bounds, closes):
+        run = run_of(MPCC(XYW, (x - 1) ** 2 + y**2 + w**2, row, x, y, **bounds))
+        z = np.array([0.0, 1e-5, 1e-5 / ratio])
+        assert finishing._can_close(run, z, ON_G, np.array([True])) == closes

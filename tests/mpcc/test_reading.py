@@ -6,10 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mpcc_library.families import FAMILIES
 from rmesh_nlp.mpcc import MPCC, read, solve
 from rmesh_nlp.mpcc.__main__ import main
-from rmesh_nlp.mpcc.reading import Problem, write_nosbench
 
 x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")
 XY, XYZ = ca.vertcat(x, y), ca.vertcat(x, y, z)
@@ -87,11 +85,37 @@ def test_an_nl_file_with_complementarity_rows(tmp_path):
     assert problem.name == "handmade"
     assert (problem.mpcc.n_own, problem.mpcc.n_x, problem.mpcc.n_pairs, problem.mpcc.n_g) == (3, 5, 3, 2)
     assert list(problem.x0) == [0.5, 0.2, 0]
-    result = solve(problem.mpcc, problem.x0)
+    mpcc = problem.mpcc
+    values = ca.Function("v", [mpcc.x], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])
+    # x, y, z, up, down; rows: x + z <= 5, and x^2 + z - 3 = up - down
+    f, g, G, H = (part.full().ravel().tolist() for part in values([3.0, 0.0, 0.5, 1.0, 2.0]))
+    assert (f, g) == ([4 + 1 - 1], [3.5, 9 + 0.5 - 3 - 1 + 2])
+    assert (G, H) == ([1, 2, 2], [1.5, 1.5, 0])  # up, down; x + y - 1 with y
+    assert (list(mpcc.lbg), list(mpcc.ubg)) == ([-np.inf, 0], [5, 0])
+    assert (list(mpcc.lbx[:3]), list(mpcc.ubx[:3])) == ([-np.inf, 0, -1], [np.inf, np.inf, 2])
+    result = solve(mpcc, problem.x0)
     at, f = solution_of_nl()
     assert result.success
     assert result.x[:3] == pytest.approx(at, abs=1e-6)
     assert result.f == pytest.approx(f, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("bits", "bound", "G", "H"),
+    [(1, "2 0", 4, 1), (1, "0 0 7", 4, 1), (2, "1 3", -4, 2), (2, "0 0 3", -4, 2), (3, "4 1", None, None)],
+)
+def test_bits_of_a_complementarity_row_say_which_bound_takes_part(bits, bound, G, H, tmp_path):
+    """The row is >= 0 at a lower bound of y and <= 0 at an upper one; x + y = 4 at (3, 1)."""
+    text = NL.replace("5 1 2	# compl", f"5 {bits} 2	# compl").replace(
+        "\n2 0\n0 -1 2", f"\n{bound}\n0 -1 2"
+    )
+    path = tmp_path / "one.nl"
+    path.write_text(text.replace("C1	# orthant\nn-1", "C1	# orthant\nn0"))
+    mpcc = read(path).mpcc
+    values = ca.Function("v", [mpcc.x], [mpcc.G, mpcc.H])(np.append([3.0, 1.0, 0.0], [9.0, 9.0]))
+    pairs = list(zip(*(part.full().ravel() for part in values), strict=True))
+    assert ((G, H) in pairs) == (G is not None)
+    assert len(pairs) == 2 + (G is not None)
 
 
 def test_only_the_first_objective_of_an_nl_file_counts(tmp_path):
@@ -159,29 +183,32 @@ def test_a_malformed_nl_file_is_refused_with_its_place(tmp_path, old, new, words
     assert "bad.nl" in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["hysteresis", "markets"])
-def test_a_nosbench_file_is_the_problem_that_was_written(tmp_path, name):
-    make, sizes = FAMILIES[name]
-    instance = make(sizes[0], 1)
-    path = tmp_path / "again.json"
-    write_nosbench(Problem("again", instance.mpcc, instance.x0), path)
-    problem = read(path)
-    assert list(problem.x0) == list(instance.x0)
-    assert np.array_equal(problem.mpcc.ubx, instance.mpcc.ubx)
-    ours, theirs = solve(instance.mpcc, instance.x0), solve(problem.mpcc, problem.x0)
-    assert theirs.success
-    assert theirs.f == pytest.approx(ours.f, rel=1e-6, abs=1e-8)
+def write_nosbench(path, mpcc, **fields):
+    parts = {"g_fun": mpcc.g, "G_fun": mpcc.G, "H_fun": mpcc.H, "augmented_objective_fun": mpcc.f}
+    data = {
+        name: ca.Function(name, [mpcc.x, mpcc.p], [part], ["w", "p"], [name[:-4]]).serialize()
+        for name, part in parts.items()
+    }
+    path.write_text(json.dumps(data | {"w0": [1.0, 1.0]} | fields), encoding="utf-8")
+    return path
 
 
-def test_a_nosbench_file_with_parameters(tmp_path):
+def test_nosbench_file_has_its_numbers_and_functions(tmp_path):
+    """Bounds of w are infinite, those of g zero, where they are not given; null and 1e20 mean infinity."""
     p = ca.SX.sym("p")
-    path = tmp_path / "p.json"
-    write_nosbench(
-        Problem("p", MPCC(XY, (x - p) ** 2 + (y - 1) ** 2, None, x, y, p=p), np.ones(2), np.array([3.0])),
-        path,
-    )
-    problem = read(path)
-    assert solve(problem.mpcc, problem.x0, p=problem.p0).x == pytest.approx([3, 0], abs=1e-7)
+    mpcc = MPCC(XY, (x - p) ** 2 + (y - 1) ** 2, x + 2 * y, x, 3 * y, p=p)
+    bounds = {"lbw": [None, -1e20], "ubw": [5.0, 1e21], "lbg": [[-9]], "ubg": 8}
+    problem = read(write_nosbench(tmp_path / "p.json", mpcc, p0=[3.0], w0=[[0.5], [0.25]], **bounds))
+    read_ = problem.mpcc
+    assert (problem.name, list(problem.x0), list(problem.p0), problem.sign) == ("p", [0.5, 0.25], [3], 1)
+    assert (list(read_.lbx), list(read_.ubx)) == ([-np.inf, -np.inf], [5, np.inf])
+    assert (list(read_.lbg), list(read_.ubg)) == ([-9], [8])
+    values = ca.Function("v", [read_.x, read_.p], [read_.f, read_.g, read_.G, read_.H])([1, 2], 3)
+    assert [float(value) for value in values] == [4 + 1, 5, 1, 6]
+    assert solve(read_, problem.x0, p=problem.p0).x == pytest.approx([3, 0], abs=1e-7)
+    plain = read(write_nosbench(tmp_path / "plain.json", MPCC(XY, x, x - 1, x, y))).mpcc
+    assert (list(plain.lbx), list(plain.ubx)) == ([-np.inf] * 2, [np.inf] * 2)
+    assert (list(plain.lbg), list(plain.ubg)) == ([0], [0])
 
 
 @pytest.mark.parametrize(
@@ -191,11 +218,11 @@ def test_a_nosbench_file_with_parameters(tmp_path):
         (lambda data: data.update(H_fun="junk"), "H_fun is no serialised Function"),
         (lambda data: data.pop("w0"), "w0 is missing"),
         (lambda data: data.update(lbw=["low"]), "lbw must be a list of numbers"),
+        (lambda data: data.update(w0=[1.0, 1.0, 1.0]), "does not take w of length 3"),
     ],
 )
 def test_a_malformed_nosbench_file_is_refused_with_its_field(tmp_path, change, words):
-    path = tmp_path / "bad.json"
-    write_nosbench(Problem("bad", MPCC(XY, x + y, None, x, y), np.ones(2)), path)
+    path = write_nosbench(tmp_path / "bad.json", MPCC(XY, x + y, None, x, y))
     data = json.loads(path.read_text())
     change(data)
     path.write_text(json.dumps(data))

@@ -1,0 +1,116 @@
+"""Members of pairs as plain unknowns: slacks where needed, rows, starts, weight, known multipliers."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.mpcc import MPCC, Duals
+from rmesh_nlp.mpcc.lifting import automatic_derivatives, lift, warm_start
+
+x, y, w, p = (ca.SX.sym(name) for name in ("x", "y", "w", "p"))
+XYW = ca.vertcat(x, y, w)
+NONE = np.zeros(0)
+
+
+def test_only_members_that_are_no_unknowns_get_slacks():
+    """Pairs (x, 2 y) and (y + w, w): slacks 3 and 4 for 2 y and y + w."""
+    lifted = lift(
+        MPCC(XYW, x, x + w, ca.vertcat(x, y + w), ca.vertcat(2 * y, w), lbg=-1, ubg=2, lbx=[-5, -6, -7])
+    )
+    assert (list(lifted.first), list(lifted.second)) == ([0, 3], [4, 2])
+    assert list(lifted.rows) == [0, 2, 3]  # g, then G_1 and H_0 of (g, G, H)
+    assert list(lifted.member) == [True, False, True, True, True]
+    nlp = lifted.nlp
+    assert (list(nlp.lbx), list(nlp.ubx)) == ([0, -6, 0, 0, 0], [np.inf] * 5)
+    assert (list(nlp.lbg), list(nlp.ubg)) == ([-1, 0, 0], [2, 0, 0])
+    z = np.array([1.0, 2.0, 4.0, 10.0, 20.0])
+    f, gradient, rows, jacobian = lifted.linearise(z, np.array([3.0]))  # weight 3
+    assert (f, list(gradient), list(rows)) == (3.0, [3, 0, 0, 0, 0], [5, 6 - 10, 4 - 20])
+    assert jacobian.toarray().tolist() == [[1, 0, 1, 0, 0], [0, 1, 1, -1, 0], [0, 2, 0, 0, -1]]
+    assert [list(part) for part in lifted.members(z)] == [[1, 10], [20, 4]]
+    assert list(lifted.on_first(z)) == [True, False]
+    assert list(lifted.on_first(np.ones(5))) == [True, True]  # equals go to the first
+
+
+@pytest.mark.parametrize(
+    ("member", "keeps"),
+    [(x, True), (1.0 * x, True), (x * (1 + 1e-9), False), (x + 1e-9, False), (0 * x, False),
+     (ca.SX(0), False), (x + y, False), (x**2, False), (-x, False)],
+)  # fmt: skip
+def test_member_keeps_its_place_only_if_it_is_the_unknown(member, keeps):
+    lifted = lift(MPCC(XYW, x, None, member, w))
+    assert (lifted.first[0], lifted.second[0]) == (0 if keeps else 3, 2)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "keeps"), [(0, 0, True), (-1, 1, True), (1, 2, False), (-2, -1, False)]
+)
+def test_member_whose_bounds_exclude_zero_gets_a_slack(lower, upper, keeps):
+    lifted = lift(MPCC(XYW, x, None, x, w, lbx=[lower, 0, 0], ubx=[upper, 9, 9]))
+    assert (lifted.first[0] == 0) == keeps
+    assert lifted.nlp.lbx[0] == (max(lower, 0) if keeps else lower)
+
+
+def test_start_extends_by_slacks_that_meet_their_rows_as_far_as_signs_allow():
+    lifted = lift(MPCC(XYW, x, x, ca.vertcat(2 * y, w - 1), ca.vertcat(x * p, 1 / w), p=p))
+    assert list(lifted.start(np.array([1.0, 2.0, 4.0]), np.array([5.0]))) == [1, 2, 4, 4, 3, 5, 0.25]
+    assert list(lifted.start(np.array([1.0, -2.0, 0.0]), np.array([5.0]))) == [1, -2, 0, 0, 0, 5, 0]
+
+
+@pytest.mark.parametrize(
+    ("f", "weight"), [(1e-4 * x, 1e4), (3 * x, 1.0), (ca.SX(7), 1.0), (0.5 * x - 0.25 * w, 2.0)]
+)
+def test_weight_brings_small_slopes_up_to_one(f, weight):
+    assert lift(MPCC(XYW, f, None, x, w)).weight(np.zeros(3), NONE) == pytest.approx(weight)
+
+
+def test_weight_looks_beside_a_start_where_the_slope_vanishes():
+    lifted = lift(MPCC(XYW, 1e-3 * ca.sumsqr(XYW), None, x, w))
+    weight = lifted.weight(np.zeros(3), NONE)
+    assert 1e3 <= weight < 1e5  # a slope of at most 1e-3 within 0.5 of the start
+    bad = lift(MPCC(XYW, 1e-2 * ca.sqrt(x), None, x, w))
+    assert np.isfinite(bad.weight(np.full(3, -1.0), NONE))
+
+
+def test_curvature_is_the_whole_hessian_of_the_weighted_lagrangian():
+    f, g, G = x**2 * y * p, x * w, x * y * w
+    lifted = lift(MPCC(XYW, f, g, G, w, p=p, lbg=0))
+    lagrangian = 3.0 * f + 0.5 * g - 2.0 * G
+    expected = ca.Function("h", [XYW, p], [ca.hessian(lagrangian, XYW)[0]])([1.0, 2.0, 4.0], 5.0).full()
+    found = lifted.curvature(np.array([1.0, 2.0, 4.0, 9.0]), np.array([5.0, 3.0]), np.array([0.5, -2.0]))
+    np.testing.assert_allclose(found.toarray()[:3, :3], expected)
+    assert not np.any(found.toarray()[3])
+
+
+def test_known_multipliers_are_put_on_rows_bounds_and_members():
+    """Pair (x, 2 y): that of x joins its bound, that of 2 y its slack and its row; NaN counts as zero."""
+    lifted = lift(MPCC(XYW, x, w, x, 2 * y))
+    known = Duals(np.array([1.0, np.nan, 3.0]), np.array([5.0]), np.array([7.0]), np.array([11.0]))
+    warm = warm_start(lifted, np.ones(4), 2.0, known)
+    assert list(warm.lam_x) == [2 * (1 + 7), 0, 6, 2 * 11]
+    assert list(warm.lam_g) == [10, 22]
+    assert warm.converged
+    twice = lift(MPCC(XYW, x, None, ca.vertcat(x, x), ca.vertcat(y, w)))
+    known = Duals(np.zeros(3), NONE, np.array([1.0, 2.0]), np.zeros(2))
+    assert list(warm_start(twice, np.ones(3), 1.0, known).lam_x) == [3, 0, 0]
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+@pytest.mark.parametrize("parameter", [False, True])
+def test_constant_derivatives_are_numbers_and_the_same(kind, parameter):
+    random = np.random.default_rng(0)
+    Q, A = random.normal(size=(12, 12)), random.normal(size=(5, 12))
+    v, q = kind.sym("v", 12), kind.sym("q", 1) if parameter else kind(0, 1)
+    f, g = ca.bilin(ca.DM(Q), v, v) + v[0], ca.mtimes(ca.DM(A), v) - 1
+    derivatives = automatic_derivatives(v, q, f, g)
+    point, values = random.normal(size=12), np.ones((1, 1)) if parameter else np.zeros((0, 1))
+    upper = derivatives.hess_lag(point, values, 2.0, np.ones(5))
+    np.testing.assert_allclose(np.array(upper), np.triu(2 * (Q + Q.T)), rtol=1e-12)
+    rows, jacobian = derivatives.jac_g(point, values)
+    np.testing.assert_allclose(rows.full().ravel(), A @ point - 1)
+    np.testing.assert_allclose(np.array(jacobian), A, rtol=1e-14)
+    value, gradient = derivatives.grad_f(point, values)
+    assert float(value) == pytest.approx(point @ Q @ point + point[0])
+    np.testing.assert_allclose(gradient.full().ravel(), (Q + Q.T) @ point + np.eye(12)[0])
+    if not parameter:
+        assert derivatives.hess_lag.n_instructions() < 500

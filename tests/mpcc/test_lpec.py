@@ -1,0 +1,146 @@
+"""Active sets of a point, descent over its branches, and branches near an inexact point."""
+
+import itertools
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from rmesh_nlp.mpcc import MPCC, lpec
+from rmesh_nlp.mpcc.lifting import lift
+from rmesh_nlp.mpcc.lpec import descent, linearise, nearest_branch, steepness
+
+x, y, w = (ca.SX.sym(name) for name in "xyw")
+XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
+ONE = np.ones(1)
+
+
+def at(mpcc, point):
+    lifted = lift(mpcc)
+    z = lifted.start(np.asarray(point, dtype=float), np.zeros(0))
+    return lifted, linearise(lifted, z, ONE, 1e-5, 1e-6)
+
+
+def test_what_is_active_by_hand():
+    """Bounds within 1e-5 (1 + |bound|), members below 1e-6; zero bounds of members are left to the pairs."""
+    v = ca.SX.sym("v", 6)
+    mpcc = MPCC(v, ca.sumsqr(v), ca.vertcat(v[4] - 9, 1e3 * v[5], v[4] + v[5]), v[[0, 2]], v[[1, 3]],
+                lbx=[-1, 2e-6, -1, -1, 9, -np.inf], ubx=[1, 1, 9, 0, 20, 0],
+                lbg=[0, -1, -9], ubg=[0, 1e3 * 2e-5, 20])  # fmt: skip
+    point = np.array([1e-6, 1.1e-6, 0.5, 0.0, 9 + 9e-5, 1e-5])
+    lifted, lin = at(mpcc, point)
+    z = lifted.start(point, np.zeros(0))
+    assert list(np.flatnonzero(lin.G_zero)) == [0]  # 1e-6 is zero
+    assert list(lifted.second) == [6, 3]  # 2e-6 <= v_1 leaves no zero: a slack
+    assert z[6] == pytest.approx(1.1e-6)
+    assert list(lin.H_zero) == [False, True]
+    assert list(lin.biactive) == []
+    assert list(np.flatnonzero(lin.z_lower)) == [1, 4]  # neither member, nor v_4 of bound 9 within 1e-4
+    assert list(np.flatnonzero(lin.z_upper)) == [3, 5]
+    assert list(lin.row_lower) == [False, False, False, True]  # the equation is 9e-5 off; the slack's row
+    assert list(lin.row_upper) == [False, True, False, True]  # 1e-2 of 1e3 x is 1e-5 of x
+    assert lin.scale == pytest.approx(2 * (9 + 9e-5))
+
+
+def test_steepness_is_the_largest_entry_of_a_row_and_at_least_one():
+    _, lin = at(MPCC(XYW, x, ca.vertcat(3 * x - 7 * y, 0.5 * x, 0 * x), None, None), [1, 1, 1])
+    assert list(steepness(lin.jacobian)) == [7, 1, 1]
+    assert lin.scale == 1.0
+
+
+CASES = [
+    ("down one arm", -x - 2 * y, {}, [0, 0], -2, [0, 1]),
+    ("only y is zero: x is free, y is not", -x - 9 * y, {}, [1, 0], -1, [1, 0]),
+    ("only x is zero", -9 * x + y, {}, [0, 1], -1, [0, -1]),
+    ("an active upper bound", -x - 2 * y, {"ubx": [9, 0]}, [0, 0], -1, [1, 0]),
+    ("an active lower bound of an unknown beside the pair", y + x, {"lbx": [1, 0]}, [1, 0], 0, [0, 0]),
+    ("a row from above", -x - 2 * y, {"g": y, "ubg": 0}, [0, 0], -1, [1, 0]),
+    ("a row from below", -x - 2 * y, {"g": x - y, "lbg": 0}, [0, 0], -1, [1, 0]),
+    ("an equation", -x - 2 * y, {"g": y + 2 * x, "lbg": 0, "ubg": 0}, [0, 0], 0, [0, 0]),
+    ("a row that is not active", -x - 2 * y, {"g": y, "ubg": 1}, [0, 0], -2, [0, 1]),
+    ("nothing descends", x + 2 * y, {}, [0, 0], 0, [0, 0]),
+]
+
+
+@pytest.mark.parametrize("milp", [False, True])
+@pytest.mark.parametrize(
+    ("name", "f", "changes", "point", "decrease", "step"), CASES, ids=[c[0] for c in CASES]
+)
+def test_direction_of_closed_form(name, f, changes, point, decrease, step, milp, monkeypatch):
+    monkeypatch.setattr(lpec, "_ENUMERATE", -1 if milp else 3)
+    found = descent(*at(MPCC(**{"x": XY, "f": f, "g": None, "G": x, "H": y} | changes), point))
+    assert found.decrease == pytest.approx(decrease, abs=1e-9)
+    assert found.step[:2] == pytest.approx(step, abs=1e-9)
+    if decrease:
+        assert bool(found.G_fixed[0]) == (step[0] == 0)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_milp_and_enumeration_find_the_best_branch(seed, monkeypatch):
+    random = np.random.default_rng(seed)
+    k, m = 4, 3
+    v = ca.SX.sym("v", 2 * k + 1)
+    c, A = random.normal(size=2 * k + 1), random.normal(size=(m, 2 * k + 1))
+    mpcc = MPCC(
+        v,
+        ca.dot(ca.DM(c), v),
+        ca.mtimes(ca.DM(A), v),
+        v[:k],
+        v[k : 2 * k],
+        lbg=[0, -np.inf, 0],
+        ubg=[0, 0, 9],
+    )
+    lifted, lin = at(mpcc, np.zeros(2 * k + 1))
+    best = 0.0
+    for sides in itertools.product((True, False), repeat=k):
+        top = [0.0 if s else 1.0 for s in sides] + [1.0 if s else 0.0 for s in sides] + [1.0]
+        bounds = np.column_stack([np.append(np.zeros(2 * k), -1.0), top])
+        answer = linprog(c, A_eq=A[:1], b_eq=[0], A_ub=[A[1], -A[2]], b_ub=[0, 0], bounds=bounds)
+        best = min(best, answer.fun)
+    for limit in (3, 4):  # by a MILP, and branch by branch
+        monkeypatch.setattr(lpec, "_ENUMERATE", limit)
+        found = descent(lifted, lin)
+        assert found.decrease == pytest.approx(best, abs=1e-8)
+        assert c @ found.step == pytest.approx(best, abs=1e-8)
+        G, H = found.step[:k], found.step[k : 2 * k]
+        assert np.all(np.where(found.G_fixed, np.abs(G), np.abs(H)) <= 1e-9)
+        assert min(G.min(), H.min()) >= -1e-9
+
+
+@pytest.mark.parametrize(
+    ("pairs", "x_is", "status", "fun", "decided"),
+    [(1, [0, 0], 0, 0.0, True), (1, None, 2, None, False), (1, [0, 0], 1, -1.0, False),
+     (5, [0] * 15, 1, 0.0, False), (5, [0] * 15, 1, -1.0, True), (5, [0] * 15, 0, 0.0, True)],
+)  # fmt: skip
+def test_search_that_was_given_up_decides_only_by_a_descent(pairs, x_is, status, fun, decided, monkeypatch):
+    answer = SimpleNamespace(x=None if x_is is None else np.array(x_is, float), status=status, fun=fun)
+    options = []
+    monkeypatch.setattr(lpec, "milp", lambda *_, **names: options.append(names["options"]) or answer)
+    u, v = ca.SX.sym("u", pairs), ca.SX.sym("v", pairs)
+    found = descent(*at(MPCC(ca.vertcat(u, v), ca.sum1(u), None, u, v), np.zeros(2 * pairs)), seconds=2.5)
+    assert (found is not None) == decided
+    assert ("time_limit" in options[0]) == (pairs > 3)
+
+
+def test_nearest_branch_meets_the_rows_first_and_then_lowers_the_objective():
+    """y = x + 1e-3 holds on x = 0 alone, though the point is nearer to y = 0."""
+    lifted = lift(MPCC(XY, -x, y - x - 1e-3, x, y, lbg=0, ubg=0))
+    z, fix_G = nearest_branch(lifted, np.array([2e-3, 1e-3]), ONE, 2e-3)
+    assert (z, list(fix_G)) == (pytest.approx([0, 1e-3], abs=1e-12), [True])
+    free = lift(MPCC(XY, -x - 2 * y, None, x, y))
+    z, fix_G = nearest_branch(free, np.array([2e-3, 1e-3]), ONE, 4e-3)
+    assert (z, list(fix_G)) == (pytest.approx([0, 5e-3], abs=1e-12), [True])
+
+
+def test_nearest_branch_keeps_bounds_and_pairs_far_from_the_corner():
+    """Pair (x, y) is at (1e-3, 5): x goes to zero whatever the objective says; w stays below its bound."""
+    v = ca.SX.sym("v", 4)
+    lifted = lift(MPCC(v, -v[0] - v[1] - v[2] - v[3], None, v[[0, 2]], v[[1, 3]], ubx=[9, 9, 9, 2e-3]))
+    z, fix_G = nearest_branch(lifted, np.array([1e-3, 5.0, 2e-3, 1e-3]), ONE, 1e-2)
+    assert list(fix_G) == [True, False]
+    assert z == pytest.approx([0, 5.01, 1.2e-2, 0], abs=1e-12)
+    z, fix_G = nearest_branch(lifted, np.array([5.0, 1e-3, 2e-3, 0.0]), ONE, 1e-2)
+    assert list(fix_G) == [False, False]
+    assert z[:2] == pytest.approx([5.01, 0], abs=1e-12)

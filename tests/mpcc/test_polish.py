@@ -1,0 +1,154 @@
+"""Newton's method on a branch and the projection onto it, by hand and against Ipopt."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.mpcc import MPCC, Options
+from rmesh_nlp.mpcc.lifting import automatic_derivatives
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc.polish import _Branch, polish, project
+from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.optimize.nlp import Derivatives
+from support.scripted_run import two_minima
+
+x, y, w = (ca.SX.sym(name) for name in "xyw")
+XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
+ON_G, ON_H = np.array([True]), np.array([False])
+INF = np.inf
+
+
+def run_of(mpcc, **options):
+    return Run(CompiledNLPs(mpcc, Options(**options)), np.zeros(0))
+
+
+def overdetermined():
+    """Three equations that agree with each other leave one point per branch of ``0 <= x _|_ y >= 0``.
+
+    On the branch x = 0: y + w = 1, y - w = 1/2, so y = 3/4, w = 1/4, and the third equation is redundant.
+    """
+    g = ca.vertcat(x + y + w - 1, y - w - 0.5 + x, 2 * y - 1.5 + 2 * x)
+    return MPCC(XYW, (x - 1) ** 2 + y**2, g, x, y, lbg=0, ubg=0)
+
+
+def branch(lbg=(), ubg=(), lbx=-INF, ubx=INF):
+    rows = ca.vertcat(*[w + k for k in range(len(lbg))]) if lbg else None
+    limits = {"lbg": lbg, "ubg": ubg} if lbg else {}
+    mpcc = MPCC(XYW, x, rows, x, y, lbx=lbx, ubx=ubx, **limits)
+    return _Branch(run_of(mpcc).lifted, ON_G, ON_H)
+
+
+def test_bounds_of_a_branch_are_those_of_the_lifted_problem_and_zero_where_fixed():
+    found = branch([-1], [2], lbx=[-INF, -INF, -3], ubx=[4, 5, 6])
+    assert list(found.lower) == [-1, 0, 0, -3]
+    assert list(found.upper) == [2, 0, 5, 6]
+    assert list(found.equal) == [False, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("value", "lam", "size", "active"),
+    [
+        (0.2, -0.3, 1.0, -1),  # the multiplier outweighs the distance from the lower bound 0
+        (0.2, -0.1, 1.0, 0),  # 0.2 / 1.2 = 0.17
+        (0.2, 0.3, 1.0, 0),  # a multiplier of the upper bound 1, whose distance is 0.8 / 1.2
+        (0.9, 0.1, 1.0, 1),
+        (0.9, 0.05, 1.0, 0),
+        (-0.1, 0.0, 1.0, -1),  # violated
+        (1.1, 0.0, 1.0, 1),
+        (0.2, -0.1, 10.0, -1),  # distance 0.02 / 1.02, multiplier 1
+        (0.9, 0.05, 10.0, 1),
+        (0.85, 0.12, 0.5, 0),
+    ],
+)
+def test_first_active_set_weighs_multipliers_against_distances(value, lam, size, active):
+    found = branch([0], [1])
+    values, lams = np.array([value, 0.0, 5.0, 5.0]), np.array([lam, 0, 0, 0])
+    assert list(found.first_active(values, lams, np.array([size, 1, 1, 1]))) == [active, -1, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("before", "value", "lam", "after"),
+    [
+        (-1, 0.0, -2.0, -1), (-1, 0.0, 0.5, -1), (-1, 0.0, 2.0, 0), (1, 1.0, 2.0, 1), (1, 1.0, -0.5, 1),
+        (1, 1.0, -2.0, 0), (0, 0.5, 9.0, 0), (0, -1e-9, 0.0, -1), (0, -1e-11, 0.0, 0), (0, 1 + 1e-9, 0.0, 1),
+        (0, 1 + 1e-11, 0.0, 0), (-1, -0.5, 2.0, 0),
+    ],
+)  # fmt: skip
+def test_next_active_set_drops_wrong_signs_and_adds_violations(before, value, lam, after):
+    """Bounds [0, 1], tolerance of multipliers 1."""
+    found = branch([0], [1])
+    values, lams = np.array([value, 0.0, 5.0, 5.0]), np.array([lam, 9.0, 0, 0])
+    active = np.array([before, -1, 0, 0], dtype=np.int8)
+    assert list(found.next_active(active, values, lams, 1.0)) == [after, -1, 0, 0]
+    assert list(active) == [before, -1, 0, 0]  # is left as it was
+
+
+def test_newton_ends_at_the_kkt_point_of_a_branch_with_its_multipliers():
+    """min (y-2)^2 + (w+1)^2 + y w on x = 0 with w >= -1/2 and y <= 3/2 as a row: both are active.
+
+    2 (y - 2) + w + lam = 0, so lam = 3/2 of the row; 2 (w + 1) + y + lam = 0, so lam_w = -5/2; x gets -3.
+    """
+    f = (y - 2) ** 2 + (w + 1) ** 2 + y * w + 3 * x + 0.1 * x**4
+    run = run_of(MPCC(XYW, f, 2 * y, x, y, ubg=3, lbx=[-INF, -INF, -0.5]))
+    near = np.array([1e-3, 1.49, -0.48])
+    found = polish(run, near, ON_G, np.array([0.7]), np.array([-3.0, 0.0, -2.4]))
+    assert found.z == pytest.approx([0, 1.5, -0.5], abs=1e-12)
+    assert found.f == pytest.approx(0.25 + 0.25 - 0.75)
+    assert found.lam_rows == pytest.approx([0.75], abs=1e-8)
+    assert found.lam_z == pytest.approx([-3, 0, -2.5], abs=1e-8)
+    without = polish(run, np.array([1e-3, 1.51, -0.52]), ON_G, np.zeros(1), np.zeros(3))  # both are violated
+    assert without.z == pytest.approx(found.z, abs=1e-9)
+    assert polish(run, near + 10, ON_G, np.zeros(1), np.zeros(3)) is None  # no correction but another point
+
+
+@pytest.mark.parametrize("size", [1.0, 1e4])
+@pytest.mark.parametrize(("offset", "end"), [(2.5e-8, 2.0), (1e-6, 2 + 1e-6)])
+def test_wrong_signs_are_measured_in_units_of_the_objective(size, offset, end):
+    """min (w - 2 - offset)^2 on w >= 2, held at first with the multiplier 2 offset; 1e-7 counts as none."""
+    f = size * ((w - 2 - offset) ** 2 + x + (y - 1) ** 2)
+    run = run_of(MPCC(XYW, f, None, x, y, lbx=[-INF, -INF, 2]))
+    found = polish(run, np.array([0, 1, 2.0]), ON_G, np.zeros(0), size * np.array([-1, 0, -1.0]))
+    assert found.z[2] == pytest.approx(end, abs=1e-10)
+
+
+def test_both_members_may_be_fixed():
+    run = run_of(two_minima())
+    found = polish(run, np.array([1e-3, 1e-3]), ON_G, np.zeros(0), np.zeros(2), np.array([True]))
+    assert (list(found.z), found.f) == ([0, 0], 5.0)
+    assert found.lam_z == pytest.approx([4, 2])
+
+
+def test_flat_and_linear_objectives_end_as_sharp_as_others():
+    run = run_of(MPCC(XY, 1e-8 * (y - 1) ** 2 + x, None, x, y))
+    assert polish(run, np.array([0, 0.9]), ON_G, np.zeros(0), np.array([-1.0, 0])).f == pytest.approx(
+        0, abs=1e-14
+    )
+    flat = polish(run_of(MPCC(XY, x, None, x, y)), np.array([0, 0.9]), ON_G, np.zeros(0), np.array([-1.0, 0]))
+    assert flat.z == pytest.approx([0, 0.9])
+
+
+def test_without_a_hessian_or_with_a_singular_point_there_is_no_newton():
+    own = automatic_derivatives(XY, ca.SX(0, 1), x + y**2, ca.vertcat(x, y))
+    first_order = Derivatives(own.grad_f, own.jac_g, None)
+    run = run_of(MPCC(XY, x + y**2, None, x, y, derivatives=first_order))
+    assert polish(run, np.array([0, 0.1]), ON_G, np.zeros(0), np.zeros(2)) is None
+    run = run_of(MPCC(XY, x + ca.log(y - 1), None, x, y))
+    assert polish(run, np.array([0, 0.1]), ON_G, np.zeros(0), np.zeros(2)) is None  # NaN
+
+
+def test_more_equations_than_unknowns_are_met_by_projection_and_by_newton():
+    run = run_of(overdetermined())
+    near, exact = np.array([1e-4, 0.7501, 0.2498]), [0.0, 0.75, 0.25]
+    assert project(run, near, ON_G) == pytest.approx(exact, abs=1e-9)
+    assert polish(run, near, ON_G, np.zeros(3), np.zeros(3)).z == pytest.approx(exact, abs=1e-9)
+    far = run_of(MPCC(XY, x, y - 100, x, y, lbg=0, ubg=0))
+    assert project(far, np.ones(2), ON_G) is None  # the branch is far away: no projection
+
+
+def test_projection_is_the_nearest_point_of_the_branch():
+    """Onto x = 0, y + w = 1, w <= 1/4."""
+    run = run_of(MPCC(XYW, 9 * y, y + w, x, y, lbg=1, ubg=1, ubx=[INF, INF, 0.25]))
+    assert project(run, np.array([0.1, 0.8, 0.1]), ON_G) == pytest.approx([0, 0.85, 0.15], abs=1e-8)
+    assert project(run, np.array([0.1, 0.8, 0.4]), ON_G) == pytest.approx([0, 0.75, 0.25], abs=1e-8)
+    circle = run_of(MPCC(XYW, 0, y**2 + w**2, x, y, lbg=1, ubg=1))
+    assert project(circle, np.array([0.1, 0.66, 0.88]), ON_G) == pytest.approx([0, 0.6, 0.8], abs=1e-6)

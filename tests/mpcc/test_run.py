@@ -1,0 +1,238 @@
+"""What a solve shows while it runs, where it stops, and what its result says."""
+
+import signal
+import time
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.mpcc import MPCC, Duals, MPCCSolver, Options, solve
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc.result import Step
+from rmesh_nlp.mpcc.run import LimitReachedError, Run
+from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.optimize.status import Status
+from support.scripted_run import ended, two_minima
+
+x, y = ca.SX.sym("x"), ca.SX.sym("y")
+XY = ca.vertcat(x, y)
+
+
+def obstacle(n=40):
+    """``u'' = 1 - force``, ``0 <= force _|_ u + 0.05 >= 0`` on n nodes, steered by a load factor near 1."""
+    h = 1 / (n + 1)
+    v = ca.SX.sym("v", 2 * n + 1)
+    u, force, load = v[:n], v[n : 2 * n], v[2 * n]
+    padded = ca.vertcat(0, u, 0)
+    balance = (2 * padded[1:-1] - padded[:-2] - padded[2:]) / h**2 + load - force
+    f = h * ca.sumsqr(u + 0.02) + 0.01 * (load - 1) ** 2
+    return MPCC(v, f, balance, force, u + 0.05, lbg=0, ubg=0)
+
+
+@pytest.mark.parametrize("mpcc", [two_minima(), pytest.param(obstacle(), marks=pytest.mark.slow)])
+def test_steps_and_iterates_are_shown_as_they_happen(mpcc):
+    steps, iterates = [], []
+    result = solve(mpcc, 0.1, on_step=steps.append, on_iteration=iterates.append)
+    assert result.success
+    assert tuple(steps) == result.history
+    # Ipopt shows its start as iteration 0 of each NLP
+    nlps = [s for s in steps if s.phase != "polished"]
+    assert iterates[-1].iteration == result.counts["ipopt_iterations"] == sum(s.iterations for s in steps)
+    assert [i.iteration for i in iterates] == sorted(i.iteration for i in iterates)
+    assert len(iterates) == result.counts["ipopt_iterations"] + len(nlps)
+    assert {(i.phase, i.t) for i in iterates} == {(s.phase, s.t) for s in nlps}
+    assert iterates[-1].x.size == mpcc.n_x
+    assert iterates[-1].product == pytest.approx(nlps[-1].product, rel=1e-3)
+    assert iterates[-1].objective == pytest.approx(nlps[-1].objective, rel=1e-6)
+    assert solve(mpcc, 0.1).x == pytest.approx(result.x, abs=1e-12)
+
+
+def test_history_is_a_table_and_lines_are_shown(capsys):
+    lines = []
+    result = solve(two_minima(), 0.5, progress=lines.append)
+    assert len(lines) == 1 + len(result.history) == 1 + result.counts["nlp_solves"]
+    assert result.table() == "\n".join(lines)
+    assert result.columns()["iterations"] == [step.iterations for step in result.history]
+    assert str(result) == (
+        f"converged: f = 1, violation {result.constraint_violation:.1e}, complementarity "
+        f"{result.complementarity:.1e}, stationarity S (no biactive pair: a KKT point)"
+    )
+    solve(two_minima(), 0.5, progress=True)
+    assert "relaxed" in capsys.readouterr().out
+    measured = {"objective": 1.0, "constraint_violation": 0.0, "complementarity": 0.0, "product": 0.0}
+    step = Step(phase="branch", t=0.0, **measured, iterations=3, status=Status.CONVERGED, seconds=0.1)
+    assert (step.biactive, step.multiplier) == (0, 0.0)
+    assert step.line().split() == ["branch", "0.0e+00", "1.00000000e+00", *["0.0e+00"] * 3, "3", "converged"]
+
+
+def test_step_measures_pairs_near_the_corner_and_multipliers_of_the_relaxation():
+    """Pairs (0.01, 0.1) and (0.3, 0.5): near at t = 0.01 are those below 0.2, at t = 0 below 1e-6."""
+    v = ca.SX.sym("v", 4)
+    run = Run(CompiledNLPs(MPCC(v, ca.sumsqr(v), None, v[:2], v[2:]), Options()), np.zeros(0))
+    for z, t, near in (((0.01, 0.3, 0.1, 0.5), 0.01, 1), ((0.01, 0.3, 0.1, 0.5), 0.1, 2),
+                       ((0, 0.3, 1e-6, 0.5), 0.0, 1), ((0, 0.3, 1.1e-6, 0.5), 0.0, 0)):  # fmt: skip
+        run._ended("relaxed", t, ended(z, lam_g=np.array([0.2, 0.7])))
+        assert (run.steps[-1].biactive, run.steps[-1].multiplier) == (near, 0.7 if t else 0.0)
+    assert (run.iterations, run.steps[0].product) == (12, pytest.approx(0.15))
+    run.polished(np.zeros(4))
+    last = run.steps[-1]
+    assert (last.phase, last.iterations, last.seconds, last.status) == ("polished", 0, 0.0, Status.CONVERGED)
+
+
+def test_biactive_pairs_are_counted_in_relaxed_steps():
+    """The corner of ``(x + 1)^2 + (y + 1)^2`` is biactive, the other pair is not."""
+    v = ca.SX.sym("v", 4)
+    f = (v[0] + 1) ** 2 + (v[1] + 1) ** 2 + (v[2] - 1) ** 2 + v[3] ** 2
+    result = solve(MPCC(v, f, None, v[[0, 2]], v[[1, 3]]), 0.5)
+    assert [step.biactive for step in result.history if step.t < 1e-2 and step.phase == "relaxed"][-1] == 1
+    assert (result.n_biactive, result.label) == (1, "S (1 biactive pair, B-stationary)")
+
+
+def test_only_rows_of_a_relaxation_have_a_multiplier():
+    """Near (0, 2) the row ``x y <= t`` holds x back against the pull 2 of ``(x - 1)^2``: 2 = mu y."""
+    result = solve(MPCC(XY, (x - 1) ** 2 + (y - 2) ** 2, None, x, y), 0.5)
+    relaxed = [step for step in result.history if step.phase == "relaxed"]
+    others = [step for step in result.history if step.phase not in ("relaxed", "second")]
+    assert others
+    assert all(step.multiplier == 0 for step in others)
+    assert relaxed[-1].multiplier == pytest.approx(1.0, rel=1e-2)
+
+
+def test_label_in_words():
+    result = solve(MPCC(XY, x + 2 * y, None, x, y), [0.3, 0.4])
+    two, none = np.array([0, 1]), np.zeros(0, dtype=np.int64)
+    for pairs, stationarity, b, words in (
+        (result.biactive, "S", True, "S (1 biactive pair, B-stationary)"),
+        (two, "W", False, "W (2 biactive pairs, not B-stationary)"),
+        (two, "", None, "no label (2 biactive pairs, B not computed)"),
+        (none, "S", True, "S (no biactive pair: a KKT point)"),
+        (none, "W", True, "W (0 biactive pairs, B-stationary)"),
+    ):
+        assert replace(result, biactive=pairs, stationarity=stationarity, b_stationary=b).label == words
+
+
+def test_nearest_point_is_the_most_feasible_and_of_exact_ones_the_lowest():
+    run = Run(CompiledNLPs(two_minima(), Options()), np.zeros(0))
+    points = [([1, 0.1], 3.0), ([1, 1e-3], 5.0), ([1, 1e-2], 0.0), ([1, 0], 2.0), ([1, 9e-9], 1.0),
+              ([1, 0], 1.5), ([np.inf, 1], -9.0)]  # fmt: skip
+    kept = []
+    for z, f in points:
+        with np.errstate(invalid="ignore"):
+            run.keep(np.array(z, float), f)
+        kept.append(run.nearest[1])
+    assert kept == [3, 5, 5, 2, 1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("limits", "iterations", "status"),
+    [({"max_iterations": 5}, 5, Status.ITERATION_LIMIT), ({"max_iterations": 5}, 4, None),
+     ({"time_limit_s": 1e-9}, 0, Status.TIME_LIMIT), ({"time_limit_s": 100.0}, 0, None)],
+)  # fmt: skip
+def test_limits_are_checked_between_nlps_and_after_iterations(limits, iterations, status):
+    run = Run(CompiledNLPs(two_minima(), Options(**limits)), np.zeros(0))
+    assert run.nlps.only_clock == ("time_limit_s" in limits)
+    run.iterations = iterations
+    assert run.seconds_left > 0
+    if status is None:
+        run._begin("relaxed", 1.0)
+        stops = [run.nlps.watch.monitor(0, np.zeros(2), 0.0) for _ in range(2)]
+        assert stops == [False, "max_iterations" in limits]
+    else:
+        with pytest.raises(LimitReachedError) as error:
+            run._begin("relaxed", 1.0)
+        assert error.value.status is status
+
+
+def test_without_limits_and_observers_nothing_is_watched():
+    run = Run(CompiledNLPs(two_minima(), Options()), np.zeros(0))
+    run._begin("relaxed", 1.0)
+    assert run.nlps.watch.monitor is None
+    assert run.seconds_left == np.inf
+
+
+@pytest.mark.slow
+def test_iteration_limit_holds_and_gives_the_best_point():
+    total = solve(obstacle(), 0.1).counts["ipopt_iterations"]
+    for limit in (1, total // 2, total - 1):
+        result = solve(obstacle(), 0.1, max_iterations=limit)
+        assert result.counts["ipopt_iterations"] <= limit
+        if not result.success:
+            assert result.status is Status.ITERATION_LIMIT
+            ends = [max(s.constraint_violation, s.complementarity) for s in result.history]
+            assert max(result.constraint_violation, result.complementarity) <= min(ends) + 1e-12
+    assert solve(obstacle(), 0.1, max_iterations=total + 10).success
+
+
+@pytest.mark.slow
+def test_time_limit_holds_within_an_nlp():
+    """Each evaluation of this objective takes 10 ms: thousands of them would be needed."""
+
+    class Slow(ca.Callback):
+        def __init__(self):
+            ca.Callback.__init__(self)
+            self.construct("slow", {"enable_fd": True})
+
+        def get_sparsity_in(self, i):
+            return ca.Sparsity.dense(4, 1)
+
+        def eval(self, arg):
+            time.sleep(0.01)
+            w = np.array(arg[0]).ravel()
+            return [float(100 * (w[1] - w[0] ** 2) ** 2 + (1 - w[0]) ** 2 + (w[2] - w[3]) ** 2)]
+
+    slow, v = Slow(), ca.MX.sym("v", 4)
+    options = {"hessian_approximation": "limited-memory"}
+    began = time.monotonic()
+    result = solve(
+        MPCC(v, slow(v), None, v[2], v[3]), [-1.2, 1, 0.5, 0.5], time_limit_s=1.0,
+        ipopt_relaxed=options, ipopt_exact=options,
+    )  # fmt: skip
+    assert time.monotonic() - began < 10
+    assert (result.status, result.success) == (Status.TIME_LIMIT, False)
+    assert np.all(np.isfinite(result.x))
+
+
+@pytest.fixture
+def _ctrl_c_raises():
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_ctrl_c_raises")
+def test_ctrl_c_in_the_middle_of_a_solve_is_not_a_failed_result():
+    def press(iteration, *_):
+        if iteration == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    nlp = CompiledNLPs(two_minima(), Options()).lifted.nlp
+    with pytest.raises(KeyboardInterrupt):
+        Solver(nlp, monitor=press)(np.full(nlp.n_x, 0.5))
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with pytest.raises(KeyboardInterrupt):
+        solve(two_minima(), 0.5, on_iteration=lambda iterate: press(iterate.iteration))
+
+
+@pytest.mark.slow
+def test_neighbouring_problem_is_solved_from_the_multipliers_of_the_first():
+    """The obstacle a little lower: a few Newton steps, where the homotopy takes dozens of iterations."""
+    mpcc, depth = obstacle(), ca.SX.sym("depth")
+    solver = MPCCSolver(MPCC(mpcc.x, mpcc.f, mpcc.g, mpcc.G, mpcc.H - 0.05 + depth, lbg=0, ubg=0, p=depth))
+    known = solver(0.1, p=0.05)
+    given = Duals(known.lam_x, known.lam_g, known.lam_G, known.lam_H)
+    cold, warm = solver(known.x, p=0.0502), solver(known.x, p=0.0502, start=given)
+    assert warm.success
+    assert warm.f == pytest.approx(cold.f, rel=1e-7)
+    assert warm.counts["ipopt_iterations"] == 0 < cold.counts["ipopt_iterations"]
+    far = solver(known.x, p=0.2, start=known)  # too far for Newton's method: the homotopy goes on
+    assert far.success
+    assert far.f == pytest.approx(solver(known.x, p=0.2).f, rel=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("changes", [{"warm_duals": True}, {"newton_finish": False}])
+def test_warm_starts_lead_to_the_same_solution(changes):
+    plain = solve(obstacle(), 0.1)
+    assert solve(obstacle(), 0.1, **changes).f == pytest.approx(plain.f, rel=1e-7)

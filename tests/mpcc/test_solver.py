@@ -1,0 +1,473 @@
+"""Solves of problems with solutions in closed form, and what a solve makes of the ends of its paths."""
+
+import sys
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, Options, homotopy, solve
+from rmesh_nlp.mpcc import solver as solving
+from rmesh_nlp.mpcc.finish import Finish, finish
+from rmesh_nlp.mpcc.homotopy import Path
+from rmesh_nlp.mpcc.lifting import automatic_derivatives
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc.solver import _choose, _end, _failure
+from rmesh_nlp.mpcc.stationarity import Stationarity
+from rmesh_nlp.optimize.status import Status
+from support.scripted_run import ScriptedRun, ended, two_minima
+from support.switch_detection import switch_detection
+
+KINDS = [ca.SX, ca.MX]
+S = Status
+HERE, START = np.array([2.0, 0.0]), np.array([0.5, 0.5])
+LABELLED = Stationarity("W")
+x, y, w = (ca.SX.sym(name) for name in "xyw")
+XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
+ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y)
+
+
+def end_of(f, status=Status.CONVERGED, label=LABELLED):
+    return Path(finish=Finish(HERE, f, status, label))
+
+
+INEXACT = Path(finish=Finish(HERE, -9.0, Status.INACCURATE))
+UNBOUNDED = Path(finish=Finish(HERE, -1e20, Status.UNBOUNDED))
+
+
+@pytest.mark.parametrize(
+    ("better", "worse"),
+    [
+        (end_of(1.0), end_of(1.1)),
+        (end_of(-1.1), end_of(-1.0)),
+        (end_of(1.0), UNBOUNDED),  # a minimum is an answer, that there is none further down is not
+        (end_of(1.0), end_of(0.0, S.STALLED)),
+        (UNBOUNDED, end_of(0.0, S.STALLED)),
+        (UNBOUNDED, INEXACT),
+        (end_of(5.0, S.STALLED), INEXACT),
+        (end_of(0.0, S.STALLED), end_of(1.0, S.STALLED)),
+    ],
+)
+def test_better_end_is_chosen_in_either_order(better, worse):
+    for paths in ([better, worse], [worse, better], [Path(), worse, Path(), better]):
+        assert _choose(paths) is better.finish
+
+
+@pytest.mark.parametrize("f", [0.0, 1.0, -1000.0])
+def test_of_ends_that_differ_by_rounding_the_earlier_is_chosen(f):
+    first, second, lower = (end_of(f - part * 1e-7 * (1 + abs(f))) for part in (0, 0.5, 2))
+    assert _choose([first, second]) is first.finish
+    assert _choose([first, lower]) is lower.finish
+    assert _choose([Path(), Path()]) is None
+
+
+class TestEnd:
+    """The point and the status that are returned."""
+
+    def end(self, *paths, limit=None, run=None, **names):
+        return _end(run or ScriptedRun(**names), list(paths), START, limit)
+
+    @pytest.mark.parametrize(
+        ("path", "limit", "exact", "said"),
+        [
+            (end_of(1.0), S.TIME_LIMIT, True, S.CONVERGED),  # stationary: keeps its status if it is exact
+            (end_of(1.0, S.ACCEPTABLE), None, True, S.ACCEPTABLE),
+            (end_of(1.0), None, False, S.INACCURATE),
+            (end_of(1.0, S.STALLED), None, True, S.STALLED),  # exact: its own status, or that of a limit
+            (end_of(1.0, S.STALLED), S.TIME_LIMIT, True, S.TIME_LIMIT),
+        ],
+    )
+    def test_exact_end_is_returned_with_its_label(self, path, limit, exact, said):
+        found = self.end(path, limit=limit, exact=lambda z: exact)
+        assert (found.status, found.f, found.stationarity) == (said, 1.0, LABELLED)
+
+    @pytest.mark.parametrize(
+        ("path", "limit", "known", "said"),
+        [
+            (Path(), S.ITERATION_LIMIT, True, S.ITERATION_LIMIT),
+            (Path(failure=S.INFEASIBLE), None, True, S.INFEASIBLE),
+            (Path(failure=S.STALLED), None, False, S.INFEASIBLE),  # before any NLP has ended
+        ],
+    )
+    def test_else_the_point_with_the_smallest_residuals_is_returned(self, path, limit, known, said):
+        run = ScriptedRun()
+        run.nearest = (HERE, 1.0, 5.0) if known else None
+        found = self.end(path, limit=limit, run=run)
+        assert found.z is (HERE if known else START)
+        assert (found.stationarity, found.status) == (None, said)
+
+    @pytest.mark.parametrize(
+        ("f", "point", "unbounded"),
+        [(x + y, [2e15, 0.0], True), (x + y, [0.0, -2e15], True), (x + y, [1e8, 1e7], False),
+         (x + y, [np.nan, 2e15], False), (-1e10 * x, [1e6, 0.0], True), (-1e10 * x, [1e4, 0.0], False),
+         (1e10 * x, [1e6, 0.0], False)],
+    )  # fmt: skip
+    def test_iterates_or_objectives_beyond_all_measure_are_called_unbounded(self, f, point, unbounded):
+        for path in (Path(relaxed=ended(point), failure=S.ITERATION_LIMIT),
+                     Path(finish=Finish(np.array(point), 0.0, S.ITERATION_LIMIT))):  # fmt: skip
+            found = self.end(path, run=ScriptedRun(mpcc=MPCC(XY, f, None, x, y)))
+            assert (found.status is S.UNBOUNDED) == unbounded == (list(found.z) == point)
+
+
+@pytest.mark.parametrize(
+    ("failures", "finishes", "excess_of_nearest", "said"),
+    [
+        ([S.STALLED], [], 1.0, S.STALLED),
+        ([S.INFEASIBLE, S.TIME_LIMIT], [], 1.0, S.TIME_LIMIT),
+        ([S.INFEASIBLE], [], 0.5, S.STALLED),  # what ends at a feasible point is not called infeasible
+        ([], [], 0.5, S.STALLED),
+        ([S.INFEASIBLE, S.FAILED], [], 2.0, S.INFEASIBLE),
+        ([S.STALLED], [S.INACCURATE], 2.0, S.INFEASIBLE),
+        ([S.STALLED], [S.CONVERGED], 2.0, S.INFEASIBLE),
+        ([S.STALLED, S.ITERATION_LIMIT], [S.INACCURATE], 2.0, S.ITERATION_LIMIT),
+        ([S.STALLED], [S.EVALUATION_ERROR], 2.0, S.EVALUATION_ERROR),
+        ([], [], 2.0, S.FAILED),
+    ],
+)
+def test_why_no_exact_point_was_found(failures, finishes, excess_of_nearest, said):
+    paths = [Path(failure=status) for status in failures]
+    paths += [Path(finish=Finish(HERE, 0.0, status)) for status in finishes]
+    assert _failure(paths, excess_of_nearest) is said
+
+
+class TestAttempts:
+    """Homotopies until one ends; an attempt is (name, t0, dependent, patience)."""
+
+    @pytest.fixture
+    def attempts(self, monkeypatch):
+        calls, self.ends, self.looks = [], {}, 0
+
+        def follow(run, path, name, z0, t0, first, *, patience):
+            calls.append((name, t0, run.nlps.dependent, patience))
+            known = self.ends.get(name, Path(failure=S.STALLED))
+            path.finish, path.failure = known.finish, known.failure
+
+        def look(run, path, x0, first):
+            self.looks += 1
+
+        monkeypatch.setattr(solving, "follow", follow)
+        monkeypatch.setattr(solving, "second_path", look)
+        return calls
+
+    def solved(self, **options):
+        return solve(two_minima(), [0.5, 0.6], **options)
+
+    def test_each_is_tried_once_and_rescues_reckon_with_dependent_equations(self, attempts):
+        result = self.solved(rescues=(("l1-penalty", 1.0), ("scholtes", 1.0), ("scholtes", 1e-3)))
+        assert attempts == [
+            ("scholtes", 1.0, False, 3),
+            ("l1-penalty", 1.0, True, 3),
+            ("scholtes", 1e-3, True, 3),
+        ]
+        assert (result.counts["rescues"], self.looks) == (2, 1)  # a look after the first path alone
+
+    def test_relaxation_that_was_empty_is_not_tried_from_a_smaller_t(self, attempts):
+        self.ends["scholtes"] = Path(failure=S.INFEASIBLE)
+        self.solved(rescues=(("scholtes", 1e-3), ("l1-penalty", 1.0)), second_path=False)
+        assert attempts == [("scholtes", 1.0, False, 3), ("l1-penalty", 1.0, True, 0)]
+
+    @pytest.mark.parametrize(
+        ("end", "status", "looks"), [(end_of(1.0), S.CONVERGED, 1), (UNBOUNDED, S.UNBOUNDED, 0)]
+    )
+    def test_stationary_end_or_one_without_a_bound_needs_no_rescue(self, end, status, looks, attempts):
+        self.ends["scholtes"] = end
+        result = self.solved()
+        assert (len(attempts), result.counts["rescues"], self.looks) == (1, 0, looks)
+        assert result.status is status
+        self.solved(second_path=False)
+        assert self.looks == looks
+
+    def test_second_path_needs_as_much_time_as_is_spent_and_expressions(self, attempts, monkeypatch):
+        self.ends["scholtes"] = end_of(1.0)
+        column = ca.vertcat(x, y)
+        own = automatic_derivatives(XY, ca.SX(0, 1), x + y, column)
+        solve(MPCC(XY, x + y, None, x, y, derivatives=own), [0.5, 0.6])
+        assert self.looks == 0
+        monkeypatch.setattr(solving.Run, "seconds_left", property(lambda run: 1e-6))
+        self.solved()
+        assert self.looks == 0
+
+    def test_known_multipliers_are_tried_at_once_and_an_end_is_the_answer(self, attempts, monkeypatch):
+        known = Duals(np.zeros(2), np.zeros(0), np.zeros(1), np.zeros(1))
+        monkeypatch.setattr(solving, "polished", lambda *_: end_of(1.0).finish)
+        result = MPCCSolver(two_minima())([2.0, 0.0], start=known)
+        assert (attempts, result.status) == ([], S.CONVERGED)
+        monkeypatch.setattr(solving, "polished", lambda *_: None)
+        MPCCSolver(two_minima(), Options(rescues=()))([2.0, 0.0], start=known)
+        assert [name for name, *_ in attempts] == ["scholtes"]
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-4])
+def test_multipliers_of_rows_pairs_and_bounds_are_in_their_places_and_units(size):
+    """min (x-2)^2 + (y-1)^2 + (w+1)^2 + 3 (w+2), x + w <= 1, w >= -1/2 and <= 9, 0 <= x _|_ 2 y >= 0.
+
+    At x = 3/2, y = 0, w = -1/2: 2 (x - 2) + lam = 0, so lam = 1 of the row; 2 (y - 1) + 2 nu = 0, so nu = 1
+    of 2 y; 2 (w + 1) + 3 + lam + lam_w = 0, so lam_w = -5. A weight of the objective must not be seen.
+    """
+    f = size * ((x - 2) ** 2 + (y - 1) ** 2 + (w + 1) ** 2 + 3 * (w + 2))
+    rows = ca.vertcat(x + w, w - x)
+    mpcc = MPCC(XYW, f, rows, x, 2 * y, ubg=[1, 9], lbg=[-9, -9], lbx=[-9, -9, -0.5], ubx=9)
+    result = solve(mpcc, [1.4, 0.1, -0.4])
+    assert result.success
+    assert result.x == pytest.approx([1.5, 0, -0.5], abs=1e-6)
+    assert result.lam_x / size == pytest.approx([0, 0, -5], abs=1e-4)
+    assert result.lam_g / size == pytest.approx([1, 0], abs=1e-4)
+    assert [*result.lam_G, *result.lam_H] == pytest.approx([0, size], abs=1e-4 * size)
+    assert (result.G[0], result.H[0], result.g[0]) == pytest.approx((1.5, 0, 1), abs=1e-6)
+
+
+def test_without_a_label_there_are_no_multipliers():
+    mpcc = MPCC(XY, x + y, XY, x, y, lbg=0.5)
+    result = solve(mpcc, [1.0, 1.0], t0=1e-4, rescues=())
+    assert (result.success, result.stationarity, result.b_stationary) == (False, "", None)
+    for values in (result.lam_x, result.lam_g, result.lam_G, result.lam_H):
+        assert values.size
+        assert np.all(np.isnan(values))
+    assert (result.counts["pivots"], result.counts["lpecs"], result.n_biactive) == (0, 0, 0)
+
+
+def test_seconds_are_those_of_the_steps_by_phase():
+    result = solve(two_minima(), [0.5, 0.6])
+    spent = {"homotopy": 0.0, "finish": 0.0}
+    for step in result.history:
+        spent["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
+    assert spent["homotopy"] > 0
+    assert {name: result.seconds[name] for name in spent} == pytest.approx(spent)
+    assert sum(spent.values()) < result.seconds["total"] < 60
+    assert 0 < result.seconds["build"] < result.seconds["total"]
+    kept = MPCCSolver(two_minima())
+    kept([0.5, 0.6])
+    again = kept([0.5, 0.6])
+    assert again.seconds["build"] < 1e-6  # nothing is built twice
+    assert 0 < again.seconds["total"] < 60
+
+
+def bilevel(kind, derive=False):
+    """``min (x - 3)^2 + (y - 2)^2`` with y the solution of ``min (y - x)^2 / 2, 0 <= y <= 1``.
+
+    The lower level clips x to [0, 1]: y = 1 for x >= 1, so x = 3, y = 1, f = 1.
+    """
+    v = kind.sym("v", 4)
+    x, y, low, high = ca.vertsplit(v)
+    f, g = (x - 3) ** 2 + (y - 2) ** 2, y - x - low + high
+    G, H = ca.vertcat(low, high), ca.vertcat(y, 1 - y)
+    own = automatic_derivatives(v, kind(0, 1), f, ca.vertcat(g, G, H)) if derive else None
+    unknowns = v if derive or kind is ca.SX else None
+    if unknowns is None:  # an MX of several symbols
+        parts = [kind.sym(name) for name in ("x", "y", "low", "high")]
+        unknowns = ca.vertcat(*parts)
+        f, g, G, H = ca.Function("oracle", [v], [f, g, G, H]).call([unknowns], True, False)
+    return MPCC(unknowns, f, g, G, H, lbg=0, ubg=0, derivatives=own)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("derive", [False, True])
+@pytest.mark.parametrize("relaxation", RELAXATIONS)
+def test_every_relaxation_solves_the_bilevel_problem(kind, derive, relaxation):
+    result = solve(bilevel(kind, derive), [0.2, 0.5, 0.1, 0.1], relaxation=relaxation)
+    assert (result.success, result.status, result.stationarity) == (True, S.CONVERGED, "S")
+    assert result.x == pytest.approx([3, 1, 0, 2], abs=1e-7)
+    assert result.f == pytest.approx(1, abs=1e-8)
+    assert result.complementarity <= 1e-9
+    assert result.constraint_violation <= 1e-8
+    assert any(step.phase == "relaxed" for step in result.history)
+    assert result.history[-1].phase != "relaxed"
+
+
+@pytest.mark.parametrize("start", [(0, 0), (1, 1), (5, -3), (0, 1)])
+def test_biactive_corner_and_the_two_arms(start):
+    corner = solve(MPCC(XY, (x + 1) ** 2 + (y + 1) ** 2, None, x, y), start)
+    assert (corner.x, list(corner.biactive)) == (pytest.approx([0, 0], abs=1e-9), [0])
+    arms = solve(ARMS, start)
+    assert sorted(arms.x) == pytest.approx([0, 1], abs=1e-8)
+    assert (corner.stationarity, arms.stationarity) == ("S", "S")
+    stays = solve(MPCC(XY, (x - 1) ** 2 + (y - 0.5) ** 2, None, x, y), [1, 0])
+    assert stays.x == pytest.approx([1, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("mpcc", "start", "x_end"),
+    [
+        (MPCC(XY, 0, y - 2 * x + 1, x, y, lbg=0, ubg=0), [1, 1], [0.5, 0]),  # an LCP, alone
+        # and with redundant rows
+        (
+            MPCC(XY, x, ca.vertcat(y - 2 * x + 1, 2 * y - 4 * x + 2, x - 0.5), x, y, lbg=0, ubg=0),
+            [1, 1],
+            [0.5, 0],
+        ),
+        (MPCC(XY, x - y, None, x, y, lbx=[1, -np.inf]), [2, 1], [1, 0]),
+        (MPCC(XY, (1e-4 * x - 1) ** 2 + (1e3 * y - 2) ** 2, None, 1e-4 * x, 1e3 * y), [0, 0], [0, 2e-3]),
+        (MPCC(XY, (x - 1) ** 2 + y**2, x + y, None, None, ubg=0.5), [0, 1], [0.75, -0.25]),
+        (MPCC(XY, (x - 1) ** 2 + y**2, None, ca.SX(0), ca.SX(1)), [0, 0], [1, 0]),
+        (MPCC(XY, x + 2 * (y - 1) ** 2, y, x, y, lbg=1), [2, 2], [0, 1]),  # a weakly active row
+        (MPCC(x, (x - 1) ** 2, None, None, None), [0], [1]),
+        (MPCC(x, (x - 1) ** 2, x, None, None, ubg=0.5), [0], [0.5]),
+        (MPCC(ca.SX(0, 1), 0, None, ca.SX(0), ca.SX(1)), [], []),
+        (MPCC(ca.SX(0, 1), 0, None, None, None), [], []),
+    ],
+)
+def test_solution_of_closed_form(mpcc, start, x_end):
+    result = solve(mpcc, start)
+    assert (result.success, result.stationarity) == (True, "S")
+    assert result.x == pytest.approx(x_end, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("mpcc", "start", "status"),
+    [
+        (MPCC(XY, ca.log(x - 1) ** 2 + y, None, x, y), [0, 1], S.EVALUATION_ERROR),
+        (MPCC(XY, x, None, x, y, ubx=[-1, np.inf]), [-2, 1], S.INFEASIBLE),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+            (MPCC(XY, x + y, XY, x, y, lbg=1), [2, 1], S.INFEASIBLE),
+            (MPCC(XY, -x - y, None, x, y), [1, 1], S.UNBOUNDED),
+            (MPCC(XY, x + y, None, x + 1, y + 1, lbx=0), 0.0, S.INFEASIBLE),
+            (MPCC(XY, x + y, x**2 + y**2, x, y, ubg=-1), 1.0, S.INFEASIBLE),
+            (MPCC(XY, x + y, x * y, x, y, lbg=1), 1.0, S.INFEASIBLE),
+            (MPCC(ca.SX(0, 1), 0, None, ca.SX(1), ca.SX(1)), [], S.INFEASIBLE),
+            (MPCC(XY, x, None, x, y, lbx=[1, 1], ubx=[1, 1]), [1, 1], S.INFEASIBLE),
+        )),
+    ],
+)  # fmt: skip
+def test_problem_without_a_solution_is_named(mpcc, start, status):
+    result = solve(mpcc, start)
+    assert (result.status, result.success, result.stationarity) == (status, False, "")
+    if status is S.INFEASIBLE:
+        assert max(result.constraint_violation, result.complementarity) > 1e-6
+
+
+@pytest.mark.slow
+def test_success_is_never_said_of_a_point_without_multipliers():
+    """``(x - y)^2 <= 0`` leaves only the origin, but its linearisation leaves everything."""
+    result = solve(MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, (x - y) ** 2, x, y, ubg=0), [1, 1])
+    assert result.x == pytest.approx([0, 0], abs=1e-3)
+    assert not (result.success and result.b_stationary is False)
+    assert solve(MPCC(XY, x, None, x, y, lbx=[1, 0], ubx=[1, 0]), [1, 0]).success  # all unknowns are fixed
+
+
+@pytest.mark.slow
+def test_without_a_label_nothing_is_called_a_success(monkeypatch):
+    """The multiplier programs fail numerically: the point may be right, but it is not shown to be."""
+    module = sys.modules["rmesh_nlp.mpcc.stationarity"]
+    monkeypatch.setattr(module, "proof_of_s", lambda *_: None)
+    monkeypatch.setattr(module, "strongest", lambda *_: ("", None))
+    result = solve(ARMS, [0.5, 0.6])
+    assert (result.success, result.stationarity, result.status) == (False, "", S.STALLED)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_parameters_are_values_of_one_compiled_problem(kind):
+    v, p = kind.sym("v", 2), kind.sym("p")
+    solver = MPCCSolver(MPCC(v, (v[0] - p) ** 2 + (v[1] - 1) ** 2, None, v[0], v[1], p=p))
+    for value in (3.0, 2.0):
+        assert solver([1, 1], p=value).x == pytest.approx([value, 0], abs=1e-8)
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e-6, 1e-12, 1e8])
+def test_size_of_the_objective_does_not_matter(weight):
+    """Local minima: (0, 2) with f = weight, and (1, 0) with f = 4 weight."""
+    result = solve(MPCC(XY, weight * ((x - 1) ** 2 + (y - 2) ** 2), None, x, y), [0.3, 0.3])
+    assert result.success
+    on_x = result.x[0] < 0.5
+    assert result.f / weight == pytest.approx(1 if on_x else 4, rel=1e-8)
+    multiplier = result.lam_G[0] if on_x else result.lam_H[0]
+    assert multiplier / weight == pytest.approx(2 if on_x else 4, rel=1e-6)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
+def test_size_of_a_row_does_not_hide_that_it_is_active(size):
+    """Minimum at x + w = 1, y = 0, where the multiplier of the row is of size 1 / size."""
+    f = 1e-6 * ((x - 2) ** 2 + (w - 2) ** 2 + (y + 1) ** 2)
+    result = solve(MPCC(XYW, f, ca.vertcat(size * (x + w), x - w), x, y, lbg=[-size, 0], ubg=[size, 0]), 0.3)
+    assert result.success
+    assert result.x == pytest.approx([0.5, 0, 0.5], abs=1e-6)
+
+
+def test_equations_that_follow_from_each_other_do_not_hide_that_a_point_is_not_stationary():
+    """The same equation twice above quartics: Ipopt's multipliers grow without bound, it stops far away."""
+    v = ca.SX.sym("v", 6)
+    row = v[1] - 2 * v[2] + 2 * v[3] + 3 * v[4] + v[5] + 3
+    f = ca.sum1((v - ca.DM([-2, 1, 2, -3, -2, 3])) ** 4)
+    start = [1.27509206, 0.59510941, -0.25152303, -0.40165235, 0.84203573, 1.82822258]
+    result = solve(MPCC(v, f, ca.vertcat(row, 2 * row), None, None, lbx=-5, ubx=5, lbg=0, ubg=0), start)
+    assert result.success
+    assert result.f == pytest.approx(4.467838, rel=1e-5)
+
+
+def test_kink_of_the_objective_is_not_infeasibility():
+    result = solve(MPCC(XY, ca.fabs(x - 1) + y, None, x, y), [0.3, 0.3])
+    assert result.status is not S.INFEASIBLE
+    assert (result.constraint_violation, result.f) == (pytest.approx(0, abs=1e-8), pytest.approx(0, abs=1e-6))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_dynamics_whose_branches_leave_no_freedom_are_solved(seed):
+    """Cross complementarity: a share that is on closes several multipliers with one equation."""
+    instance = switch_detection(3, seed)
+    result = solve(instance.mpcc, instance.x0)
+    assert result.success
+    assert result.constraint_violation <= 1e-8
+
+
+def test_exact_relaxed_point_is_not_thrown_away(monkeypatch):
+    """Neither Newton nor a branch NLP ends: the relaxed point, projected, is labelled all the same."""
+    branch = CompiledNLPs.branch
+
+    def lost(self, z, p, *rest, **names):
+        result = branch(self, z, p, *rest, **names)
+        return replace(result, x=result.x + 1.0, status=S.STALLED)
+
+    monkeypatch.setattr(CompiledNLPs, "branch", lost)
+    monkeypatch.setattr("rmesh_nlp.mpcc.finish.polish", lambda *_: None)
+    g = ca.vertcat(x + y + w - 1, y - w - 0.5 + x, 2 * y - 1.5 + 2 * x)  # one point per branch
+    result = solve(MPCC(XYW, (x - 1) ** 2 + y**2, g, x, y, lbg=0, ubg=0), 0.5)
+    assert result.success
+    assert result.f == pytest.approx(min(1 + 0.75**2, (0.75 - 1) ** 2), abs=1e-7)
+
+
+def test_early_finish_must_be_where_the_path_leads(monkeypatch):
+    """A finish that is much worse than the relaxed solutions foretell is not taken before t_final."""
+    honest = homotopy.polished
+
+    def poor(*arguments):
+        found = honest(*arguments)
+        return None if found is None else replace(found, f=found.f + 1.0)
+
+    monkeypatch.setattr(homotopy, "polished", poor)
+    result = solve(ARMS, [0.5, 0.6])
+    assert min(step.t for step in result.history if step.phase == "relaxed") == pytest.approx(1e-8)
+
+
+def test_another_relaxation_comes_to_the_rescue(monkeypatch):
+    relaxed, names = CompiledNLPs.relaxed, set()
+
+    def shy(self, name, *rest):
+        names.add(name)
+        result = relaxed(self, name, *rest)
+        return replace(result, status=S.STALLED) if name == "scholtes" else result
+
+    def only_after_a_relaxation(run, point, **options):
+        """The finish, except from the start of the solve, where it would succeed without any relaxation."""
+        end = finish(run, point, search=False)
+        solved = any(step.status is S.CONVERGED for step in run.steps if step.phase == "relaxed")
+        return end if solved else replace(end, status=S.STALLED, stationarity=None)
+
+    monkeypatch.setattr(CompiledNLPs, "relaxed", shy)
+    monkeypatch.setattr(homotopy, "finish", only_after_a_relaxation)
+    result = solve(ARMS, [0.5, 0.6], second_path=False)
+    assert (result.success, result.counts["rescues"]) == (True, 1)
+    assert "steffensen-ulbrich" in names
+
+
+@pytest.mark.slow
+def test_sparse_square_problem_of_a_thousand_pairs():
+    """Obstacle problem u'' + load, u >= -0.05, on 1000 nodes; the contact force is the other member."""
+    n, h = 1000, 1 / 1001
+    v = ca.MX.sym("v", 2 * n)
+    u, force = ca.vertsplit(v, [0, n, 2 * n])
+    padded = ca.vertcat(0, u, 0)
+    balance = (2 * padded[1:-1] - padded[:-2] - padded[2:]) / h**2 + 1 - force
+    result = solve(MPCC(v, 0.5 * h * ca.sumsqr(u), balance, force, u + 0.05, lbg=0, ubg=0), 0.0)
+    assert result.success
+    # u'' = 1 off the contact, u = u' = 0 relative to the obstacle at its ends: width sqrt(2 * 0.05)
+    assert np.sum(result.G > 0.5) * h == pytest.approx(1 - 2 * np.sqrt(0.1), abs=3 * h)

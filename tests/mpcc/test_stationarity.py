@@ -1,0 +1,342 @@
+"""Labels against closed forms, against a search over all signs of multipliers, and their multipliers."""
+
+import itertools
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from rmesh_nlp.mpcc import MPCC, classify, solve
+from rmesh_nlp.mpcc import stationarity as module
+from rmesh_nlp.mpcc.lifting import lift
+from rmesh_nlp.mpcc.lpec import linearise
+from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, proof_of_s, stationarity, strongest
+from rmesh_nlp.optimize.status import Status
+
+TOLERANCE = 1e-6
+PIECES = {"S": ((-1, -1),), "M": ((-1, -1), (0, 2), (2, 0)), "C": ((-1, -1), (1, 1)), "W": ((2, 2),)}
+"""Signs of the two multipliers of a biactive pair: -1 (<= 0), 0 (= 0), 1 (>= 0), 2 (free)."""
+RANGES = {-1: (-np.inf, 0), 0: (0, 0), 1: (0, np.inf), 2: (-np.inf, np.inf)}
+
+x, y, w = (ca.SX.sym(name) for name in "xyw")
+XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
+
+
+def at(mpcc, point):
+    lifted = lift(mpcc)
+    z = lifted.start(np.asarray(point, dtype=float), np.zeros(0))
+    return lifted, linearise(lifted, z, np.ones(1), 1e-5, 1e-6)
+
+
+def assert_admissible(lifted, lin, found, name):
+    """The multipliers make the Lagrangian stationary, with signs that their bounds and the label allow."""
+    slack = 3 * TOLERANCE * lin.scale
+    slope = lin.gradient + lin.jacobian.T @ found.rows + found.z
+    for places, values in ((lifted.first, found.G), (lifted.second, found.H)):
+        for place, value in zip(places, values, strict=True):
+            slope[place] += value
+    assert np.max(np.abs(slope)) <= slack
+    for values, lower, upper in (
+        (found.rows, lin.row_lower, lin.row_upper),
+        (found.z, lin.z_lower, lin.z_upper),
+    ):
+        assert np.all(values[~lower] >= -slack)
+        assert np.all(values[~upper] <= slack)
+    assert not np.any(found.G[~lin.G_zero])
+    assert not np.any(found.H[~lin.H_zero])
+    for pair in zip(found.G[lin.biactive], found.H[lin.biactive], strict=True):
+        fits = [
+            all(RANGES[s][0] - slack <= v <= RANGES[s][1] + slack for s, v in zip(piece, pair, strict=True))
+            for piece in PIECES[name]
+        ]
+        assert any(fits), (name, pair)
+
+
+@pytest.mark.parametrize(
+    ("c", "d", "label", "b_stationary"),
+    [
+        (1, 1, "S", True),
+        (1, 0, "S", True),
+        (-1, 0, "M", False),  # d_x = 1 descends
+        (0, -1, "M", False),
+        (-1, -1, "C", False),
+        (1, -1, "W", False),
+        (-2, 3, "W", False),
+        (-1000, 2e-6, "M", False),  # zero is relative to the largest slope
+        (-1000, 2e-2, "W", False),
+        (-4e-6, 1, "W", False),  # and its tolerance is 1e-6
+        (-5e-7, 1, "S", True),
+    ],
+)
+@pytest.mark.parametrize("offered", [False, True])
+def test_label_at_a_corner_with_unique_multipliers(c, d, label, b_stationary, offered):
+    """At 0 of ``min c x + d y, 0 <= x _|_ y >= 0`` they are (nu_x, nu_y) = -(c, d) in CasADi's sign."""
+    mpcc = MPCC(XY, c * x + d * y, None, x, y)
+    lifted, lin = at(mpcc, [0, 0])
+    found = stationarity(lifted, lin, TOLERANCE, (np.zeros(0), -lin.gradient) if offered else None)
+    assert (found.label, found.b_stationary) == (label, b_stationary)
+    assert_admissible(lifted, lin, found.multipliers, label)
+    slack = 3 * TOLERANCE * lin.scale
+    assert [found.multipliers.G[0], found.multipliers.H[0]] == pytest.approx([-c, -d], abs=slack)
+    assert (found.direction is None) == b_stationary
+    weighted = classify(MPCC(XY, 1e-3 * (c * x + d * y), None, x, y), [0, 0])
+    assert list(weighted.biactive) == [0]
+
+
+CLOSED = [  # objective, rows (<= 0, >= 0 or = 0 by sign), point, label, B
+    ("M and B: z <= 4x, z <= 4y", x + y - w, (w - 4 * x, w - 4 * y), (-np.inf, 0), [0, 0, 0], "M", True),
+    ("no multipliers: a free unknown with slope", x + y + w, None, None, [0, 0, 0], "none", False),
+    ("a row of the wrong side", x + y - w, (w - x - y - 1,), (-1, np.inf), [0, 0, 0], "none", False),
+    ("the same row from the other side", x + y - w, (w - x - y - 1,), (-np.inf, -1), [0, 0, 0], "S", True),
+    ("an equation may push either way", x + y - w, (w - 0.5 * x,), (0, 0), [0, 0, 0], "S", True),
+    ("only x is zero: its sign is free", -5 * x + (y - 1) ** 2 + w**2, None, None, [0, 1, 0], "S", True),
+    ("only y is zero", (x - 1) ** 2 - 5 * y + w**2, None, None, [1, 0, 0], "S", True),
+    ("but the slope along the free member counts", y - 5 * x + w**2, None, None, [0, 1, 0], "none", False),
+    ("LICQ fails: a redundant row", x + y + w**2, (x + y, 2 * x + y), (0, np.inf), [0, 0, 0], "S", True),
+    ("a row takes over nu_y", x - y + w**2, (y,), (-np.inf, 0), [0, 0, 0], "S", True),
+    ("no constraint qualification", -w + x + y, (w**2,), (-np.inf, 0), [0, 0, 0], "none", False),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "f", "rows", "bounds", "point", "label", "b"), CLOSED, ids=[c[0] for c in CLOSED]
+)
+def test_label_of_closed_form(name, f, rows, bounds, point, label, b):
+    limits = {} if bounds is None else {"lbg": bounds[0], "ubg": bounds[1]}
+    mpcc = MPCC(XYW, f, None if rows is None else ca.vertcat(*rows), x, y, **limits)
+    found = classify(mpcc, point)
+    assert (found.stationarity, found.b_stationary, found.feasible) == (label, b, True)
+
+
+def random_mpcc(seed, n_pairs, n_rows, nonlinear=0.0):
+    """An MPCC at whose origin everything is active and multipliers are mostly not unique."""
+    random = np.random.default_rng(seed)
+    n = 2 * n_pairs + 1
+    v = ca.SX.sym("v", n)
+    A = random.integers(-2, 3, (n_rows, n)).astype(float)
+    lam = random.choice([-1.0, 0.0, 1.0], n_rows)
+    nu = random.choice([-2.0, -1.0, 0.0, 1.0], n)
+    nu[-1] = 0.0
+    c = -(A.T @ lam + nu) if random.uniform() < 0.8 else random.integers(-2, 3, n).astype(float)
+    lower, upper = random.choice([0.0, -1.0], n_rows), random.choice([0.0, 1.0], n_rows)
+    rows = ca.mtimes(ca.DM(A), v) + nonlinear * ca.sumsqr(v)
+    f = ca.dot(ca.DM(c), v) + nonlinear * ca.sumsqr(v)
+    return MPCC(v, f, rows, v[:n_pairs], v[n_pairs : 2 * n_pairs], lbg=lower, ubg=upper), A, c
+
+
+def label_by_search(mpcc, A, c):
+    """The definition: some multipliers, among all choices of a piece for each pair, tried one by one."""
+    k, m, n = mpcc.n_pairs, A.shape[0], len(c)
+    rows = [
+        (-np.inf if low == 0 else 0, np.inf if up == 0 else 0)
+        for low, up in zip(mpcc.lbg, mpcc.ubg, strict=True)
+    ]
+    matrix = np.hstack([A.T, np.eye(n)[:, : 2 * k]])
+    for name, pieces in PIECES.items():
+        for chosen in itertools.product(pieces, repeat=k):
+            bounds = [*rows, *(RANGES[piece[0]] for piece in chosen), *(RANGES[piece[1]] for piece in chosen)]
+            if linprog(np.zeros(m + 2 * k), A_eq=matrix, b_eq=-c, bounds=bounds).status == 0:
+                return name
+    return "none"
+
+
+def descends_by_search(mpcc, A, c):
+    """The least slope over all branches."""
+    k, least = mpcc.n_pairs, 0.0
+    low, up = (np.where(np.asarray(b) == 0, 0.0, np.inf * s) for b, s in ((mpcc.lbg, -1), (mpcc.ubg, 1)))
+    A_ub = np.vstack([A[up == 0], -A[low == 0], np.zeros((1, len(c)))])
+    for sides in itertools.product((True, False), repeat=k):
+        top = np.array([0.0 if s else 1.0 for s in sides] + [1.0 if s else 0.0 for s in sides] + [1.0])
+        bounds = np.column_stack([np.append(np.zeros(2 * k), -1.0), top])
+        least = min(least, linprog(c, A_ub=A_ub, b_ub=np.zeros(len(A_ub)), bounds=bounds).fun)
+    return least
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_label_is_the_strongest_that_a_search_over_all_signs_finds(seed):
+    mpcc, A, c = random_mpcc(seed, 1 + seed % 3, seed % 5, 0.1 * (seed % 2))
+    lifted, lin = at(mpcc, np.zeros(mpcc.n_x))
+    found = stationarity(lifted, lin, TOLERANCE)
+    assert found.label == label_by_search(mpcc, A, c)
+    least = descends_by_search(mpcc, A, c)
+    assert found.b_stationary == (least > -1e-9)
+    if found.multipliers is not None:
+        assert_admissible(lifted, lin, found.multipliers, found.label)
+    if found.direction is not None:
+        assert found.direction.decrease == pytest.approx(least)
+
+
+def test_random_problems_have_every_label():
+    """Or the test above would prove less than it seems to."""
+    problems = [random_mpcc(seed, 1 + seed % 3, seed % 5, 0.1 * (seed % 2)) for seed in range(60)]
+    labels = [label_by_search(*problem) for problem in problems]
+    assert min(labels.count(name) for name in ("S", "M", "C", "W", "none")) >= 2
+
+
+def test_infeasible_point_gets_no_label():
+    found = classify(MPCC(XY, x + y, None, x, y), [1, 1])
+    assert (found.stationarity, found.b_stationary, found.feasible) == ("", None, False)
+
+
+def test_one_pair_of_many_spoils_the_label():
+    """Eight independent corners: more than the LPEC enumerates, so the MILP is asked."""
+    u, v = ca.SX.sym("u", 8), ca.SX.sym("v", 8)
+    assert classify(MPCC(ca.vertcat(u, v), ca.sum1(u) + ca.sum1(v), None, u, v), 0.0).stationarity == "S"
+    found = classify(MPCC(ca.vertcat(u, v), ca.sum1(u) + ca.sum1(v) - 2 * v[3], None, u, v), 0.0)
+    assert (found.stationarity, found.b_stationary) == ("W", False)
+
+
+def test_stationarity_is_relative_to_the_objective():
+    """A point with slope is not stationary however small the objective is."""
+    f = 1e-12 * ((x - 1) ** 2 + (y - 2) ** 2)
+    assert classify(MPCC(XY, f, None, x, y), [0, 1.5]).stationarity == "none"
+    assert classify(MPCC(XY, f, None, x, y), [0, 2]).stationarity == "S"
+
+
+def test_rows_that_are_zero_by_structure_are_no_obstacle():
+    rows = np.array([[0.0, 0, 0], [1, 0, 0]]) @ XYW
+    assert classify(MPCC(XYW, x + y + w, rows, y, w, lbg=0), np.zeros(3)).stationarity == "S"
+    zero = ca.vertcat(0 * w, x)
+    assert solve(MPCC(XYW, (x - 1) ** 2 + y**2 + w**2, None, zero, ca.vertcat(y, w)), 0.5).success
+
+
+@pytest.mark.parametrize("order", [(y, w), (w, y)])
+@pytest.mark.parametrize("swap", [False, True])
+def test_multiplier_of_a_shared_unknown_goes_to_the_pair_that_leaves_its_sign_free(order, swap):
+    """x is paired with y and w; at x = y = 0, w = 1 only the pair with y is biactive.
+
+    The slope -1 in x needs a multiplier +1 of x, which S forbids in the biactive pair.
+    """
+    ones, others = ca.vertcat(x, x), ca.vertcat(*order)
+    G, H = (others, ones) if swap else (ones, others)
+    lifted, lin = at(MPCC(XYW, -x + y + (w - 1) ** 2, None, G, H), [0, 0, 1])
+    proved = proof_of_s(lifted, lin, np.zeros(0), np.array([1.0, -1.0, 0.0]), TOLERANCE)
+    free = 0 if order[0] is w else 1
+    of_x, of_y = (proved.H, proved.G) if swap else (proved.G, proved.H)
+    assert (of_x[free], of_x[1 - free], of_y[1 - free]) == (1.0, 0.0, -1.0)
+    assert_admissible(lifted, lin, proved, "S")
+
+
+def test_shared_unknown_of_two_biactive_pairs_gives_its_multiplier_once():
+    lifted, lin = at(MPCC(XYW, 2 * x + y + w, None, ca.vertcat(x, x), ca.vertcat(y, w)), [0, 0, 0])
+    proved = proof_of_s(lifted, lin, np.zeros(0), np.array([-2.0, -1.0, -1.0]), TOLERANCE)
+    assert np.sum(proved.G) == -2.0
+    assert_admissible(lifted, lin, proved, "S")
+    # with the slope +1 of a member that is not zero nothing is proved
+    assert proof_of_s(lifted, lin, np.zeros(0), np.array([-2.0, -1.0, 1.0]), TOLERANCE) is None
+
+
+@pytest.mark.parametrize(
+    ("bounds", "f", "lam", "proves"),
+    [
+        ({"ubx": [0, np.inf, np.inf]}, -x + y, [1, -1, 0], True),  # x <= 0 holds the biactive x from above
+        ({}, -x + y, [1, -1, 0], False),
+        ({"lbx": [-1, -1, 0]}, x + y + w, [-1, -1, -1], True),  # a bound of an unknown in no pair
+        ({"lbx": [-1, -1, 0]}, x + y - w, [-1, -1, 1], False),
+        ({"ubx": [9, 9, 0]}, x + y - w, [-1, -1, 1], True),
+        ({"ubx": [9, 9, 0]}, x + y + w, [-1, -1, -1], False),
+        ({"lbx": [-1, -1, -1]}, x + y + w, [-1, -1, -1], False),  # not active
+        ({}, 1e-9 * x + y, [5e-7, -1, 0], True),  # small faults of sign are within the tolerance
+        ({}, -3e-6 * x + y, [3e-6, -1, 0], False),
+        ({}, x + y, [-1, -1.1, 0], False),  # no multipliers of this objective
+    ],
+)
+def test_offered_multipliers_prove_s_only_with_the_signs_of_their_bounds(bounds, f, lam, proves):
+    lifted, lin = at(MPCC(XYW, f, None, x, y, **bounds), [0, 0, 0])
+    proved = proof_of_s(lifted, lin, np.zeros(0), np.array(lam, float), TOLERANCE)
+    assert (proved is not None) == proves
+    if proves:
+        assert_admissible(lifted, lin, proved, "S")
+
+
+@pytest.mark.parametrize(
+    ("bounds", "proves"),
+    [({"lbg": 0.0}, False), ({"ubg": 0.0}, True), ({"lbg": 0.0, "ubg": 0.0}, True), ({}, False)],
+)
+def test_active_row_may_only_push_to_its_side(bounds, proves):
+    lifted, lin = at(MPCC(XYW, x + y - (x + w), x + w, x, y, **bounds), [0, 0, 0])
+    found = proof_of_s(lifted, lin, np.ones(1), np.array([-1.0, -1.0, 0.0]), TOLERANCE)
+    assert (found is not None) == proves
+
+
+def test_linear_program_that_fails_decides_nothing(monkeypatch):
+    class Answer:
+        status, x, fun = 4, None, None  # "numerical difficulties"
+
+    given = []
+    monkeypatch.setattr(module, "linprog", lambda *_, **names: given.append(names["options"]) or Answer)
+    lifted, lin = at(MPCC(XY, x + y, None, x, y), [0, 0])
+    assert strongest(lifted, lin, TOLERANCE) == ("", None)
+    Answer.status = 2
+    assert strongest(lifted, lin, TOLERANCE, 2.5) == ("none", None)
+    assert given == [{}, {"time_limit": 2.5}]
+
+
+@pytest.mark.parametrize(("slope", "label"), [(0, "S"), (x, "none"), (-y, "none"), (x - y, "none")])
+def test_without_any_multiplier_only_a_flat_objective_is_stationary(slope, label):
+    f = (x - 1) ** 2 + y**2 + slope
+    assert strongest(*at(MPCC(XY, f, None, None, None), [1, 0]), TOLERANCE)[0] == label
+
+
+def test_status_needs_a_label_and_b_stationarity():
+    some = Multipliers(*np.zeros((4, 1)))
+    for known, status in (
+        (Stationarity("S", some, True), Status.CONVERGED),
+        (Stationarity("none", None, True), Status.CONVERGED),
+        (Stationarity("W", some, None), Status.ACCEPTABLE),
+        (Stationarity("W", some, False), Status.STALLED),
+        (Stationarity("none", None, None), Status.STALLED),
+        (Stationarity("", None, True), Status.STALLED),
+        (Stationarity("", some, None), Status.STALLED),
+    ):
+        assert known.status is status
+
+
+def lagrangian_gradient(mpcc, result):
+    column = ca.vertcat(mpcc.g, mpcc.G, mpcc.H)
+    F = ca.Function("F", [mpcc.x], [ca.gradient(mpcc.f, mpcc.x), ca.jacobian(column, mpcc.x)])
+    gradient, jacobian = (part.full() for part in F(result.x))
+    return (
+        gradient.ravel()
+        + jacobian.T @ np.concatenate([result.lam_g, result.lam_G, result.lam_H])
+        + result.lam_x
+    )
+
+
+def scheel_like(n):
+    """``min x + y - z, z <= 3 x, z <= 3 y``: at 0 B- and M-stationary, not S (the multipliers sum to -1)."""
+    X, Y, Z = ca.SX.sym("X", n), ca.SX.sym("Y", n), ca.SX.sym("Z", n)
+    return MPCC(ca.vertcat(X, Y, Z), ca.sum1(X + Y - Z), ca.vertcat(Z - 3 * X, Z - 3 * Y), X, Y, ubg=0.0)
+
+
+@pytest.mark.parametrize(
+    ("mpcc", "label"),
+    [
+        (MPCC(XY, x + 2 * y, None, x, y), "S"),
+        (MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, x + y, x, y, lbg=-9, ubg=0.5), "S"),
+        (MPCC(XYW, (x - w) ** 2 + w**2, w - 1, x + w, y - w, lbg=0.0, ubx=[4, 4, 4]), "S"),
+        (MPCC(y, (y - 1) ** 2, None, y, y), "M"),  # y _|_ y forces y = 0 with the sign that S forbids
+        (scheel_like(2), "M"),
+    ],
+)
+def test_multipliers_given_back_prove_the_label(mpcc, label):
+    result = solve(mpcc, 1.0)
+    assert (result.success, result.stationarity, result.b_stationary) == (True, label, True)
+    assert np.max(np.abs(lagrangian_gradient(mpcc, result))) < 1e-5
+    if label == "S":
+        assert np.all(np.append(result.lam_G[result.biactive], result.lam_H[result.biactive]) <= 1e-6)
+    assert np.max(np.abs(result.lam_G[result.G > 1e-4]), initial=0.0) < 1e-6
+    assert np.max(np.abs(result.lam_H[result.H > 1e-4]), initial=0.0) < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [1, 2, 6])
+def test_b_without_s_needs_the_exact_finish(n):
+    """Here the relaxed solutions are off by sqrt(t): x = y = sqrt(t), z = 3 sqrt(t), f = -sqrt(t)."""
+    result = solve(scheel_like(n), 1.0)
+    assert (result.success, result.stationarity, result.b_stationary) == (True, "M", True)
+    assert len(result.biactive) == n
+    assert abs(result.f) < 1e-6
+    relaxed = [step for step in result.history if step.phase == "relaxed"][-1]
+    assert relaxed.objective == pytest.approx(-n * np.sqrt(relaxed.t), rel=1e-2)
