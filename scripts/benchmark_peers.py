@@ -23,7 +23,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -31,15 +30,13 @@ from statistics import median
 
 import numpy as np
 
-import rmesh_nlp as rm
 from isolated import Failed, isolated
-from peer_solvers.at_once import nlpsol_mapped, nlpsol_written_out
-from peer_solvers.case import Case, Finish, finish
-from peer_solvers.nested import scipy_minimize
+from peer_solvers import Case, Finish, nlpsol_mapped, nlpsol_written_out, scipy_minimize
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.report.columns import shown
 
 Solver = Callable[[Case], Finish]
 LONG = 20.0
@@ -49,24 +46,14 @@ PATIENCE = 6
 """Times the limit, by the clock, after which a process is ended: others may use the machine."""
 
 
-def by_mpcc(relaxation: str) -> Solver:
-    """``mpcc`` with a relaxation."""
-    return lambda case: _timed(
-        case, lambda: rm.solve(case.problem, "mpcc", relaxation=relaxation, **case.settings)
-    )
+def _by(formulation: str, **settings: object) -> Solver:
+    return lambda case: case.solve(formulation, **settings)
 
 
-def _timed(case: Case, solve: Callable[[], object]) -> Finish:
-    began = time.process_time()
-    return finish(case, solve(), began)  # type: ignore[arg-type]
-
-
-FORMULATIONS: dict[str, Solver] = {
-    "joint": lambda case: _timed(case, lambda: rm.solve(case.problem, "joint", **case.settings)),
-    "mpcc": by_mpcc("scholtes"),
-    "nested": lambda case: _timed(case, lambda: rm.solve(case.problem, "nested", **case.settings)),
+FORMULATIONS: dict[str, Solver] = {name: _by(name) for name in ("joint", "mpcc", "nested")}
+OTHERS: dict[str, Solver] = {
+    f"mpcc, {name}": _by("mpcc", relaxation=name) for name in RELAXATIONS if name != "scholtes"
 }
-OTHERS: dict[str, Solver] = {f"mpcc, {name}": by_mpcc(name) for name in RELAXATIONS if name != "scholtes"}
 PEERS: dict[str, Solver] = {
     "CasADi nlpsol, our expressions": nlpsol_mapped,
     "CasADi nlpsol, written out": nlpsol_written_out,
@@ -124,7 +111,7 @@ class Row:
 
 
 def run(task: Task, solver: str, limit: float) -> Row:
-    """Solve once in a process of its own, and judge where it stopped by our own contact solve."""
+    """Solve once in a process of its own, and measure where it stopped by our own contact solve."""
 
     def work() -> Row:
         problem = task.problem()
@@ -153,10 +140,6 @@ def runs(task: Task, repeat: int, limit: float) -> Iterator[Row]:
 
 def table(rows: Sequence[Row]) -> str:
     """A line for each solver on each problem, in Markdown."""
-
-    def number(value: float | None, form: str) -> str:
-        return "-" if value is None else format(value, form)
-
     lines = [
         "| problem | solver | status | energy, error | least area | iterations | time [s] | over the first |",
         "|:--|:--|:--|--:|--:|--:|--:|--:|",
@@ -175,8 +158,8 @@ def table(rows: Sequence[Row]) -> str:
             ratios = [a / b for a, b in zip(seconds, first, strict=False)]
             ratio = f"{median(ratios):.2g}" if ratios else "-"
         lines.append(
-            f"| {problem} | {solver} | {last.status.replace('|', '/')[:60]} | {number(last.value, '.7g')} "
-            f"| {number(last.least_area, '.2g')} | {number(last.iterations, 'd')} | {text} | {ratio} |"
+            f"| {problem} | {solver} | {last.status.replace('|', '/')[:60]} | {shown(last.value, '.7g')} "
+            f"| {shown(last.least_area, '.2g')} | {shown(last.iterations, 'd')} | {text} | {ratio} |"
         )
     return "\n".join(lines) + "\n"
 

@@ -1,4 +1,4 @@
-"""Solves judged by a finite-element solver of its own, to see whether anything wrong is called a success.
+"""Solves checked by a finite-element solver of its own, to see whether anything wrong is called a success.
 
     python scripts/soak_truth.py --count 500 --jobs 2 --out soak        random problems, one a seed
     python scripts/soak_truth.py --kind aimed --out soak                problems made to be exploited
@@ -188,13 +188,10 @@ def found_faults(row: Row) -> list[str]:
     return [fault for fault, bad in wrong.items() if bad]
 
 
-def judge(kind: str, number: int, folder: Path | None) -> Row:
+def judge(kind: str, number: int, folder: Path) -> Row:
     """The row of one problem."""
     warnings.simplefilter("ignore")
-    if kind == "random":
-        data = draws.random(number)
-    else:
-        data = (draws.aimed() if kind == "aimed" else draws.parts(folder or Path()))[number]
+    data = draws.KINDS[kind](folder)[number] if kind != "random" else draws.random(number)
     row: Row = {"kind": kind, "number": number, "name": data.name, "family": data.name.split(" ")[0]}
     try:
         return row | judged(data)
@@ -211,42 +208,37 @@ def factor(rows: Iterable[Row]) -> float:
 
 def summary(rows: Sequence[Row]) -> int:
     """Print the figures of all rows; the exit code."""
-    faults = Counter(fault for row in rows for fault in row["faults"])
+
+    def faults(part: Iterable[Row]) -> dict[str, int]:
+        return dict(Counter(fault for row in part for fault in row["faults"]))
+
     print(f"\n{len(rows)} solves, {sum(not row['feasible'] for row in rows)} of infeasible problems")
     for family in sorted({row["family"] for row in rows}):
         part = [row for row in rows if row["family"] == family]
-        good = [row for row in part if row["success"]]
-        counts = (
-            f"{len(part)} solves, {sum(row['well_posed'] for row in part)} well-posed, {len(good)} successes"
-        )
-        wrong = dict(Counter(fault for row in part for fault in row["faults"]))
-        print(f"  {family}: {counts}, {sum(bool(row['faults']) for row in good)} of them with a fault,")
-        print(f"    median true factor {factor(good):.3f}; {wrong or 'no fault'}")
+        good, posed = ([row for row in part if row[key]] for key in ("success", "well_posed"))
+        print(f"  {family}: {len(part)} solves, {len(posed)} well-posed, {len(good)} successes,")
+        print(f"    {sum(bool(row['faults']) for row in good)} of them with a fault,", end=" ")
+        print(f"median true factor {factor(good):.3f}; {faults(part) or 'no fault'}")
     print(f"statuses: {dict(Counter(row['status'] for row in rows))}")
     for key in ("seconds", "judge_seconds"):
-        print(
-            f"{key}: median {median(row[key] for row in rows):.2f}, most {max(row[key] for row in rows):.1f}"
-        )
-    false = Counter(fault for row in rows if row["success"] for fault in row["faults"])
-    print(f"faults: {dict(faults)}; of successes: {dict(false)}")
-    posed = [row for row in rows if row["well_posed"]]
+        times = [row[key] for row in rows]
+        print(f"{key}: median {median(times):.2f}, most {max(times):.1f}")
+    good, posed = ([row for row in rows if row[key]] for key in ("success", "well_posed"))
     share = sum(row["success"] for row in posed) / max(len(posed), 1)
+    print(f"faults: {faults(rows)}; of successes: {faults(good)}")
     print(f"successes of the {len(posed)} well-posed problems: {share:.1%}")
-    print(f"median true factor over successes: {factor(row for row in rows if row['success']):.4f}")
-    return 1 if faults or (posed and share < SUCCEED) else 0
+    print(f"median true factor over successes: {factor(good):.4f}")
+    return 1 if faults(rows) or (posed and share < SUCCEED) else 0
 
 
 def compare(old: Sequence[Row], new: Sequence[Row]) -> None:
     """Print both medians over what is a success without a fault in the old rows."""
     now = {(row["kind"], row["name"]): row for row in new}
-    honest = [
-        row for row in old if row["success"] and not row["faults"] and (row["kind"], row["name"]) in now
-    ]
-    then = [now[row["kind"], row["name"]] for row in honest]
-    print(
-        f"{len(honest)} honest successes of the old rows, {sum(row['success'] for row in then)} of them now"
-    )
-    print(f"their median true factor: {factor(honest):.4f} then, {factor(then):.4f} now")
+    honest = [row for row in old if row["success"] and not row["faults"]]
+    then = [row for row in honest if (row["kind"], row["name"]) in now]
+    again = [now[row["kind"], row["name"]] for row in then]
+    print(f"{len(then)} honest successes of the old rows, {sum(row['success'] for row in again)} of them now")
+    print(f"their median true factor: {factor(then):.4f} then, {factor(again):.4f} now")
 
 
 def show(row: Row) -> None:
@@ -255,9 +247,14 @@ def show(row: Row) -> None:
     word, claim = row["status"] + ", success" * row["success"], row.get("claimed")
     print(f"{row['name']}: {word}; {', '.join(row['faults']) or 'no fault'}")
     print(f"    true errors {errors}, factor {factor([row]):.3f}, claimed {claim}, energy norms {norms}")
-    if row["kind"] == "parts" and "peak" in row:
-        for key in ("peak", "resultant", "length"):
-            print(f"    {key} before, after, reference: {[f'{value:.4g}' for value in row[key]]}")
+    for key in ("peak", "resultant", "length") if row["kind"] == "parts" and "peak" in row else ():
+        print(f"    {key} before, after, reference: {[f'{value:.4g}' for value in row[key]]}")
+
+
+def read(file: Path | None) -> list[Row]:
+    """Rows of an earlier run."""
+    text = file.read_text(encoding="utf-8") if file and file.exists() else ""
+    return [json.loads(line) for line in text.splitlines()]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -265,7 +262,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--kind", choices=("random", "aimed", "parts"), default="random")
+    parser.add_argument("--kind", choices=("random", *draws.KINDS), default="random")
     parser.add_argument("--count", type=int, help="number of solves: 60 random ones, all others")
     parser.add_argument("--first", type=int, default=0, help="seed or number of the first")
     parser.add_argument("--parts", type=Path, default=Path(), help="folder of problem files")
@@ -273,17 +270,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for KIND.jsonl; what is in it is not solved again")
     parser.add_argument("--compare", type=Path, help="KIND.jsonl of another version")
     given = parser.parse_args(arguments)
-    most = {"aimed": len(draws.aimed()), "parts": len(list(given.parts.glob("*.toml")))}.get(
-        given.kind, 10**9
-    )
-    last = min(most, given.first + (given.count or (60 if given.kind == "random" else most)))
-    file, rows = given.out and given.out / f"{given.kind}.jsonl", []
+    last = given.first + (given.count or 60)
+    if given.kind != "random":
+        every = len(draws.KINDS[given.kind](given.parts))
+        last = min(every, last) if given.count else every
+    file = given.out and given.out / f"{given.kind}.jsonl"
+    rows = read(file)
     if file:
         given.out.mkdir(parents=True, exist_ok=True)
-        rows = read(file) if file.exists() else []
-    done = {row["number"] for row in rows}
+    todo = sorted({*range(given.first, last)} - {row["number"] for row in rows})
     with ProcessPoolExecutor(given.jobs) as pool:
-        todo = [number for number in range(given.first, last) if number not in done]
         for future in as_completed([pool.submit(judge, given.kind, number, given.parts) for number in todo]):
             row = future.result()
             rows.append(row)
@@ -296,11 +292,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.compare:
         compare(read(given.compare), rows)
     return code
-
-
-def read(file: Path) -> list[Row]:
-    """Rows of an earlier run."""
-    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
 
 
 if __name__ == "__main__":

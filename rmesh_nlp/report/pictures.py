@@ -45,6 +45,7 @@ from rmesh_nlp.report.style import (
     IN_CONTACT,
     LOOKS,
     NEUTRAL,
+    SETTINGS,
     Page,
     add_legend,
     look,
@@ -342,37 +343,43 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     known = foundations(problem, mesh.p)
     body = Body(mesh.p, problem.triangles, np.zeros((problem.components, mesh.p.shape[1])), known)
     extent = np.ptp(np.hstack([mesh.p, *(one.feet for one in body.near)]), axis=1)
-    figure = new_figure(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0))
-    axis = figure.add_subplot()
-    # one zone has one colour, the lightest
-    zone = element_zones(problem).astype(float)
-    draw_field(axis, mesh.p, problem.triangles, zone, cmap="Pastel2", vmin=0, vmax=8)
-    draw_mesh(axis, mesh.p, problem.triangles, "0.6")
-    for position, (label, facets) in enumerate(_roles(problem)):
-        colour = LOOKS[1:][position % (len(LOOKS) - 1)].color
-        draw_edges(axis, mesh.p, mesh.facets[:, facets], color=colour, linewidth=3, label=label)
-    _draw_mobility(axis, problem, free)
-    # so wide that they are seen on both sides of a boundary that lies on them
-    draw_foundations(axis, body, linewidth=8, capstyle="butt", zorder=0.5)
-    _draw_gaps(axis, body)
-    axis.autoscale_view()
-    unit = bracketed(problem.units.length)
-    axis.set(aspect="equal", xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
-    far = [
-        f"the foundation of {one.name} is {one.gaps.min():.3g} away, not drawn" for one in known if one.is_far
-    ]
-    heading = f"{problem.name}: {mesh.p.shape[1]} nodes, {free.n} outer variables"
-    axis.set_title("\n".join([heading, *far]))
-    add_legend(figure, [axis], "outside lower center")
-    figure.savefig(path, dpi=150, bbox_inches="tight")
+    with rc_context(SETTINGS):
+        figure = new_figure(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0))
+        axis = figure.add_subplot()
+        # one zone has one colour, the lightest
+        zone = element_zones(problem).astype(float)
+        draw_field(axis, mesh.p, problem.triangles, zone, cmap="Pastel2", vmin=0, vmax=8)
+        draw_mesh(axis, mesh.p, problem.triangles, "0.6")
+        for position, (label, facets) in enumerate(_roles(problem)):
+            colour = LOOKS[1:][position % (len(LOOKS) - 1)].color
+            draw_edges(axis, mesh.p, mesh.facets[:, facets], color=colour, linewidth=3, label=label)
+        _draw_mobility(axis, problem, free)
+        # so wide that they are seen on both sides of a boundary that lies on them
+        draw_foundations(axis, body, linewidth=8, capstyle="butt", zorder=0.5)
+        _draw_gaps(axis, body)
+        axis.autoscale_view()
+        unit = bracketed(problem.units.length)
+        axis.set(aspect="equal", xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
+        far = [
+            f"the foundation of {one.name} is {one.gaps.min():.3g} away, not drawn"
+            for one in known
+            if one.is_far
+        ]
+        heading = f"{problem.name}: {mesh.p.shape[1]} nodes, {free.n} outer variables"
+        axis.set_title("\n".join([heading, *far]))
+        add_legend(figure, [axis], "outside lower center")
+        figure.savefig(path, dpi=150, bbox_inches="tight")
 
 
 def _draw_mobility(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:
     p, size = problem.mesh.p, 2000 / max(problem.mesh.p.shape[1], 100)
+    edges = p[:, problem.mesh.facets]
+    length = 0.2 * float(np.min(np.linalg.norm(edges[:, 0] - edges[:, 1], axis=0)))  # boundaries stay seen
     for kind, (marker, label) in MARKERS.items():
         nodes = free.mobility == kind
         if np.any(nodes) and kind is Mobility.SLIDING:
             step = free.positions.slopes(np.zeros(free.n))[:, nodes]
+            step *= np.minimum(1.0, length / np.maximum(np.linalg.norm(step, axis=0), 1e-300))
             ends = np.stack([p[:, nodes] - step, p[:, nodes] + step], axis=2)
             draw_lines(axis, ends, color="black", linewidth=1.5, label=label)
         elif np.any(nodes):

@@ -6,26 +6,24 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
+import common
 import free_boundary
 import l_shape
 import numpy as np
 import signorini
 import wedge
 from matplotlib.tri import Triangulation
-from numpy.polynomial import Polynomial
 
 from best_mesh.adaptive import Laplacian
+from peer_solvers import source_61
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
-from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.fields import constant_field
-from rmesh_nlp.fem.objectives import TERMS
 from rmesh_nlp.fem.stress import gradients
 from rmesh_nlp.models.regularisation import edge_gains, marked
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 
-RULE, JUDGE = 6, 10
+RULE, FINE = 6, 10
 REFERENCE_NODES = 12_000
 
 
@@ -58,7 +56,7 @@ class Case:
 
 def energy(problem: ContactProblem) -> float:
     """By a rule of high degree."""
-    return float(ContactSolver(replace(problem, quadrature=JUDGE)).solve(problem.mesh.p).energy)
+    return float(ContactSolver(replace(problem, quadrature=FINE)).solve(problem.mesh.p).energy)
 
 
 @dataclass(frozen=True)
@@ -87,9 +85,13 @@ def reference(problem: ContactProblem, nodes: int) -> Reference:
 
 def _gradients(problem: ContactProblem) -> np.ndarray:
     """(components, 2, elements) of the contact solution on the mesh as given."""
+    return gradients(problem, np.asarray(problem.mesh.p), _displacement(problem))
+
+
+def _displacement(problem: ContactProblem) -> np.ndarray:
+    """Nodal values of the contact solution on the mesh as given."""
     model = ContactSolver(problem)
-    values = model.displacement.values(model.solve(problem.mesh.p).u)
-    return gradients(problem, np.asarray(problem.mesh.p), values)
+    return model.displacement.values(model.solve(problem.mesh.p).u)
 
 
 def local_errors(problem: ContactProblem, fine: ContactProblem) -> np.ndarray:
@@ -114,11 +116,8 @@ def local_errors(problem: ContactProblem, fine: ContactProblem) -> np.ndarray:
 
 def exact_errors(problem: ContactProblem) -> np.ndarray:
     """(elements,) half the squared energy norm of the error against the exact solution."""
-    judged = replace(problem, quadrature=JUDGE)
-    model = ContactSolver(judged)
-    values = model.displacement.values(model.solve(problem.mesh.p).u)
-    fields = (constant_field(problem.mesh.p), constant_field(values), constant_field(values))
-    return element_values(TERMS["error-energy"].groups(judged, *fields))(np.zeros(0))[0]
+    fine = replace(problem, quadrature=FINE)
+    return common.exact_errors(fine, problem.mesh.p, _displacement(fine))
 
 
 def _case(
@@ -157,16 +156,11 @@ def _l_shape(times: int) -> ContactProblem:
     return problem
 
 
-def _source_61(x: np.ndarray) -> np.ndarray:
-    """-Laplace(u) of the exact solution (6.2), in closed form."""
-    y = Polynomial([0, 1])
-    halves = []
-    for factor, w in ((200 * y * (0.5 - y) ** 4, 2 * np.pi), (100 * (1 - y) * (0.5 - y) ** 4, np.pi / 2)):
-        halves.append((w**2 * factor(x[1]) - factor.deriv(2)(x[1])) * np.sin(w * x[0]))
-    return np.where(x[1] <= 0.5, *halves)
-
-
-LAPLACIAN_61 = Laplacian(_source_61, lambda x: (x[0] == 0) | (x[1] == 0) | (x[1] == 1), lambda x: x[0] == 1)
+LAPLACIAN_61 = Laplacian(
+    lambda x: source_61(x[0], x[1], np.sin, np.where),
+    lambda x: (x[0] == 0) | (x[1] == 0) | (x[1] == 1),
+    lambda x: x[0] == 1,
+)
 
 
 WHOLE = Laplacian(lambda x: np.ones_like(x[0]), lambda x: np.ones(x.shape[1], dtype=bool))

@@ -15,9 +15,9 @@ pressure falls from 13.80 to 10.88.
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
 from pathlib import Path
+
+from common import command_line, save
 
 import rmesh_nlp as rm
 
@@ -40,38 +40,25 @@ def problem(n: int) -> rm.ContactProblem:
     )
 
 
-def smoothed_peak(value: float) -> float:
-    """The pressure that the value of the objective stands for, its distortion neglected."""
-    return REFERENCE * value ** (1 / EXPONENT)
-
-
-def main(n: int = 8, picture: Path | None = None) -> dict[str, rm.Solution]:
+def main(n: int = 8) -> dict[str, rm.Solution]:
     """Shape the punch by both formulations and print what it gave."""
     objective = f"peak-pressure(bottom, {REFERENCE:g}, {EXPONENT}) + 0.02*quality"
     punch = problem(n)
-    test = rm.verify_gradient(punch, objective)
-    print(f"gradient: order {test.order:.2f}")
+    print(f"gradient: order {rm.verify_gradient(punch, objective).order:.2f}")
     solutions = {name: rm.solve(punch, name, objective=objective) for name in ("fixed", "nested", "mpcc")}
     for name, solution in solutions.items():
         value = solution.extra.get("objective_value", float("nan"))
-        print(
-            f"{name}: {solution.status.value}, smoothed peak {smoothed_peak(value):.4g}, "
-            f"largest nodal pressure {solution.pressure.max():.4g}"
-        )
-    if picture is not None:
-        axes = rm.plot(solutions["fixed"], solutions["nested"], what="pressure")
-        axes[0].figure.savefig(picture, dpi=150)
+        peak = REFERENCE * value ** (1 / EXPONENT)  # its distortion neglected
+        largest = f"largest nodal pressure {solution.pressure.max():.4g}"
+        print(f"{name}: {solution.status.value}, smoothed peak {peak:.4g}, {largest}")
     return solutions
 
 
-def command_line(arguments: Sequence[str] | None = None) -> None:
-    """Options of the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0] if __doc__ else "")
-    parser.add_argument("--n", type=int, default=8, help="squares per side")
-    parser.add_argument("--picture", type=Path, help="where to draw the pressures")
-    options = parser.parse_args(arguments)
-    main(options.n, options.picture)
+def draw(solutions: dict[str, rm.Solution], path: Path) -> None:
+    """The pressures before and after."""
+    axes = rm.plot(solutions["fixed"], solutions["nested"], what="pressure")
+    save(axes[0].figure, path)
 
 
 if __name__ == "__main__":
-    command_line()
+    command_line(main, 8, draw)

@@ -19,13 +19,13 @@ label.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from common import command_line, save
 from numpy.typing import NDArray
 
 import rmesh_nlp as rm
@@ -88,9 +88,9 @@ def problem(n: int) -> rm.ContactProblem:
     )
 
 
-def kinks(solution: rm.Solution, objective: str = OBJECTIVE) -> list[Kink]:
+def kinks(solution: rm.Solution) -> list[Kink]:
     """One-sided derivatives at every node of the seal, each of two contact solves."""
-    outer = Outer(solution.problem, objective)
+    outer = Outer(solution.problem, OBJECTIVE)
     function, free = outer.function, outer.relocation.mesh_map
     q = free.q_of(np.asarray(solution.mesh.p))
     here = function(q)
@@ -148,14 +148,14 @@ def line(name: str, solution: rm.Solution) -> str:
     return text
 
 
-def main(
-    n: int = 8, picture: Path | None = None, outer_solvers: Sequence[str] = OUTER
-) -> dict[str, rm.Solution]:
+def main(n: int = 8, outer_solvers: Sequence[str] = OUTER) -> dict[str, rm.Solution]:
     """Cut the seal by all formulations, and show the kink."""
     block = problem(n)
     solutions = {"mpcc": rm.solve(block, "mpcc", objective=OBJECTIVE)}
     for outer in outer_solvers:
-        solutions[f"nested, {outer}"] = _nested(block, outer)
+        solutions[f"nested, {outer}"] = rm.solve(
+            block, "nested", objective=OBJECTIVE, outer=outer, limits=LIMITS
+        )
     solutions["mpcc from the end of nested, newton"] = rm.solve(
         block, "mpcc", objective=OBJECTIVE, start=solutions["nested, newton"]
     )
@@ -164,13 +164,7 @@ def main(
     print("at the end of mpcc, per unit of height:   x     up     down   gradient of nested")
     for kink in kinks(solutions["mpcc"]):
         print(f"{kink.x:43.3f} {kink.up:8.4f} {kink.down:8.4f} {kink.gradient:8.4f}")
-    if picture is not None:
-        draw(solutions, picture)
     return solutions
-
-
-def _nested(block: rm.ContactProblem, outer: str) -> rm.Solution:
-    return rm.solve(block, "nested", objective=OBJECTIVE, outer=outer, limits=LIMITS)
 
 
 def draw(solutions: dict[str, rm.Solution], path: Path) -> None:
@@ -198,18 +192,8 @@ def draw(solutions: dict[str, rm.Solution], path: Path) -> None:
             axes[2].plot(x, 1e3 * opened, "^:", color="0.4", markersize=4, label="gap, nested")
     axes[2].set(xlabel="x", ylabel="[1e-3]", title="the seal where they end")
     axes[2].legend(frameon=False)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
-
-
-def command_line(arguments: Sequence[str] | None = None) -> None:
-    """Options of the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0] if __doc__ else "")
-    parser.add_argument("--n", type=int, default=8, help="squares along the height (default 8)")
-    parser.add_argument("--picture", type=Path, help="file to draw to")
-    options = parser.parse_args(arguments)
-    main(options.n, options.picture)
+    save(figure, path)
 
 
 if __name__ == "__main__":
-    command_line()
+    command_line(main, 8, draw)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -220,12 +220,11 @@ def _round(steel: tuple[Material, ...]) -> Iterator[Data]:
 
 
 def parts(folder: Path) -> list[Data]:
-    """Problem files, solved by default; the package reads mesh, names and curves, the judge the rest."""
-    return [part(file) for file in sorted(folder.glob("*.toml"))]
+    """Problem files, solved by default; the package reads mesh, names and curves, this script the rest."""
+    return [_part(file) for file in sorted(folder.glob("*.toml"))]
 
 
-def part(file: Path) -> Data:
-    """A problem file."""
+def _part(file: Path) -> Data:
     text, stated = tomllib.loads(file.read_text(encoding="utf-8")), rm.read_problem(file)
     law, contact = text["material"], text["contact"]
     material = Material(law["law"], tuple(law.get("body_force", (0.0, 0.0))), law["young"], law["poisson"])
@@ -239,3 +238,7 @@ def part(file: Path) -> Data:
     tractions = {k: tuple(v) for k, v in text.get("tractions", {}).items()}
     circles = {k: (*curve.centre, curve.radius) for k, curve in stated.motion.curves.items()}
     return Data(file.stem, stated.mesh, (material,), foundation, held, tractions, circles, file=file)
+
+
+KINDS: dict[str, Callable[[Path], list[Data]]] = {"aimed": lambda folder: aimed(), "parts": parts}
+"""Problems that are no random ones, by kind."""

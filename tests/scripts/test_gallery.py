@@ -1,4 +1,4 @@
-"""Every gallery case small: strategies agree, meshes are valid, and one number is as it should be.
+"""Every gallery case small: formulations agree, meshes are valid, and one number is as it should be.
 
 ``common.run`` asserts success, validity, no rise of the energy, and joint = nested to 1e-4.
 """
@@ -74,7 +74,7 @@ def test_signorini(load: Callable[[str], ModuleType]) -> None:
 
 
 @pytest.mark.slow
-def test_the_shaped_punch_has_a_lower_peak_by_both_strategies(load: Callable[[str], ModuleType]) -> None:
+def test_the_shaped_punch_has_a_lower_peak_by_both_formulations(load: Callable[[str], ModuleType]) -> None:
     solutions = load("punch").main(4)
     before, nested, mpcc = (solutions[name] for name in ("fixed", "nested", "mpcc"))
     assert nested.success
@@ -89,7 +89,8 @@ def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink(
     load: Callable[[str], ModuleType], tmp_path: Path
 ) -> None:
     module = load("seal")
-    solutions = module.main(4, picture=tmp_path / "seal.png", outer_solvers=["newton"])
+    solutions = module.main(4, ["newton"])
+    module.draw(solutions, tmp_path / "seal.png")
     best = solutions["mpcc"]
     assert best.success
     assert best.extra["b_stationary"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import benchmark_peers as benchmark
-from peer_solvers.at_once import nlpsol_mapped, nlpsol_written_out
+from peer_solvers import nlpsol_mapped, nlpsol_written_out
 from rmesh_nlp.examples import EXAMPLES
 
 
