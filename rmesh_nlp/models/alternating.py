@@ -1,8 +1,8 @@
 """Starts from which the patterns of a fine mesh grow in step.
 
-On a fine mesh the best moves are patterns of neighbouring nodes at opposite ends of their boxes. A
+On a fine mesh the best positions are patterns of neighbouring nodes at opposite ends of their move limits. A
 pattern and its mirror image are equally good, so a descent from the initial mesh grows domains of
-both, with flaws between them. A small alternating move decides for one of the two.
+both, with faults between them. A small alternating displacement decides for one of the two.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ STRONG = 0.1
 def alternated(
     relocation: Relocation, q: Array, gradient: Array, length: float, is_valid: Callable[[Array], bool]
 ) -> Array:
-    """Moves ``q`` with alternating moves added, in that of the two directions that goes downhill.
+    """``q`` with alternating moves added, in the direction of the two that goes downhill.
 
     Parameters
     ----------
     relocation : Relocation
     q, gradient : (n_q,) arrays
     length : float
-        Of the moves that are added, in boxes; halved until the mesh is valid, which ``q`` must be.
+        Of the moves that are added, in move limits; halved until the mesh is valid, as ``q`` must be.
     is_valid : callable
     """
     bound = relocation.mesh_map.bound
@@ -45,7 +45,7 @@ def alternated(
 
 
 def alternating(relocation: Relocation) -> Array:
-    """Moves of one box, to opposite sides at neighbouring nodes as far as the mesh allows it.
+    """Moves of one limit, to opposite sides at neighbouring nodes as far as the mesh allows it.
 
     Two nodes are neighbours if the Laplace stiffness couples them. From one node the sign
     changes with each edge of the shortest way: red and black on a structured grid, where a right

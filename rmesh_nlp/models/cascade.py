@@ -1,9 +1,7 @@
-"""Settings of the cascade of meshes.
+"""Relocation without move limits by a cascade of meshes: search where it is cheap, correct where it is dear.
 
-Large moves by a cascade of meshes: search where it is cheap, follow where it is dear.
-
-The best moves of an energy with a distortion are a map of the domain that hardly depends on the mesh, if the
-weight falls like the error of the energy. So the map is found on a coarse mesh, by continuation from
+The best positions for an energy with a distortion are a map of the domain that hardly depends on the mesh, if
+the weight falls like the error of the energy. So the map is found on a coarse mesh, by continuation from
 heavy to light weights, prolonged to the next finer mesh, and there only corrected.
 
 1. Meshes: each coarser one has about a quarter of the nodes (:func:`rmesh_nlp.models.levels.coarsened`).
@@ -12,9 +10,8 @@ heavy to light weights, prolonged to the next finer mesh, and there only correct
    than one where they are cheap beside the finest mesh.
 4. Each finer mesh: from the prolonged map, at the final weight. Meshes of few nodes are solved to the end,
    large ones and the finest one by a few iterations only, twice as many on each coarser one (F. A. Bornemann,
-   P. Deuflhard, The cascadic multigrid method for elliptic problems, Numer. Math. 75 (1996)).
-   A map that does not lower the energy there is
-   damped, or not taken at all (:mod:`rmesh_nlp.models.levels`).
+   P. Deuflhard, The cascadic multigrid method for elliptic problems, Numer. Math. 75 (1996)). A map that does
+   not lower the energy there is damped, or not taken at all (:func:`rmesh_nlp.models.levels.accepted`).
 """
 
 from __future__ import annotations
@@ -46,6 +43,17 @@ from rmesh_nlp.settings import Count, Limit, Positive, Settings
 Schedules = tuple[tuple[float, ...], ...]
 """Weights before the final one, schedule by schedule."""
 
+CHEAP = 40.0
+"""How many times the nodes of the coarsest mesh the finest one must have for more than one schedule."""
+
+CONTINUED = 1e-2
+"""A descent at a weight before the final one ends where the model predicts less than this part of the
+error."""
+
+GROWTH = 2.0
+"""Factor of the brief iterations from a mesh to the next coarser one. A coarser mesh costs a quarter per
+iteration: with 2 all meshes together cost about twice what the finest does."""
+
 
 @dataclass(frozen=True)
 class CascadeSettings(Settings):
@@ -62,25 +70,17 @@ class CascadeSettings(Settings):
         See :mod:`rmesh_nlp.fem.distortion`.
     schedules : tuple of tuples of float
         Weights before the final one on the coarsest mesh, relative to the error too; the best end counts.
-    cheap : float
-        How many times the nodes of the coarsest mesh the finest one must have for more than the first of them
-        to be tried.
     coarsest : int
         Least number of nodes of the coarsest mesh.
     thorough : int
         Largest number of nodes of a mesh, short of the finest, that is solved to the end.
     end : float
-        A thorough descent ends where the model predicts less than this part of the gain; ...
-    continued : float
-        ... at the weights before the final one, less than this part.
+        A thorough descent ends where the model predicts less than this part of the gain.
     iterations : int
         Limit of a thorough descent.
     brief, brief_unnested : int
         Iterations on the other meshes, where they are uniform refinements of the next coarser one
         and where they are not: a map is then prolonged less well.
-    growth : float
-        Factor of these iterations from a mesh to the next coarser one. A coarser mesh costs a quarter per
-        iteration: with 2 all meshes together cost about twice what the finest does.
     stationary : int
         Largest number of nodes of a given mesh on which ``auto`` goes on to a stationary point.
     finish : int
@@ -92,15 +92,12 @@ class CascadeSettings(Settings):
     regularisation: Positive = 0.003
     distortion: str = "shape-size"
     schedules: Schedules = ((1.0, 0.1), (1.0, 0.1, 0.01), (0.1,), (0.1, 0.01))
-    cheap: Positive = 40.0
     coarsest: Count = 60
     thorough: Count = 1200
     end: Positive = 3e-4
-    continued: Positive = 1e-2
     iterations: Count = 60
     brief: Count = 10
     brief_unnested: Count = 20
-    growth: Positive = 2.0
     stationary: Limit = 1200
     finish: Count = 120
     most: Count = 200
@@ -116,21 +113,21 @@ class CascadeSettings(Settings):
 
     def starts(self, coarsest: int, finest: int) -> Schedules:
         """The schedules that are tried on a coarsest mesh, by the nodes of both."""
-        return self.schedules if finest >= self.cheap * coarsest else self.schedules[:1]
+        return self.schedules if finest >= CHEAP * coarsest else self.schedules[:1]
 
     def limit(self, is_brief: bool, is_nested: bool, above: int) -> int:
         """Largest number of iterations on a mesh with ``above`` finer ones."""
         if not is_brief:
             return self.iterations
         first = self.brief if is_nested else self.brief_unnested
-        return min(math.ceil(first * self.growth**above), self.iterations)
+        return min(math.ceil(first * GROWTH**above), self.iterations)
 
 
 OnMove = Callable[[int, ReducedEnergy, Array, float], bool | None]
-"""``(iteration, energy, moves, value)`` of a level; the descent stops if it returns True."""
+"""``(iteration, energy, q, value)`` of a level; the descent stops if it returns True."""
 
 IsLate = Callable[[], bool]
-"""Whether the time is up; asked before each program is stated and each mesh is coarsened."""
+"""Whether the time is up; asked before each model build and before each mesh is coarsened."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +146,7 @@ class Level:
         the coarsest mesh.
     iterations, products, contact_solves : int
     seconds, build_seconds : float
-        Processor time of the descents, and of stating the programs and making the map.
+        Processor time of the descents, and of building the models and making the map.
     """
 
     nodes: int
@@ -172,7 +169,7 @@ class CascadeResult:
     Attributes
     ----------
     q : (n,) array
-        Moves of the finest mesh.
+        Outer variables of the finest mesh.
     problem : ContactProblem
         On the finest mesh.
     objective : Objective
@@ -183,7 +180,7 @@ class CascadeResult:
     levels : tuple of Level
         Coarsest first.
     built : ReducedEnergy, optional
-        The objective as a function of the moves; None if the time was up before it was stated.
+        The objective as a function of q; None if the time was up before it was built.
     """
 
     q: Array
@@ -196,7 +193,7 @@ class CascadeResult:
 
     @cached_property
     def energy(self) -> ReducedEnergy:
-        """The objective as a function of the moves."""
+        """The objective as a function of q."""
         return self.built or ReducedEnergy(relocation(self.problem, self.objective))
 
     def record(self) -> list[dict[str, Any]]:
@@ -204,28 +201,93 @@ class CascadeResult:
         return [asdict(level) for level in self.levels]
 
 
-def hierarchy(
-    problem: ContactProblem, coarsest: int, is_late: IsLate = lambda: False
-) -> list[ContactProblem]:
-    """The problem on coarser and coarser meshes, coarsest first, itself last.
+def cascade(
+    problem: ContactProblem,
+    settings: CascadeSettings | None = None,
+    on_move: OnMove | None = None,
+    is_late: IsLate = lambda: False,
+) -> CascadeResult:
+    """Minimise the energy over the positions of all nodes, without move limits, by a cascade of meshes.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        Move limits are obeyed if there are any; without, the distortion alone keeps the elements valid.
+    settings : CascadeSettings, optional
+    on_move : callable, optional
+        Called after each iteration on each mesh.
+    is_late : callable, optional
+        Once it is true nothing more is built or solved: the map of the last mesh is prolonged to the given
+        one, where it is neither corrected nor compared, and the status is INTERRUPTED.
 
     Raises
     ------
     StoppedError
-        If the time is up.
+        If the time is up before there is a map.
     """
+    chosen = settings or CascadeSettings()
+    problems = _hierarchy(problem, chosen.coarsest, is_late)
+    _check_time(is_late)
+    began = time.process_time()
+    error, sizes = gain_estimate(problems[0]).value, [one.mesh.p.shape[1] for one in problems]
+    move, levels, run = np.zeros((2, 0)), [], _Descents(chosen, on_move, is_late)
+    built: ReducedEnergy | None = None
+    for number, here in enumerate(problems):
+        share = error * sizes[0] / sizes[number]  # the error falls like the number of nodes
+        before = taken = float("nan")
+        if number == 0:
+            _check_time(is_late)
+            energy, q, status = run.searched(here, share, chosen.starts(sizes[0], sizes[-1]))
+        else:
+            coarse = problems[number - 1]
+            energy = run.energy(here, share, chosen.regularisation)
+            whole = prolonged(coarse.mesh.p, coarse.triangles, move, energy.relocation)
+            q, taken = accepted(energy, whole)
+            before = energy(whole).equilibrium.energy
+            above = len(problems) - 1 - number
+            # what is not a correction of a map takes more than a few iterations
+            brief = (above == 0 and taken == 1) or sizes[number] > chosen.thorough
+            nested = here.mesh.t.shape[1] == 4 * coarse.mesh.t.shape[1]
+            q, status = run.descend(energy, q, share, chosen.end, chosen.limit(brief, nested, above))
+        move = energy.relocation.nodes(q) - here.mesh.p
+        levels.append(
+            Level(
+                nodes=sizes[number],
+                triangles=int(here.mesh.t.shape[1]),
+                weight=chosen.regularisation * share,
+                prolonged=before,
+                taken=taken,
+                energy=energy(q).equilibrium.energy,
+                build_seconds=time.process_time() - began - run.seconds,
+                **run.costs(),
+            )
+        )
+        began = time.process_time()
+        if number == len(problems) - 1:
+            built = None if run.stopped else energy
+        elif run.late():
+            q = prolonged(here.mesh.p, here.triangles, move, discretise(problem))
+            break
+    final = error * sizes[0] / sizes[-1]
+    objective = regularised(final, chosen.regularisation, chosen.distortion)
+    status = Status.INTERRUPTED if run.stopped else status
+    return CascadeResult(q, problem, objective, final, status, tuple(levels), built)
+
+
+def _hierarchy(problem: ContactProblem, coarsest: int, is_late: IsLate) -> list[ContactProblem]:
+    """The problem on coarser and coarser meshes, coarsest first, itself last."""
     levels = [problem]
     while True:
         _check_time(is_late)
         coarser = coarsened(levels[-1], coarsest)
-        if coarser is None or not _is_held(coarser):
+        if coarser is None or not _is_fixed(coarser):
             break
         levels.append(coarser)
     return levels[::-1]
 
 
-def _is_held(problem: ContactProblem) -> bool:
-    """Whether a body that contact alone holds is held on this mesh: a coarse one may touch at one node."""
+def _is_fixed(problem: ContactProblem) -> bool:
+    """Whether no rigid-body mode is left: a coarse mesh may touch at one node where contact excludes it."""
     if rigid_motions(problem).size == 0:
         return True
     try:
@@ -240,175 +302,97 @@ def _check_time(is_late: IsLate) -> None:
         raise StoppedError
 
 
-def cascade(
-    problem: ContactProblem,
-    settings: CascadeSettings | None = None,
-    on_move: OnMove | None = None,
-    is_late: IsLate = lambda: False,
-) -> CascadeResult:
-    """Minimise the energy over the positions of all nodes, without boxes, by a cascade of meshes.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-        Boxes are obeyed if there are any; without, the distortion alone keeps the elements valid.
-    settings : CascadeSettings, optional
-    on_move : callable, optional
-        Called after each iteration on each mesh.
-    is_late : callable, optional
-        Once it is true nothing more is stated or solved: the map of the last mesh is prolonged to the given
-        one, where it is neither corrected nor compared, and the status is INTERRUPTED.
-
-    Raises
-    ------
-    StoppedError
-        If the time is up before there is a map.
-    """
-    chosen = settings or CascadeSettings()
-    problems = hierarchy(problem, chosen.coarsest, is_late)
-    _check_time(is_late)
-    began = time.process_time()
-    gain = gain_estimate(problems[0]).value
-    move = np.zeros((2, 0))
-    levels: list[Level] = []
-    run = _Runner(chosen, on_move, is_late)
-    final = gain * problems[0].mesh.p.shape[1] / problem.mesh.p.shape[1]
-    objective = regularised(final, chosen.regularisation, chosen.distortion)
-    built: ReducedEnergy | None = None
-    for number, here in enumerate(problems):
-        share = gain * problems[0].mesh.p.shape[1] / here.mesh.p.shape[1]
-        if number == 0:
-            before = taken = float("nan")
-            _check_time(is_late)
-            finest = problem.mesh.p.shape[1]
-            energy, q, status = run.searched(here, share, chosen.starts(here.mesh.p.shape[1], finest))
-        else:
-            coarse = problems[number - 1]
-            energy = run.energy(here, share, chosen.regularisation)
-            whole = prolonged(coarse.mesh.p, coarse.triangles, move, energy.relocation)
-            q, taken = accepted(energy, whole)
-            before = energy(whole).equilibrium.energy
-            above = len(problems) - 1 - number
-            # what is not a correction of a map takes more than a few iterations
-            brief = (above == 0 and taken == 1) or here.mesh.p.shape[1] > chosen.thorough
-            nested = here.mesh.t.shape[1] == 4 * coarse.mesh.t.shape[1]
-            q, status = run.followed(energy, q, share, chosen.limit(brief, nested, above))
-        move = energy.relocation.nodes(q) - here.mesh.p
-        levels.append(
-            Level(
-                nodes=int(here.mesh.p.shape[1]),
-                triangles=int(here.mesh.t.shape[1]),
-                weight=chosen.regularisation * share,
-                prolonged=before,
-                taken=taken,
-                energy=energy(q).equilibrium.energy,
-                build_seconds=time.process_time() - began - run.seconds,
-                seconds=run.seconds,
-                **run.counts(),
-            )
-        )
-        began = time.process_time()
-        if number == len(problems) - 1:
-            built = None if run.stopped else energy
-        elif run.late():
-            q = prolonged(here.mesh.p, here.triangles, move, discretise(problem))
-            break
-    status = Status.INTERRUPTED if run.stopped else status
-    return CascadeResult(q, problem, objective, final, status, tuple(levels), built)
-
-
-class _Runner:
+class _Descents:
     """Descents on the meshes of one cascade, and what they cost."""
 
     def __init__(self, settings: CascadeSettings, on_move: OnMove | None, is_late: IsLate) -> None:
         self._settings, self._on_move, self._is_late = settings, on_move, is_late
-        self._iterations = self._products = self._solves = 0
-        self._total, self.seconds = 0, 0.0
-        self._energies: list[tuple[ReducedEnergy, int]] = []
-        self.stopped = False
+        self._before, self.stopped = 0, False
+        self._clear()
+
+    def _clear(self) -> None:
+        self._iterations = self._products = 0
+        self._energies: list[ReducedEnergy] = []
+        self.seconds = 0.0
 
     def late(self) -> bool:
         """Whether the descents were stopped, or the time is up."""
         self.stopped = self.stopped or self._is_late()
         return self.stopped
 
-    def energy(self, problem: ContactProblem, gain: float, weight: float, model: Any = None) -> ReducedEnergy:
+    def energy(
+        self, problem: ContactProblem, error: float, weight: float, solver: ContactSolver | None = None
+    ) -> ReducedEnergy:
         """The energy of a mesh with the distortion."""
-        objective = regularised(gain, weight, self._settings.distortion)
-        energy = ReducedEnergy(relocation(problem, objective), model)
-        self._energies.append((energy, 0))
-        return energy
+        objective = regularised(error, weight, self._settings.distortion)
+        self._energies.append(ReducedEnergy(relocation(problem, objective), solver))
+        return self._energies[-1]
 
-    def counts(self) -> dict[str, int]:
+    def costs(self) -> dict[str, Any]:
         """Costs since the last call."""
-        found = {"iterations": self._iterations, "products": self._products}
-        self.seconds = 0.0
-        solves = sum(energy.contact_solves - before for energy, before in self._energies)
-        self._energies = []
-        self._iterations = self._products = 0
-        return {**found, "contact_solves": solves}
+        found = {
+            "iterations": self._iterations,
+            "products": self._products,
+            "contact_solves": sum(energy.contact_solves for energy in self._energies),
+            "seconds": self.seconds,
+        }
+        self._clear()
+        return found
 
     def searched(
-        self, problem: ContactProblem, gain: float, schedules: Schedules
+        self, problem: ContactProblem, error: float, schedules: Schedules
     ) -> tuple[ReducedEnergy, Array, Status]:
         """The best end of all schedules on the coarsest mesh; the first map that there is once it is late."""
-        chosen, model = self._settings, ContactSolver(problem)
+        chosen, solver = self._settings, ContactSolver(problem)
         best: tuple[float, ReducedEnergy, Array, Status] | None = None
         reached: tuple[ReducedEnergy, Array, Status] | None = None
-        steps: dict[tuple[float, ...], Array] = {(): np.zeros(0)}
+        ends: dict[tuple[float, ...], Array] = {}
         for schedule in schedules:
+            whole = (*schedule, chosen.regularisation)
             # schedules may begin alike: what they share is solved once
-            for number in range(len(schedule) + 1):
-                before = schedule[:number]
-                last = number == len(schedule)
-                weight = chosen.regularisation if last else schedule[number]
-                path = (*before, weight)
-                if path in steps:
+            for path in (whole[:number] for number in range(1, len(whole) + 1)):
+                if path in ends:
                     continue
                 if reached is not None and self.late():
                     return best[1:] if best is not None else reached
-                energy = self.energy(problem, gain, weight, model)
-                start = steps[before] if before else np.zeros(energy.relocation.n_q)
+                energy, last = self.energy(problem, error, path[-1], solver), path == whole
+                start = ends[path[:-1]] if len(path) > 1 else np.zeros(energy.relocation.n_q)
                 # of several only the best one is worth following to the end
-                end = chosen.end if last and len(schedules) == 1 else chosen.continued
-                q, status = self._descend(energy, start, gain, end, chosen.iterations)
-                steps[path], reached = q, (energy, q, status)
+                end = chosen.end if last and len(schedules) == 1 else CONTINUED
+                q, status = self.descend(energy, start, error, end, chosen.iterations)
+                ends[path], reached = q, (energy, q, status)
                 if last and (best is None or energy(q).value < best[0]):
                     best = energy(q).value, energy, q, status
         assert best is not None
         _, energy, q, status = best
         if len(schedules) > 1 and not self.late():
-            q, status = self._descend(energy, q, gain, chosen.end, chosen.iterations)
+            q, status = self.descend(energy, q, error, chosen.end, chosen.iterations)
         return energy, q, status
 
-    def followed(self, energy: ReducedEnergy, q: Array, gain: float, limit: int) -> tuple[Array, Status]:
-        """A descent from a prolonged map."""
-        return self._descend(energy, q, gain, self._settings.end, limit)
-
-    def _descend(
-        self, energy: ReducedEnergy, q: Array, gain: float, end: float, limit: int
+    def descend(
+        self, energy: ReducedEnergy, q: Array, error: float, end: float, limit: int
     ) -> tuple[Array, Status]:
-        before = self._total
+        """A descent that ends where the model predicts less than the part ``end`` of the error."""
+        before = self._before
 
         def report(iteration: int, x: Array, value: float) -> bool:
             if self._on_move is not None and self._on_move(before + iteration, energy, x, value):
                 self.stopped = True
             return self.stopped
 
-        # relative to what there is to gain at all, so that a good start ends soon
         began = time.process_time()
-        reference = energy(q).value + gain
         result = descend(
             energy,
             q,
             gain_tolerance=end,
-            reference=reference,
+            # relative to all there is to gain, so that a good start ends soon
+            reference=energy(q).value + error,
             max_iterations=limit,
             approximate=True,
             on_step=report,
         )
         self.seconds += time.process_time() - began
+        self._before += result.iterations
         self._iterations += result.iterations
-        self._total += result.iterations
         self._products += result.products
         return result.x, result.status

@@ -1,8 +1,8 @@
-"""The bilevel problem as one MPCC: outer objective over the KKT conditions of the contact problem.
+"""The KKT model: the bilevel problem as one MPCC, KKT conditions as constraints.
 
-Unknowns ``x = (q, u, lambda)`` and with friction ``(q, u, lambda, s, mu-, mu+)``, the last three
-where it may act: node moves in units of their boxes, displacements in units of ``length``, contact
-forces in units of ``force``, so that all are of order one. Then
+Unknowns ``x = (q, u, lambda)`` and with friction ``(q, u, lambda, s, mu-, mu+)``, the last three where it may
+act: outer variables q in units of their move limits, displacements in units of ``length``, contact forces in
+units of ``force``, so that all are of order one. Then
 
     min  F(X, u)
     s.t. equilibrium (and, with friction, mu- + mu+ = g omega),   element areas,
@@ -43,7 +43,7 @@ class Bilevel:
     ----------
     mpcc : MPCC
     n_q, n_u, n_contact : int
-        Numbers of moves, displacement unknowns and gaps.
+        Numbers of outer variables, displacement unknowns and gaps.
     friction_rows : int array
         Numbers of those gaps at which friction may act.
     length, force : float
@@ -62,7 +62,7 @@ class Bilevel:
     value: float
 
     def without_complementarity(self) -> NLP:
-        """The program that keeps ``G, H >= 0`` and drops their products.
+        """The NLP that keeps ``G, H >= 0`` and drops their products.
 
         Its minimum bounds that of the MPCC from below; with the energy as objective it is the
         same, because then the contact law is a condition of optimality.
@@ -82,7 +82,7 @@ class Bilevel:
         )
 
     def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Moves, displacement unknowns, normal and tangential contact forces (in N/m) of ``x``."""
+        """Outer variables, displacement unknowns, normal and tangential contact forces (in N/m) of ``x``."""
         parts = np.cumsum([self.n_q, self.n_u, self.n_contact, *(3 * [self.friction_rows.size])])
         q, u, normal, _, minus, plus, _ = np.split(x, parts)
         tangential = np.zeros(self.n_contact if self.friction_rows.size else 0)
@@ -90,7 +90,7 @@ class Bilevel:
         return q, u * self.length, normal * self.force, tangential
 
     def point(self, q: Array, equilibrium: Equilibrium, system: ContactSystem) -> Array:
-        """The unknowns ``x`` of a contact solution at moves ``q``."""
+        """The unknowns ``x`` of a contact solution at ``q``."""
         parts = [q, equilibrium.u / self.length, equilibrium.normal_force / self.force]
         if self.friction_rows.size:
             slip = np.abs(system.tangents @ equilibrium.u) / self.length
@@ -108,7 +108,7 @@ def bilevel(
     force: float = 1.0,
     value: float = 1.0,
 ) -> Bilevel:
-    """State the bilevel problem as an MPCC with assembled derivatives.
+    """Build the bilevel problem as an MPCC with assembled derivatives.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def bilevel(
 
 
 def _parts(x: ca.MX, n_q: int, n_u: int, n_c: int, n_s: int) -> dict[str, ca.MX]:
-    """The unknowns by name, in the units of the program; those of friction only where there is some."""
+    """The unknowns by name, in the units of the model; those of friction only where there is some."""
     names = ["q", "u", "normal_force"]
     sizes = [n_q, n_u, n_c]
     if n_s:

@@ -1,9 +1,4 @@
-"""The same problem on a finer and on a coarser mesh.
-
-Interpolation of a map of the domain from one mesh to another.
-
-How much of a prolonged map is taken: none that does not lower the energy of the mesh it is taken to.
-"""
+"""Levels of a cascade of meshes: coarser meshes, prolongation of a map to a finer one, and its acceptance."""
 
 from __future__ import annotations
 

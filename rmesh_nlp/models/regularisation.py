@@ -1,14 +1,12 @@
-"""Local refinement, to compare relocation with and to combine it with.
+"""What relocation can gain, and the weight of a distortion in the energy relative to it.
+
+``energy + w * distortion`` has a limit as the mesh is refined if ``w`` falls like the error of the energy:
+then the best positions are a map of the domain that hardly depends on the mesh. So the weight is given as a
+part of that error (:func:`gain_estimate`), which also makes one number suit every load and unit.
 
 The gain of energy by a new node on each edge says where to refine, for any law, load and contact
 (:func:`edge_gains`). Triangles are marked by their share of the sum (W. Dörfler, SIAM J. Numer. Anal. 33
-(1996) 1106-1124) and cut by longest edges (red, green and blue), names are kept.
-
-The weight of a distortion in the energy, relative to what relocation can gain.
-
-``energy + w * distortion`` has a limit as the mesh is refined if ``w`` falls like the error of the energy:
-then the best moves are a map of the domain that hardly depends on the mesh. So the weight is given as a
-part of that error, which also makes one number suit every load and unit.
+(1996) 1106-1124).
 """
 
 from __future__ import annotations

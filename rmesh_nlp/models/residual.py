@@ -1,19 +1,18 @@
-"""The first-order residual of the outer problem: one measure for histories, stopping tests and records.
+"""The first-order conditions of the outer problem: their residual, and the multipliers of the bounds.
 
-At moves q with gradient g of the objective let w >= 0 be multipliers of the validity rows c(q) >= 0, fitted
+At q with gradient g of the objective let w >= 0 be multipliers of the validity rows c(q) >= 0, fitted
 by least squares, and r = g - c'(q)^T w. The residual is
 
     max ( max_i |q_i - clip(q_i - r_i / unit)|,   max_k min(c_k, w_k / unit) ),
 
-the natural residual of the KKT conditions over boxes and elements, ``unit`` being the largest component of r
-on the mesh as given. So it is 1 on the given mesh, on coarse and on fine grids alike, and at a point with
-residual 1e-6 no released move can change the objective at more than a millionth of the initial rate. Relative
-to the objective itself the gradient falls about twentyfold with each halving of the mesh size.
+the natural residual of the KKT conditions over move limits and elements, ``unit`` being the largest component
+of r on the mesh as given. So it is 1 on the given mesh, on coarse and on fine grids alike, and at a point
+with residual 1e-6 no released outer variable can change the objective at more than a millionth of the initial
+rate. Relative to the objective itself the gradient falls about twentyfold with each halving of the mesh size.
 
-Multipliers of the motion's constraints: what keeps the mesh from going on.
-
-A large multiplier of a box says that a node would go further if it were let; one of an
-element's area or angle says that the connectivity of the mesh, not position, is the limit.
+A large multiplier of a move limit says that a node would go further if it could; one of an element's area or
+angle says that the connectivity of the mesh, not position, is the limit. Histories, stopping tests and
+records use this file, and nothing else measures stationarity.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ class OuterResidual:
     Parameters
     ----------
     energy : ReducedEnergy
-        Of the problem, for its boxes and elements.
+        Of the problem, for its move limits and elements.
     given : ReducedPoint
         The objective on the mesh as given.
 
@@ -53,7 +52,7 @@ class OuterResidual:
 
     def __init__(self, energy: ReducedEnergy, given: ReducedPoint) -> None:
         self._energy = energy
-        released, _ = self._released(given.q, given.gradient)
+        released, _, _ = _released(energy, given.q, given.gradient)
         largest = float(np.max(np.abs(released), initial=0.0))
         self.unit = max(largest, FLOOR * size_of(given)) or 1.0
 
@@ -62,7 +61,7 @@ class OuterResidual:
         return self.at(point.q, point.gradient)
 
     def of_program(self, x: Array, lam_g: Array) -> float:
-        """The residual at an iterate of the energy program, whose multipliers are the contact forces.
+        """The residual at an iterate of the energy NLP, whose multipliers are the contact forces.
 
         It costs no contact solve, and is that of :meth:`__call__` where equilibrium and contact law hold.
 
@@ -80,7 +79,7 @@ class OuterResidual:
         return self.at(q, self._energy.gradient(x, normal, plus - minus))
 
     def of_state(self, q: Array, u: Array, normal_force: Array, friction: Array) -> float:
-        """The residual of the energy at moves, displacements (n_u,) and contact forces of a solver's own.
+        """The residual of the energy at q, displacements (n_u,) and contact forces of a solver's own.
 
         It costs no contact solve, like :meth:`of_program`.
 
@@ -95,23 +94,24 @@ class OuterResidual:
         return self.at(q, self._energy.gradient(self._energy.unknowns(q, u), normal_force, friction))
 
     def at(self, q: Array, gradient: Array) -> float:
-        """The residual at moves ``q`` with a gradient; infinite if that is not finite."""
+        """The residual at ``q`` with a gradient; infinite if that is not finite."""
         if not np.all(np.isfinite(gradient)):
             return float("inf")
         box = self._energy.relocation.mesh_map.bound
-        released, law = self._released(q, gradient)
+        released, slack, fitted = _released(self._energy, q, gradient)
         natural = np.abs(q - np.clip(q - released / self.unit, -box, box))
-        pairs = 0.0 if law is None else np.max(np.minimum(law[0], law[1] / self.unit), initial=0.0)
-        return float(max(np.max(natural, initial=0.0), pairs))
+        pairs = np.minimum(slack, fitted / self.unit)
+        return float(max(np.max(natural, initial=0.0), np.max(pairs, initial=0.0)))
 
-    def _released(self, q: Array, gradient: Array) -> tuple[Array, tuple[Array, Array] | None]:
-        """The gradient less the pull of elements; slacks of the elements and their multipliers."""
-        if not self._energy.relocation.n_valid:
-            return gradient, None
-        box = self._energy.relocation.mesh_map.bound
-        rows = self._energy.validity.at(q)
-        multipliers = rows.fitted(gradient, is_inside(q, -box, box))
-        return gradient - rows.jacobian.T @ multipliers, (np.maximum(rows.slack, 0.0), multipliers)
+
+def _released(energy: ReducedEnergy, q: Array, gradient: Array) -> tuple[Array, Array, Array]:
+    """The gradient less the pull of the element constraints, their slacks and their multipliers."""
+    relocation, none = energy.relocation, np.zeros(0)
+    if not relocation.n_valid:  # a barrier may stand in the place of the rows
+        return gradient, none, none
+    bound, rows = relocation.mesh_map.bound, energy.validity.at(q)
+    fitted = rows.fitted(gradient, is_inside(q, -bound, bound))
+    return gradient - rows.jacobian.T @ fitted, np.maximum(rows.slack, 0.0), fitted
 
 
 def size_of(point: ReducedPoint) -> float:
@@ -128,7 +128,7 @@ class Multipliers:
     Attributes
     ----------
     box : (nodes,) array
-        Per unit of length by which the node's box grows in all directions; zero off its faces.
+        Per unit of length by which the node's move limits grow in all directions; zero where none is active.
     area : (elements,) array
         Per unit of the element's least relative area.
     angle : (elements,) array
@@ -141,27 +141,23 @@ class Multipliers:
 
 
 def multipliers(energy: ReducedEnergy, q: Array, gradient: Array) -> Multipliers:
-    """Fit the multipliers at moves ``q`` to the gradient of the outer objective there.
+    """Fit the multipliers at ``q`` to the gradient of the outer objective there.
 
-    Those of the elements are the ones of the first-order residual, non-negative least squares over the moves
-    that no box stops; what then remains at the boxes is theirs.
+    Those of the elements are the ones of the first-order residual, non-negative least squares over the outer
+    variables inside their limits; what then remains at the limits is theirs.
     """
-    relocation = energy.relocation
-    bound, validity = relocation.mesh_map.bound, relocation.validity
-    inside, rest, values = is_inside(q, -bound, bound), gradient, np.zeros(validity.size)
-    if validity.size:  # a barrier may stand in the place of the rows
-        rows = energy.validity.at(q)
-        values = rows.fitted(gradient, inside)
-        rest = gradient - rows.jacobian.T @ values
+    relocation, validity = energy.relocation, energy.relocation.validity
+    rest, _, values = _released(energy, q, gradient)
+    bound = relocation.mesh_map.bound
     by_element = values.reshape(-1, validity.rows_per_element)
     area, angle = np.zeros((2, relocation.problem.mesh.t.shape[1]))
     area[validity.elements] = by_element[:, 0]
     angle[validity.elements] = by_element[:, 1:].sum(axis=1)
-    return Multipliers(_by_node(relocation, q, rest, ~inside), area, angle)
+    return Multipliers(_by_node(relocation, q, rest, ~is_inside(q, -bound, bound)), area, angle)
 
 
 def _by_node(relocation: Relocation, q: Array, rest: Array, stopped: NDArray[np.bool_]) -> Array:
-    """What the boxes hold back, as energy per length, at the nodes that own the moves."""
+    """Multipliers of move limits, as energy per length, at the nodes that own the outer variables."""
     pull = np.where(stopped, np.maximum(-rest * np.sign(q), 0.0), 0.0)
     free = relocation.mesh_map
     index, scale = free.positions.index, free.positions.slopes(q)
@@ -169,9 +165,9 @@ def _by_node(relocation: Relocation, q: Array, rest: Array, stopped: NDArray[np.
     rate = np.zeros(index.shape)
     with np.errstate(divide="ignore", invalid="ignore"):  # a curve may run along an axis; see below
         rate[moving] = pull[index[moving]] / np.abs(scale[moving])
-    # one move behind both coordinates: the box along the longer step is the one that stops it
+    # one variable behind both coordinates: the limit along the longer step is the active one
     slanted = np.all(moving, axis=0) & (index[0] == index[1])
-    if free.positions.bends is not None:  # along a curve the box is measured as its length
+    if free.positions.bends is not None:  # along a curve the limit is measured as its length
         bent = free.positions.bends.which[0] != STRAIGHT
         length = np.linalg.norm(scale, axis=0)
         rate[:, bent] = pull[index[0, bent]] / length[bent]

@@ -1,4 +1,4 @@
-"""The nonlinear program as CasADi expressions, and its extension by terms and constraints.
+"""A nonlinear program (NLP) as CasADi expressions, and its extension by terms and constraints.
 
 Form and signs, here and everywhere in the package::
 
@@ -47,7 +47,7 @@ class Derivatives:
 
 @dataclass(frozen=True)
 class NLP:
-    """A parametric nonlinear program in CasADi expressions.
+    """A parametric NLP in CasADi expressions.
 
     Attributes
     ----------

@@ -1,7 +1,4 @@
-"""Which option a solver refuses, said in one line instead of CasADi's C++ trace.
-
-The only call of ``casadi.nlpsol``: a nonlinear program made ready, and what a solve returns.
-"""
+"""The only call of ``casadi.nlpsol``: an NLP made ready, and what a solve returns."""
 
 from __future__ import annotations
 
@@ -35,7 +32,7 @@ COMMON = (
 def refused_option(plugin: str, options: Mapping[str, Any], error: RuntimeError) -> Exception:
     """The error that names the option which ``plugin`` refuses; ``error`` itself if none is refused.
 
-    Each option is tried by itself on a program of one unknown.
+    Each option is tried by itself on an NLP of one unknown.
     """
     solver = plugin.capitalize()
     for name, value in options.items():
@@ -120,7 +117,7 @@ class NLPResult:
 
     @property
     def converged(self) -> bool:
-        """Whether the solver says that it met a tolerance (not yet a proof: see the audit)."""
+        """Whether the solver says that it met a tolerance (no proof: see the assessment)."""
         return self.status in (Status.CONVERGED, Status.ACCEPTABLE)
 
 
@@ -196,7 +193,7 @@ class Solver:
         lam_x0: ArrayLike = 0.0,
         lam_g0: ArrayLike = 0.0,
     ) -> NLPResult:
-        """Solve; bounds that are not given are the program's own."""
+        """Solve; bounds that are not given are the NLP's own."""
         nlp = self.nlp
         start = np.asarray(x0, dtype=float).ravel()
         if start.size != nlp.n_x:

@@ -1,7 +1,4 @@
-"""How a solve ended, in one word and in one sentence.
-
-How a solver is ended that has no other way to be told.
-"""
+"""How a solve ended, in one word and in one sentence."""
 
 from __future__ import annotations
 
@@ -67,4 +64,4 @@ def success_in_words(success: bool, status: Status) -> str:
 
 
 class StoppedError(Exception):
-    """A monitor asked to stop."""
+    """Raised by a callback to abort a solver."""

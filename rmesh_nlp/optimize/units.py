@@ -1,4 +1,4 @@
-"""A nonlinear program in other units of its unknowns and rows, solved and reported in its own."""
+"""An NLP in other units of its unknowns and rows, solved and reported in its own."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rmesh_nlp.optimize.solver import NLPResult
 
 @dataclass(frozen=True)
 class Units:
-    """Units in which a solver with absolute tolerances sees a program.
+    """Units in which a solver with absolute tolerances sees an NLP.
 
     Attributes
     ----------
@@ -30,9 +30,9 @@ class Units:
     g: Array
 
     def program(self, nlp: NLP) -> NLP:
-        """The program in ``x / self.x`` with rows ``g / self.g``; its derivatives must be assembled."""
+        """The NLP in ``x / self.x`` with rows ``g / self.g``; its derivatives must be assembled."""
         if nlp.derivatives is None:
-            raise ValueError("a program without assembled derivatives cannot be put in other units")
+            raise ValueError("an NLP without assembled derivatives cannot be put in other units")
         base, x = nlp.derivatives, ca.MX.sym("x", nlp.n_x)
         values = ca.Function("values", [nlp.x, nlp.p], [nlp.f, nlp.g])
         own, lam_f, lam_g = self.x * x, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nlp.n_g)
@@ -61,7 +61,7 @@ class Units:
         )
 
     def result(self, found: NLPResult) -> NLPResult:
-        """A result of that program in the units of the original one."""
+        """A result of that NLP in the units of the original one."""
         return replace(
             found,
             x=found.x * self.x,
@@ -73,7 +73,7 @@ class Units:
 
 @dataclass(frozen=True)
 class Seen:
-    """What watches the original program, shown the iterates of that in other units.
+    """A monitor of the original NLP, shown the iterates of that in other units.
 
     Attributes
     ----------

@@ -1,108 +1,143 @@
-"""The first-order residual of the outer problem, in histories and in records."""
+"""The first-order residual of the outer problem, in histories and in records, and multipliers of bounds."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models import outer_solvers, regularised_descent
-from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.models.residual import multipliers
-from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.mapping import Mobility
+from rmesh_nlp.models.residual import FLOOR, OuterResidual, multipliers, size_of
+from rmesh_nlp.problem import Motion
 from rmesh_nlp.solving.outer import Outer
+from support.curved import HOLE, plate
 from support.formulations import fixed, joint, mpcc, nested
 from support.problems import sloped_block
 
 
-def test_relative_residual_is_one_on_given_mesh() -> None:
-    for n in (3, 6):
-        outer = Outer(EXAMPLES["6.1"](n))
-        point = outer.energy(np.zeros(outer.relocation.n_q))
-        assert outer.residual(point) == pytest.approx(1.0)
+@pytest.mark.parametrize("n", [3, 6])
+def test_relative_residual_is_one_on_given_mesh_and_less_where_bounds_hold_back(n: int) -> None:
+    outer = Outer(EXAMPLES["6.1"](n))
+    point = outer.energy(np.zeros(outer.n))
+    residual = outer.residual
+    assert residual(point) == pytest.approx(1.0)
+    assert residual.unit == pytest.approx(np.max(np.abs(point.gradient)))
+    # |q - clip(q - g / unit)|, component by component
+    q, g = np.zeros(outer.n), np.zeros(outer.n)
+    q[:3], g[:3] = (1.0, -1.0, 0.75), (-3.0 * residual.unit, 0.5 * residual.unit, -residual.unit)
+    assert residual.at(q, g) == pytest.approx(0.25)
+    g[0] *= -1
+    assert residual.at(q, g) == pytest.approx(2.0)
+    assert residual.at(q, np.full(q.size, np.nan)) == np.inf
+
+
+def test_the_unit_has_a_floor_in_units_of_the_objective() -> None:
+    outer = Outer(EXAMPLES["6.2"]((4, 2)))
+    point = outer.energy(np.zeros(outer.n))
+    still = replace(point, gradient=0 * point.gradient)
+    strain = 0.5 * point.equilibrium.u @ (point.system.stiffness @ point.equilibrium.u)
+    assert size_of(still) == pytest.approx(max(strain, abs(point.value)))
+    assert size_of(replace(still, is_energy=False, value=-2.0)) == 2.0
+    assert OuterResidual(outer.energy, still).unit == pytest.approx(FLOOR * size_of(still))
 
 
 def test_history_and_record_agree_with_active_areas() -> None:
-    problem = EXAMPLES["6.2"]((4, 2), 0.6)
-    solution = nested.solve(problem, outer="newton", tolerance=1e-5)
-    assert solution.multipliers is not None
+    solution = nested.solve(EXAMPLES["6.2"]((4, 2), 0.6), outer="newton", tolerance=1e-5)
     assert np.any(solution.multipliers.area > 0)
     assert solution.history[-1].dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
 
 
-@pytest.mark.parametrize("strategy", [joint, mpcc])
+@pytest.mark.parametrize("formulation", [joint, mpcc])
 @pytest.mark.parametrize("name", ["6.1", "6.3"])
-def test_history_and_record_agree_where_no_contact_is_solved(strategy: Any, name: str) -> None:
-    """The contact forces are multipliers of one program and unknowns of the other."""
-    solution = strategy.solve(EXAMPLES[name](4) if name == "6.1" else EXAMPLES[name]((4, 3)))
+def test_history_and_record_agree_where_no_contact_is_solved(formulation: Any, name: str) -> None:
+    """The contact forces are multipliers of the energy NLP and unknowns of the KKT model."""
+    solution = formulation.solve(EXAMPLES[name](4) if name == "6.1" else EXAMPLES[name]((4, 3)))
     first, last = solution.history[0], solution.history[-1]
     assert first.dual_residual > 100 * last.dual_residual
     # both are rounding of a minimiser, the contact forces of one an interior point's
     assert abs(last.dual_residual - solution.stationarity_residual) <= 1e-8 + 0.01 * last.dual_residual
 
 
+def test_contact_forces_of_a_solvers_own_give_the_residual_of_the_contact_solution() -> None:
+    outer = Outer(sloped_block())
+    q = 0.4 * np.random.default_rng(0).uniform(-1, 1, outer.n)
+    point, rel = outer.energy(q), outer.relocation
+    state, rows = point.equilibrium, rel.friction_rows
+    expected = outer.residual(point)
+    own = outer.residual.of_state(q, state.u, state.normal_force, state.tangential_force[rows])
+    assert own == pytest.approx(expected, rel=1e-9)
+    bound, tau = point.system.slip_bound[rows], state.tangential_force[rows]
+    lam_g = -np.concatenate([state.normal_force, (bound - tau) / 2, (bound + tau) / 2, np.zeros(rel.n_valid)])
+    x = outer.energy.point(q, state)
+    assert outer.residual.of_program(x, lam_g) == pytest.approx(expected, rel=1e-9)
+    assert outer.residual.of_program(x, 0.5 * lam_g) != pytest.approx(expected, rel=1e-3)
+
+
 @pytest.mark.slow
-def test_of_another_objective_the_end_of_mpcc_is_known() -> None:
+def test_other_objectives_have_one_at_the_end_of_mpcc_and_with_the_adjoint() -> None:
     solution = mpcc.solve(EXAMPLES["6.1"](3), objective="error-l2")
     assert solution.history[-1].dual_residual == solution.stationarity_residual
     assert all(np.isnan(step.dual_residual) for step in solution.history[:-1])
-
-
-@pytest.mark.slow
-def test_an_objective_of_errors_has_one() -> None:
     solution = nested.solve(replace(EXAMPLES["6.1"](3), quadrature=8), objective="error-l2")
     assert solution.stationarity_residual < 1e-2
     given = fixed.solve(EXAMPLES["6.1"](3), objective="error-l2")
     assert given.stationarity_residual == pytest.approx(1.0)
 
 
-def test_a_pull_of_elements_that_have_room_is_no_equilibrium() -> None:
+def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
     room = 1e-5
     given = EXAMPLES["6.2"]((4, 2), 0.6)
-    problem = replace(given, motion=replace(given.motion, min_area_fraction=1 - room))
-    outer = Outer(problem)
-    residual, q = outer.residual, np.zeros(outer.relocation.n_q)
+    outer = Outer(replace(given, motion=replace(given.motion, min_area_fraction=1 - room)))
+    residual, q = outer.residual, np.zeros(outer.n)
     rows = outer.energy.validity.at(q)
     # a gradient that multipliers of the elements explain as a whole
     pull = residual.unit * rows.jacobian.T @ np.ones(rows.slack.size)
     assert residual.at(q, np.asarray(pull)) == pytest.approx(room)
     assert residual.at(q, np.zeros(q.size)) == 0
+    found = multipliers(outer.energy, q, np.asarray(pull))
+    assert found.area.shape == (given.mesh.t.shape[1],)
+    np.testing.assert_allclose(
+        rows.jacobian.T @ found.area[outer.relocation.validity.elements], pull, atol=1e-9
+    )
+    assert not np.any(found.box)
 
 
-def test_the_multiplier_of_a_box_on_a_slope_is_the_rate_at_its_narrower_side() -> None:
-    problem = sloped_block()  # boxes of 0.1 by 0.05 over slopes of 1 and 4 %: x is the side that stops nodes
-    outer = Outer(problem)
-    index, q = outer.relocation.mesh_map.positions.index, np.zeros(outer.relocation.n_q)
-    node = next(n for n in problem.contact_nodes if index[0, n] == index[1, n] >= 0)
-    move = index[0, node]
-    q[move], gradient = 1.0, np.where(np.arange(q.size) == move, -3.0, 0.0)
+def test_multipliers_of_angles_are_sums_over_the_vertices() -> None:
+    outer = Outer(replace(EXAMPLES["6.1"](3), motion=Motion(0.05, min_angle=45.0 - 1e-9)))
+    rows = outer.energy.validity.at(np.zeros(outer.n))
+    weights = np.arange(rows.slack.size) % 4 == 1  # one angle of each element
+    found = multipliers(outer.energy, np.zeros(outer.n), np.asarray(rows.jacobian.T @ (2.0 * weights)))
+    assert found.angle.sum() + found.area.sum() > 0
+    assert np.min(found.angle) >= 0
+    assert np.any(found.angle > 0)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_multiplier_of_a_move_limit_is_the_rate_per_length(sign: float) -> None:
+    """Limits are 0.1 by 0.05 over slopes of 1 and 4 %: x is the side that stops nodes there."""
+    outer = Outer(sloped_block())
+    free, q, gradient = outer.relocation.mesh_map, np.zeros(outer.n), np.zeros(outer.n)
+    index = free.positions.index
+    slanted = next(n for n in outer.problem.contact_nodes if index[0, n] == index[1, n] >= 0)
+    inner = int(np.flatnonzero(free.mobility == Mobility.FREE)[0])
+    q[index[0, slanted]], gradient[index[0, slanted]] = sign, -3.0 * sign
+    q[index[1, inner]], gradient[index[1, inner]] = sign, -2.0 * sign
+    gradient[index[0, inner]] = 7.0  # inside its limits
     found = multipliers(outer.energy, q, gradient).box
-    assert found[node] == pytest.approx(3.0 / 0.1)
-    assert np.count_nonzero(found) == 1
+    assert found[slanted] == pytest.approx(3.0 / 0.1)
+    assert found[inner] == pytest.approx(2.0 / 0.05)
+    assert np.count_nonzero(found) == 2
+    assert not np.any(multipliers(outer.energy, q, np.abs(gradient) * sign).box)  # pushed inwards
 
 
-def test_steps_that_raise_the_residual_are_not_taken() -> None:
-    energy = ReducedEnergy(relocation(EXAMPLES["6.1"](n=3), parse_objective("energy + 0.01*quality")))
-    given, here = np.zeros(energy.relocation.n_q), 1e-3
-    q, residual, _ = regularised_descent._polished(energy, given, lambda point: 2 * here, here, 1e-9)
-    assert (list(q), residual) == (list(given), here)
-
-
-def test_an_interior_point_never_ends_above_its_start(monkeypatch) -> None:
-    def solver(nlp, **_):
-        return lambda first: SimpleNamespace(
-            x=np.ones(1), f=-1.0, converged=True, status=Status.CONVERGED, iterations=3
-        )
-
-    monkeypatch.setattr(outer_solvers, "Solver", solver)
-    nlp = SimpleNamespace(n_x=1, lbx=-2 * np.ones(1), ubx=2 * np.ones(1))
-    program = SimpleNamespace(nlp=nlp, function=lambda q: SimpleNamespace(value=float(q @ q)))
-    found = outer_solvers._run(program, nlp, np.array([0.5]), None, {}, "")
-    assert (found.q[0], found.status) == (0.5, Status.STALLED)
-    assert outer_solvers._run(program, nlp, np.array([1.5]), None, {}, "").q[0] == 1.0
+def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
+    outer = Outer(plate({"hole": HOLE}, delta=0.4))
+    index = outer.relocation.mesh_map.positions.index
+    node = outer.problem.boundary_nodes(("hole",))[3]
+    q, gradient = np.zeros(outer.n), np.zeros(outer.n)
+    q[index[0, node]], gradient[index[0, node]] = 1.0, -2.0
+    found = multipliers(outer.energy, q, gradient).box
+    assert found[node] == pytest.approx(2.0 / 0.4, rel=1e-6)
