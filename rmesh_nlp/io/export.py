@@ -15,7 +15,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.io.files import write_text, write_whole
-from rmesh_nlp.io.vtu import fields_of, point_arrays
+from rmesh_nlp.io.vtu import fields_of, three
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
@@ -48,9 +48,9 @@ def point_data(solution: Solution) -> dict[str, Array]:
     3 tied, ``box_multiplier`` as in :class:`rmesh_nlp.models.residual.Multipliers`.
     """
     problem, nodes = solution.problem, np.asarray(solution.mesh.p)
-    data = point_arrays(fields_of(solution))
+    data = fields_of(solution).point_data()
     data["gap"] = gaps(problem, nodes, solution.displacement)
-    data["motion"] = _three(nodes - solution.initial_nodes)
+    data["motion"] = three(nodes - solution.initial_nodes)
     data["mobility"] = MeshMap.of(problem).mobility.astype(np.int32)
     if solution.multipliers is not None:
         data["box_multiplier"] = solution.multipliers.box
@@ -77,7 +77,7 @@ def cell_data(solution: Solution, certificate: Certificate | None = None) -> dic
         "zone": element_zones(problem).astype(np.int32),
     }
     if problem.components == 1:
-        data["flux"] = _three(stress)
+        data["flux"] = three(stress)
     else:
         data["stress"] = np.ascontiguousarray(stress.T)
         data["von_mises"] = von_mises(stress)
@@ -89,7 +89,7 @@ def cell_data(solution: Solution, certificate: Certificate | None = None) -> dic
         data["error_bound_initial"] = certificate.local_initial
         scalar = problem.components == 1
         name = "equilibrated_flux" if scalar else "equilibrated_stress"
-        data[name] = _three(certificate.field) if scalar else np.ascontiguousarray(certificate.field.T)
+        data[name] = three(certificate.field) if scalar else np.ascontiguousarray(certificate.field.T)
     return data
 
 
@@ -100,7 +100,7 @@ def write_solution(
     certificate: Certificate | None = None,
 ) -> None:
     """Write a solution with all its fields, in the format of the suffix; ``.vtu`` for ParaView."""
-    points, cells = _three(np.asarray(solution.mesh.p)), [("triangle", solution.problem.triangles.T)]
+    points, cells = three(np.asarray(solution.mesh.p)), [("triangle", solution.problem.triangles.T)]
     data = {name: [values] for name, values in cell_data(solution, certificate).items()}
     meshio.Mesh(points, cells, point_data=point_data(solution), cell_data=data).write(path, file_format)
 
@@ -116,32 +116,26 @@ def write_mesh(mesh: MeshTri, path: str | Path) -> None:
     if path.suffix != ".msh":
         mesh.save(path)
         return
-    lines, line_tags = [np.zeros((0, 2), int)], [np.zeros(0, int)]
-    names: dict[str, tuple[int, int]] = {}
     triangles = counter_clockwise(mesh.p, mesh.t)
+    names: dict[str, Array] = {}
+    lines, line_tags = [np.zeros((0, 2), int)], []
     for name, facets in _user_names(mesh.boundaries):
-        names[name] = (len(names) + 1, 1)
+        names[name] = np.array((len(names) + 1, 1))
         lines.append(np.asarray(mesh.facets[:, facets]).T)
-        line_tags.append(np.full(len(facets), names[name][0]))
-    cells, tags = [np.zeros((0, 3), int)], [np.zeros(0, int)]
-    rest = np.ones(mesh.t.shape[1], dtype=bool)
+        line_tags += [len(names)] * len(facets)
+    tags = np.zeros(triangles.shape[1], int)
     for name, elements in _user_names(mesh.subdomains):
-        fresh = np.asarray(elements)[rest[elements]]  # a triangle is written once, under its first name
-        rest[fresh] = False
-        names[name] = (len(names) + 1, 2)
-        cells.append(triangles[:, fresh].T)
-        tags.append(np.full(fresh.size, names[name][0]))
-    cells.append(triangles[:, rest].T)
-    tags.append(np.zeros(int(rest.sum()), int))
-    blocks = [("triangle", np.vstack(cells)), ("line", np.vstack(lines))]
-    numbers = [np.concatenate(tags), np.concatenate(line_tags)]
-    blocks, numbers = (blocks, numbers) if len(numbers[1]) else (blocks[:1], numbers[:1])
-    meshio.Mesh(
-        _three(np.asarray(mesh.p)),
-        blocks,
-        cell_data={"gmsh:physical": numbers, "gmsh:geometrical": numbers},
-        field_data={name: np.array(value) for name, value in names.items()},
-    ).write(path, file_format="gmsh22", binary=False)
+        names[name] = np.array((len(names) + 1, 2))
+        elements = np.arange(tags.size)[elements]
+        tags[elements[tags[elements] == 0]] = len(names)  # a triangle is written once, under its first name
+    order = np.argsort(np.where(tags == 0, len(names) + 1, tags), kind="stable")
+    blocks, numbers = [("triangle", triangles[:, order].T)], [tags[order]]
+    if line_tags:
+        blocks.append(("line", np.vstack(lines)))
+        numbers.append(np.array(line_tags))
+    cell_data = {"gmsh:physical": numbers, "gmsh:geometrical": numbers}
+    target = meshio.Mesh(three(np.asarray(mesh.p)), blocks, cell_data=cell_data, field_data=names)
+    target.write(path, file_format="gmsh22", binary=False)
 
 
 class Series:
@@ -196,11 +190,11 @@ class Series:
             u = model.displacement.values(state.u)
             file = self._file(step, name)
             frame = meshio.Mesh(
-                _three(nodes),
+                three(nodes),
                 [("triangle", self.problem.triangles.T)],
                 point_data={
-                    "displacement": u[0] if u.shape[0] == 1 else _three(u),
-                    "motion": _three(nodes - self.problem.mesh.p),
+                    "displacement": u[0] if u.shape[0] == 1 else three(u),
+                    "motion": three(nodes - self.problem.mesh.p),
                 },
             )
             write_whole(folder / file, frame.write)
@@ -249,8 +243,3 @@ def _table(data: dict[str, Any]) -> pd.DataFrame:
 
 def _user_names(groups: Any) -> list[tuple[str, Any]]:
     return [(name, value) for name, value in (groups or {}).items() if not name.startswith("gmsh:")]
-
-
-def _three(points: Array) -> Array:
-    """(nodes, 3) from (2, nodes)."""
-    return np.ascontiguousarray(np.vstack([points, np.zeros(points.shape[1])]).T)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import meshio
@@ -47,19 +47,16 @@ class KeptSolution:
     multipliers: Multipliers | None
 
 
-def names(table: ProblemTable) -> Iterator[str]:
-    """The files that :func:`keep` writes."""
-    yield PROBLEM
-    if table.mesh.file is not None:
-        yield _mesh_name(table)
+def names(table: ProblemTable) -> list[str]:
+    """The files that :func:`keep` writes: the problem and the mesh file that it names."""
+    return [PROBLEM] if table.mesh.file is None else [PROBLEM, MESH + Path(table.mesh.file).suffix]
 
 
 def keep(path: Path, table: ProblemTable, folder: Path) -> None:
     """Copy a problem file, and the mesh file that it names, into a folder."""
-    write_whole(folder / PROBLEM, lambda aside: shutil.copyfile(path, aside))
-    if table.mesh.file is not None:
-        source = path.parent / table.mesh.file
-        write_whole(folder / _mesh_name(table), lambda aside: shutil.copyfile(source, aside))
+    sources = [path, path.parent / (table.mesh.file or "")]
+    for source, name in zip(sources, names(table), strict=False):
+        write_whole(folder / name, partial(shutil.copyfile, source))
 
 
 def read_kept(folder: Path, record: Record) -> KeptSolution | None:
@@ -78,7 +75,8 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
         return None
     table = read_table(path)
     if table.mesh.file is not None:
-        table = table.model_copy(update={"mesh": table.mesh.model_copy(update={"file": _mesh_name(table)})})
+        mesh_table = table.mesh.model_copy(update={"file": names(table)[1]})
+        table = table.model_copy(update={"mesh": mesh_table})
     problem = build(table, path)
     if record.get("quadrature") is not None:  # some formulations raise it
         problem = replace(problem, quadrature=record["quadrature"])
@@ -87,15 +85,9 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     if not np.array_equal(fields.triangles, problem.triangles):
         return None
     data = meshio.vtu.read(str(vtu))
-    pulls = None
+    multipliers = None
     if "box_multiplier" in data.point_data:
-        cells = {name: values[0] for name, values in data.cell_data.items()}
-        pulls = Multipliers(
-            data.point_data["box_multiplier"], cells["area_multiplier"], cells["angle_multiplier"]
-        )
+        cells = (data.cell_data[name][0] for name in ("area_multiplier", "angle_multiplier"))
+        multipliers = Multipliers(data.point_data["box_multiplier"], *cells)
     mesh = relocated_mesh(problem.mesh, fields.nodes)
-    return KeptSolution(problem, mesh, fields.displacement, fields.pressure, pulls)
-
-
-def _mesh_name(table: ProblemTable) -> str:
-    return MESH + Path(str(table.mesh.file)).suffix
+    return KeptSolution(problem, mesh, fields.displacement, fields.pressure, multipliers)

@@ -48,6 +48,24 @@ class Fields:
     error_bound: Array | None = None
     error_bound_initial: Array | None = None
 
+    def point_data(self) -> dict[str, NDArray]:
+        """The fields of the nodes as VTU files have them, by name."""
+        u = self.displacement
+        return {
+            "displacement": u[0] if u.shape[0] == 1 else np.ascontiguousarray(u.T),
+            "initial_position": three(self.initial),
+            "pressure": self.pressure,
+            "tangential_stress": self.tangential_stress,
+            "friction_bound": self.friction_bound,
+            "contact": self.contact.astype(np.int32),
+            "foundation": three(self.foundation),
+        }
+
+
+def three(points: Array) -> Array:
+    """(nodes, 3) coordinates, as VTU files want them, of (2, nodes) ones."""
+    return np.ascontiguousarray(np.vstack([points, np.zeros(points.shape[1])]).T)
+
 
 def fields_of(solution: Solution) -> Fields:
     """The fields of a solution."""
@@ -73,24 +91,6 @@ def fields_of(solution: Solution) -> Fields:
     )
 
 
-def point_arrays(fields: Fields) -> dict[str, NDArray]:
-    """The fields as VTU files have them, by name.
-
-    ``displacement`` has one or two components; ``initial_position`` and ``foundation`` have
-    three, as the points of a VTU file do.
-    """
-    u = fields.displacement
-    return {
-        "displacement": u[0] if u.shape[0] == 1 else np.ascontiguousarray(u.T),
-        "initial_position": _three(fields.initial),
-        "pressure": fields.pressure,
-        "tangential_stress": fields.tangential_stress,
-        "friction_bound": fields.friction_bound,
-        "contact": fields.contact.astype(np.int32),
-        "foundation": _three(fields.foundation),
-    }
-
-
 def read_vtu(path: Path) -> Fields:
     """Read what :func:`rmesh_nlp.io.export.write_solution` wrote.
 
@@ -100,30 +100,28 @@ def read_vtu(path: Path) -> Fields:
         If the file is missing or damaged, or is not of a solution.
     """
     try:
-        fields = _read(path)
+        mesh = meshio.vtu.read(str(path))  # meshio.read ends the process where it cannot read
+        data = mesh.point_data
+        bounds = {
+            name: mesh.cell_data.get(name, [None])[0] for name in ("error_bound", "error_bound_initial")
+        }
+        fields = Fields(
+            nodes=mesh.points[:, :2].T,
+            initial=data["initial_position"][:, :2].T,
+            triangles=mesh.cells_dict["triangle"].T,
+            displacement=np.atleast_2d(data["displacement"].T),
+            pressure=data["pressure"],
+            tangential_stress=data["tangential_stress"],
+            friction_bound=data["friction_bound"],
+            contact=data["contact"].astype(bool),
+            foundation=data["foundation"][:, :2].T,
+            **bounds,
+        )
         _check(fields)
     except Exception as error:  # meshio lets through whatever its parsers meet
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
         raise BadInputError(f"cannot read the fields of a solution from {path}: {reason}") from error
     return fields
-
-
-def _read(path: Path) -> Fields:
-    mesh = meshio.vtu.read(str(path))  # meshio.read ends the process where it cannot read
-    data = mesh.point_data
-    bounds = {name: mesh.cell_data.get(name, [None])[0] for name in ("error_bound", "error_bound_initial")}
-    return Fields(
-        nodes=mesh.points[:, :2].T,
-        initial=data["initial_position"][:, :2].T,
-        triangles=mesh.cells_dict["triangle"].T,
-        displacement=np.atleast_2d(data["displacement"].T),
-        pressure=data["pressure"],
-        tangential_stress=data["tangential_stress"],
-        friction_bound=data["friction_bound"],
-        contact=data["contact"].astype(bool),
-        foundation=data["foundation"][:, :2].T,
-        **bounds,
-    )
 
 
 def _check(fields: Fields) -> None:
@@ -135,8 +133,3 @@ def _check(fields: Fields) -> None:
             raise ValueError(f"{name} has not a finite value at each of {count} nodes")
     if fields.triangles.size == 0 or fields.triangles.min() < 0 or fields.triangles.max() >= count:
         raise ValueError("a triangle has a node that is not there")
-
-
-def _three(points: Array) -> Array:
-    """(nodes, 3) coordinates of (2, nodes) ones."""
-    return np.ascontiguousarray(np.vstack([points, np.zeros(points.shape[1])]).T)

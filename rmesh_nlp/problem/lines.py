@@ -1,4 +1,4 @@
-"""Lines of a mesh: outer boundary, interfaces between subdomains, named interior facets.
+"""Lines of a mesh, along which nodes slide: outer boundary, interfaces, named facets, and their curves.
 
 A node of a line may slide if exactly two of its facets are on lines, these are collinear, and
 both belong to the same named parts and separate the same subdomains. Else it is a corner, the
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,11 @@ from rmesh_nlp.meshes.curves import Curve
 if TYPE_CHECKING:
     from rmesh_nlp.problem.contact_problem import ContactProblem
 
+Index = NDArray[np.int64]
+
+STRAIGHT = 1e-8
+"""Largest sine of the angle between two facets that count as one straight piece."""
+
 OFF = 1e-3
 """Distance from its curve, in units of the shortest edge of the boundary, at which a given node is not on it.
 Mesh generators write nodes with 1e-10 or better; a wrong radius is off by more."""
@@ -29,7 +34,7 @@ EXACT = 1e-14
 """Distance, in units of the extent of the mesh, that is rounding."""
 
 
-def nodes_of(mesh: MeshTri, name: str) -> NDArray[np.int64]:
+def nodes_of(mesh: MeshTri, name: str) -> Index:
     """Sorted numbers of the nodes on a named boundary."""
     return np.unique(mesh.facets[:, np.asarray(mesh.boundaries[name])]).astype(np.int64)
 
@@ -74,41 +79,36 @@ def parameters_of(curve: Curve, points: Array) -> tuple[Array, Array]:
     return t, np.linalg.norm(curve.velocity(t), axis=0)
 
 
-STRAIGHT = 1e-8
-"""Largest sine of the angle between two facets that count as one straight piece."""
-
-
-def sliding_directions(
-    problem: ContactProblem, *, geometry_only: bool = False
-) -> tuple[NDArray[np.int64], Array]:
+def sliding_directions(problem: ContactProblem, *, geometry_only: bool = False) -> tuple[Index, Array]:
     """Nodes on lines, and unit tangents (2, nodes) of those that may slide, zero elsewhere.
 
     With ``geometry_only`` the ends of named parts and jumps of coefficients do not stop a node:
     only the geometry does. Kinks of the outer boundary always stop it.
     """
-    mesh = problem.mesh
-    label = _labels(problem)
-    outer = np.zeros(mesh.facets.shape[1], dtype=bool)
-    outer[mesh.boundary_facets()] = True
+    mesh, label = problem.mesh, _labels(problem)
     facets = np.flatnonzero(label > 0)
-    ends, label, outer = mesh.facets[:, facets], label[facets], outer[facets]
+    ends, label = mesh.facets[:, facets], label[facets]
     direction = mesh.p[:, ends[1]] - mesh.p[:, ends[0]]
     direction = direction / np.linalg.norm(direction, axis=0)
-    tangent = np.zeros(mesh.p.shape)
-    on_line = np.unique(ends)
+    tangent, every = np.zeros(mesh.p.shape), np.arange(facets.size)
+    parts = [every]
     if geometry_only:
-        # the outer boundary decides where there is one; interfaces that end there move along
-        for part in (~outer, outer):
-            owner, one, two = _pairs(ends[:, part])
-            number = np.flatnonzero(part)
-            _fill(tangent, direction, owner, number[one], number[two], np.ones(owner.size, dtype=bool))
-        return on_line, tangent
-    owner, one, two = _pairs(ends)
-    _fill(tangent, direction, owner, one, two, label[one] == label[two])
-    return on_line, tangent
+        # the outer boundary, last, decides where there is one; interfaces that end there move along
+        outer = np.isin(facets, mesh.boundary_facets())
+        parts, label = [every[~outer], every[outer]], np.zeros_like(label)
+    for part in parts:
+        owner, one, two = _pairs(ends[:, part])
+        one, two = part[one], part[two]
+        turn = direction[0, one] * direction[1, two] - direction[1, one] * direction[0, two]
+        slides = (np.abs(turn) < STRAIGHT) & (label[one] == label[two])
+        chosen = direction[:, one[slides]]
+        # exactly axis-parallel where it is so up to rounding, so that a coordinate really stays put
+        tangent[:, owner] = 0.0
+        tangent[:, owner[slides]] = np.where(np.abs(chosen) < STRAIGHT, 0.0, chosen)
+    return np.unique(ends), tangent
 
 
-def on_curve(problem: ContactProblem) -> NDArray[np.int64]:
+def on_curve(problem: ContactProblem) -> Index:
     """Number (nodes,) of the curve of the motion that each node may slide along, -1 where there is none.
 
     Such a node has exactly two facets on lines, of the same named parts and between the same
@@ -121,16 +121,15 @@ def on_curve(problem: ContactProblem) -> NDArray[np.int64]:
     label = _labels(problem)
     facets = np.flatnonzero(label > 0)
     owner, one, two = _pairs(mesh.facets[:, facets])
-    alike = label[facets[one]] == label[facets[two]]
+    one, two = facets[one], facets[two]
     for number, name in enumerate(curves):
-        part = np.zeros(mesh.facets.shape[1], dtype=bool)
-        part[np.asarray(mesh.boundaries[name])] = True
-        here = alike & part[facets[one]] & part[facets[two]]
-        result[owner[here]] = np.where(result[owner[here]] < 0, number, result[owner[here]])
+        part = _members(mesh.boundaries, name, label.size)
+        here = owner[(label[one] == label[two]) & part[one] & part[two]]
+        result[here] = np.where(result[here] < 0, number, result[here])
     return result
 
 
-def line_facets(problem: ContactProblem) -> NDArray[np.int64]:
+def line_facets(problem: ContactProblem) -> Index:
     """Numbers of the facets on lines."""
     return np.flatnonzero(_labels(problem) > 0)
 
@@ -146,43 +145,35 @@ def _pairs(ends: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     return owner[regular], facet[start[regular]], facet[start[regular] + 1]
 
 
-def _fill(
-    tangent: Array, direction: Array, owner: NDArray, one: NDArray, two: NDArray, alike: NDArray
-) -> None:
-    turn = direction[0, one] * direction[1, two] - direction[1, one] * direction[0, two]
-    slides = (np.abs(turn) < STRAIGHT) & alike
-    chosen = direction[:, one[slides]]
-    # exactly axis-parallel where it is so up to rounding, so that a coordinate really stays put
-    tangent[:, owner] = 0.0
-    tangent[:, owner[slides]] = np.where(np.abs(chosen) < STRAIGHT, 0.0, chosen)
-
-
-def _labels(problem: ContactProblem) -> NDArray[np.int64]:
+def _labels(problem: ContactProblem) -> Index:
     """A number per facet: 0 off all lines, else which names and subdomains it has on its sides."""
     mesh = problem.mesh
-    n_facets = mesh.facets.shape[1]
-    names = sorted(name for name in (mesh.boundaries or {}) if not name.startswith("gmsh:"))
-    member = np.zeros((n_facets, len(names)), dtype=np.int64)
-    for column, name in enumerate(names):
-        member[np.asarray(mesh.boundaries[name]), column] = 1
-    zone = element_zones(problem)
+    member = _table(mesh.boundaries, mesh.facets.shape[1])
     left, right = mesh.f2t
-    inside = right >= 0
-    sides = np.vstack([zone[left], np.where(inside, zone[right], -1)])
-    on_line = ~inside | (sides[0] != sides[1]) | np.any(member > 0, axis=1)
-    result = np.zeros(n_facets, dtype=np.int64)
-    key = np.hstack([np.sort(sides[:, on_line], axis=0).T, member[on_line]])
+    zone = element_zones(problem)
+    sides = np.sort([zone[left], np.where(right >= 0, zone[right], -1)], axis=0)
+    on_line = (right < 0) | (sides[0] != sides[1]) | np.any(member, axis=1)
+    result = np.zeros(on_line.size, dtype=np.int64)
+    key = np.hstack([sides[:, on_line].T, member[on_line]])
     result[on_line] = 1 + np.unique(key, axis=0, return_inverse=True)[1].ravel()
     return result
 
 
-def element_zones(problem: ContactProblem) -> NDArray[np.int64]:
+def element_zones(problem: ContactProblem) -> Index:
     """A number per element: which set of named subdomains it belongs to."""
-    mesh = problem.mesh
-    names = sorted(name for name in (mesh.subdomains or {}) if not name.startswith("gmsh:"))
-    if not names:
-        return np.zeros(mesh.t.shape[1], dtype=np.int64)
-    member = np.zeros((mesh.t.shape[1], len(names) + 1), dtype=bool)
-    for column, name in enumerate(names):
-        member[np.asarray(mesh.subdomains[name]), column] = True
+    member = _table(problem.mesh.subdomains, problem.mesh.t.shape[1])
+    if member.shape[1] == 0:
+        return np.zeros(len(member), dtype=np.int64)
     return np.unique(member, axis=0, return_inverse=True)[1].ravel()
+
+
+def _table(groups: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
+    """(count, names) which of so many facets or elements belong to each name; those of gmsh aside."""
+    names = sorted(name for name in (groups or {}) if not name.startswith("gmsh:"))
+    return np.array([_members(groups, name, count) for name in names]).reshape(len(names), count).T
+
+
+def _members(groups: Any, name: str, count: int) -> NDArray[np.bool_]:
+    member = np.zeros(count, dtype=bool)
+    member[np.asarray(groups[name])] = True
+    return member

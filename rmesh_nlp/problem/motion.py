@@ -1,4 +1,4 @@
-"""What a user says about the motion of nodes, see :mod:`rmesh_nlp.mapping.mesh_map`."""
+"""What a user says about the motion of nodes; :mod:`rmesh_nlp.mapping` makes outer variables of it."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from rmesh_nlp.meshes.curves import Curve
 BY_BARRIER = "by auto, and with a regularisation: only positive"
 """What becomes of the least area where a distortion is minimised with the energy: it is a barrier."""
 
+RULES = ("pinned", "slides", "free")
+
 Where = str | int
 """A named boundary (or subdomain interface given by a boundary name), or a node number."""
 
 
 @dataclass(frozen=True)
 class Relative:
-    """A box of half-width ``fraction`` times the shortest edge at the node."""
+    """A move limit of ``fraction`` times the shortest edge at the node, in both directions."""
 
     fraction: float
 
@@ -36,30 +38,30 @@ class Motion:
 
     Without further rules interior nodes are free, boundary nodes and nodes on interfaces
     between subdomains slide along their straight piece, and corners, ends of named parts,
-    points where an interface begins or several meet, and nodes held at a value that varies
+    points where an interface begins or several meet, and nodes fixed at a value that varies
     with position do not move.
 
-    Attributes
+    Parameters
     ----------
     delta : float, (float, float), Relative or None
-        Half-widths of the box around each initial position, in units of length; None for no
-        box, so that only element validity limits the motion.
+        Move limits: half-widths around each initial position, in units of length; None for none, so that
+        only element validity limits the motion.
     pinned, slides, free : tuples of str or int, or one alone
-        Names of boundaries, or node numbers. Rules for names apply first, then those for
+        Names of boundaries, or node numbers; none by default. Rules for names apply first, then those for
         numbers; among equals ``pinned`` beats ``slides`` beats ``free``. A node slides only
         where its piece is straight. A free node on the outer boundary changes the domain.
     tied : tuple of (int, int)
-        Pairs (node, leader): the node makes the moves of its leader.
+        Pairs (node, leader): the node moves as its leader does; none by default.
     min_area_fraction : float
-        Smallest allowed signed area of an element, as a fraction of its given one. It is a constraint, except
-        where a distortion is minimised with the energy: with a ``regularisation``, which ``auto`` chooses if
-        ``delta`` is None and the objective is the energy. The distortion is a barrier that keeps areas
-        positive, also far below this fraction. With a ``min_angle`` both are constraints again.
+        Least signed area of an element, as a fraction of its given one; 0.01 by default. It is a constraint,
+        except where a distortion is minimised with the energy: with a ``regularisation``, which ``auto``
+        chooses if ``delta`` is None and the objective is the energy. The distortion is a barrier that keeps
+        areas positive, also far below this fraction. With a ``min_angle`` both are constraints again.
     min_angle : float
-        Smallest allowed angle of an element in degrees; 0 for none.
+        Least angle of an element in degrees; 0, the default, for none.
     curves : mapping from boundary names to Curve
-        Curves that the boundaries were made from: their nodes slide along them, and the mesh is refined
-        along them. A box is then measured along the curve.
+        Curves that the boundaries were made from; none by default. Their nodes slide along them, and the
+        mesh is refined along them. Move limits are then measured along the curve.
     """
 
     delta: float | tuple[float, float] | Relative | None
@@ -85,7 +87,7 @@ class Motion:
             raise ValueError(f"min_area_fraction must lie between 0 and 1, got {self.min_area_fraction}")
         if not 0 <= self.min_angle < 60:
             raise ValueError(f"min_angle must be at least 0 and less than 60 degrees, got {self.min_angle}")
-        for name in ("pinned", "slides", "free"):
+        for name in RULES:
             given = getattr(self, name)
             places = (given,) if isinstance(given, (str, Integral)) else tuple(given)
             for place in places:
@@ -97,9 +99,8 @@ class Motion:
                 raise ValueError(f"tied must be pairs of node numbers, got {pair!r}")
         for name, curve in self.curves.items():
             if not isinstance(curve, Curve):
-                raise ValueError(
-                    f"the curve of {name!r} must be a Circle, Spline or Parametrised, got {curve!r}"
-                )
+                said = f"the curve of {name!r} must be a Circle, Spline or Parametrised, got {curve!r}"
+                raise ValueError(said)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -126,7 +127,7 @@ class Motion:
             text += f", angles at least {figure(self.min_angle)} degrees"
         elif self.delta is None:
             text += f" ({BY_BARRIER})"
-        for rule in ("pinned", "slides", "free"):
+        for rule in RULES:
             if places := getattr(self, rule):
                 text += f"; {rule}: {', '.join(map(str, places))}"
         if self.curves:

@@ -23,33 +23,27 @@ def rigid_motions(problem: ContactProblem, nodes: Array | None = None) -> Array:
     """A basis (motions, components, nodes) of the rigid motions that no given displacement prevents.
 
     Each belongs to one connected part of the mesh and is zero on the others. Empty if the given
-    displacements hold the body.
+    displacements prevent all.
 
     Parameters
     ----------
     nodes : (2, nodes) array, optional
         Positions to turn about; those of the mesh by default.
     """
-    p = problem.mesh.p if nodes is None else nodes
+    mesh = problem.mesh
+    p = mesh.p if nodes is None else nodes
     held, _ = problem.held()
+    edges = sp.coo_array((np.ones(mesh.facets.shape[1]), tuple(mesh.facets)), shape=2 * (p.shape[1],))
+    _, part = connected_components(edges, directed=False)
     found = []
-    for part in parts(problem):
-        modes = _modes(p, part, problem.components)
+    for number in np.unique(part[mesh.t[0]]):
+        modes = _modes(p, np.flatnonzero(part == number), problem.components)
         rows = modes[:, held]
         # of a triangular factor: with all rows the other singular vectors, thousands, would be made as well
         triangle = np.linalg.qr(rows.T, mode="r")
         basis = scipy.linalg.null_space(triangle, rcond=NO_MOTION) if rows.size else np.eye(len(modes))
         found += list(np.einsum("mk,mcn->kcn", basis, modes))
     return np.array(found).reshape(-1, *held.shape)
-
-
-def parts(problem: ContactProblem) -> list[NDArray[np.int64]]:
-    """Nodes of each connected part of the mesh."""
-    mesh = problem.mesh
-    n_nodes = mesh.p.shape[1]
-    edges = sp.coo_array((np.ones(mesh.facets.shape[1]), tuple(mesh.facets)), shape=(n_nodes, n_nodes))
-    _, part = connected_components(edges, directed=False)
-    return [np.flatnonzero(part == number) for number in np.unique(part[mesh.t[0]])]
 
 
 def _modes(p: Array, part: NDArray, components: int) -> Array:
