@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,17 +63,10 @@ def arcs_of(problem: ContactProblem, nodes: Array) -> tuple[Arcs, ...]:
     return tuple(found)
 
 
-@dataclass(frozen=True)
-class Sides:
-    """Sides of triangles on one curve.
+class Sides(NamedTuple):
+    """Sides of triangles on one curve: ``element`` (n,), ``ends`` (2, n) and ``facet`` (n,).
 
-    Attributes
-    ----------
-    element : (n,) int array
-    ends : (2, n) int array
-        Local numbers (0 to 2) of the ends of each side, in the order of ``mesh.facets``.
-    facet : (n,) int array
-        Number among the facets of the curve.
+    The ends are local numbers, 0 to 2, in the order of ``mesh.facets``; facets are numbered on the curve.
     """
 
     element: Index
@@ -185,10 +179,9 @@ def determinants(slopes: Array) -> Array:
 
 def gradients(slopes: Array) -> tuple[Array, Array]:
     """Gradients (3, 2, m, k) of the barycentric coordinates, and the determinants (m, k)."""
-    one, two = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
     det = determinants(slopes)
-    second = np.stack([two[1], -two[0]]) / det
-    third = np.stack([-one[1], one[0]]) / det
+    one, two = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
+    second, third = np.stack([two[1], -two[0]]) / det, np.stack([-one[1], one[0]]) / det
     return np.stack([-second - third, second, third]), det
 
 

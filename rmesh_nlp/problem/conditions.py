@@ -12,10 +12,26 @@ from skfem import MeshTri
 
 from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction
 
+SAME_PLACE = 1e-9
+"""Extent of a boundary, in units of that of the mesh, below which it is parallel to an axis."""
+
+
+def as_tuple(value: Any) -> tuple[Any, ...]:
+    """One thing alone as a tuple of one."""
+    several = isinstance(value, Iterable) and not isinstance(value, str) and not callable(value)
+    return tuple(value) if several else (value,)
+
 
 @dataclass(frozen=True)
 class Traction:
-    """A load per unit length on a named boundary, one coefficient per component."""
+    """A load on a named boundary.
+
+    Parameters
+    ----------
+    boundary : str
+    value : tuple of float or function of position, or one alone
+        Force per area, one entry per displacement component.
+    """
 
     boundary: str
     value: tuple[Coefficient, ...]
@@ -25,16 +41,38 @@ class Traction:
 
 
 @dataclass(frozen=True)
+class Dirichlet:
+    """Displacement given on a named boundary.
+
+    Nodes fixed at a function of position do not move: sliding along curved
+    data would let the optimiser lower the energy by representing the data worse.
+
+    Parameters
+    ----------
+    boundary : str
+    value : tuple of float, function of position or None, or one alone
+        In units of length, one entry per displacement component; None where the component is free.
+    """
+
+    boundary: str
+    value: tuple[Coefficient | None, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "value", as_tuple(self.value))
+
+
+@dataclass(frozen=True)
 class PointLoad:
-    """A force per unit thickness at one node, one number per component.
+    """A force at one node, which does not move: the load would go with it.
 
-    The node does not move: the load would go with it. In the plane the energy under a point load has
-    no bound as the mesh is refined, so energies of different meshes do not compare.
+    In the plane the energy under a point load has no bound as the mesh is refined, so energies of different
+    meshes do not compare.
 
-    Attributes
+    Parameters
     ----------
     node : int
     force : tuple of float
+        Per unit thickness, one entry per displacement component.
     """
 
     node: int
@@ -45,32 +83,10 @@ class PointLoad:
 
 
 @dataclass(frozen=True)
-class Dirichlet:
-    """Displacement given on a named boundary.
-
-    ``value`` has one entry per component: a number, a function of position, or None where the
-    component is free. Nodes held at a function of position do not move: sliding along curved
-    data would let the optimiser lower the energy by representing the data worse.
-    """
-
-    boundary: str
-    value: tuple[Coefficient | None, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "value", as_tuple(self.value))
-
-
-def as_tuple(value: Any) -> tuple[Any, ...]:
-    """One thing alone as a tuple of one."""
-    several = isinstance(value, Iterable) and not isinstance(value, str) and not callable(value)
-    return tuple(value) if several else (value,)
-
-
-@dataclass(frozen=True)
 class ExactSolution:
     """A known solution, or a reference in its place.
 
-    Attributes
+    Parameters
     ----------
     value : function of position
         The displacement.
@@ -88,17 +104,15 @@ class ExactSolution:
 def symmetric(mesh: MeshTri, boundary: str, components: int = 2) -> Dirichlet:
     """The support of a boundary on an axis: its nodes stay on it and carry no force along it.
 
-    A scalar problem has no given value there: no flux is the natural condition, so the support is
-    empty.
+    A scalar problem has no given value there: no flux is the natural condition, and the support is empty.
 
     Raises
     ------
     ValueError
         If the boundary is not parallel to an axis of coordinates.
     """
-    nodes = np.unique(mesh.facets[:, mesh.boundaries[boundary]])
-    extent = np.ptp(mesh.p[:, nodes], axis=1)
-    flat = extent <= 1e-9 * float(np.max(np.ptp(mesh.p, axis=1)))
+    extent = np.ptp(mesh.p[:, np.unique(mesh.facets[:, mesh.boundaries[boundary]])], axis=1)
+    flat = extent <= SAME_PLACE * float(np.max(np.ptp(mesh.p, axis=1)))
     if not np.any(flat):
         raise ValueError(
             f"the boundary {boundary!r} is not parallel to an axis: symmetry needs one that is, turn the mesh"

@@ -19,6 +19,13 @@ class Laplace:
     """Scalar problem (3.1): ``-div(conductivity grad u) = source``.
 
     Energy 1/2 (conductivity grad u, grad u) - (source, u).
+
+    Parameters
+    ----------
+    source : float or function of position
+        Right-hand side, per area; 0 by default.
+    conductivity : float
+        Positive; 1 by default.
     """
 
     source: Coefficient = 0.0
@@ -46,7 +53,12 @@ E = TypeVar("E", bound="Elastic")
 class Elastic(ABC):
     """Isotropic elasticity (3.7) with Lamé coefficients in N/m^2: the base of the two plane laws.
 
-    ``body_force`` in N/m^3, per component a number or a function of position.
+    Parameters
+    ----------
+    lame_lambda, lame_mu : float
+        In units of stress; mu and lambda + mu are positive.
+    body_force : tuple of float or function of position
+        Force per volume, one entry per displacement component; zero by default.
     """
 
     lame_lambda: float

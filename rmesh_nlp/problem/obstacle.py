@@ -43,18 +43,19 @@ class Obstacle:
     ``(phi(X) + grad phi(X) . u) / |grad phi(X)|``, a distance along the curve's normal there. Friction acts
     along the curve's tangent at the same place, so that slip, too, is linear in the displacement.
 
-    Attributes
+    Parameters
     ----------
     boundary : str or Place
         Name of the contact boundary; ``Place.INTERIOR`` for all nodes of a scalar problem.
     normal : tuple of float
-        Unit vector, one number for a scalar problem. It points from the foundation to the body. Not used
-        with a ``level`` function.
+        Unit vector, one number for a scalar problem; (0, 1) by default. It points from the foundation to the
+        body. Not used with a ``level`` function.
     offset : float or function of position
-        Initial distance to the foundation, in units of length. Not used with a ``level`` function.
+        Initial distance to the foundation, in units of length; 0 by default. Not used with a ``level``
+        function.
     friction : float or function of position
-        Tresca bound g >= 0 in N/m^2, 0 without friction. It acts along the tangent, the normal
-        turned by -90 degrees.
+        Tresca bound g >= 0 in units of stress; 0, the default, without friction. It acts along the tangent,
+        the normal turned by -90 degrees.
     kinks : tuple of float
         Values of x_1 where the offset has a kink, found for a :class:`PiecewiseLinear` one.
         Contact nodes there do not move: the gap is imposed at nodes, and beside its node a kink
@@ -63,9 +64,9 @@ class Obstacle:
         phi, smooth and with a gradient that is not zero near the contact boundary.
     fixed_in_space : bool
         Whether the offset is that of a shape in space, so that a rigid motion of the foundation
-        carries it along; else it is the gap of each material point by itself.
+        carries it along; else, by default, it is the gap of each material point by itself.
     gap : str
-        "node": it holds at contact nodes, and a convex foundation passes into the body between them.
+        "node", the default: it holds at contact nodes; a convex foundation passes into the body between them.
         "edge": it holds along the edges as well, since the foundation counts as nearer at a node by twice
         the mean height of its arcs above their chords beside the node (:mod:`rmesh_nlp.fem.edge_gaps`).
         The two are the same where the foundation is straight.
