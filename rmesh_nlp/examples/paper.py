@@ -54,8 +54,8 @@ class PaperValues:
 MISPRINT_61 = "the printed source (6.1) is misprinted; here it is derived from the exact solution (6.2)."
 
 REMARK = (
-    "No descent from the given mesh or from 40 random starts reaches it under the printed move limits, and none "
-    "if they are {}: docs/reproduction.md, by rmesh reproduce."
+    "No descent from the given mesh or from 40 random starts reaches it under the printed move limits, and "
+    "none if they are {}: docs/reproduction.md, by rmesh reproduce."
 )
 
 PAPER = {
