@@ -127,7 +127,7 @@ def _check_components(problem: ContactProblem) -> None:
         ),
     ):
         if len(values) != n:
-            raise ProblemError(part, f"{what} needs {n} values, one per component")
+            raise ProblemError(part, f"{what} has {len(values)} components: it needs {n} values")
 
 
 def _check_functions(problem: ContactProblem) -> None:

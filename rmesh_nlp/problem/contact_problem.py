@@ -113,12 +113,13 @@ class ContactProblem:
     def __post_init__(self) -> None:
         for name, (kinds, what) in KINDS.items():
             given = getattr(self, name)
-            every = () if given is None else as_tuple(given)
+            one_or_more = name in ("obstacle", "motion")
+            every = () if given is None and not one_or_more else as_tuple(given)
             wrong = [one for one in every if not isinstance(one, kinds)]
             if wrong or isinstance(given, Mapping):
                 part = "tractions" if name == "point_loads" else name
                 raise ProblemError(part, f"{name} must be {what}, got {wrong[0] if wrong else given!r}")
-            if name not in ("obstacle", "motion"):
+            if not one_or_more:
                 object.__setattr__(self, name, every)
         check(self)
         try:

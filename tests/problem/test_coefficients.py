@@ -1,0 +1,87 @@
+"""Functions of position: the rule that integrates them, and what is said where they cannot be used."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, PiecewiseLinear, ProblemError, where
+from rmesh_nlp.problem.coefficients import polynomial_degree
+from support.formulations import fixed
+
+
+@pytest.mark.parametrize(
+    ("load", "degree"),
+    [
+        (3.0, 0),
+        (lambda x, y: 2 + 0 * x, 0),
+        (lambda x, y: x * y - y, 2),
+        (lambda x, y: x**2 * y**3, 5),
+        (lambda x, y: x**7, 7),
+        (lambda x, y: x**7 * y, None),
+        (PiecewiseLinear((0, 1, 2), (0, 1, 2)), 1),
+        (PiecewiseLinear((0, 1, 2), (0, 1, 1)), None),
+        (lambda x, y: ca.sin(x), None),
+        (lambda x, y: ca.if_else(x > 0, x, 1.0), None),
+        (lambda x, y: ca.if_else(x > 0, 2.0, 1.0), None),
+        (lambda x, y: ca.fabs(y), None),
+        (lambda x, y: 1 / (1 + x**2), None),
+    ],
+)
+def test_degree_of_a_load(load: Any, degree: int | None) -> None:
+    assert polynomial_degree(load) == degree
+
+
+def test_rule_is_exact_for_a_polynomial_load() -> None:
+    problem = ContactProblem(rectangle(3, 3), Laplace(lambda x, y: 10 * x * x * y), ("left",))
+    assert problem.rule == 4
+    solution = fixed.solve(problem)
+    assert solution.energy == pytest.approx(solution.audit.energy_audited, rel=1e-13)
+    assert EXAMPLES["6.1"](2).rule == "midpoint"
+    assert ContactProblem(rectangle(3, 3), Laplace(lambda x, y: ca.sin(x)), ("left",)).rule == 8
+
+
+def test_piecewise_linear_function_interpolates_and_extends() -> None:
+    f = PiecewiseLinear((0.0, 1.0, 3.0), (1.0, 2.0, 0.0))
+    x = np.array([-1.0, 0.5, 1.0, 2.0, 4.0])
+    np.testing.assert_allclose([float(f(ca.DM(v))) for v in x], [0.0, 1.5, 2.0, 1.0, -1.0], atol=1e-15)
+    assert f.kinks == (1.0,)
+    for bad in (((0.0,), (1.0,)), ((0.0, 0.0), (1.0, 2.0)), ((0.0, 1.0), (0.0, np.nan))):
+        with pytest.raises(ValueError, match=r"2 or more points|must increase|must be finite"):
+            PiecewiseLinear(*bad)
+
+
+def stated(source: Any, **parts: Any) -> ContactProblem:
+    return ContactProblem(rectangle(4, 4), Laplace(source), ("left",), **parts)
+
+
+def step(x, y):
+    return 1.0 if x > 0.5 else 0.0
+
+
+@pytest.mark.parametrize(
+    ("source", "parts"),
+    [(step, {}), (lambda x, y: max(x, y), {}), (1.0, {"obstacle": Obstacle("bottom", (1.0,), step)})],
+)
+def test_function_that_branches_is_refused_with_advice(source: Any, parts: dict[str, Any]) -> None:
+    with pytest.raises(ProblemError, match=r"cannot branch on x or y.*where\(condition, a, b\)"):
+        stated(source, **parts)
+
+
+def test_functions_of_math_are_refused_with_advice() -> None:
+    with pytest.raises(ProblemError, match="not those of math"):
+        stated(lambda x, y: math.sin(x))
+
+
+@pytest.mark.filterwarnings("error")
+def test_where_and_functions_of_numpy_work_without_a_warning() -> None:
+    obstacle = Obstacle("right", (1.0,), lambda x, y: 0.1 + 0.1 * np.cos(y))
+    # np.maximum and np.abs need casadi 3.8
+    assert fixed.solve(stated(lambda x, y: np.sin(x) * np.sqrt(y + 0.2), obstacle=obstacle)).success
+    assert fixed.solve(stated(lambda x, y: where(x > 0.5, 1.0, 0.0))).energy < 0
