@@ -8,7 +8,7 @@
 
 A problem is a :class:`ContactProblem`: a mesh, a law, supports, loads, an :class:`Obstacle` and a
 :class:`Motion` that says how far nodes may move. :func:`solve` relocates its nodes by any
-installed strategy, :func:`compare` by several; :func:`certify` bounds the error of the result. An
+installed formulation, :func:`compare` by several; :func:`certify` bounds the error of the result. An
 outer :func:`objective` is named, written as text, or made by :mod:`quantities`;
 :func:`verify_gradient` tests its gradient. :class:`MPCC` and :func:`solve_mpcc` are the general
 solver of programs with complementarity constraints, which knows nothing of meshes.
@@ -42,7 +42,7 @@ _NAMES = {
     "Traction": "rmesh_nlp.problem",
     "EXAMPLES": "rmesh_nlp.examples",
     "read_mesh": "rmesh_nlp.meshes",
-    "read_problem": "rmesh_nlp.api.files",
+    "read_problem": "rmesh_nlp.io.problem_file",
     # solving it
     "Comparison": "rmesh_nlp.api.comparison",
     "Solution": "rmesh_nlp.solving.solution",
@@ -54,8 +54,8 @@ _NAMES = {
     "Limits": "rmesh_nlp.solving.clock",
     "verify_gradient": "rmesh_nlp.solving.verification",
     # looking at results
-    "plot": "rmesh_nlp.api.pictures",
-    "read_records": "rmesh_nlp.api.files",
+    "plot": "rmesh_nlp.api.results",
+    "read_records": "rmesh_nlp.api.results",
     "write_solution": "rmesh_nlp.io.export",
     # programs with complementarity constraints
     "MPCC": "rmesh_nlp.mpcc",
@@ -70,7 +70,7 @@ _MODULES = {
 }
 """Public name -> the module that it is."""
 
-_OTHER_NAMES = {"objective": "parse_objective", "solve_mpcc": "solve"}
+_OTHER_NAMES = {"objective": "parse_objective", "read_problem": "load_problem", "solve_mpcc": "solve"}
 """Public name -> its name in its module, where the two differ."""
 
 __all__ = [

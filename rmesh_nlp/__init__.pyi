@@ -3,12 +3,12 @@
 from rmesh_nlp import mpcc as mpcc
 from rmesh_nlp.api.comparison import Comparison as Comparison
 from rmesh_nlp.api.comparison import compare as compare
-from rmesh_nlp.api.files import read_problem as read_problem
-from rmesh_nlp.api.files import read_records as read_records
-from rmesh_nlp.api.pictures import plot as plot
+from rmesh_nlp.api.results import plot as plot
+from rmesh_nlp.api.results import read_records as read_records
 from rmesh_nlp.examples import EXAMPLES as EXAMPLES
 from rmesh_nlp.fem import objective_text
 from rmesh_nlp.fem import quantities as quantities
+from rmesh_nlp.io import problem_file
 from rmesh_nlp.io.export import write_solution as write_solution
 from rmesh_nlp.meshes import read_mesh as read_mesh
 from rmesh_nlp.meshes import shapes as shapes
@@ -40,4 +40,5 @@ from rmesh_nlp.solving.verification import verify_gradient as verify_gradient
 __version__: str
 
 objective = objective_text.parse_objective
+read_problem = problem_file.load_problem
 solve_mpcc = mpcc.solve

@@ -15,13 +15,12 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from rmesh_nlp.cli.inputs import parse_size
+from rmesh_nlp.cli.options import parse_size
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.report.figures import write_figures
 from rmesh_nlp.report.tables import frame, write_tables
-from rmesh_nlp.study import comparison as campaign
-from rmesh_nlp.study.comparison import plan_comparison
+from rmesh_nlp.study.comparison import plan_comparison, run
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,14 +34,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("study"))
     options = parser.parse_args(arguments)
     try:
-        cases = [
-            case
+        plan = [
+            solve
             for size in options.sizes
-            for case in plan_comparison([options.example], options.formulations, n=parse_size(size))
+            for solve in plan_comparison([options.example], options.formulations, n=parse_size(size))
         ]
     except BadInputError as error:
         parser.error(str(error))
-    records = list(campaign.run(cases, Results(options.out), resume=True))
+    records = list(run(plan, Results(options.out), resume=True))
     write_tables(records, options.out)
     write_figures(read_results(options.out), options.out / "figures")
     table = frame(records)

@@ -30,17 +30,16 @@ from pathlib import Path
 COMPARISON = """
 import resource, sys
 from pathlib import Path
-from rmesh_nlp.study.comparison import plan_comparison
-from rmesh_nlp.study.comparison import run
+from rmesh_nlp.study.comparison import plan_comparison, run
 from rmesh_nlp.io.results import Results
 
 sizes = [(6, 3), (8, 4), (10, 5)]
-cases = [case for n in sizes for case in plan_comparison(["6.2", "6.3"], ["fixed", "joint"], n=n)]
+plan = [solve for n in sizes for solve in plan_comparison(["6.2", "6.3"], ["fixed", "joint"], n=n)]
 print("ready", flush=True)
 limit = int(sys.argv[2])
 if limit:
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-for record in run(cases, Results(Path(sys.argv[1])), resume=True):
+for record in run(plan, Results(Path(sys.argv[1])), resume=True):
     pass
 """
 CASES = 12

@@ -15,8 +15,8 @@ from rmesh_nlp.report.tables import frame, markdown
 from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper
 from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.solving.solution import Solution
-from rmesh_nlp.study.cases import Case
-from rmesh_nlp.study.comparison import solve
+from rmesh_nlp.study.plan import planned
+from rmesh_nlp.study.runner import perform
 
 COLUMNS = (
     "energy_initial_audited",
@@ -116,29 +116,14 @@ def compare(
     for option in options:
         if not any(option in known for known in taken):
             raise BadInputError(f"{option}: not an option of {', '.join(names)}")
-    outcomes = [
-        solve(
-            Case(
-                problem,
-                name,
-                {key: options[key] for key in options if key in known},
-                made=None if isinstance(one, str) else one,
-            )
-        )
-        for one, name, known in zip(formulations, names, taken, strict=True)
-    ]
-    return Comparison(
-        {
-            name: outcome.solution
-            for name, outcome in zip(names, outcomes, strict=True)
-            if outcome.solution is not None
-        },
-        tuple(
-            outcome.record if isinstance(one, str) else {**outcome.record, "variant": name}
-            for one, name, outcome in zip(formulations, names, outcomes, strict=True)
-        ),
-        tuple(names),
-    )
+    solutions, records = {}, []
+    for one, name, known in zip(formulations, names, taken, strict=True):
+        chosen, is_object = {key: options[key] for key in options if key in known}, not isinstance(one, str)
+        done = perform(planned(problem, name, chosen, made=one if is_object else None))
+        records.append({**done.row, "variant": name} if is_object else done.row)
+        if done.solution is not None:
+            solutions[name] = done.solution
+    return Comparison(solutions, tuple(records), tuple(names))
 
 
 def described(formulation: Formulation | Chooser) -> str:

@@ -1,188 +1,387 @@
-"""What the commands of ``rmesh`` do, with everything heavy loaded; see :mod:`rmesh_nlp.cli.app`."""
+"""The commands of ``rmesh``, their options and help; what does the work is loaded when one runs."""
 
 from __future__ import annotations
 
-import sys
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import importlib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from rmesh_nlp.cli.folders import writable
-from rmesh_nlp.errors import BadInputError, InterruptedSolveError
-from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.io.files import remove_leftovers
-from rmesh_nlp.io.manifest import Manifest
-from rmesh_nlp.io.records import DamagedRecordsWarning, Record, to_json
-from rmesh_nlp.io.results import RECORDS, TABLES, Result, read_results, write_single
-from rmesh_nlp.report.figures import write_figures
-from rmesh_nlp.report.histories import with_common_costs
-from rmesh_nlp.report.tables import markdown, short_markdown, write_tables
-from rmesh_nlp.study import comparison as campaign
-from rmesh_nlp.study.cases import plan_comparison
-from rmesh_nlp.study.parallel import in_parallel
-from rmesh_nlp.study.progress import CampaignProgress
+import typer
 
-SUCCESS, NO_SUCCESS = 0, 1
-SINGLE = ("record.json", "solution.vtu", "history.csv")
-"""What a single solve writes."""
+from rmesh_nlp import __version__
+from rmesh_nlp.cli import options as o
+from rmesh_nlp.errors import BadInputError
+
+app = typer.Typer(add_completion=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
+def load(name: str) -> Any:
+    """A module of the package; those of the commands bring CasADi and all, which help does not need."""
+    return importlib.import_module(f"rmesh_nlp.{name}")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"rmesh {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _rmesh(
+    context: typer.Context,
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and leave."),
+    ] = False,
+) -> None:
+    """Relocate the nodes of finite-element meshes for contact problems.
+
+    \b
+    rmesh compare                                     all examples, all formulations
+    rmesh solve 6.1 --formulation joint --n 16        one solve
+    rmesh new my.toml                                 a problem of your own: a commented template
+    rmesh check my.toml                               is it in order? with a picture
+    rmesh solve my.toml                               solve it
+    rmesh study study.toml --out first --jobs 2       many solves on all cores, resumed at any moment
+    rmesh table results                               tables again, without solving
+    rmesh figures results                             figures again, without solving
+    rmesh report results                              one HTML page of all that is there
+    rmesh reproduce                                   the paper's figures, printed and computed
+
+    Exit code: 0 if every requested solve succeeded, 1 if one did not, 2 for bad input,
+    130 after Ctrl-C.
+    """
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@app.command()
 def solve(
-    example: str, formulation: str, settings: Mapping[str, Any], out: Path | None, voice: str = "text"
-) -> int:
-    """One solve; returns the exit code.
+    context: typer.Context,
+    example: Annotated[
+        str, typer.Argument(metavar="EXAMPLE", help="6.1, 6.2 or 6.3, or a problem file such as my.toml.")
+    ],
+    formulation: Annotated[
+        str | None,
+        typer.Option(
+            "--formulation",
+            "-f",
+            help="fixed, nested, joint, mpcc, auto, or one you installed. Default: joint; of a file "
+            "what it names, or auto.",
+        ),
+    ] = None,
+    n: o.Size = None,
+    delta: o.Delta = None,
+    seed: o.Seed = None,
+    quadrature: o.Quadrature = "midpoint",
+    objective: o.Objective = None,
+    relaxation: o.Relaxation = None,
+    outer: o.Outer = None,
+    regularisation: o.Regularisation = None,
+    flips: o.Flips = False,
+    starts: o.Starts = None,
+    levels: o.Levels = None,
+    certify: o.Certify = False,
+    time_limit_s: o.TimeLimit = None,
+    max_iterations: o.MaxIterations = None,
+    tolerance: o.Tolerance = None,
+    start: o.Begin = None,
+    settings: o.Set = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
+    ] = None,
+    json: o.Json = False,
+    quiet: o.Quiet = False,
+    figures: Annotated[
+        bool,
+        typer.Option(
+            "--figures/--no-figures", help="Draw before and after to DIR/figures (for a problem file)."
+        ),
+    ] = True,
+    columns: o.Columns = 2,
+) -> None:
+    """Solve one example, or the problem of a file, by one formulation.
 
-    Parameters
-    ----------
-    voice : str
-        What is printed: "text", "json" (the record) or "quiet".
+    Writes DIR/record.json, DIR/solution.vtu and DIR/history.csv; for a problem file also the
+    relocated mesh DIR/mesh.msh, the series DIR/iterations for ParaView, and DIR/figures: meshes,
+    displacement, stress, contact pressure before and after, motion, what limits each node.
+
+    \b
+    rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
+    rmesh solve 6.2 --n 12x6 --delta 0.15667,0.07333
+    rmesh solve 6.1 --formulation nested --outer newton --n 32
+    rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
+    rmesh solve my.toml --formulation nested --certify
+    rmesh solve my.toml --columns 1
     """
-    (case,) = plan_comparison([example], [formulation], **settings)
-    folder = Path("results") / case.key if out is None else out
-    with writable(folder, SINGLE) as results, CampaignProgress(1, quiet=voice != "text") as progress:
-        progress.start(case)
-        try:
-            outcome = campaign.solve(case, progress.step)
-        except KeyboardInterrupt:
-            raise InterruptedSolveError("nothing was written") from None
-        if outcome.record["status"] == "refused":
-            raise BadInputError(outcome.record["message"])
-        results.manifest.claim(*SINGLE)
-        write_single(folder, outcome.record, lambda places: campaign.save(outcome, places))
-        progress.finish(outcome.record)
-    if voice == "text":
-        say_certificate(outcome)
-        names = [name for name in SINGLE if (folder / name).exists()]
-        print("wrote", ", ".join(str(folder / name) for name in names))
-    elif voice == "json":
-        print(to_json(outcome.record))
-    return exit_code([outcome.record], folder)
+    given, voice = o.keywords(context.params), _voice(json, quiet)
+    if not example.endswith(".toml"):
+        raise typer.Exit(load("cli.solving").solve(example, formulation or "joint", given, out, voice))
+    for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
+        if value not in (None, "midpoint"):
+            raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
+    columns = columns if figures else 0
+    work = load("cli.solving").solve_file
+    raise typer.Exit(work(Path(example), formulation, given["options"], certify, out, voice, columns))
 
 
-def exit_code(records: Sequence[Record], folder: Path) -> int:
-    """0 if all solves succeeded; Ctrl-C is said to have been one.
+@app.command()
+def path(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file with a table [path].")],
+    formulation: Annotated[
+        str | None, typer.Option("--formulation", "-f", help="Formulation; default: that of the file.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name>-path."),
+    ] = None,
+) -> None:
+    """Move a foundation in steps and solve each: a load path.
 
-    Raises
-    ------
-    InterruptedSolveError
-        If a solve was interrupted.
+    Writes DIR/path.csv, DIR/path.png and .pdf (force and pressure over the way), and DIR/path.pvd with
+    a VTU file per step for ParaView.
+
+    \b
+    rmesh path my.toml
+    rmesh path my.toml -f nested --out pressing
     """
-    if any(record["status"] == campaign.INTERRUPTED for record in records):
-        raise InterruptedSolveError(f"the best mesh so far is kept in {folder}")
-    return SUCCESS if all(record["success"] for record in records) else NO_SUCCESS
+    raise typer.Exit(load("cli.load_path").path(file, formulation, out))
 
 
-def does_not_apply(record: Record) -> bool:
-    """Whether a formulation refused an objective that is not the energy: a dash in the table, no failure."""
-    return bool(record["status"] == "refused" and record["objective"] != "energy")
+@app.command()
+def check(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")],
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE", help="Where to draw; default: beside the problem file."),
+    ] = None,
+) -> None:
+    """Validate a problem file, print what it says, draw its mesh with boundary roles and motion.
+
+    A study file is validated with all problems and formulations that it names.
+
+    \b
+    rmesh check my.toml
+    rmesh check study.toml
+    rmesh check my.toml --picture roles.pdf
+    """
+    raise typer.Exit(load("cli.preparing").check(file, picture))
 
 
-def say_certificate(outcome: campaign.Outcome) -> None:
-    """Print what a certificate says of the error, or why there is none."""
-    remark = outcome.record.get("certificate_remark")
-    if outcome.solution is not None and outcome.solution.certificate is not None:
-        found = outcome.solution.certificate
-        print(f"{found.sentence}; least energy between {found.lower:.7g} and {found.upper:.7g}")
-    if remark:
-        print(f"note: {remark}")
+@app.command()
+def advise(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")],
+) -> None:
+    """Say whether to relocate, to refine, or both, before anything dear is solved.
+
+    Relocates on a coarse mesh, prolongs the map, and refines uniformly twice.
+
+    \b
+    rmesh advise my.toml
+    """
+    raise typer.Exit(load("cli.preparing").advise(file))
 
 
+@app.command()
+def new(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The file to write.")],
+    study: Annotated[bool, typer.Option("--study", help="A study file instead of a problem file.")] = False,
+) -> None:
+    """Write a commented template of a problem file, or of a study; it solves as it is.
+
+    \b
+    rmesh new my.toml
+    rmesh new --study study.toml
+    """
+    raise typer.Exit(load("cli.preparing").new(file, study))
+
+
+@app.command()
+def study(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A study file.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")],
+    jobs: o.Jobs = 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", metavar="ADDRESS", help="A running dask scheduler: tls://host:8786."),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the plan and a guess of its time.")
+    ] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Solve again what has a row that is a failure.")
+    ] = False,
+    json: o.Json = False,
+    quiet: o.Quiet = False,
+) -> None:
+    """Solve every problem of a study by every formulation: many solves, one row each.
+
+    Writes rows to DIR/rows, one file per worker, and fields to DIR/solutions. Run the same command
+    again after any end: it goes on where it was. Then rmesh table DIR, figures DIR and report DIR.
+
+    \b
+    rmesh new --study study.toml
+    rmesh study study.toml --out first --dry-run
+    rmesh study study.toml --out first --jobs 2
+    rmesh study study.toml --out first --scheduler tls://login1:8786
+    rmesh study study.toml --out first --retry-failed
+    """
+    work, voice = load("cli.study"), _voice(json, quiet)
+    if dry_run:
+        raise typer.Exit(work.dry_run(file, out, jobs, voice))
+    raise typer.Exit(work.study(file, out, jobs, scheduler, retry_failed, voice))
+
+
+@app.command()
 def compare(
-    examples: Sequence[str],
-    formulations: Sequence[str],
-    settings: Mapping[str, Any],
-    out: Path,
-    resume: bool,
-    jobs: int = 1,
-    voice: str = "text",
-    draw: bool = True,
-    verbose: bool = False,
-) -> int:
-    """Many solves, tables and figures; returns the exit code.
+    context: typer.Context,
+    examples: Annotated[
+        list[str] | None, typer.Argument(help="Examples, or problem files; the three examples by default.")
+    ] = None,
+    formulations: Annotated[
+        str,
+        typer.Option(
+            "--formulations",
+            metavar="NAMES",
+            help="Formulations, separated by commas; options of their own as in mpcc:start=joint.",
+        ),
+    ] = "fixed,nested,joint,mpcc",
+    n: o.Size = None,
+    delta: o.Delta = None,
+    seed: o.Seeds = None,
+    quadrature: o.Quadrature = "midpoint",
+    objective: o.Objectives = None,
+    relaxation: o.Relaxation = None,
+    outer: o.Outer = None,
+    regularisation: o.Regularisation = None,
+    flips: o.Flips = False,
+    starts: o.Starts = None,
+    levels: o.Levels = None,
+    certify: o.Certify = False,
+    time_limit_s: o.TimeLimit = None,
+    max_iterations: o.MaxIterations = None,
+    tolerance: o.Tolerance = None,
+    start: o.Begin = None,
+    settings: o.Set = None,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("results"),
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
+    ] = False,
+    jobs: o.Jobs = 1,
+    repeats: o.Repeats = 1,
+    figures: Annotated[
+        bool,
+        typer.Option("--figures/--no-figures", help="Draw to DIR/figures; rmesh figures DIR does it later."),
+    ] = True,
+    json: o.Json = False,
+    quiet: o.Quiet = False,
+    verbose: o.Verbose = False,
+) -> None:
+    """Compare formulations: solve, table and draw.
 
-    Parameters
-    ----------
-    jobs : int
-        Processes that solve.
-    voice : str
-        What is printed: "text", "json" (a list of the records) or "quiet".
-    draw : bool
-        Whether to write figures.
-    verbose : bool
-        Print the whole of ``table.md`` instead of its main table.
+    Prints a row per solve. Writes DIR/records.jsonl, DIR/table.md, .tex, .csv, DIR/figures and DIR/solutions.
+    An option goes to those formulations that take it. Problem files are compared with uniform refinements
+    of their meshes as well, so that you see what moving nodes is worth. What an earlier run left in DIR
+    is moved to DIR/previous when the first solve has ended.
+
+    \b
+    rmesh compare
+    rmesh compare my.toml --formulations fixed,nested --out mine
+    rmesh compare 6.1 --formulations fixed,nested,joint --n 16 --out fine
+    rmesh compare --out results --resume
     """
-    if jobs > 1 and any(name.endswith(".toml") for name in examples):
-        raise BadInputError("--jobs is for the examples: put problem files into a study (rmesh new --study)")
-    if jobs > 1 and settings.get("repeats", 1) > 1:
-        raise BadInputError("--repeats is for times, which solves side by side would spoil: leave out --jobs")
-    cases = plan_comparison(examples or list(EXAMPLES), formulations, **settings, trace=jobs == 1)
-    records: list[Record] = []
-    with writable(out, (RECORDS, *TABLES)) as results:
-        with CampaignProgress(len(cases), quiet=voice != "text") as progress:
-            rows = campaign.run(
-                cases,
-                results,
-                resume=resume,
-                locked=True,
-                on_start=progress.start,
-                on_step=progress.step,
-                solver=in_parallel(out, settings, jobs) if jobs > 1 else None,
-            )
-            try:
-                with _warnings_as_notes():
-                    for record in rows:
-                        records.append(record)
-                        progress.finish(record)
-            except KeyboardInterrupt:
-                whole = sum(record["status"] != campaign.INTERRUPTED for record in records)
-                kept = f"{whole} of {len(cases)} solves are kept in {out}"
-                hint = "--resume goes on, rmesh table and rmesh figures show them"
-                raise InterruptedSolveError(f"{kept}; {hint}") from None
-        table(out, voice, verbose)
-        if draw:
-            figures(out, voice)
-    if voice == "json":
-        print(f"[{', '.join(to_json(record) for record in records)}]")
-    asked = [record for record in records if not does_not_apply(record)]
-    return SUCCESS if asked and all(record["success"] for record in asked) else NO_SUCCESS
+    names, chosen = tuple(dict.fromkeys(examples or ())), o.parse_names("--formulations", formulations)
+    given, voice = o.keywords(context.params), _voice(json, quiet)
+    work = load("cli.solving").compare
+    raise typer.Exit(work(names, chosen, given, out, resume, jobs, voice, figures, verbose))
 
 
-def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
-    """Write the tables of a folder and print the main one, or with ``verbose`` all of them."""
-    results = read_quietly(folder)
-    remove_leftovers(folder)
-    records = with_common_costs(results)
-    write_tables(records, folder)
-    if voice == "text":
-        print(markdown(records) if verbose else short_markdown(records), end="")
-        if not verbose:
-            print(f"all columns: {folder / 'table.md'}, or --verbose", file=sys.stderr)
+@app.command()
+def table(folder: o.Folder, verbose: o.Verbose = False) -> None:
+    """Make the tables of DIR again.
+
+    Writes DIR/table.md, DIR/table.tex and DIR/table.csv from the records, without solving, and prints
+    the main table.
+
+    \b
+    rmesh table results
+    rmesh table results --verbose
+    """
+    load("cli.reporting").table(folder, verbose=verbose)
 
 
-def figures(folder: Path, voice: str = "text") -> None:
-    """Write the figures of a folder and say where they are."""
-    results = read_quietly(folder)
-    remove_leftovers(folder)
-    paths = write_figures(results, folder / "figures", Manifest(folder))
-    if voice == "text":
-        print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
+@app.command(
+    add_help_option=False, context_settings={"ignore_unknown_options": True, "allow_extra_args": True}
+)
+def mpcc(context: typer.Context) -> None:
+    """Solve mathematical programs with complementarity constraints from files.
+
+    \b
+    rmesh mpcc --help
+    rmesh mpcc problem.nl
+    """
+    raise typer.Exit(load("mpcc.__main__").main(context.args))
 
 
-def read_quietly(folder: Path) -> list[Result]:
-    """The results of a folder; what is passed over is said in one line each."""
-    with _warnings_as_notes():
-        return read_results(folder)
+@app.command()
+def report(folder: o.Folder) -> None:
+    """Make one self-contained HTML page of DIR: tables, profiles, convergence, meshes with a slider.
+
+    Writes DIR/report.html, without solving; it needs no network and no server.
+
+    \b
+    rmesh report results
+    """
+    load("cli.reporting").report(folder)
 
 
-@contextmanager
-def _warnings_as_notes() -> Iterator[None]:
-    """Say what is passed over in one line each, as the command line says everything."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", DamagedRecordsWarning)
-        try:
-            yield
-        finally:
-            for warning in caught:
-                print(f"rmesh: warning: {warning.message}", file=sys.stderr)
+@app.command()
+def reproduce(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path(
+        "reproduction"
+    ),
+    quick: Annotated[bool, typer.Option("--quick", help="One random start instead of 40.")] = False,
+    quiet: o.Quiet = False,
+) -> None:
+    """Derive again every statement about the paper's figures: printed value, ours, met or not, and why.
+
+    Writes DIR/reproduction.md and DIR/reproduction.html. Exit code 0 if all statements could be
+    examined, also where a printed value cannot be met.
+
+    \b
+    rmesh reproduce --out reproduction
+    rmesh reproduce --quick --out reproduction
+    """
+    raise typer.Exit(load("cli.reporting").reproduce(out, quick, quiet))
+
+
+@app.command()
+def export(
+    folder: o.Folder,
+    parquet: Annotated[Path, typer.Option("--parquet", metavar="FILE", help="The Parquet file to write.")],
+) -> None:
+    """Write the rows of DIR, joined by key, as a Parquet file for pandas, DuckDB or R.
+
+    \b
+    rmesh export results --parquet rows.parquet
+    """
+    load("cli.reporting").export(folder, parquet)
+
+
+@app.command()
+def figures(folder: o.Folder, columns: o.Columns = 2) -> None:
+    """Make the figures of DIR again.
+
+    Writes PNG and PDF files to DIR/figures from the saved solutions, without relocating again. Of a
+    problem file they are those of rmesh solve, before and after.
+
+    \b
+    rmesh figures results
+    rmesh figures results/my --columns 1
+    """
+    raise typer.Exit(load("cli.reporting").figures(folder, columns))
+
+
+def _voice(json: bool, quiet: bool) -> str:
+    return "json" if json else "quiet" if quiet else "text"

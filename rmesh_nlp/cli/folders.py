@@ -1,15 +1,21 @@
-"""The folder that a command writes: checked, locked, and taken away again if nothing came of it."""
+"""What all commands that read or write results have: exit codes, the folder, warnings as notes."""
 
 from __future__ import annotations
 
 import os
+import sys
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import remove_leftovers
-from rmesh_nlp.io.results import Results
+from rmesh_nlp.io.records import DamagedRecordsWarning
+from rmesh_nlp.io.results import Result, Results, read_results
+
+SUCCESS, NO_SUCCESS = 0, 1
+"""Exit codes."""
 
 
 @contextmanager
@@ -45,3 +51,21 @@ def writable(folder: Path, names: Sequence[str] = ()) -> Iterator[Results]:
         with suppress(OSError):  # not empty: keep it
             for path in made:
                 path.rmdir()
+
+
+@contextmanager
+def notes(kind: type[Warning], head: str) -> Iterator[None]:
+    """Print warnings of a kind in one line each, as the command line prints everything; drop others."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", kind)
+        try:
+            yield
+        finally:
+            for warning in caught:
+                print(f"{head}: {warning.message}", file=sys.stderr)
+
+
+def read_quietly(folder: Path) -> list[Result]:
+    """The results of a folder; what is passed over is printed in one line each."""
+    with notes(DamagedRecordsWarning, "rmesh: warning"):
+        return read_results(folder)

@@ -1,24 +1,21 @@
-"""Options of the commands of ``rmesh``; those that several commands have are stated once."""
+"""Options that several commands have, each stated once, and what may be written there.
+
+Nothing heavy is imported here. What depends on the problem (an odd number of columns, say) is checked by the
+problem itself.
+"""
 
 from __future__ import annotations
 
-import functools
-import inspect
-from collections.abc import Callable
-from dataclasses import dataclass
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, Literal
 
 import typer
 
-from rmesh_nlp.cli.inputs import (
-    parse_delta,
-    parse_quadrature,
-    parse_seed,
-    parse_settings,
-    parse_size,
-    parse_weights,
-)
+from rmesh_nlp.errors import BadInputError
 
 Size = Annotated[
     str | None,
@@ -31,7 +28,7 @@ Delta = Annotated[
     typer.Option(
         "--delta",
         metavar="D[,D]",
-        help="Half-width of the boxes in which nodes move, or two, along x and y; none for no boxes. "
+        help="Move limits of the nodes, or two, along x and y; none for no limits. "
         "Default: the paper's, scaled with the mesh width.",
     ),
 ]
@@ -77,7 +74,7 @@ Regularisation = Annotated[
         "--regularisation",
         metavar="W[,W...]",
         help="Weight of the distortion in the energy, relative to the error of the energy, or a schedule of "
-        "weights such as 1,0.1,0.01: for large moves, without boxes.",
+        "weights such as 1,0.1,0.01: for relocation without move limits.",
     ),
 ]
 Flips = Annotated[
@@ -161,78 +158,128 @@ Columns = Annotated[
 ]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve, compare or study wrote.")]
 
-
-@dataclass(frozen=True)
-class FormulationOptions:
-    """What ``solve`` and ``compare`` say alike of the formulations, as it was typed."""
-
-    relaxation: Relaxation = None
-    outer: Outer = None
-    regularisation: Regularisation = None
-    flips: Flips = False
-    starts: Starts = None
-    levels: Levels = None
-    certify: Certify = False
-    time_limit: TimeLimit = None
-    max_iterations: MaxIterations = None
-    tolerance: Tolerance = None
-    start: Begin = None
-    chosen_settings: Set = None
-
-    def settings(
-        self,
-        n: str | None,
-        delta: str | None,
-        quadrature: str,
-        seed: str | None,
-        objective: str | list[str] | None,
-    ) -> dict[str, Any]:
-        """Keywords of :func:`~rmesh_nlp.study.cases.plan_comparison`; options not given are left out."""
-        seeds = [] if seed is None else [parse_seed(text.strip()) for text in seed.split(",")]
-        options: dict[str, Any] = {
-            "seed": seeds[0] if len(seeds) == 1 else seeds or None,
-            "objective": objective,
-            "relaxation": self.relaxation,
-            "outer": self.outer,
-            "regularisation": parse_weights(self.regularisation),
-            "flips": self.flips or None,
-            "starts": self.starts,
-            "levels": self.levels,
-            "time_limit_s": self.time_limit,
-            "max_iterations": self.max_iterations,
-            "tolerance": self.tolerance,
-            "start": self.start,
-            "settings": parse_settings(self.chosen_settings or []) or None,
-        }
-        return {
-            "n": None if n is None else parse_size(n),
-            "delta": None if delta is None else parse_delta(delta),
-            "quadrature": parse_quadrature(quadrature),
-            "options": {name: value for name, value in options.items() if value not in (None, [])},
-        }
+HIGHEST_DEGREE = 50
+"""Rules above it have so many points that building the energy takes minutes."""
 
 
-DEFAULT = FormulationOptions()
+def parse_size(text: str) -> int | tuple[int, int]:
+    """``8`` or ``12x6``, columns by rows."""
+    if not re.fullmatch(r"[0-9]+([xX][0-9]+)?", text.strip()):
+        raise BadInputError(f"--n must be a whole number or two like 12x6, got {text!r}")
+    numbers = [int(part) for part in re.split("[xX]", text)]
+    if min(numbers) < 2:
+        raise BadInputError(f"--n must be at least 2 in each direction, got {text!r}")
+    return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
 
 
-def with_formulation_options(command: Callable[..., None]) -> Callable[..., None]:
-    """A command that takes the fields of :class:`FormulationOptions` as options, for ``chosen``."""
-    hints = get_type_hints(FormulationOptions, include_extras=True)
-    shared = [
-        inspect.Parameter(
-            name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=getattr(DEFAULT, name), annotation=hint
+def parse_delta(text: str) -> float | tuple[float, float] | Literal["none"]:
+    """``0.0275`` or ``0.15667,0.07333``, half-widths along x and y, or ``none``."""
+    if text.strip() == "none":
+        return "none"
+    parts = text.split(",")
+    if len(parts) > 2:
+        raise BadInputError(f"--delta takes one number or two, got {len(parts)}: {text!r}")
+    try:
+        numbers = [float(part) for part in parts]
+    except ValueError:
+        said = "--delta must be a number, two like 0.15667,0.07333, or none"
+        raise BadInputError(f"{said}, got {text!r}") from None
+    if not all(math.isfinite(number) and number > 0 for number in numbers):
+        raise BadInputError(f"--delta must be positive and finite, got {text!r}")
+    return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
+
+
+def parse_quadrature(text: str) -> str | int:
+    """``midpoint`` or a degree."""
+    if text == "midpoint":
+        return text
+    if not re.fullmatch("[0-9]+", text) or not 1 <= int(text) <= HIGHEST_DEGREE:
+        raise BadInputError(
+            f"--quadrature must be 'midpoint' or a degree from 1 to {HIGHEST_DEGREE}, got {text!r}"
         )
-        for name, hint in hints.items()
-    ]
-    parameters: list[inspect.Parameter] = []
-    for parameter in inspect.signature(command, eval_str=True).parameters.values():
-        parameters += shared if parameter.name == "chosen" else [parameter]
+    return int(text)
 
-    @functools.wraps(command)
-    def expanded(**typed: Any) -> None:
-        chosen = FormulationOptions(**{parameter.name: typed.pop(parameter.name) for parameter in shared})
-        command(**typed, chosen=chosen)
 
-    expanded.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    expanded.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return expanded
+def parse_seeds(given: str | list[str]) -> int | list[int]:
+    """A whole number that is not negative; of a list several, separated by commas or one after the other."""
+    texts = [given] if isinstance(given, str) else [text.strip() for text in ",".join(given).split(",")]
+    for text in texts:
+        if not re.fullmatch("[0-9]+", text):
+            raise BadInputError(f"--seed must be a whole number and not negative, got {text!r}")
+    return int(texts[0]) if len(texts) == 1 else [int(text) for text in texts]
+
+
+def parse_settings(given: list[str]) -> dict[str, Any]:
+    """Settings of a formulation from texts ``name=value``; a value is JSON, or else a text.
+
+    A setting of settings has the names of both: ``newton.forcing=0.2``.
+    """
+    found: dict[str, Any] = {}
+    for text in given:
+        names, equals, value = text.partition("=")
+        *outer, name = (part.strip() for part in names.split("."))
+        if not (equals and name and all(outer)):
+            raise BadInputError(f"--set must be NAME=VALUE, got {text!r}")
+        table = found
+        for part in outer:
+            table = table.setdefault(part, {})
+            if not isinstance(table, dict):
+                raise BadInputError(f"--set {text}: {part} has a value already, {table!r}")
+        try:
+            table[name] = json.loads(value)
+        except ValueError:
+            table[name] = value.strip()
+    return found
+
+
+def parse_weights(text: str) -> tuple[float, ...]:
+    """``0.01`` or a schedule ``1,0.1,0.01``."""
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = (math.nan,)
+    if not all(math.isfinite(w) and w >= 0 for w in found) or 0 in found[:-1]:
+        raise BadInputError(
+            "--regularisation must be positive numbers such as 1,0.1,0.01, of which the last may be 0, "
+            f"got {text!r}"
+        )
+    return found
+
+
+def parse_names(option: str, text: str) -> tuple[str, ...]:
+    """A list separated by commas, without repetitions, in the order given."""
+    names = [part.strip() for part in text.split(",")]
+    if not all(names):
+        raise BadInputError(f"{option} must be names separated by commas, got {text!r}")
+    return tuple(dict.fromkeys(names))
+
+
+PARSERS: dict[str, Callable[[Any], Any]] = {
+    "n": parse_size,
+    "delta": parse_delta,
+    "quadrature": parse_quadrature,
+    "seed": parse_seeds,
+    "regularisation": parse_weights,
+    "settings": parse_settings,
+}
+
+SETTINGS = ("n", "delta", "quadrature", "certify", "repeats")
+OPTIONS = (
+    *("seed", "objective", "relaxation", "outer", "regularisation", "flips", "starts", "levels"),
+    *("time_limit_s", "max_iterations", "tolerance", "start", "settings"),
+)
+"""Parameters of commands that are options of :func:`rmesh_nlp.solving.driver.solve_by_options`."""
+
+
+def keywords(typed: Mapping[str, Any]) -> dict[str, Any]:
+    """Keywords of :func:`~rmesh_nlp.study.comparison.plan_comparison` from the parameters of a command.
+
+    Options that were not given are left out.
+    """
+    given = {
+        name: PARSERS[name](value) if name in PARSERS else value
+        for name, value in typed.items()
+        if not (value is None or value is False or value in ([], ()))
+    }
+    chosen = {name: given[name] for name in OPTIONS if name in given}
+    return {"options": chosen, **{name: given[name] for name in SETTINGS if name in given}}

@@ -1,55 +1,141 @@
-"""The commands around a problem or study file: write, check, ask whether to relocate."""
+"""What ``rmesh new``, ``check`` and ``advise`` do, and what ``[solve]`` of a problem file asks."""
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-import typer
+from rich.console import Console
 
-from rmesh_nlp.cli import work
+from rmesh_nlp.cli import study as studies
+from rmesh_nlp.cli.folders import SUCCESS
+from rmesh_nlp.contact.setup_warnings import setup_warnings
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.display import rich_table
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.io.files import safe_name, write_new
+from rmesh_nlp.io.problem_file import build, read_table
+from rmesh_nlp.io.problem_file import template as problem_template
+from rmesh_nlp.io.problem_messages import one_line
+from rmesh_nlp.mapping import Mobility
+from rmesh_nlp.meshes import MeshRepairWarning
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.checks import check_unknowns
+from rmesh_nlp.report.pictures import draw_problem
+from rmesh_nlp.solving.advice import advise as advice
+from rmesh_nlp.solving.formulation import find
+from rmesh_nlp.solving.options import accepted
+from rmesh_nlp.study.comparison import HARMLESS
+from rmesh_nlp.study.study_file import is_study
+from rmesh_nlp.study.study_file import template as study_template
 
 
-def new(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The file to write.")],
-    study: Annotated[bool, typer.Option("--study", help="A study file instead of a problem file.")] = False,
-) -> None:
-    """Write a commented template of a problem file, or of a study; it solves as it is.
+def new(path: Path, study: bool) -> int:
+    """Write a commented template; an existing file is never replaced."""
+    if study:
+        name = safe_name(path.stem)
+        text, following = study_template(name, path.name), f"rmesh study {path} --out {name} --dry-run"
+    else:
+        name = "".join(c if c.isalnum() or c in "-_ ." else "-" for c in path.stem) or "problem"
+        text, following = problem_template(name, name + path.suffix), f"rmesh check {path}"
+    try:
+        if not path.parent.is_dir():
+            raise BadInputError(f"cannot write {path}: there is no folder {str(path.parent)!r}")
+        write_new(path, text)
+    except FileExistsError:
+        raise BadInputError(f"{path} exists: choose another name") from None
+    except OSError as error:
+        raise BadInputError(f"cannot write {path}: {error.strerror}") from error
+    print(f"wrote {path}; next: {following}")
+    return SUCCESS
 
-    \b
-    rmesh new my.toml
-    rmesh new --study study.toml
+
+def check(path: Path, picture: Path | None = None) -> int:
+    """Validate a problem file, print what it says, draw the mesh with roles and motion; or a study."""
+    if is_study(path):
+        return studies.check(path)
+    problem = load_problem(path)
+    _, options = solve_options(path, None, {})
+    parts = discretise(problem)
+    free = parts.mesh_map
+    rows = problem.summary()
+    if "regularisation" in options and problem.motion.delta is not None and problem.motion.min_angle == 0:
+        rows.append(("regularisation", "a barrier in the place of the least area: areas are only positive"))
+    for kind in Mobility:
+        rows.append((f"nodes {kind.name.lower()}", str(int((free.mobility == kind).sum()))))
+    rows.append(("moves", str(free.n)))
+    rows.append(("validity constraints", str(parts.validity.size)))
+    try:
+        check_unknowns(problem)
+        found = [warning.message for warning in setup_warnings(problem)]
+    except ValueError as error:
+        raise BadInputError(f"{path}: {one_line(error)}") from error
+    doubts = f"{len(found)} doubt{'s' * (len(found) > 1)}"
+    said = f"states a problem, with {doubts}" if found else "is in order"
+    Console().print(rich_table(f"{path}: problem {problem.name!r} {said}", rows))
+    for message in found:
+        print(f"warning: {message}")
+    target = path.with_suffix(".png") if picture is None else picture
+    try:
+        draw_problem(problem, target)
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"cannot draw to {target}: {' '.join(str(error).split())}") from error
+    print(f"drew {target}")
+    return SUCCESS
+
+
+def advise(path: Path) -> int:
+    """Print what relocation and refinement would give for the problem of a file."""
+    problem = load_problem(path)
+    try:
+        found = advice(problem)
+    except ValueError as error:
+        raise BadInputError(f"{path}: {one_line(error)}") from error
+    Console().print(rich_table(f"{path}: relocate or refine?", found.rows()))
+    return SUCCESS
+
+
+def load_problem(path: Path, says: bool = True) -> ContactProblem:
+    """The problem of a file; repairs of its mesh are printed as notes."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", MeshRepairWarning)
+        problem = build(read_table(path), path)
+    for warning in caught:
+        if says and issubclass(warning.category, MeshRepairWarning):
+            print(f"note: {path}: {warning.message}")
+    return problem
+
+
+def solve_options(
+    path: Path, formulation: str | None, given: Mapping[str, Any]
+) -> tuple[str, dict[str, Any]]:
+    """Formulation and options of ``[solve]``, overridden by what is given on the command line.
+
+    Raises
+    ------
+    BadInputError
+        If there is no such formulation or objective, or the formulation does not take an option.
     """
-    raise typer.Exit(work.study_commands().new(file) if study else work.problem_commands().new(file))
-
-
-def check(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")],
-    picture: Annotated[
-        Path | None,
-        typer.Option("--picture", metavar="FILE", help="Where to draw; default: beside the problem file."),
-    ] = None,
-) -> None:
-    """Validate a problem file, print what it says, draw its mesh with boundary roles and motion.
-
-    A study file is validated with all problems and formulations that it names.
-
-    \b
-    rmesh check my.toml
-    rmesh check study.toml
-    rmesh check my.toml --picture roles.pdf
-    """
-    raise typer.Exit(work.problem_commands().check(file, picture))
-
-
-def advise(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")],
-) -> None:
-    """Say whether to relocate, to refine, or both, before anything dear is solved.
-
-    Relocates on a coarse mesh, prolongs the map, and refines uniformly twice.
-
-    \b
-    rmesh advise my.toml
-    """
-    raise typer.Exit(work.problem_commands().advise(file))
+    plan = read_table(path).solve
+    name = formulation or plan.formulation
+    try:
+        find(name)
+    except BadInputError as error:
+        raise BadInputError(str(error) if formulation else f"{path}: solve.formulation: {error}") from error
+    if "objective" not in given:
+        try:
+            parse_objective(plan.objective)
+        except ValueError as error:
+            raise BadInputError(f"{path}: solve.objective: {one_line(error)}") from error
+    wanted = {**plan.model_dump(exclude={"formulation", "certify"}), **given}
+    # the defaults need not be known to every formulation, what was asked for must be
+    default = {"objective": "energy", "starts": 0, "levels": 0, "flips": False}
+    asked = {key: value for key, value in wanted.items() if value != default.get(key)}
+    taken = accepted(name, asked)
+    refused = asked.keys() - taken - HARMLESS
+    if refused:
+        raise BadInputError(f"{path}: the formulation {name!r} takes no {min(refused)}")
+    return name, {key: value for key, value in asked.items() if key in taken}

@@ -1,122 +1,107 @@
-"""The commands of studies, and those that make tables, figures and pages of what was solved."""
+"""What ``rmesh table``, ``figures``, ``report``, ``export`` and ``reproduce`` do."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated
 
-import typer
+import numpy as np
 
-from rmesh_nlp.cli import work
-from rmesh_nlp.cli.options import Columns, Folder, Jobs, Json, Quiet, Verbose
-
-
-def study(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A study file.")],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")],
-    jobs: Jobs = 1,
-    scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", metavar="ADDRESS", help="A running dask scheduler: tls://host:8786."),
-    ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print the plan and a guess of its time.")
-    ] = False,
-    retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Solve again what has a row that is a failure.")
-    ] = False,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Solve every problem of a study by every formulation: many solves, one row each.
-
-    Writes rows to DIR/rows, one file per worker, and fields to DIR/solutions. Run the same command
-    again after any end: it goes on where it was. Then rmesh table DIR, figures DIR and report DIR.
-
-    \b
-    rmesh new --study study.toml
-    rmesh study study.toml --out first --dry-run
-    rmesh study study.toml --out first --jobs 2
-    rmesh study study.toml --out first --scheduler tls://login1:8786
-    rmesh study study.toml --out first --retry-failed
-    """
-    given = (file, out, jobs, scheduler, dry_run, json, quiet, retry_failed)
-    raise typer.Exit(work.study_commands().study(*given))
+from rmesh_nlp.cli.folders import SUCCESS, read_quietly, writable
+from rmesh_nlp.cli.study import STUDY_FILE, read_noted
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io import kept_problem
+from rmesh_nlp.io.files import remove_leftovers, write_whole
+from rmesh_nlp.io.manifest import Manifest
+from rmesh_nlp.io.results import RECORD, Results
+from rmesh_nlp.report.figures import write_figures
+from rmesh_nlp.report.histories import with_common_costs
+from rmesh_nlp.report.html_page import REPRODUCTION, write_report, write_reproduction
+from rmesh_nlp.report.pictures import PICTURES, Drawable, write_pictures
+from rmesh_nlp.report.style import Page
+from rmesh_nlp.report.tables import frame, markdown, short_markdown, write_tables
+from rmesh_nlp.study.reproduction import reproduce as derive
 
 
-def table(folder: Folder, verbose: Verbose = False) -> None:
-    """Make the tables of DIR again.
-
-    Writes DIR/table.md, DIR/table.tex and DIR/table.csv from the records, without solving, and prints
-    the main table.
-
-    \b
-    rmesh table results
-    rmesh table results --verbose
-    """
-    work.commands().table(folder, verbose=verbose)
-
-
-def mpcc(context: typer.Context) -> None:
-    """Solve mathematical programs with complementarity constraints from files.
-
-    \b
-    rmesh mpcc --help
-    rmesh mpcc problem.nl
-    """
-    raise typer.Exit(work.mpcc_commands().main(context.args))
+def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
+    """Write the tables of a folder and print the main one, or with ``verbose`` all of them."""
+    results = read_quietly(folder)
+    remove_leftovers(folder)
+    records = with_common_costs(results)
+    write_tables(records, folder)
+    if voice == "text":
+        print(markdown(records) if verbose else short_markdown(records), end="")
+        if not verbose:
+            print(f"all columns: {folder / 'table.md'}, or --verbose", file=sys.stderr)
 
 
-def report(folder: Folder) -> None:
-    """Make one self-contained HTML page of DIR: tables, profiles, convergence, meshes with a slider.
-
-    Writes DIR/report.html, without solving; it needs no network and no server.
-
-    \b
-    rmesh report results
-    """
-    work.study_commands().report(folder)
-
-
-def reproduce(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path(
-        "reproduction"
-    ),
-    quick: Annotated[bool, typer.Option("--quick", help="One random start instead of 40.")] = False,
-    quiet: Quiet = False,
-) -> None:
-    """Derive again every statement about the paper's figures: printed value, ours, met or not, and why.
-
-    Writes DIR/reproduction.md and DIR/reproduction.html. Exit code 0 if all statements could be
-    examined, also where a printed value cannot be met.
-
-    \b
-    rmesh reproduce --out reproduction
-    rmesh reproduce --quick --out reproduction
-    """
-    raise typer.Exit(work.study_commands().reproduce(out, quick, quiet))
+def figures(folder: Path, columns: int) -> int:
+    """Draw what is in a folder again; of a problem file before and after."""
+    if (folder / kept_problem.PROBLEM).exists() and (folder / RECORD).exists():
+        (result,) = read_quietly(folder)
+        kept = kept_problem.read_kept(folder, result.record)
+        if kept is not None:
+            with writable(folder) as results:
+                paths = draw_solution(results, kept, Page(columns))
+            print(f"{len(paths)} files in {folder / 'figures'}")
+            return SUCCESS
+    draw_study(folder)
+    return SUCCESS
 
 
-def export(
-    folder: Folder,
-    parquet: Annotated[Path, typer.Option("--parquet", metavar="FILE", help="The Parquet file to write.")],
-) -> None:
-    """Write the rows of DIR, joined by key, as a Parquet file for pandas, DuckDB or R.
-
-    \b
-    rmesh export results --parquet rows.parquet
-    """
-    work.study_commands().export(folder, parquet)
+def draw_study(folder: Path, voice: str = "text") -> None:
+    """Write the figures of a folder and print where they are."""
+    results = read_quietly(folder)
+    remove_leftovers(folder)
+    paths = write_figures(results, folder / "figures", Manifest(folder))
+    if voice == "text":
+        print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
 
 
-def figures(folder: Folder, columns: Columns = 2) -> None:
-    """Make the figures of DIR again.
+def draw_solution(results: Results, solution: Drawable, page: Page) -> list[Path]:
+    """Draw a solution before and after, if it is one."""
+    if not np.all(np.isfinite(solution.displacement)):
+        return []
+    drawn = [f"{name}.{kind}" for name in PICTURES for kind in ("png", "pdf")]
+    results.manifest.claim(*(f"figures/{name}" for name in drawn))
+    place = results.folder / "figures"
+    place.mkdir(exist_ok=True)
+    return write_pictures(solution, place, page)
 
-    Writes PNG and PDF files to DIR/figures from the saved solutions, without relocating again. Of a
-    problem file they are those of rmesh solve, before and after.
 
-    \b
-    rmesh figures results
-    rmesh figures results/my --columns 1
-    """
-    raise typer.Exit(work.problem_commands().figures(folder, columns))
+def report(folder: Path) -> None:
+    """Write the page of a folder and print where it is."""
+    results = read_quietly(folder)
+    remove_leftovers(folder)
+    path, question, title = folder / STUDY_FILE, "", ""
+    if path.exists():
+        stated = read_noted(path)
+        question, title = stated.question, stated.name or ""
+    print(f"wrote {write_report(folder, results, question, title)}")
+
+
+def export(folder: Path, path: Path) -> None:
+    """Write the rows of a folder as Parquet."""
+    records = [result.record for result in read_quietly(folder)]
+    try:
+        write_whole(path, lambda aside: frame(records).to_parquet(aside, index=False))
+    except ImportError:
+        raise BadInputError("--parquet needs pyarrow: pip install 'rmesh-nlp[study]'") from None
+    print(f"wrote {path}: {len(records)} rows")
+
+
+def reproduce(out: Path, quick: bool, quiet: bool) -> int:
+    """Derive the statements about the paper again and write their page."""
+
+    def say(text: str) -> None:
+        if not quiet and sys.stderr.isatty():
+            print(f"\r{text:<60}", end="", file=sys.stderr, flush=True)
+
+    with writable(out, REPRODUCTION):
+        statements = derive(quick=quick, say=say)
+        paths = write_reproduction(out, statements, quick)
+    if not quiet:
+        for one in statements:
+            print(f"{one.example}, {one.what}: printed {one.printed}, here {one.ours} {one.verdict}".rstrip())
+        print("wrote", ", ".join(map(str, paths)))
+    return SUCCESS

@@ -1,177 +1,249 @@
-"""The commands that solve problems: options and help."""
+"""What ``rmesh solve`` and ``rmesh compare`` do."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-import typer
+import numpy as np
+from rich.console import Console
 
-from rmesh_nlp.cli import work
-from rmesh_nlp.cli.inputs import parse_names
-from rmesh_nlp.cli.options import (
-    DEFAULT,
-    Columns,
-    Delta,
-    FormulationOptions,
-    Jobs,
-    Json,
-    Objective,
-    Objectives,
-    Quadrature,
-    Quiet,
-    Repeats,
-    Seed,
-    Seeds,
-    Size,
-    Verbose,
-    with_formulation_options,
-)
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, notes, writable
+from rmesh_nlp.cli.preparing import load_problem, solve_options
+from rmesh_nlp.cli.reporting import draw_solution, draw_study, table
+from rmesh_nlp.errors import BadInputError, InterruptedSolveError
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.io import kept_problem
+from rmesh_nlp.io.export import Series, write_mesh
+from rmesh_nlp.io.files import safe_name, write_whole
+from rmesh_nlp.io.problem_file import read_table
+from rmesh_nlp.io.problem_schema import ProblemTable
+from rmesh_nlp.io.records import DamagedRecordsWarning, Record, to_json
+from rmesh_nlp.io.results import RECORDS, TABLES, Results, write_single
+from rmesh_nlp.report.style import Page
+from rmesh_nlp.solving.clock import deferred
+from rmesh_nlp.solving.parts import Step
+from rmesh_nlp.study import comparison
+from rmesh_nlp.study.plan import PlannedSolve, planned
+from rmesh_nlp.study.progress import SolvesProgress
+from rmesh_nlp.study.runner import INTERRUPTED, Done, perform
+
+SINGLE = ("record.json", "solution.vtu", "history.csv")
+"""What a single solve writes."""
+
+FILES = (*SINGLE, "mesh.msh")
+"""What a solve of a problem file writes, the series of its iterates and the figures aside."""
+
+SERIES_NODES = 200_000
+"""Nodes of all frames of a series together: with more, writing them takes longer than the solve."""
 
 
-@with_formulation_options
 def solve(
-    example: Annotated[
-        str, typer.Argument(metavar="EXAMPLE", help="6.1, 6.2 or 6.3, or a problem file such as my.toml.")
-    ],
-    formulation: Annotated[
-        str | None,
-        typer.Option(
-            "--formulation",
-            "-f",
-            help="fixed, nested, joint, mpcc, auto, or one you installed. Default: joint; of a file "
-            "what it names, or auto.",
-        ),
-    ] = None,
-    n: Size = None,
-    delta: Delta = None,
-    seed: Seed = None,
-    quadrature: Quadrature = "midpoint",
-    objective: Objective = None,
-    chosen: FormulationOptions = DEFAULT,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
-    ] = None,
-    json: Json = False,
-    quiet: Quiet = False,
-    figures: Annotated[
-        bool,
-        typer.Option(
-            "--figures/--no-figures", help="Draw before and after to DIR/figures (for a problem file)."
-        ),
-    ] = True,
-    columns: Columns = 2,
-) -> None:
-    """Solve one example, or the problem of a file, by one formulation.
+    example: str, formulation: str, given: Mapping[str, Any], out: Path | None, voice: str = "text"
+) -> int:
+    """Solve an example; returns the exit code.
 
-    Writes DIR/record.json, DIR/solution.vtu and DIR/history.csv; for a problem file also the
-    relocated mesh DIR/mesh.msh, the series DIR/iterations for ParaView, and DIR/figures: meshes,
-    displacement, stress, contact pressure before and after, motion, what limits each node.
-
-    \b
-    rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
-    rmesh solve 6.2 --n 12x6 --delta 0.15667,0.07333
-    rmesh solve 6.1 --formulation nested --outer newton --n 32
-    rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
-    rmesh solve my.toml --formulation nested --certify
-    rmesh solve my.toml --columns 1
+    Parameters
+    ----------
+    given : mapping
+        Keywords of :func:`rmesh_nlp.study.comparison.plan_comparison`.
+    voice : str
+        What is printed: "text", "json" (the record) or "quiet".
     """
-    settings = chosen.settings(n, delta, quadrature, seed, objective)
-    voice = "json" if json else "quiet" if quiet else "text"
-    if example.endswith(".toml"):
-        for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
-            if value not in (None, "midpoint"):
-                raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
-        commands = work.problem_commands()
-        columns = columns if figures else 0
-        options, certify = settings["options"], chosen.certify
-        raise typer.Exit(commands.solve(Path(example), formulation, options, out, certify, voice, columns))
-    settings["certify"] = chosen.certify
-    raise typer.Exit(work.commands().solve(example, formulation or "joint", settings, out, voice))
+    (one,) = comparison.plan_comparison([example], [formulation], **given)
+    folder = Path("results") / one.key if out is None else out
+    with writable(folder, SINGLE) as results, SolvesProgress(1, quiet=voice != "text") as progress:
+        done = _performed(one, progress)
+        if done.row["status"] == "refused":
+            raise BadInputError(done.row["message"])
+        results.manifest.claim(*SINGLE)
+        write_single(folder, done.row, done.save)
+        progress.finish(done.row)
+    if voice == "json":
+        print(to_json(done.row))
+    elif voice == "text":
+        _say_certificate(done)
+        print("wrote", ", ".join(str(folder / name) for name in SINGLE if (folder / name).exists()))
+    return _exit_code(done.row, folder)
 
 
-@with_formulation_options
+def solve_file(
+    path: Path,
+    formulation: str | None,
+    options: Mapping[str, Any],
+    certify: bool,
+    out: Path | None,
+    voice: str = "text",
+    columns: int = 2,
+) -> int:
+    """Solve the problem of a file; returns the exit code.
+
+    Writes ``record.json``, ``solution.vtu``, ``history.csv``, the relocated mesh ``mesh.msh`` with
+    its names, and ``iterations/iterations.pvd`` with its frames where the formulation reports iterates.
+
+    Parameters
+    ----------
+    options : mapping
+        Options given on the command line; they override ``[solve]``.
+    certify : bool
+        Bound the error of the solution, also if ``[solve]`` does not ask for it.
+    voice : str
+        What is printed: "text", "json" (the record) or "quiet".
+    columns : int
+        Columns of a page that figures are wide; 0 for no figures.
+    """
+    stated = read_table(path)
+    problem = load_problem(path, says=voice == "text")
+    name, options = solve_options(path, formulation, options)
+    one = planned(problem, name, options, certify=certify or stated.solve.certify)
+    series = Series(problem, most=max(2, SERIES_NODES // problem.mesh.p.shape[1]))
+    folder = Path("results") / safe_name(problem.name) if out is None else out
+    with writable(folder, FILES) as results:
+        with SolvesProgress(1, quiet=voice != "text") as progress:
+            # of several starts or levels the iterates are on different meshes
+            done = _performed(one, progress, None if options.keys() & {"starts", "levels"} else series)
+        if done.row["status"] == "refused":
+            raise BadInputError(f"{path}: {done.row['message']}")
+        with deferred() as interrupted:
+            _write(results, done, series, path, stated)
+        try:
+            if interrupted():
+                raise KeyboardInterrupt
+            if columns and done.solution is not None and done.row["status"] != INTERRUPTED:
+                draw_solution(results, done.solution, Page(columns))
+        except KeyboardInterrupt:
+            raise InterruptedSolveError(
+                f"all but the figures is kept in {folder}; rmesh figures {folder} draws them"
+            ) from None
+        names = [name for name in (*FILES, "iterations", "figures") if (folder / name).exists()]
+    if voice == "json":
+        print(to_json(done.row))
+    elif voice == "text":
+        if done.solution is None:
+            print(f"{one.name} {one.formulation}: {done.row['status']}: {done.row['message']}")
+        else:
+            Console().print(done.solution)
+            for warning in done.row.get("warnings") or []:
+                print(f"warning: {warning}")
+            _say_certificate(done)
+        print(f"wrote {folder}: {', '.join(names)}")
+    return _exit_code(done.row, folder)
+
+
+def _performed(one: PlannedSolve, progress: SolvesProgress, series: Series | None = None) -> Done:
+    """A solve with its progress shown, and its iterates noted."""
+
+    def watch(step: Step) -> None:
+        progress.step(step)
+        if series is not None:
+            series(step)
+
+    progress.start(one)
+    try:
+        return perform(one, watch)
+    except KeyboardInterrupt:
+        raise InterruptedSolveError("nothing was written") from None
+
+
+def _write(results: Results, done: Done, series: Series, path: Path, stated: ProblemTable) -> None:
+    """Put the files of a solve in place, the record last; what an earlier solve left goes first."""
+    folder, solution, manifest = results.folder, done.solution, results.manifest
+    manifest.remove(name for name in manifest.names() if name.startswith(("iterations/", "figures/")))
+    manifest.claim(*FILES, *kept_problem.names(stated))
+    kept_problem.keep(path, stated, folder)
+    if solution is not None:
+        write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
+        if series.frames:
+            manifest.claim(*(f"iterations/{name}" for name in series.names()))
+            series.write(folder / "iterations", pressure=np.asarray(solution.pressure))
+    write_single(folder, done.row, done.save)
+
+
+def _say_certificate(done: Done) -> None:
+    """Print what a certificate says of the error, or why there is none."""
+    found = None if done.solution is None else done.solution.certificate
+    if found is not None:
+        print(f"{found.sentence}; least energy between {found.lower:.7g} and {found.upper:.7g}")
+    if remark := done.row.get("certificate_remark"):
+        print(f"note: {remark}")
+
+
+def _exit_code(row: Record, folder: Path) -> int:
+    """0 if the solve succeeded.
+
+    Raises
+    ------
+    InterruptedSolveError
+        If it was interrupted.
+    """
+    if row["status"] == INTERRUPTED:
+        raise InterruptedSolveError(f"the best mesh so far is kept in {folder}")
+    return SUCCESS if row["success"] else NO_SUCCESS
+
+
 def compare(
-    examples: Annotated[
-        list[str] | None, typer.Argument(help="Examples, or problem files; the three examples by default.")
-    ] = None,
-    formulations: Annotated[
-        str,
-        typer.Option(
-            "--formulations",
-            metavar="NAMES",
-            help="Formulations, separated by commas; options of their own as in mpcc:start=joint.",
-        ),
-    ] = "fixed,nested,joint,mpcc",
-    n: Size = None,
-    delta: Delta = None,
-    seed: Seeds = None,
-    quadrature: Quadrature = "midpoint",
-    objective: Objectives = None,
-    chosen: FormulationOptions = DEFAULT,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("results"),
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
-    ] = False,
-    jobs: Jobs = 1,
-    repeats: Repeats = 1,
-    figures: Annotated[
-        bool,
-        typer.Option("--figures/--no-figures", help="Draw to DIR/figures; rmesh figures DIR does it later."),
-    ] = True,
-    json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
-    """Compare formulations: solve, table and draw.
+    examples: Sequence[str],
+    formulations: Sequence[str],
+    given: Mapping[str, Any],
+    out: Path,
+    resume: bool,
+    jobs: int = 1,
+    voice: str = "text",
+    figures: bool = True,
+    verbose: bool = False,
+) -> int:
+    """Many solves, tables and figures; returns the exit code.
 
-    Prints a row per solve. Writes DIR/records.jsonl, DIR/table.md, .tex, .csv, DIR/figures and DIR/solutions.
-    An option goes to those formulations that take it. Problem files are compared with uniform refinements
-    of their meshes as well, so that you see what moving nodes is worth. What an earlier run left in DIR
-    is moved to DIR/previous when the first solve has ended.
-
-    \b
-    rmesh compare
-    rmesh compare my.toml --formulations fixed,nested --out mine
-    rmesh compare 6.1 --formulations fixed,nested,joint --n 16 --out fine
-    rmesh compare --out results --resume
+    Parameters
+    ----------
+    given : mapping
+        Keywords of :func:`rmesh_nlp.study.comparison.plan_comparison`.
+    jobs : int
+        Processes that solve.
+    voice : str
+        What is printed: "text", "json" (a list of the records) or "quiet".
+    figures : bool
+        Whether to write figures.
+    verbose : bool
+        Print the whole of ``table.md`` instead of its main table.
     """
-    settings = chosen.settings(n, delta, quadrature, ",".join(seed) if seed else None, objective)
-    names = tuple(dict.fromkeys(examples or ()))
-    raise typer.Exit(
-        work.commands().compare(
-            names,
-            parse_names("--formulations", formulations),
-            {**settings, "certify": chosen.certify, "repeats": repeats},
-            out,
-            resume,
-            jobs,
-            "json" if json else "quiet" if quiet else "text",
-            figures,
-            verbose,
-        )
-    )
+    if jobs > 1 and any(name.endswith(comparison.SUFFIX) for name in examples):
+        raise BadInputError("--jobs is for the examples: put problem files into a study (rmesh new --study)")
+    if jobs > 1 and given.get("repeats", 1) > 1:
+        raise BadInputError("--repeats is for times, which solves side by side would spoil: leave out --jobs")
+    plan = comparison.plan_comparison(examples or list(EXAMPLES), formulations, **given)
+    rows: list[Record] = []
+    with writable(out, (RECORDS, *TABLES)) as results:
+        with SolvesProgress(len(plan), quiet=voice != "text") as progress:
+            solved = comparison.run(
+                plan,
+                results,
+                resume=resume,
+                locked=True,
+                jobs=jobs,
+                on_start=progress.start,
+                on_step=progress.step,
+            )
+            try:
+                with notes(DamagedRecordsWarning, "rmesh: warning"):
+                    for row in solved:
+                        rows.append(row)
+                        progress.finish(row)
+            except KeyboardInterrupt:
+                whole = sum(row["status"] != INTERRUPTED for row in rows)
+                kept = f"{whole} of {len(plan)} solves are kept in {out}"
+                hint = "--resume goes on, rmesh table and rmesh figures show them"
+                raise InterruptedSolveError(f"{kept}; {hint}") from None
+        table(out, voice, verbose)
+        if figures:
+            draw_study(out, voice)
+    if voice == "json":
+        print(f"[{', '.join(to_json(row) for row in rows)}]")
+    asked = [row for row in rows if not does_not_apply(row)]
+    return SUCCESS if asked and all(row["success"] for row in asked) else NO_SUCCESS
 
 
-def path(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file with a table [path].")],
-    formulation: Annotated[
-        str | None, typer.Option("--formulation", "-f", help="Formulation; default: that of the file.")
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name>-path."),
-    ] = None,
-) -> None:
-    """Move a foundation in steps and solve each: a load path.
-
-    Writes DIR/path.csv, DIR/path.png and .pdf (force and pressure over the way), and DIR/path.pvd with
-    a VTU file per step for ParaView.
-
-    \b
-    rmesh path my.toml
-    rmesh path my.toml -f nested --out pressing
-    """
-    raise typer.Exit(work.path_commands().path(file, formulation, out))
+def does_not_apply(row: Record) -> bool:
+    """Whether a formulation refused an objective that is not the energy: a dash in the table, no failure."""
+    return bool(row["status"] == "refused" and row["objective"] != "energy")

@@ -1,235 +1,279 @@
-"""Many solves, one row each: whatever happens to a solve, it leaves a row and the next one runs."""
+"""Comparisons: problems by formulations, a row each in ``records.jsonl``; a later run goes on with them."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext, suppress
-from dataclasses import dataclass, replace
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
 
-from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.export import write_solution
-from rmesh_nlp.io.files import remove_leftovers, write_whole
-from rmesh_nlp.io.records import REQUIRED, Record
-from rmesh_nlp.io.results import HISTORY_FIELDS, RECORDS, TABLES, Result, Results, write_history
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solving.driver import solve_by_options
+from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.examples import Delta, Size
+from rmesh_nlp.examples.reference import with_reference
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.io.files import folder_aside, remove_leftovers
+from rmesh_nlp.io.problem_file import load_problem
+from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.results import RECORDS, TABLES, Result, Results
+from rmesh_nlp.models.outer_solvers import OUTER_SOLVERS
+from rmesh_nlp.mpcc import RELAXATIONS
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.formulation import find
-from rmesh_nlp.solving.parts import Step
-from rmesh_nlp.solving.solution import Solution, versions
-from rmesh_nlp.solving.verification import error_terms
-from rmesh_nlp.study.cases import Case
-from rmesh_nlp.study.cases import plan_comparison as plan_comparison
-from rmesh_nlp.study.repeats import joined
-from rmesh_nlp.study.trace import Trace
+from rmesh_nlp.solving.monitor import OnStep
+from rmesh_nlp.solving.options import LIMITS, accepted
+from rmesh_nlp.study import engine
+from rmesh_nlp.study.plan import (
+    UNLIMITED,
+    PlannedSolve,
+    build_example,
+    check_objective,
+    options_of,
+    planned,
+)
+from rmesh_nlp.study.runner import INTERRUPTED, perform
 
-OnStep = Callable[[Step], None]
+SUFFIX = ".toml"
+"""End of the name of a problem file."""
 
+HARMLESS = {*LIMITS, "tolerance"}
+"""Options that no formulation need take: one that does not iterate needs no limits."""
 
-@dataclass(frozen=True)
-class Outcome:
-    """The row of a solve, and its solution unless it raised."""
+REFINEMENTS = 2
+"""Uniform refinements that the problem of a file is compared with, ..."""
 
-    record: Record
-    solution: Solution | None
-    history: tuple[Step, ...] = ()
+LARGEST = 20_000
+"""... as long as they have no more nodes than this."""
 
-
-@dataclass(frozen=True)
-class Ended:
-    """How a case ended: its row, and what puts its fields and history into their places."""
-
-    case: Case
-    record: Record
-    save: Callable[[Result], object]
-
-
-Solver = Callable[[Sequence[Case]], Iterator[Ended]]
-
-INTERRUPTED = Status.INTERRUPTED.value
+Ended = tuple[PlannedSolve, Record, Callable[[Result], object]]
+"""A solve, its row, and what puts its fields and history into their places."""
 
 
-def solve(case: Case, on_step: OnStep | None = None) -> Outcome:
-    """Run one case, as often as it asks for; an exception becomes a row with its message.
+def plan_comparison(
+    examples: Sequence[str],
+    formulations: Sequence[str],
+    *,
+    n: Size | None = None,
+    delta: Delta | None = None,
+    quadrature: str | int = "midpoint",
+    options: Mapping[str, Any] | None = None,
+    certify: bool = False,
+    repeats: int = 1,
+) -> list[PlannedSolve]:
+    """All pairs of problems and formulations, with the same settings.
 
-    The times of the row are then medians, everything else is that of the first run.
+    An option goes to those formulations that take it; of ``objective`` and ``seed`` there may be several, as
+    lists. A formulation may have options of its own, see :func:`formulation_options`. The problem of a file,
+    whose name ends with ``.toml``, is solved on uniform refinements of its mesh as well, without motion.
 
     Raises
     ------
     BadInputError
-        If the formulation does not exist.
+        If a name is unknown, a setting does not suit an example, or no formulation takes an option.
     """
-    first = _solve(case, on_step)
-    if first.solution is None or case.repeats == 1 or first.record["status"] == INTERRUPTED:
-        return first
-    records = [first.record]
-    for _ in range(case.repeats - 1):
-        records.append(_solve(replace(case, certify=False, trace=False), on_step).record)
-        if records[-1]["status"] == INTERRUPTED:
-            return replace(first, record=records[-1])
-    return replace(first, record=joined(records))
-
-
-def _solve(case: Case, on_step: OnStep | None) -> Outcome:
-    made = case.made or case.formulation
-    if isinstance(made, str):
-        find(made)
-    trace = Trace(on_step) if case.trace else None
-    began = time.perf_counter()
-    try:
-        solution = solve_by_options(
-            case.problem, made, case.options, on_step=trace or on_step, certify=case.certify
+    options = dict(options or {})
+    _check_options(options)
+    own = _file_problems(examples)
+    if own and (n is not None or delta is not None or quadrature != "midpoint"):
+        raise BadInputError("size, delta and quadrature are for the examples: write them into the files")
+    given: dict[str, Any] = {"n": n, "delta": delta, "quadrature": quadrature}
+    given = {key: value for key, value in given.items() if value is not None}
+    problems: list[tuple[dict[str, Any], ContactProblem]] = [({}, problem) for problem in own]
+    for name in (name for name in examples if not name.endswith(SUFFIX)):
+        problems.append(({"kind": "example", "example": name, **given}, build_example(name, **given)))
+    errors = [text for text in _listed(options.get("objective", [])) if parse_objective(text).needs_exact]
+    if errors and own:
+        raise BadInputError(
+            f"--objective {errors[0]}: needs an exact or reference solution, and {own[0].name!r} has none"
         )
-        record = {**case.identity, "message": solution.status.message, **solution.record(), "key": case.key}
-        asked = {name: value for name, value in case.identity.items() if record[name] != value}
-        if asked:  # auto chose, or the rule was raised
-            record["asked"] = asked
-        terms = error_terms(solution) if solution.audit.min_area_ratio > 0 else None
-        record.update({} if terms is None else terms.entries())
-    except ValueError as error:  # the formulation does not take this problem or option
-        return Outcome(_failure(case, "refused", error, time.perf_counter() - began), None)
-    except Exception as error:
-        return Outcome(_failure(case, "failed", error, time.perf_counter() - began), None)
-    history = solution.history
-    if trace is not None and record["status"] != INTERRUPTED:
-        with suppress(ValueError, ArithmeticError, RuntimeError):  # a solve that ended stays what it is
-            history = trace.measured(solution)
-    return Outcome(record, solution, history)
+    if errors:
+        problems = [(stated, with_reference(problem)) for stated, problem in problems]
+    chosen = [formulation_options(text) for text in formulations]
+    for option in options:
+        if option not in HARMLESS and not any(accepted(name, [option]) for name, _ in chosen):
+            raise BadInputError(f"--{option} {options[option]}: not an option of {', '.join(formulations)}")
+    several = {name: _listed(options[name]) for name in ("objective", "seed") if name in options}
+    commons = [{**options, **dict(zip(several, one, strict=True))} for one in product(*several.values())]
+    solves = []
+    for (stated, problem), common, (name, own_options) in product(problems, commons, chosen):
+        taken = options_of(name, own_options, common)
+        limit = taken.get("time_limit_s", UNLIMITED["time_s"])
+        about: dict[str, Any] = {"problem": stated, "certify": certify, "repeats": repeats, "time_s": limit}
+        solves.append(planned(problem, name, taken, **about))
+    if len(commons) > 1:  # a formulation that takes no seed would be solved once for each of them
+        solves = list({solve.key: solve for solve in solves}.values())
+    finer = (fine for problem in own for fine in _refinements(problem))
+    return solves + [planned(fine, "fixed", certify=certify) for fine in finer]
 
 
-def _failure(case: Case, status: str, error: Exception, seconds: float) -> Record:
-    empty = dict.fromkeys(REQUIRED)
-    text = " ".join(str(error).split()) or type(error).__name__
-    return {
-        **empty,
-        **case.identity,
-        "objective": case.options.get("objective", "energy"),
-        "status": status,
-        "success": False,
-        "message": text if isinstance(error, ValueError) else f"{type(error).__name__}: {text}",
-        "stationarity": "",
-        "wall_time_s": seconds,
-        "versions": versions(),
-        "seed": case.options.get("seed"),
-    }
+def formulation_options(text: str) -> tuple[str, dict[str, Any]]:
+    """A formulation with options of its own, ``mpcc:start=joint`` or ``nested:outer=ipopt:seed=3``.
+
+    Raises
+    ------
+    BadInputError
+        If an option has no value or a wrong one, or the formulation does not take it.
+    """
+    name, *parts = text.split(":")
+    find(name)
+    found: dict[str, Any] = {}
+    for part in parts:
+        key, given, value = part.partition("=")
+        if not given or not value:
+            raise BadInputError(f"{text!r}: an option is written name=value, got {part!r}")
+        if not accepted(name, [key]):
+            raise BadInputError(f"{text!r}: {name} takes no option {key!r}")
+        found[key] = int(value) if value.isdecimal() else value
+    _check_options(found)
+    return name, found
+
+
+def _listed(value: Any) -> list[Any]:
+    """Several values as a list, one as a list of one."""
+    return list(value) if isinstance(value, (list, tuple)) else [value]
+
+
+def _check_options(options: Mapping[str, Any]) -> None:
+    for text in _listed(options.get("objective", [])):
+        check_objective(text)
+    for option, known in (("relaxation", RELAXATIONS), ("outer", OUTER_SOLVERS)):
+        if option in options and options[option] not in known:
+            raise unknown("outer solver" if option == "outer" else option, options[option], known)
+
+
+def _file_problems(names: Sequence[str]) -> list[ContactProblem]:
+    """The problems of those names that are files."""
+    problems = [load_problem(Path(name)) for name in names if name.endswith(SUFFIX)]
+    called = [problem.name for problem in problems]
+    for name in called:
+        if called.count(name) > 1:
+            raise BadInputError(f"two problem files are both called {name!r}: give them a name of their own")
+    return problems
+
+
+def _refinements(problem: ContactProblem) -> Iterator[ContactProblem]:
+    """The problem on uniformly refined meshes, coarsest first."""
+    for _ in range(REFINEMENTS):
+        if problem.mesh.p.shape[1] + problem.mesh.facets.shape[1] > LARGEST:
+            return
+        problem = refined(problem)
+        yield problem
 
 
 def run(
-    cases: Sequence[Case],
+    plan: Sequence[PlannedSolve],
     results: Results,
     *,
     resume: bool = False,
     locked: bool = False,
-    on_start: Callable[[Case], None] | None = None,
+    jobs: int = 1,
+    on_start: Callable[[PlannedSolve], object] = lambda solve: None,
     on_step: OnStep | None = None,
-    solver: Solver | None = None,
 ) -> Iterator[Record]:
-    """Solve the cases and yield each record once it is on the disk, those that are there already first.
+    """Solve and yield each row once it is on the disk, those that are there already first.
 
     What an earlier run left in the folder is set aside when the first solve has ended, not
-    before. With ``resume`` it stays, and cases that succeeded there are not solved again, unless
-    their fields or history are missing or damaged.
+    before. With ``resume`` it stays, and what succeeded there is not solved again, unless
+    its fields or history are missing or damaged.
 
     Parameters
     ----------
-    cases : sequence of Case
+    plan : sequence of PlannedSolve
     results : Results
     resume : bool
     locked : bool
         The caller holds the lock of the folder; else it is taken here.
+    jobs : int
+        Processes of a local cluster; 1 solves one after the other in this process.
     on_start, on_step : callable, optional
-        Called before each solve, and after each of its iterations.
-    solver : callable, optional
-        Solves cases and yields how each ended; by default one after the other in this process.
+        Called before each solve of this process, and after each of its iterations.
 
     Raises
     ------
     KeyboardInterrupt
         After the row of a solve that was interrupted: the next one does not begin.
     BadInputError
-        If two cases have one key, the rows to be resumed were solved with other settings, another
+        If two solves have one key, the rows to be resumed were solved with other settings, another
         process writes in the folder, or a file of the user's is in the way.
     """
-    keys = [case.key for case in cases]
+    keys = [solve.key for solve in plan]
     for key in keys:
         if keys.count(key) > 1:
             raise BadInputError(f"two cases are both called {key!r}")
     results.folder.mkdir(parents=True, exist_ok=True)
     with nullcontext() if locked else results.locked():
-        yield from _run(cases, results, resume, solver or _one_by_one(on_start, on_step))
+        remove_leftovers(results.folder)
+        manifest = results.manifest
+        manifest.check([RECORDS, *TABLES, *(name for key in keys for name in results.names(key))])
+        rows = results.repaired() if resume else []
+        done = _finished(plan, rows, results)
+        yield from done.values()
+        todo, clean = [solve for solve in plan if solve.key not in done], resume
+        ended = _side_by_side(todo, results, jobs) if jobs > 1 else _here(todo, on_start, on_step)
+        for solve, row, save in ended:
+            if not clean:
+                results.set_aside()
+                clean = True
+            manifest.claim(*results.names(solve.key))
+            save(results.result(row))
+            others = [other for other in rows if other.get("key") != solve.key]
+            if len(others) < len(rows):
+                results.replace_all([*others, row])
+            else:
+                results.append(row)
+            rows = [*others, row]
+            yield row
+            if row["status"] == INTERRUPTED:
+                raise KeyboardInterrupt
 
 
-def _one_by_one(on_start: Callable[[Case], None] | None, on_step: OnStep | None) -> Solver:
-    def solver(cases: Sequence[Case]) -> Iterator[Ended]:
-        for case in cases:
-            if on_start is not None:
-                on_start(case)
-            outcome = solve(case, on_step)
-            yield Ended(case, outcome.record, partial(save, outcome))
-
-    return solver
+def _here(
+    plan: Sequence[PlannedSolve], on_start: Callable[[PlannedSolve], object], on_step: OnStep | None
+) -> Iterator[Ended]:
+    for solve in plan:
+        on_start(solve)
+        done = perform(solve, on_step)
+        yield solve, done.row, done.save
 
 
-def _run(cases: Sequence[Case], results: Results, resume: bool, solver: Solver) -> Iterator[Record]:
-    remove_leftovers(results.folder)
-    manifest = results.manifest
-    manifest.check(_names(cases, results))
-    rows = results.repaired() if resume else []
-    done = _finished(cases, rows, results)
-    yield from done.values()
-    clean = resume
-    for ended in solver([case for case in cases if case.key not in done]):
-        record, key = ended.record, ended.case.key
-        if not clean:
-            results.set_aside()
-            clean = True
-        manifest.claim(*results.names(key))
-        ended.save(results.result(record))
-        if any(row.get("key") == key for row in rows):
-            rows = [*(row for row in rows if row.get("key") != key), record]
-            results.replace_all(rows)
+def _side_by_side(plan: Sequence[PlannedSolve], results: Results, jobs: int) -> Iterator[Ended]:
+    """In processes of their own, which keep fields aside."""
+    with folder_aside(results.folder) as aside:
+        for solve, row in engine.distributed_rows(plan, aside, jobs, whole=True):
+            row = row or engine.lost(solve)
+            if "asked" not in row:  # of a process that was killed less is known
+                row = {**row, **solve.identity}
+            yield solve, row, partial(_move, Results(aside).result(row))
+
+
+def _move(files: Result, places: Result) -> None:
+    """Put what a worker wrote aside into place; a solve that raised has none, and removes older files."""
+    for source, target in ((files.vtu, places.vtu), (files.history, places.history)):
+        if source.exists():
+            target.parent.mkdir(exist_ok=True)
+            os.replace(source, target)
         else:
-            rows.append(record)
-            results.append(record)
-        yield record
-        if record["status"] == INTERRUPTED:
-            raise KeyboardInterrupt
+            target.unlink(missing_ok=True)
 
 
-def _names(cases: Sequence[Case], results: Results) -> list[str]:
-    """What will be written for these cases."""
-    return [RECORDS, *TABLES, *(name for case in cases for name in results.names(case.key))]
-
-
-def save(outcome: Outcome, places: Result) -> None:
-    """Write fields and history of an outcome; a solve that raised has none, nor keeps older ones."""
-    solution = outcome.solution
-    if solution is None:
-        places.vtu.unlink(missing_ok=True)
-        places.history.unlink(missing_ok=True)
-        return
-    write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu", solution.certificate))
-    steps = [step.row() for step in outcome.history]
-    rows = [{name: row[name] for name in HISTORY_FIELDS} for row in steps]
-    write_whole(places.history, lambda path: write_history(path, rows))
-
-
-def _finished(cases: Sequence[Case], rows: Sequence[Record], results: Results) -> dict[str, Record]:
-    """Rows of cases that need not be solved again."""
+def _finished(plan: Sequence[PlannedSolve], rows: Sequence[Record], results: Results) -> dict[str, Record]:
+    """Rows of solves that need not be done again."""
     by_key = {row.get("key"): row for row in rows if row["success"] and row["status"] != INTERRUPTED}
     done = {}
-    for case in cases:
-        row = by_key.get(case.key)
+    for solve in plan:
+        row = by_key.get(solve.key)
         if row is None:
             continue
         asked = {**row, **(row.get("asked") or {})}
-        for name, value in case.identity.items():
+        for name, value in solve.identity.items():
             if asked.get(name) != value:
                 raise BadInputError(
-                    f"cannot resume {case.key}: it was solved with {name} {asked.get(name)}, not {value}"
+                    f"cannot resume {solve.key}: it was solved with {name} {asked.get(name)}, not {value}"
                 )
-        often = row.get("repeats", 1) >= case.repeats
-        if results.is_intact(row) and often and (not case.certify or "certificate_remark" in row):
-            done[case.key] = row
+        often = row.get("repeats", 1) >= solve.repeats
+        if results.is_intact(row) and often and (not solve.certify or "certificate_remark" in row):
+            done[solve.key] = row
     return done

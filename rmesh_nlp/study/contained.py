@@ -1,22 +1,32 @@
-"""Solves in a process that can be killed: a hang, a leak or a crash becomes a row."""
+"""Solves in a process that can be killed: a hang, a leak or a crash becomes a row.
+
+``python -m rmesh_nlp.study.contained`` is that process. It takes planned solves on stdin and answers with
+rows on stdout, one JSON line each way, and ends with the one that started it.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import json
+import math
 import os
-import selectors
+import select
+import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, to_json
+from rmesh_nlp.io.results import Results
 from rmesh_nlp.study.plan import PlannedSolve
-from rmesh_nlp.study.runner import READY, failure
+from rmesh_nlp.study.runner import failure, perform
+
+READY = b"ready"
 
 GRACE_S = 2.0
 GRACE = 1.25
@@ -43,14 +53,13 @@ class Contained:
     def __init__(self, cores: Collection[int] | None = None) -> None:
         self._cores = cores
         self._process: subprocess.Popen[bytes] | None = None
-        self._buffer = b""
 
-    def solve(self, solve: PlannedSolve, folder: Path | None) -> Record:
-        """The row of a solve, whatever happens to it."""
+    def solve(self, solve: PlannedSolve, folder: Path) -> Record:
+        """The row of a solve, whatever happens to it; its fields are kept in a folder of results."""
         for attempt in range(1, ATTEMPTS + 1):
             process = self._ready()
             began = time.monotonic()
-            request = json.dumps({"solve": asdict(solve), "folder": None if folder is None else str(folder)})
+            request = json.dumps({"solve": solve.plain(), "folder": str(folder)})
             try:
                 assert process.stdin is not None
                 process.stdin.write(request.encode() + b"\n")
@@ -61,8 +70,7 @@ class Contained:
             line, why = self._answer(process, solve.time_s * GRACE + GRACE_S, solve.memory_mb)
             seconds = time.monotonic() - began
             if line is not None:
-                memory = _megabytes(process.pid)
-                if memory is not None and memory > 0.5 * solve.memory_mb:
+                if (_megabytes(process.pid) or 0.0) > 0.5 * solve.memory_mb:
                     self.close()  # what a leak has left is not charged to the next solve
                 row: Record = json.loads(line)
                 return row
@@ -79,7 +87,7 @@ class Contained:
 
     def close(self) -> int | None:
         """End the process; returns its exit code."""
-        process, self._process, self._buffer = self._process, None, b""
+        process, self._process = self._process, None
         if process is None:
             return None
         process.kill()
@@ -95,7 +103,7 @@ class Contained:
         self.close()
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         process = subprocess.Popen(
-            [sys.executable, "-m", "rmesh_nlp.study.runner"],
+            [sys.executable, "-m", "rmesh_nlp.study.contained"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -104,49 +112,68 @@ class Contained:
         self._process = process
         if self._cores and hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(process.pid, self._cores)
-        line, _ = self._answer(process, START_S, None)
-        if line is None or line.decode().strip() != READY:
+        line, _ = self._answer(process, START_S)
+        if line is None or line.strip() != READY:
             code = self.close()
             raise RuntimeError(f"no process for solves could be started: it ended with code {code}")
         return process
 
     def _answer(
-        self, process: subprocess.Popen[bytes], seconds: float, megabytes: float | None
+        self, process: subprocess.Popen[bytes], seconds: float, megabytes: float = math.inf
     ) -> tuple[bytes | None, str]:
         """A line of the process; None with the reason (time, memory, died) if there is none."""
         assert process.stdout is not None
         end = time.monotonic() + seconds
-        with selectors.DefaultSelector() as selector:
-            selector.register(process.stdout, selectors.EVENT_READ)
-            while True:
-                if b"\n" in self._buffer:
-                    line, self._buffer = self._buffer.split(b"\n", 1)
-                    return line, ""
-                if selector.select(POLL_S):
-                    part = os.read(process.stdout.fileno(), 1 << 16)
-                    if not part:
-                        return None, "died"
-                    self._buffer += part
-                    continue
-                if time.monotonic() > end:
-                    return None, "time"
-                used = None if megabytes is None else _megabytes(process.pid)
-                if used is not None and megabytes is not None and used > megabytes:
-                    return None, "memory"
+        while not select.select([process.stdout], [], [], POLL_S)[0]:
+            if time.monotonic() > end:
+                return None, "time"
+            if megabytes < (_megabytes(process.pid) or 0.0):
+                return None, "memory"
+        line = process.stdout.readline()
+        return (line, "") if line.endswith(b"\n") else (None, "died")
 
 
 def _megabytes(pid: int) -> float | None:
     """Memory that a process holds; None where the system does not tell (other than Linux without psutil)."""
     try:
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
     except (OSError, IndexError, ValueError):
-        return _by_psutil(pid)
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def _by_psutil(pid: int) -> float | None:
+        pass
     try:
         psutil: Any = __import__("psutil")
         return float(psutil.Process(pid).memory_info().rss / 1e6)
     except Exception:
         return None
+
+
+def main() -> None:
+    """Answer until stdin ends."""
+    if sys.platform == "linux":  # end with the parent, also when that is ended by ``kill -9``
+        kill_at_end_of_parent = 1
+        ctypes.CDLL(None).prctl(kill_at_end_of_parent, signal.SIGKILL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the client, which then ends this process
+    with os.fdopen(os.dup(1), "wb") as answers:
+        os.dup2(2, 1)  # solvers print what they like
+        warnings.simplefilter("ignore")
+        answers.write(READY + b"\n")
+        answers.flush()
+        for line in sys.stdin:
+            request = json.loads(line)
+            answers.write(_row(PlannedSolve(**request["solve"]), Path(request["folder"])) + b"\n")
+            answers.flush()
+
+
+def _row(solve: PlannedSolve, folder: Path) -> bytes:
+    """Run a solve, keep its fields in a folder of results, and return its row as JSON."""
+    began, cpu = time.perf_counter(), time.process_time()
+    done = perform(solve)
+    times = {"task_time_s": time.perf_counter() - began, "cpu_time_s": time.process_time() - cpu}
+    row = {**done.row, **times}
+    if solve.fields:
+        done.save(Results(folder).result(row))
+    return to_json(row).encode()
+
+
+if __name__ == "__main__":
+    main()

@@ -7,7 +7,7 @@ import concurrent.futures
 import logging
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -19,10 +19,9 @@ from rmesh_nlp.study import worker as workers
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import Keys, RowsFile, set_failures_aside, wait_for_workers
 from rmesh_nlp.study.runner import failure
-from rmesh_nlp.study.worker import local_worker, perform, travelling, whole_row
 
-AHEAD = 20
-"""Solves per worker that are handed to the scheduler ahead of those that ended."""
+BATCH = 1000
+"""Solves that are handed to the scheduler in one message."""
 
 WAIT_S = 120.0
 """Longest wait for workers that outlived an earlier client."""
@@ -74,67 +73,64 @@ def run(
     if retry_failed:
         set_failures_aside(folder, {solve.key for solve in plan})
     todo = missing(plan, folder)
-    if not todo:
-        return
     if jobs == 1 and scheduler is None:
-        with local_worker(folder) as worker:
-            for solve in todo:
-                yield worker.perform(solve)
+        if todo:
+            with workers.Worker(folder) as worker:
+                yield from map(worker.perform, todo)
         return
     rows = RowsFile(folder)
-    for solve, row, error in _distributed(todo, perform, folder, min(jobs, len(todo)), scheduler):
-        if row is None:  # its worker died again and again: that is a row, too
-            row = {**failure(solve, "died", error), "worker": rows.name, "shared": True}
+    for solve, row in distributed_rows(todo, folder, jobs, scheduler):
+        if row is None:
+            row = {**lost(solve), "worker": rows.name, "shared": True}
             with rows.working():
                 rows.append(row)
         yield row
 
 
-def run_for_client(
-    plan: Sequence[PlannedSolve], folder: Path, jobs: int
-) -> Iterator[tuple[PlannedSolve, Record]]:
-    """Perform a plan on a local cluster and yield whole rows, which the caller writes."""
-    for solve, row, error in _distributed(plan, whole_row, folder, min(jobs, len(plan)), None):
-        yield solve, failure(solve, "died", error) if row is None else row
+def lost(solve: PlannedSolve) -> Record:
+    """The row of a solve whose worker died again and again."""
+    return failure(solve, "died", "its worker was lost more often than a solve is tried")
 
 
-def _distributed(
+def distributed_rows(
     plan: Sequence[PlannedSolve],
-    task: Callable[..., Record],
     folder: Path,
     jobs: int,
-    scheduler: str | None,
-) -> Iterator[tuple[PlannedSolve, Record | None, str]]:
-    """Solves with their rows, None where the worker was lost for good."""
-    distributed = _distributed_module()
-    place = str(folder.resolve())
-    with _client(distributed, jobs, scheduler) as client:
-        waiting = iter(plan)
-        of: dict[Any, PlannedSolve] = {}
+    scheduler: str | None = None,
+    *,
+    whole: bool = False,
+) -> Iterator[tuple[PlannedSolve, Record | None]]:
+    """Solves with their rows as they end; None where the worker was lost for good.
 
-        def submit(count: int) -> list[Any]:
-            futures = []
-            for solve in _first(waiting, count):
-                future = client.submit(task, travelling(solve), place, key=f"rmesh-{solve.key}", pure=False)
-                of[future] = solve
-                futures.append(future)
-            return futures
-
-        workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-        running = distributed.as_completed(submit(AHEAD * workers), loop=client.loop)
-        for future in running:
-            solve = of.pop(future)
+    Workers write the rows and tell them in short; ``whole`` ones are for the caller to write.
+    """
+    if not plan:
+        return
+    distributed, place = _distributed_module(), str(folder.resolve())
+    with _client(distributed, min(jobs, len(plan)), scheduler) as client:
+        futures = client.map(
+            workers.task,
+            [solve.plain() for solve in plan],
+            folder=place,
+            whole=whole,
+            key=[f"rmesh-{solve.key}" for solve in plan],
+            pure=False,
+            batch_size=BATCH,
+        )
+        solve_of = dict(zip(futures, plan, strict=True))
+        del futures  # what has ended is released
+        for future in distributed.as_completed([*solve_of], loop=client.loop):
+            solve = solve_of.pop(future)
             if future.status == "finished":
-                yield solve, future.result(), ""
-            elif future.status == "error" and isinstance(future.exception(), distributed.KilledWorker):
-                yield solve, None, "its worker was lost more often than a solve is tried"
-            elif future.status == "error":
-                raise BadInputError(f"a worker cannot work: {' '.join(str(future.exception()).split())}")
-            else:
+                yield solve, future.result()
+            elif future.status != "error":
                 raise BadInputError(
                     f"the scheduler is lost ({solve.key} {future.status}): run again to go on"
                 )
-            running.update(submit(1))
+            elif isinstance(future.exception(), distributed.KilledWorker):
+                yield solve, None
+            else:
+                raise BadInputError(f"a worker cannot work: {' '.join(str(future.exception()).split())}")
 
 
 @contextmanager
@@ -254,11 +250,3 @@ def _distributed_module() -> Any:
             "--jobs above 1 and --scheduler need dask.distributed: pip install 'rmesh-nlp[study]'"
         ) from None
     return distributed
-
-
-def _first(solves: Iterator[PlannedSolve], count: int) -> Iterator[PlannedSolve]:
-    for _ in range(count):
-        try:
-            yield next(solves)
-        except StopIteration:
-            return

@@ -1,79 +1,200 @@
-"""The solves of a study, each with a key made of its content: the same solve has the same key anywhere."""
+"""Planned solves: problem, formulation, options and key, and the plan that a study file asks for."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from rmesh_nlp import __version__
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.io.problem_file import load_problem, read_table
-from rmesh_nlp.solving.formulation import find
+from rmesh_nlp.io.records import Record
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.formulation import Chooser, Formulation, find
 from rmesh_nlp.solving.options import accepted
-from rmesh_nlp.study.schema import StudyTable
+from rmesh_nlp.study.study_file import StudyTable
 
-Problem = dict[str, Any]
-"""What states a problem, as plain JSON values, see :func:`rmesh_nlp.study.problems.build`."""
+UNLIMITED = {"time_s": 7 * 86400.0, "memory_mb": 1e9}
+"""Limits of a solve for which none is asked."""
+
+RULE_S = {"fixed": 0.1, "joint": 0.5, "nested": 1.5, "mpcc": 2.5}
+"""Seconds of a solve with 128 triangles on a processor of 2020, audit included (Example 6.1, n = 8)."""
+
+GROWTH = 1.3
+"""Times grow at least like this power of the number of triangles."""
 
 
 @dataclass(frozen=True)
 class PlannedSolve:
-    """One solve to be done, as plain JSON values: it travels to other processes and machines.
+    """One solve to be done: of a study, of a comparison, or by itself.
+
+    All but ``built`` and ``made`` are plain JSON values, which travel to other processes and machines.
 
     Attributes
     ----------
     problem : dict
-        ``kind`` (example, file, random) and what states it.
+        ``kind`` (example, file, random) and what states it, see :func:`build`; empty where ``built`` is all.
     name, family, size : str
         Of the problem; a family is what summaries join.
     variant : str
-        Its name in the study.
+        Its name in a study; empty in a comparison.
     formulation : str
-        Name of an installed formulation.
-    options : dict
-        Of :func:`rmesh_nlp.solving.driver.solve_by_options`.
+        Name of an installed formulation, or what rows call ``made``.
+    options : mapping
+        Of :func:`rmesh_nlp.solving.driver.solve_by_options`: ``objective``, ``seed``, ...
     repeat : int
-        Number of the repetition, from 0.
+        Number of the repetition in a study, from 0.
     time_s, memory_mb : float
-        Limits.
+        Limits, above which a process of its own is killed.
     fields : bool
         Whether meshes and fields are kept.
     certify : bool
         Whether the error is bounded.
+    repeats : int
+        How often it is solved for one row, whose times are then medians.
+    built : ContactProblem, optional
+        The problem itself, in this process.
+    made : Formulation or Chooser, optional
+        An object in the place of the installed formulation, in this process.
     """
 
-    problem: Problem
+    problem: Mapping[str, Any]
     name: str
     family: str
     size: str
     variant: str
     formulation: str
-    options: dict[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
     repeat: int = 0
     time_s: float = 60.0
     memory_mb: float = 4000.0
     fields: bool = True
     certify: bool = False
+    repeats: int = 1
+    built: ContactProblem | None = field(default=None, repr=False)
+    made: Formulation | Chooser | None = None
 
     @property
     def key(self) -> str:
-        """A file name with a digest of problem, variant, options, limits, repetition and version."""
-        content = {**asdict(self), "version": __version__}
-        for entry in ("name", "family", "size", "fields"):
-            del content[entry]
-        content["strategy"] = content.pop("variant")  # its name when the first keys were made
-        content["problem"] = {k: v for k, v in self.problem.items() if k != "path"}
-        text = json.dumps(content, sort_keys=True)
-        digest = hashlib.sha256(text.encode()).hexdigest()[:16]
+        """A file name: in a study with a digest of the content, else of names and options.
+
+        The digest is of problem, variant, options, limits, repetition and version: the same solve has the
+        same key anywhere. Keys of comparisons are such as ``6.2-12x6-joint`` or ``6.1-8-mpcc-seed3``.
+        """
+        if not self.variant:
+            options = [
+                f"{name}{value}" if isinstance(value, (int, float)) else str(value)
+                for name, value in sorted(self.options.items())
+            ]
+            return safe_name("-".join(filter(None, [self.name, self.size, self.formulation, *options])))
+        content = {
+            "problem": {k: v for k, v in self.problem.items() if k != "path"},
+            "strategy": self.variant,  # its name when the first keys were made
+            "version": __version__,
+        }
+        content |= {name: getattr(self, name) for name in ("formulation", "options", "repeat", "certify")}
+        content |= {name: getattr(self, name) for name in ("time_s", "memory_mb")}
+        digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
         parts = [self.name, self.size, self.variant]
-        return safe_name("-".join(part for part in parts if part)[:100] + "-" + digest)
+        return safe_name("-".join(filter(None, parts))[:100] + "-" + digest)
+
+    @property
+    def identity(self) -> Record:
+        """The entries of a row that say which solve it is."""
+        entries: Record = {"key": self.key, "example": self.name, "formulation": self.formulation}
+        if self.variant:
+            entries |= {"family": self.family, "variant": self.variant, "repeat": self.repeat}
+        if self.built is None:
+            return {**entries, "n": self.size}
+        motion, rule = self.built.motion.delta_record(), self.built.rule
+        return {**entries, "n": self.built.size, "delta": motion, "quadrature": rule}
+
+    def plain(self) -> dict[str, Any]:
+        """What travels, by the names of the attributes."""
+        kept = (one.name for one in fields(self) if one.name not in ("built", "made"))
+        return {name: getattr(self, name) for name in kept}
+
+
+def planned(
+    built: ContactProblem, formulation: str, options: Mapping[str, Any] | None = None, **others: Any
+) -> PlannedSolve:
+    """A solve of a problem that is at hand, with other attributes by name."""
+    about: dict[str, Any] = {"name": built.name, "family": built.name, "size": built.size, "built": built}
+    about |= {"formulation": formulation, "options": options or {}, **UNLIMITED}
+    return PlannedSolve(**{"problem": {}, "variant": "", **about, **others})
+
+
+def build(solve: PlannedSolve) -> ContactProblem:
+    """The problem of a planned solve, with a reference solution if its objective needs one.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be built here, say because its file is not on this machine.
+    """
+    problem = _problem(solve.problem) if solve.built is None else solve.built
+    objective = solve.options.get("objective", "energy")
+    if solve.problem.get("kind") == "example" and parse_objective(objective).needs_exact:
+        return with_reference(problem)
+    return problem  # where nothing is known of the solution the formulation refuses such an objective
+
+
+def _problem(stated: Mapping[str, Any]) -> ContactProblem:
+    if stated["kind"] == "example":
+        return build_example(**{key: value for key, value in stated.items() if key != "kind"})
+    if stated["kind"] == "file":
+        return load_problem(stated["path"])
+    if stated["kind"] == "random":
+        problem = random_problem(stated["seed"], kind=stated["of"])
+        return replace(problem, name=f"random-{stated['seed']}", size=f"{problem.mesh.t.shape[1]} triangles")
+    raise ValueError(f"unknown kind of problem {stated['kind']!r}")
+
+
+def build_example(example: str, quadrature: str | int = "midpoint", **given: Any) -> ContactProblem:
+    """An example by name with ``n`` and ``delta``, lists for pairs; by default of the paper's size.
+
+    Raises
+    ------
+    BadInputError
+        If the name is unknown or the example refuses the size or the delta.
+    """
+    if example not in EXAMPLES:
+        raise unknown("example", example, EXAMPLES)
+    given = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
+    try:
+        return replace(EXAMPLES[example](**given), quadrature=quadrature)
+    except (ValueError, MemoryError) as error:
+        raise BadInputError(str(error)) from error
+
+
+def options_of(formulation: str, own: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
+    """Options that are a formulation's own, and of the common ones those that it takes."""
+    taken = accepted(formulation, common)
+    return {**{name: value for name, value in common.items() if name in taken}, **own}
+
+
+def check_objective(text: str) -> None:
+    """Refuse a text that is no objective.
+
+    Raises
+    ------
+    BadInputError
+    """
+    try:
+        parse_objective(text)
+    except ValueError as error:
+        raise BadInputError(str(error)) from error
 
 
 def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
@@ -88,101 +209,89 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     """
     for text in study.objectives:
         try:
-            parse_objective(text)
-        except ValueError as error:
+            check_objective(text)
+        except BadInputError as error:
             raise BadInputError(f"{path}: objectives: {error}") from error
-    plan: dict[str, PlannedSolve] = {}
-    rows = list(_formulations(study, path))
-    for problem, name, family, size in _problems(study, path):
-        for variant, formulation, options in rows:
-            for repeat in range(study.repeats):
-                solve = PlannedSolve(
-                    problem,
-                    name,
-                    family,
-                    size,
-                    variant,
-                    formulation,
-                    options,
-                    repeat,
-                    study.limits.time,
-                    study.limits.memory,
-                    study.fields,
-                    study.certify,
-                )
-                plan[solve.key] = solve
-    return list(plan.values())
+    variants = list(_variants(study, path))
+    common: dict[str, Any] = {"time_s": study.limits.time, "memory_mb": study.limits.memory}
+    common |= {"fields": study.fields, "certify": study.certify}
+    solves = [
+        PlannedSolve(*problem, variant, formulation, options, repeat, **common)
+        for problem in _problems(study, path)
+        for variant, formulation, options in variants
+        for repeat in range(study.repeats)
+    ]
+    return list({solve.key: solve for solve in solves}.values())
 
 
-def _formulations(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _variants(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Name, formulation and options of each, once for each objective and seed that it takes."""
+    limits = {"time_limit_s": study.limits.time, "max_iterations": study.limits.iterations}
     for variant, table in study.formulations.items():
-        formulation = table.formulation or variant
+        where, formulation = f"{path}: formulations.{variant}", table.formulation or variant
         try:
             find(formulation)
         except BadInputError as error:
-            raise BadInputError(f"{path}: formulations.{variant}: {error}") from error
-        given = _checked(table.keywords, f"{path}: formulations.{variant}", formulation)
-        limits = {"time_limit_s": study.limits.time}
-        if study.limits.iterations is not None:
-            limits["max_iterations"] = study.limits.iterations
-        taken = accepted(formulation, limits)
-        given = {**{name: value for name, value in limits.items() if name in taken}, **given}
-        varied = accepted(formulation, ("objective", "seed"))
-        seen = set()
+            raise BadInputError(f"{where}: {error}") from error
+        taken = accepted(formulation, table.keywords)
+        for name, value in table.keywords.items():
+            if name not in taken:
+                raise BadInputError(f"{where}.{name} = {value!r}: not an option of {formulation}")
+            try:
+                json.dumps(value)
+            except TypeError:
+                said = "dates and times are no options"
+                raise BadInputError(f"{where}.{name} = {value!r}: {said}") from None
+        found: dict[str, dict[str, Any]] = {}
         for objective in study.objectives:
             for seed in study.seeds:
-                options = dict(given)
-                if objective != "energy":
-                    options.setdefault("objective", objective)
-                if seed is not None and "seed" in varied:
-                    options.setdefault("seed", seed)
-                mark = json.dumps(options, sort_keys=True)
-                if mark not in seen:
-                    seen.add(mark)
-                    yield variant, formulation, options
+                common = {**limits, "objective": None if objective == "energy" else objective, "seed": seed}
+                common = {name: value for name, value in common.items() if value is not None}
+                options = options_of(formulation, table.keywords, common)
+                found.setdefault(json.dumps(options, sort_keys=True), options)
+        for options in found.values():
+            yield variant, formulation, options
 
 
-def _checked(keywords: Mapping[str, Any], where: str, formulation: str) -> dict[str, Any]:
-    taken = accepted(formulation, keywords)
-    for name, value in keywords.items():
-        if name not in taken:
-            raise BadInputError(f"{where}.{name} = {value!r}: not an option of {formulation}")
-        try:
-            json.dumps(value)
-        except TypeError:
-            raise BadInputError(f"{where}.{name} = {value!r}: dates and times are no options") from None
-    return dict(keywords)
-
-
-def _problems(study: StudyTable, path: Path) -> Iterator[tuple[Problem, str, str, str]]:
+def _problems(study: StudyTable, path: Path) -> Iterator[tuple[dict[str, Any], str, str, str]]:
+    """What states each problem, its name, family and size."""
     for name in study.examples:
-        if name not in EXAMPLES:
-            raise BadInputError(f"{path}: examples: {unknown('example', name, EXAMPLES)}")
         sizes = study.sizes.get(name, (None,)) if isinstance(study.sizes, dict) else study.sizes or (None,)
         for size in sizes:
-            given = {} if size is None else {"n": size}
+            stated = {"kind": "example", "example": name, "quadrature": study.quadrature}
+            stated |= {} if size is None else {"n": size}
             try:
-                problem = EXAMPLES[name](**given)
-            except (ValueError, MemoryError) as error:
-                raise BadInputError(f"{path}: sizes: {error}") from error
-            content = {"kind": "example", "example": name, "quadrature": study.quadrature, **given}
-            yield content, name, name, problem.size
+                yield stated, name, name, _problem(stated).size
+            except BadInputError as error:
+                key = "sizes" if name in EXAMPLES else "examples"
+                raise BadInputError(f"{path}: {key}: {error}") from error
     for text in study.files:
         file = path.parent / text
-        yield _file_problem(file), load_problem(file).name, Path(text).stem, ""
+        table = read_table(file)
+        parts = [file.read_bytes()]
+        if table.mesh.file is not None:
+            parts.append((file.parent / table.mesh.file).read_bytes())
+        digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
+        stated = {"kind": "file", "digest": digest, "path": str(file.resolve())}
+        yield stated, load_problem(file).name, Path(text).stem, ""
     if study.random is not None:
         kinds = list(study.random.kinds)
         for number in range(study.random.seed, study.random.seed + study.random.count):
             kind = kinds[number % len(kinds)]
-            content = {"kind": "random", "seed": number, "of": kind}
-            yield content, f"random-{number}", f"random {kind}", ""
+            yield {"kind": "random", "seed": number, "of": kind}, f"random-{number}", f"random {kind}", ""
 
 
-def _file_problem(file: Path) -> Problem:
-    """A problem file with a digest of it and of its mesh file."""
-    table = read_table(file)
-    parts = [file.read_bytes()]
-    if table.mesh.file is not None:
-        parts.append((file.parent / table.mesh.file).read_bytes())
-    digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
-    return {"kind": "file", "digest": digest, "path": str(file.resolve())}
+def seconds_of_plan(solves: Sequence[PlannedSolve], rows: Sequence[Record]) -> float:
+    """Seconds that the solves take one after the other, roughly: as in these rows, else by ``RULE_S``."""
+    known: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        if row.get("task_time_s") is not None:
+            known.setdefault((str(row.get("variant")), str(row.get("family"))), []).append(row["task_time_s"])
+    total = 0.0
+    for solve in solves:
+        times = known.get((solve.variant, solve.family))
+        numbers = [int(number) for number in re.findall(r"\d+", solve.size)]
+        triangles = 2 * numbers[0] * numbers[-1] if numbers else 30
+        rule = RULE_S.get(solve.formulation, 1.0) * max(1.0, triangles / 128) ** GROWTH
+        total += min(median(times) if times else rule, solve.time_s)
+    return total

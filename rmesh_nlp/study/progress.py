@@ -1,71 +1,76 @@
-"""Progress of a campaign on stderr: a live line in a terminal, one line per solve elsewhere."""
+"""Progress of many solves on stderr: a live line in a terminal, some lines elsewhere."""
 
 from __future__ import annotations
 
+import math
 import sys
 import time
-from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.solving.clock import Limits
+from rmesh_nlp.solving.clock import TOLERANCE, Falling, Limits
 from rmesh_nlp.solving.parts import Step
-from rmesh_nlp.study.cases import Case
-from rmesh_nlp.study.pace import Pace
+from rmesh_nlp.study.plan import PlannedSolve
 
 EVERY_S = 10.0
 """Seconds between lines about a solve that goes on, where there is no terminal."""
 
+EVERY = 100
+"""Solves between lines about a study, where there is no terminal."""
 
-class CampaignProgress:
-    """Shows what is being solved and, for each solve that ended, one line.
+
+class SolvesProgress:
+    """Shows what is being solved; as a context it starts the live line and removes it at the end.
 
     Parameters
     ----------
-    total : int
-        Number of solves.
+    total, done : int
+        Planned solves, and those of them that have a row.
     quiet : bool
         Show nothing.
+    each : bool
+        A line for each solve that ended; else for those that failed, and for every ``EVERY`` of them.
     """
 
-    def __init__(self, total: int, *, quiet: bool = False) -> None:
-        console = Console(file=sys.stderr, highlight=False, soft_wrap=True, quiet=quiet)
+    def __init__(self, total: int, done: int = 0, *, quiet: bool = False, each: bool = True) -> None:
+        self._console = Console(file=sys.stderr, highlight=False, soft_wrap=True, quiet=quiet)
+        columns: list[ProgressColumn] = [BarColumn(20), MofNCompleteColumn(), TimeElapsedColumn()]
+        columns += [] if each else [TimeRemainingColumn()]
         self._bar = Progress(
-            BarColumn(20),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
+            *columns,
             TextColumn("{task.description}", markup=False),
-            console=console,
+            console=self._console,
             transient=True,
-            disable=quiet or not console.is_terminal,
+            disable=quiet or not self._console.is_terminal,
         )
-        self._console = console
-        self._task = self._bar.add_task("", total=total)
-        self._name = ""
-        self._pace, self._said = Pace(), time.monotonic()
+        self._task = self._bar.add_task("", total=total, completed=done)
+        self._total, self._done, self._each = total, done, each
+        self._name, self._pace, self._said = "", Pace(), time.monotonic()
+        if done:
+            self._say(f"{done} of {total} solves have a row already")
 
-    def __enter__(self) -> CampaignProgress:
-        """Start the live line."""
+    def __enter__(self) -> SolvesProgress:
         self._bar.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Remove the live line."""
-        self.stop()
-
-    def stop(self) -> None:
-        """Remove the live line and show the cursor again."""
+    def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def start(self, case: Case) -> None:
+    def start(self, solve: PlannedSolve) -> None:
         """A solve begins."""
-        self._name = f"{case.problem.name} {case.formulation}"
-        limit = None if case.options.keys() & {"starts", "levels"} else case.options.get("time_limit_s")
+        self._name = f"{solve.name} {solve.formulation}"
+        limit = None if solve.options.keys() & {"starts", "levels"} else solve.options.get("time_limit_s")
         self._pace, self._said = Pace(limit or Limits.seconds), time.monotonic()
         self._bar.update(self._task, description=self._name)
 
@@ -76,27 +81,104 @@ class CampaignProgress:
         self._bar.update(self._task, description=text)
         if not self._console.is_terminal and time.monotonic() - self._said > EVERY_S:
             self._said = time.monotonic()
-            self._console.print(text, markup=False)
+            self._say(text)
 
-    def finish(self, record: Record) -> None:
+    def finish(self, row: Record) -> None:
         """A solve has ended."""
+        self._done += 1
         self._bar.advance(self._task)
-        self._console.print(summary(record), markup=False)
+        if self._each:
+            self._say(summary(row))
+            return
+        self._bar.update(self._task, description=f"{row.get('example')} {row.get('variant')}")
+        if not (row.get("found") or row["success"] or row["status"] == "refused"):
+            self._say(summary(row))
+        if not self._console.is_terminal and (self._done % EVERY == 0 or self._done == self._total):
+            self._say(f"{self._done} of {self._total} solves")
+
+    def _say(self, text: str) -> None:
+        self._console.print(text, markup=False)
 
 
-def summary(record: Record) -> str:
-    """One line about a record."""
-    line = f"{record['example']} {record['formulation']}: {record['status']}"
-    after, before = record.get("energy_audited"), record.get("energy_initial_audited")
+def summary(row: Record) -> str:
+    """One line about a row."""
+    line = f"{row['example']} {row.get('variant') or row['formulation']}: {row['status']}"
+    after, before = row.get("energy_audited"), row.get("energy_initial_audited")
     if after is not None:
         line += ", audited J = " + (f"{before:.6f} -> " if before is not None else "") + f"{after:.6f}"
         if before:
             line += f" (gain {before - after:.4g}, {100 * (before - after) / abs(before):.3g} %)"
-    if record["iterations"] is not None:
-        line += f", {record['iterations']} iterations"
-    line += f", {record['wall_time_s']:.2f} s"
-    if record["success"] and record["status"] != Status.CONVERGED:
+    if row.get("iterations") is not None:
+        line += f", {row['iterations']} iterations"
+    line += f", {row['wall_time_s']:.2f} s"
+    if row["success"] and row["status"] != Status.CONVERGED:
         line += f": {NOT_STATIONARY_YET}"
-    elif not record["success"] and record.get("message"):
-        line += f": {record['message']}"
+    elif not row["success"] and row.get("message"):
+        line += f": {row['message']}"
     return line
+
+
+class Pace:
+    """Follows the steps of one solve: its gain, its residual, and about how long it will take.
+
+    The time left is an estimate: that of the formulation, if it has one, else the residual falls on in time
+    as it did over the last steps, on a logarithmic scale. Where neither is known the time limit is shown.
+
+    Parameters
+    ----------
+    limit : float, optional
+        Seconds after which the formulation stops.
+    """
+
+    def __init__(self, limit: float = math.inf) -> None:
+        self._limit = limit
+        self._step: Step | None = None
+        self._given = math.nan
+        self._falling = Falling(TOLERANCE)
+
+    def __call__(self, step: Step) -> None:
+        """Note a step."""
+        self._step = step
+        if math.isfinite(step.energy_given):  # on the mesh of this step, before any node moved
+            self._given = step.energy_given
+        elif math.isnan(self._given) and math.isfinite(step.energy):
+            self._given = step.energy
+        self._falling(step.seconds, _residual(step))
+
+    @property
+    def seconds_left(self) -> float | None:
+        """An estimate, not beyond the time limit; None where there is none."""
+        if self._step is None:
+            return None
+        left = self._step.seconds_left
+        estimate = left if math.isfinite(left) else self._falling.seconds_left
+        return None if estimate is None else min(estimate, self._longest(self._step))
+
+    def _longest(self, step: Step) -> float:
+        return max(self._limit - step.seconds, 0.0)
+
+    def text(self) -> str:
+        """One line about the last step."""
+        step = self._step
+        if step is None:
+            return ""
+        parts = [f"iteration {step.iteration}"]
+        if math.isfinite(step.energy):
+            parts += [f"J = {step.energy:.6g}", f"gain {self._given - step.energy:.3g}"]
+        if not math.isnan(_residual(step)):
+            parts.append(f"residual {_residual(step):.1e}")
+        if (left := self.seconds_left) is not None:
+            parts.append(f"perhaps {_words(left)} left")
+        elif math.isfinite(longest := self._longest(step)):
+            parts.append(f"at most {_words(longest)} left")
+        return ", ".join(parts)
+
+
+def _residual(step: Step) -> float:
+    """The larger of the two residuals of a step, as the solver scales them; NaN where none is known."""
+    known = (r for r in (step.primal_residual, step.dual_residual) if math.isfinite(r))
+    return max(known, default=math.nan)
+
+
+def _words(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

@@ -88,42 +88,35 @@ class Keys:
                 text = file.read()
             end = text.rfind(b"\n") + 1  # what follows is being written, or was cut by a kill
             self._read[path] = self._read.get(path, 0) + end
-            for line in text[:end].split(b"\n"):
-                with suppress(ValueError, RecursionError):
-                    row = json.loads(line)
-                    if isinstance(row, dict) and isinstance(row.get("key"), str):
-                        self._keys.add(row["key"])
+            keys = (_row(line).get("key") for line in text[:end].split(b"\n"))
+            self._keys.update(key for key in keys if isinstance(key, str))
         return self._keys
 
 
-def set_failures_aside(folder: Path, keys: Collection[str]) -> int:
-    """Move the rows of failures among these solves to ``rows/failed.jsonl``; returns how many.
+def _row(line: bytes) -> Record:
+    """The row of a line; empty if it is none."""
+    with suppress(ValueError, RecursionError):
+        row = json.loads(line)
+        return row if isinstance(row, dict) else {}
+    return {}
+
+
+def set_failures_aside(folder: Path, keys: Collection[str]) -> None:
+    """Move the rows of failures among these solves to ``rows/failed.jsonl``.
 
     Resuming then does these solves again. No worker may be at work, see :func:`wait_for_workers`. What a
     formulation refused is no failure.
     """
-    count = 0
     for path in row_files(folder):
-        lines = path.read_bytes().split(b"\n")[:-1]  # a line that a kill has cut is no row
-        failed = [line for line in lines if _has_failed(line, keys)]
+        kept: list[str] = []
+        failed: list[str] = []
+        for line in path.read_bytes().split(b"\n")[:-1]:  # a line that a kill has cut is no row
+            row = _row(line)
+            good = row.get("key") not in keys or row.get("success") or row.get("status") == "refused"
+            (kept if good else failed).append(line.decode() + "\n")
         if failed:
-            append_whole(folder / ROWS / FAILED, "".join(line.decode() + "\n" for line in failed))
-            write_text(path, "".join(line.decode() + "\n" for line in lines if line not in failed))
-            count += len(failed)
-    return count
-
-
-def _has_failed(line: bytes, keys: Collection[str]) -> bool:
-    try:
-        row = json.loads(line)
-    except (ValueError, RecursionError):
-        return False
-    return (
-        isinstance(row, dict)
-        and row.get("key") in keys
-        and not row.get("success")
-        and row.get("status") != "refused"
-    )
+            append_whole(folder / ROWS / FAILED, "".join(failed))
+            write_text(path, "".join(kept))
 
 
 def wait_for_workers(folder: Path, seconds: float) -> None:

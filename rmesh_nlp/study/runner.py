@@ -1,68 +1,107 @@
-"""The process in which solves run: it takes planned solves on stdin and answers with records on stdout.
-
-``python -m rmesh_nlp.study.runner``, one JSON line each way. It is started, watched and if need be
-killed by :mod:`rmesh_nlp.study.contained`, and ends when that does.
-"""
+"""A planned solve becomes a row, whatever happens to it."""
 
 from __future__ import annotations
 
-import ctypes
-import json
-import os
-import signal
-import sys
 import time
-import warnings
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import median
 
-from rmesh_nlp.io.records import REQUIRED, Record, to_json
-from rmesh_nlp.io.results import Results
-from rmesh_nlp.solving.solution import versions
-from rmesh_nlp.study import comparison as campaign
-from rmesh_nlp.study.cases import Case
-from rmesh_nlp.study.plan import PlannedSolve
-from rmesh_nlp.study.problems import build
+import numpy as np
 
-READY = "ready"
+from rmesh_nlp.io.export import write_solution
+from rmesh_nlp.io.files import write_whole
+from rmesh_nlp.io.records import REQUIRED, Record
+from rmesh_nlp.io.results import HISTORY_FIELDS, Result, write_history
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solving.driver import solve_by_options
+from rmesh_nlp.solving.monitor import OnStep
+from rmesh_nlp.solving.solution import Solution, versions
+from rmesh_nlp.solving.verification import error_terms
+from rmesh_nlp.study.plan import PlannedSolve, build
+
+INTERRUPTED = Status.INTERRUPTED.value
+
+TIMES = ("build_time_s", "solve_time_s", "audit_time_s", "wall_time_s", "contact_time_s")
+"""Entries of a record that are seconds."""
 
 
-def perform(solve: PlannedSolve, folder: Path | None) -> Record:
-    """Run one solve, keep its fields, and return its row."""
-    began, cpu = time.perf_counter(), time.process_time()
+@dataclass(frozen=True)
+class Done:
+    """The row of a solve, and its solution unless it raised."""
+
+    row: Record
+    solution: Solution | None = None
+
+    def save(self, places: Result) -> None:
+        """Write fields and history; a solve that raised has none, and removes older ones."""
+        solution = self.solution
+        if solution is None:
+            places.vtu.unlink(missing_ok=True)
+            places.history.unlink(missing_ok=True)
+            return
+        write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu", solution.certificate))
+        steps = [
+            # of an all-at-once solver the residual is that at its own displacement and forces
+            replace(step, stationarity=step.dual_residual) if np.isnan(step.stationarity) else step
+            for step in solution.history
+        ]
+        rows = [{name: row[name] for name in HISTORY_FIELDS} for row in (step.row() for step in steps)]
+        write_whole(places.history, lambda path: write_history(path, rows))
+
+
+def perform(solve: PlannedSolve, on_step: OnStep | None = None) -> Done:
+    """Run a planned solve, as often as it asks for; an exception becomes a row with its message.
+
+    With repeats the times of the row are medians, everything else is that of the first run. An interrupted
+    run is the last, and its row is kept.
+    """
     try:
-        case = Case(build(solve), solve.formulation, solve.options, solve.certify)
-        outcome = campaign.solve(case)
-        record = outcome.record
+        solve = replace(solve, built=build(solve))
     except Exception as error:  # a problem that cannot be built here
-        return failure(solve, "failed", f"{type(error).__name__}: {' '.join(str(error).split())}")
-    wall, cpu = time.perf_counter() - began, time.process_time() - cpu
-    row = {**record, **identity(solve), "task_time_s": wall, "cpu_time_s": cpu}
-    if folder is not None and solve.fields:
-        campaign.save(outcome, Results(folder).result(row))
-    return row
+        return Done(failure(solve, "failed", f"{type(error).__name__}: {_one_line(error)}"))
+    first = _once(solve, on_step)
+    rows = [first.row]
+    while first.solution is not None and len(rows) < solve.repeats and rows[-1]["status"] != INTERRUPTED:
+        rows.append(_once(replace(solve, certify=False), on_step).row)
+    return replace(first, row=rows[-1] if rows[-1]["status"] == INTERRUPTED else joined(rows))
 
 
-def identity(solve: PlannedSolve) -> Record:
-    """The entries of a row that say which solve it is."""
-    return {
-        "key": solve.key,
-        "example": solve.name,
-        "family": solve.family,
-        "variant": solve.variant,
-        "formulation": solve.formulation,
-        "repeat": solve.repeat,
-    }
+def _once(solve: PlannedSolve, on_step: OnStep | None) -> Done:
+    assert solve.built is not None
+    began = time.perf_counter()
+    try:
+        solution = solve_by_options(
+            solve.built,
+            solve.made or solve.formulation,
+            solve.options,
+            on_step=on_step,
+            certify=solve.certify,
+        )
+        identity = solve.identity
+        row = {**identity, "message": solution.status.message, **solution.record(), "key": solve.key}
+        asked = {name: value for name, value in identity.items() if row[name] != value}
+        if asked:  # auto chose, or the rule was raised
+            row["asked"] = asked
+        terms = error_terms(solution) if solution.audit.min_area_ratio > 0 else None
+        return Done(row | (terms.entries() if terms else {}), solution)
+    except ValueError as error:  # the formulation does not take this problem or option
+        return Done(failure(solve, "refused", _one_line(error), time.perf_counter() - began))
+    except Exception as error:
+        said = f"{type(error).__name__}: {_one_line(error)}"
+        return Done(failure(solve, "failed", said, time.perf_counter() - began))
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def failure(solve: PlannedSolve, status: str, message: str, seconds: float = 0.0) -> Record:
     """The row of a solve of which nothing else is known."""
-    empty = dict.fromkeys(REQUIRED)
     return {
-        **empty,
-        **identity(solve),
+        **dict.fromkeys(REQUIRED),
+        **solve.identity,
         "objective": solve.options.get("objective", "energy"),
-        "n": solve.size,
         "status": status,
         "success": False,
         "message": message,
@@ -73,31 +112,22 @@ def failure(solve: PlannedSolve, status: str, message: str, seconds: float = 0.0
     }
 
 
-def main() -> None:
-    """Answer until stdin ends."""
-    _end_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the client, which then ends this process
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # solvers print what they like
-    warnings.simplefilter("ignore")
-    _say(answers, READY)
-    for line in sys.stdin:
-        request: dict[str, Any] = json.loads(line)
-        folder = None if request["folder"] is None else Path(request["folder"])
-        _say(answers, to_json(perform(PlannedSolve(**request["solve"]), folder)))
+def joined(rows: Sequence[Record]) -> Record:
+    """The first of several rows of one solve, with the medians of the times of all.
 
-
-def _say(answers: Any, text: str) -> None:
-    answers.write(text + "\n")
-    answers.flush()
-
-
-def _end_with_parent() -> None:
-    """Ask Linux to kill this process when the one that started it is gone, also by ``kill -9``."""
-    if sys.platform == "linux":
-        kill_at_end_of_parent = 1
-        ctypes.CDLL(None).prctl(kill_at_end_of_parent, signal.SIGKILL)
-
-
-if __name__ == "__main__":
-    main()
+    Beside each time stands its range, ``build_time_range_s`` and so on: the least and the largest.
+    ``repeats`` says how many there were, ``first_cost_s`` what build and solve of the first took: its history
+    is kept. One row stays as it is.
+    """
+    first = rows[0]
+    if len(rows) == 1:
+        return first
+    found: Record = {**first, "repeats": len(rows)}
+    for name in TIMES:
+        seconds = [row[name] for row in rows if row.get(name) is not None]
+        if seconds:
+            found[name] = median(seconds)
+            found[name.replace("_time_s", "_time_range_s")] = [min(seconds), max(seconds)]
+    if first.get("build_time_s") is not None and first.get("solve_time_s") is not None:
+        found["first_cost_s"] = first["build_time_s"] + first["solve_time_s"]
+    return found

@@ -1,16 +1,129 @@
-"""Studies from TOML files; every error is one line: file, key, value, what was expected."""
+"""Study files: the keys of their tables, reading them with one line per error, and a commented template."""
 
 from __future__ import annotations
 
+import re
 import warnings
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from rmesh_nlp.io.problem_file import read_toml
 from rmesh_nlp.io.problem_messages import ProblemFileError, as_text, nearest, one_line
-from rmesh_nlp.study.schema import LimitsTable, RandomTable, StudyTable
+from rmesh_nlp.io.problem_schema import Count, Positive, Quadrature, Seed, Table, Text
+
+Kind = Literal["scalar", "membrane", "elastic", "rough"]
+"""Kinds of :func:`rmesh_nlp.examples.random_problems.random_problem`."""
+
+
+def _size(value: Any) -> tuple[int, int] | int:
+    """``8`` or ``"12x6"``."""
+    if isinstance(value, int) and not isinstance(value, bool) and 2 <= value <= 1000:
+        return value
+    if isinstance(value, str) and re.fullmatch(r"[0-9]{1,4}x[0-9]{1,4}", value):
+        nx, ny = map(int, value.split("x"))
+        if min(nx, ny) >= 2:
+            return nx, ny
+    raise ValueError("expected sizes such as 8 or '12x6', of at least 2")
+
+
+def _sizes(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: tuple(_size(item) for item in _items(sizes)) for name, sizes in value.items()}
+    return tuple(_size(item) for item in _items(value))
+
+
+def _items(value: Any) -> list[Any]:
+    if not isinstance(value, list) or not value:
+        raise ValueError("expected a list such as [1, 2]")
+    return value
+
+
+def _seeds(value: Any) -> tuple[int | None, ...]:
+    seeds: list[int | None] = []
+    for item in _items(value):
+        if item == "given":
+            seeds.append(None)
+        elif isinstance(item, int) and not isinstance(item, bool) and item >= 0:
+            seeds.append(item)
+        else:
+            raise ValueError("expected seeds such as ['given', 1, 2]")
+    return tuple(dict.fromkeys(seeds))
+
+
+def _formulations(value: Any) -> Any:
+    """A list of names, or a table of tables."""
+    if isinstance(value, list) and value and all(isinstance(name, str) for name in value):
+        return {name: {} for name in value}
+    if not isinstance(value, dict) or not value:
+        raise ValueError("expected names such as ['fixed', 'joint'], or tables [formulations.<name>]")
+    return value
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(item, str) and item for item in value):
+        raise ValueError("expected a list of texts")
+    return tuple(dict.fromkeys(value))
+
+
+Texts = Annotated[tuple[str, ...], BeforeValidator(_texts)]
+
+
+class RandomTable(Table):
+    """``random``: so many random contact problems, numbered from a seed."""
+
+    seed: Seed = 0
+    count: Count
+    kinds: tuple[Kind, ...] = get_args(Kind)
+
+
+class FormulationTable(BaseModel):
+    """``[formulations.<name>]``: a formulation, by default that of the name, and its settings."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    formulation: Text | None = None
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Options by name, as on the command line."""
+        return dict(self.model_extra or {})
+
+
+class LimitsTable(Table):
+    """``[limits]`` of each solve: seconds, megabytes, iterations."""
+
+    time: Positive = 60.0
+    memory: Positive = 4000.0
+    iterations: Count | None = None
+
+
+class StudyTable(Table):
+    """A whole study file."""
+
+    name: Text | None = None
+    question: str = ""
+    examples: Texts = ()
+    files: Texts = ()
+    random: RandomTable | None = None
+    sizes: Annotated[Any, BeforeValidator(_sizes)] = None
+    quadrature: Quadrature = "midpoint"
+    formulations: Annotated[dict[str, FormulationTable], BeforeValidator(_formulations)]
+    objectives: Texts = ("energy",)
+    seeds: Annotated[Any, BeforeValidator(_seeds)] = (None,)
+    repeats: Count = 1
+    fields: bool = True
+    certify: bool = False
+    limits: LimitsTable = Field(default_factory=LimitsTable)
+
+    @model_validator(mode="after")
+    def _something_to_solve(self) -> StudyTable:
+        if not (self.examples or self.files or self.random):
+            raise ValueError("expected examples, files or random: there is nothing to solve")
+        return self
+
 
 OLD = "strategies"
 """What ``formulations`` was called up to 0.1."""
@@ -59,3 +172,9 @@ def _line(path: Path, item: Any) -> str:
         return f"{path}: {key} = {value}: expected {item['ctx']['expected']}"
     message = one_line(item["msg"]).removeprefix("Value error, ")
     return f"{path}: {message}" if not location else f"{path}: {key} = {value}: {message}"
+
+
+def template(name: str, file: str) -> str:
+    """The commented template of ``rmesh new --study``: a study ``name`` in ``file`` of some seconds."""
+    text = files("rmesh_nlp.study").joinpath("template.toml").read_text(encoding="utf-8")
+    return text.replace("{name}", name).replace("{file}", file)

@@ -7,9 +7,6 @@ import json
 import os
 import socket
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +24,7 @@ SHORT = ("key", "example", "variant", "status", "success", "wall_time_s", "messa
 
 
 class Worker:
-    """Performs planned solves of one study in this process.
+    """Performs planned solves of one study in this process; as a context it is closed at the end.
 
     If there is one, it takes a core for itself, on which its solves are pinned; rows of solves that had
     no core alone carry ``shared = true``.
@@ -44,6 +41,12 @@ class Worker:
         self._contained = Contained(None if self._core is None else {self._core[0]})
         self._rows, self._keys = RowsFile(folder), Keys(folder)
         self._noted = False
+
+    def __enter__(self) -> Worker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def perform(self, solve: PlannedSolve) -> Record:
         """Solve, write the row, return it in short; a solve that has a row already is not done again."""
@@ -78,14 +81,10 @@ def worker_of(folder: str) -> Worker:
     return Worker(Path(folder))
 
 
-def perform(content: dict[str, Any], folder: str) -> Record:
-    """A task of the cluster: :meth:`Worker.perform` with what can travel."""
-    return worker_of(folder).perform(PlannedSolve(**content))
-
-
-def whole_row(content: dict[str, Any], folder: str) -> Record:
-    """A task of the cluster whose row the client writes: :meth:`Worker.row`."""
-    return worker_of(folder).row(PlannedSolve(**content))
+def task(content: dict[str, Any], folder: str, whole: bool) -> Record:
+    """A task of the cluster: :meth:`Worker.row`, which the client writes, or :meth:`Worker.perform`."""
+    worker, solve = worker_of(folder), PlannedSolve(**content)
+    return worker.row(solve) if whole else worker.perform(solve)
 
 
 def dask_setup(server: Any) -> None:
@@ -94,11 +93,6 @@ def dask_setup(server: Any) -> None:
     There is one even without a dashboard, and it would tell any user of this machine what is solved.
     """
     server.http_server.stop()
-
-
-def travelling(solve: PlannedSolve) -> dict[str, Any]:
-    """A planned solve as plain values."""
-    return asdict(solve)
 
 
 def _own_core() -> tuple[int, socket.socket] | None:
@@ -118,13 +112,3 @@ def _own_core() -> tuple[int, socket.socket] | None:
         else:
             return core, holder
     return None
-
-
-@contextmanager
-def local_worker(folder: Path) -> Iterator[Worker]:
-    """A worker in this process, closed at the end."""
-    worker = Worker(folder)
-    try:
-        yield worker
-    finally:
-        worker.close()

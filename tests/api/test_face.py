@@ -32,7 +32,7 @@ def test_type_checkers_see_what_python_sees() -> None:
                 if alias.asname is not None:  # a stub re-exports only what it names again
                     module = __import__(node.module or "", fromlist=[alias.name])
                     seen[alias.asname] = getattr(module, alias.name)
-    assert {*seen, "__version__", "objective", "solve_mpcc"} == set(rm.__all__)
+    assert {*seen, "__version__", "objective", "read_problem", "solve_mpcc"} == set(rm.__all__)
     for name, value in seen.items():
         assert getattr(rm, name) is value, name
 

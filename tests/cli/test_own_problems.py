@@ -1,4 +1,4 @@
-"""Problem files on the command line: compared with refinements of their meshes, warned of."""
+"""Problem files on the command line: checked, solved, drawn, compared with refinements of their meshes."""
 
 import json
 import os
@@ -62,12 +62,6 @@ def test_own_problems_are_compared_with_refinements(block: Path, capsys: pytest.
     assert "block: one uniform refinement (91 nodes) gains" in table
 
 
-def test_settings_of_examples_do_not_go_to_files(block: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.run(["compare", str(block), "--n", "4", "--out", "c"]) == 2
-    assert "write them into the files" in capsys.readouterr().err
-    assert cli.run(["compare", str(block), str(block), "other.toml"]) == 2
-
-
 @pytest.mark.slow
 def test_check_says_what_it_doubts(block: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["check", str(block)]) == 0
@@ -128,7 +122,7 @@ def test_ctrl_c_while_figures_are_drawn_keeps_the_solution(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("rmesh_nlp.cli.problem_commands.write_pictures", interrupt)
+        patch.setattr("rmesh_nlp.cli.reporting.write_pictures", interrupt)
         assert cli.run(["solve", str(block), "--out", "one"]) == 130
     assert "all but the figures is kept in one; rmesh figures one draws them" in capsys.readouterr().err
     assert json.loads(Path("one/record.json").read_text())["success"]
@@ -170,3 +164,20 @@ def test_check_says_what_to_do_about_missing_names(
     )
     assert cli.run(["check", str(path)]) == 2
     assert "the mesh file names none: name its curves in gmsh" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_without_move_limits_a_file_asks_for_weights_and_flips(block: Path) -> None:
+    text = BLOCK + "[motion]\ndelta = 'none'\n[solve]\nformulation = 'joint'\n"
+    block.write_text(f"{text}regularisation = [0.1, 0.02]\nflips = true\n")
+    assert cli.run(["solve", str(block), "--out", "one", "--no-figures", "-q"]) == 0
+    record = json.loads(Path("one/record.json").read_text())
+    assert (record["regularisation"], record["delta"]) == ([0.1, 0.02], None)
+    assert "flip_rounds" in record
+    assert record["gain_audited"] > 0
+
+
+def test_a_schedule_of_weights_in_a_file_is_checked(block: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    block.write_text(f"{BLOCK}[solve]\nregularisation = [1, 0, 0.1]\n")
+    assert cli.run(["solve", str(block)]) == 2
+    assert "solve.regularisation = [1, 0, 0.1]: expected" in capsys.readouterr().err

@@ -18,8 +18,7 @@ from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.figures import block_figures, stress_figure, write_figures
 from rmesh_nlp.report.histories import curve
 from rmesh_nlp.report.style import LOOKS, SETTINGS, TWO_COLUMNS, add_legend, new_figure
-from rmesh_nlp.study.cases import plan_comparison
-from rmesh_nlp.study.comparison import run
+from rmesh_nlp.study.comparison import plan_comparison, run
 
 
 @pytest.fixture(scope="module")

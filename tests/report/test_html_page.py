@@ -15,8 +15,7 @@ from rmesh_nlp.cli import app as cli
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.report.html_page import page, write_report
-from rmesh_nlp.study.cases import plan_comparison
-from rmesh_nlp.study.comparison import run
+from rmesh_nlp.study.comparison import plan_comparison, run
 from support.reporting import failed_61, joint_61
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")

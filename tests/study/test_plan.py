@@ -12,10 +12,8 @@ from rmesh_nlp import read_records
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import safe_name
-from rmesh_nlp.study.plan import PlannedSolve, make_plan
-from rmesh_nlp.study.problems import build
-from rmesh_nlp.study.study_file import read_study
-from rmesh_nlp.study.template import template
+from rmesh_nlp.study.plan import PlannedSolve, build, make_plan
+from rmesh_nlp.study.study_file import read_study, template
 
 
 def plan_of(path: Path, text: str) -> list[PlannedSolve]:

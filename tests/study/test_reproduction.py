@@ -1,4 +1,4 @@
-"""Statements about the paper: each with a verdict that follows from its figures."""
+"""Statements about the paper, each compared with its printed value."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from rmesh_nlp.cli import app as cli
 from rmesh_nlp.examples import EXAMPLES, PAPER
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.study import reproduction
-from rmesh_nlp.study.frozen_friction import _difference
-from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, Statement, reproduce
+from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, Statement, _difference, reproduce
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +28,7 @@ def test_a_final_energy_is_compared_with_the_printed_one(
 ) -> None:
     ends = {name: paper.energy_final - 1e-5 + change for name, paper in PAPER.items()}
     monkeypatch.setattr(reproduction, "_descents", lambda example, *_, **__: {"joint": ends[example]})
-    monkeypatch.setattr(reproduction, "least_energy", lambda *_: ends["6.3"])
+    monkeypatch.setattr(reproduction, "least_energy_with_frozen_friction", lambda *_: ends["6.3"])
     found = [one.verdict for one in reproduce(quick=True) if "final" in one.what]
     assert set(found) == {verdict}
 
@@ -43,14 +42,16 @@ def test_what_is_printed_of_the_given_meshes_is_met(statements: list[Statement])
 
 @pytest.mark.slow
 def test_only_frozen_friction_weights_lead_below_the_printed_energy(statements: list[Statement]) -> None:
-    """6.3: neither its boxes nor larger ones do."""
+    """6.3: neither its move limits nor larger ones do."""
     found = {one.what: one.verdict for one in statements if one.example == "6.3" and "final" in one.what}
     assert found.pop("final energy, friction weights wrongly held fixed") == PASSED
     assert set(found.values()) == {NOT_MET}
 
 
 @pytest.mark.slow
-def test_boxes_of_twice_the_width_pass_the_printed_energy_of_62_alone(statements: list[Statement]) -> None:
+def test_twice_the_move_limits_pass_the_printed_energy_of_62_alone(
+    statements: list[Statement],
+) -> None:
     found = {one.example: one for one in statements if "2 times as large" in one.what}
     assert {example: one.verdict for example, one in found.items()} == {"6.2": PASSED, "6.3": NOT_MET}
     assert float(found["6.2"].ours) == pytest.approx(-4.92164, abs=5e-6)
@@ -58,7 +59,7 @@ def test_boxes_of_twice_the_width_pass_the_printed_energy_of_62_alone(statements
 
 def test_the_page_is_written_by_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     one = Statement("6.1", "initial <energy>", "-1.0000", "-1.000001", MET, "by hand")
-    monkeypatch.setattr("rmesh_nlp.cli.study_commands.derive", lambda **_: [one])
+    monkeypatch.setattr("rmesh_nlp.cli.reporting.derive", lambda **_: [one])
     assert cli.run(["reproduce", "--out", str(tmp_path / "r"), "--quiet"]) == 0
     assert "initial <energy>" in (tmp_path / "r" / "reproduction.md").read_text()
     page = (tmp_path / "r" / "reproduction.html").read_text()

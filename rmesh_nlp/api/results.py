@@ -1,12 +1,15 @@
-"""Several solutions side by side."""
+"""Results: the records of a folder, and several solutions side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.results import read_results
 from rmesh_nlp.solving.solution import Solution
 
 if TYPE_CHECKING:
@@ -17,6 +20,19 @@ WIDTH = 5.0
 
 BESIDE = 1.5
 """Inches that title, labels and colour bar take."""
+
+
+def read_records(folder: str | Path) -> list[Record]:
+    """The records of a folder that ``rmesh solve`` or ``rmesh compare`` wrote, oldest first.
+
+    ``pandas.DataFrame(read_records(folder))`` makes a table of them.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds none, or a line is not a record.
+    """
+    return [result.record for result in read_results(Path(folder))]
 
 
 def plot(*solutions: Solution, what: str = "mesh", **style: Any) -> list[Axes]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -10,10 +9,11 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+import pandas as pd
 from matplotlib import rc_context
 from matplotlib.ticker import MaxNLocator
 
-from rmesh_nlp.cli.folders import writable
+from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, writable
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.files import safe_name, write_text, write_whole
@@ -24,8 +24,6 @@ from rmesh_nlp.report.style import Page, look, new_figure, save
 from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.load_path import PathStep, load_path
 from rmesh_nlp.solving.options import accepted
-
-SUCCESS, NO_SUCCESS = 0, 1
 
 
 def path(file: Path, formulation: str | None, out: Path | None) -> int:
@@ -59,7 +57,8 @@ def path(file: Path, formulation: str | None, out: Path | None) -> int:
             )
             for step in steps:
                 done.append(step)
-                _keep(folder, step, frames)
+                write = partial(write_solution, step.solution, file_format="vtu")
+                write_whole(folder / frames[step.number - 1], write)
                 row = step.row()
                 print(
                     f"step {step.number} of {plan.steps}: {row['status']}, J = {row['energy']:.6g}, contact "
@@ -72,20 +71,10 @@ def path(file: Path, formulation: str | None, out: Path | None) -> int:
     return SUCCESS if all(step.solution.success for step in done) else NO_SUCCESS
 
 
-def _keep(folder: Path, step: PathStep, frames: Sequence[str]) -> None:
-    write_whole(folder / frames[step.number - 1], lambda aside: write_solution(step.solution, aside, "vtu"))
-
-
 def _write(folder: Path, problem: ContactProblem, steps: Sequence[PathStep], frames: Sequence[str]) -> None:
     rows = [step.row() for step in steps]
-
-    def table(aside: Path) -> None:
-        with aside.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
-
-    write_whole(folder / "path.csv", table)
+    table = pd.DataFrame(rows)
+    write_whole(folder / "path.csv", lambda aside: table.to_csv(aside, index=False, lineterminator="\r\n"))
     entries = [
         f'    <DataSet timestep="{step.number}" file={quoteattr(frame)}/>'
         for step, frame in zip(steps, frames, strict=True)

@@ -1,0 +1,117 @@
+"""What ``rmesh study`` does."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, notes, writable
+from rmesh_nlp.errors import InterruptedSolveError
+from rmesh_nlp.io.files import write_whole
+from rmesh_nlp.io.results import ROWS, SOLUTIONS, read_rows
+from rmesh_nlp.study import engine
+from rmesh_nlp.study.plan import PlannedSolve, make_plan, seconds_of_plan
+from rmesh_nlp.study.progress import SolvesProgress
+from rmesh_nlp.study.study_file import StudyTable, read_study
+
+STUDY_FILE = "study.toml"
+
+DETAILS = {"key": "key", "problem": "name"} | {
+    name: name for name in ("family", "size", "variant", "formulation", "options", "repeat")
+}
+"""Entries of a planned solve in ``--dry-run --json``, by what they are in the plan."""
+
+
+def study(
+    path: Path, out: Path, jobs: int, scheduler: str | None, retry_failed: bool, voice: str = "text"
+) -> int:
+    """Perform a study; returns the exit code.
+
+    Parameters
+    ----------
+    voice : str
+        What is printed: "text", "json" (the counts) or "quiet".
+    """
+    plan = make_plan(read_noted(path), path)
+    with writable(out, (STUDY_FILE,)) as results:
+        results.manifest.check((f"{ROWS}/records", f"{SOLUTIONS}/x"))
+        results.manifest.claim(STUDY_FILE)
+        if path.resolve() != (out / STUDY_FILE).resolve():
+            write_whole(out / STUDY_FILE, lambda aside: shutil.copyfile(path, aside))
+        done = len(plan) - len(engine.missing(plan, out))
+        with SolvesProgress(len(plan), done, quiet=voice != "text", each=False) as progress:
+            try:
+                for row in engine.run(plan, out, jobs=jobs, scheduler=scheduler, retry_failed=retry_failed):
+                    progress.finish(row)
+            except KeyboardInterrupt:
+                kept = len(plan) - len(engine.missing(plan, out))
+                raise InterruptedSolveError(
+                    f"{kept} of {len(plan)} solves are kept in {out}; the same command goes on"
+                ) from None
+        rows = {row.get("key"): row for row in read_rows(out)}
+    ours = [rows[solve.key] for solve in plan]
+    good = sum(row["success"] for row in ours)
+    refused = sum(row["status"] == "refused" for row in ours)
+    if voice == "json":
+        counts = {"planned": len(plan), "rows": len(ours), "succeeded": good, "refused": refused}
+        print(json.dumps({"folder": str(out), **counts, "failed": len(ours) - good - refused}))
+    elif voice == "text":
+        print(f"{len(ours)} solves in {out}: {good} succeeded, {refused} refused, next: rmesh table {out}")
+    return SUCCESS if good + refused == len(ours) and good else NO_SUCCESS
+
+
+def dry_run(path: Path, out: Path, jobs: int, voice: str = "text") -> int:
+    """Print what a study would do, as JSON with its keys or in short."""
+    stated = read_noted(path)
+    plan = make_plan(stated, path)
+    todo = engine.missing(plan, out)
+    if voice != "json":
+        print_plan(plan, todo, jobs, out)
+        return SUCCESS
+    content = {
+        "study": stated.name or path.stem,
+        "solves": [solve.key for solve in plan],
+        "missing": [solve.key for solve in todo],
+        "details": [{name: getattr(solve, what) for name, what in DETAILS.items()} for solve in plan],
+        "guess_s": seconds_of_plan(todo, read_rows(out)) / jobs,
+    }
+    print(json.dumps(content))
+    return SUCCESS
+
+
+def check(path: Path) -> int:
+    """Validate a study file and print its plan in short."""
+    stated = read_noted(path)
+    plan = make_plan(stated, path)
+    print(f"{path}: study {stated.name or path.stem!r} is in order")
+    print_plan(plan, plan, 1)
+    return SUCCESS
+
+
+def read_noted(path: Path) -> StudyTable:
+    """The tables of a study; what is spelled as of old is noted."""
+    with notes(DeprecationWarning, "note"):
+        return read_study(path)
+
+
+def print_plan(
+    plan: Sequence[PlannedSolve], todo: Sequence[PlannedSolve], jobs: int, out: Path | None = None
+) -> None:
+    """Print how many solves there are, how many are to be done, and about how long they take."""
+    names = list(dict.fromkeys(solve.variant for solve in plan))
+    problems = len({json.dumps(solve.problem, sort_keys=True) for solve in plan})
+    print(f"{len(plan)} solves: {problems} problems, formulations {', '.join(names)}")
+    for name in names:
+        print(f"  {name}: {sum(solve.variant == name for solve in plan)} solves")
+    if len(todo) < len(plan):
+        print(f"{len(plan) - len(todo)} of them have a row in {out}")
+    seconds = seconds_of_plan(todo, [] if out is None else read_rows(out)) / jobs
+    print(f"a rough guess: {_duration(seconds)} with {jobs} process{'es' * (jobs > 1)}")
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,77 @@
+"""The command line itself: help, exit codes, Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rmesh_nlp import __version__
+from rmesh_nlp.cli import app as cli
+from rmesh_nlp.cli import commands
+
+HEAVY = {"casadi", "matplotlib", "pandas", "skfem", "scipy", "meshio", "numpy"}
+
+
+def test_help_has_examples_and_version_is_the_package_s(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("solve", "compare", "table", "figures", "study"):
+        assert cli.run([command, "--help"]) == 0
+        assert f"  rmesh {command} " in capsys.readouterr().out
+    assert cli.run(["--version"]) == 0
+    assert capsys.readouterr().out == f"rmesh {__version__}\n"
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys; from rmesh_nlp.cli import app; app.run(['solve', '--help']); "
+        f"print(sorted({HEAVY} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_an_interruption_is_said_when_there_is_nothing_to_keep(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(name: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(commands, "load", interrupted)
+    assert cli.run(["table", "results"]) == 130
+    assert capsys.readouterr().err == "rmesh: interrupted\n"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize("formulation", ["joint", "nested", "mpcc"])
+def test_interrupt_keeps_finished_rows(
+    formulation: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """CasADi swallows Ctrl-C, and mpcc would go on with its next program."""
+    monkeypatch.chdir(tmp_path)
+    arguments = ["compare", "6.1", "--formulations", f"fixed,{formulation}", "--n", "40", "--out", "cut"]
+    with subprocess.Popen(
+        [sys.executable, "-c", "from rmesh_nlp.cli.app import main; main()", *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+        # a test run in the background of a script ignores SIGINT, and so would its children
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as process:
+        assert process.stderr is not None
+        assert "6.1 fixed: converged" in process.stderr.readline()  # the other solve begins now
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        sent = time.monotonic()
+        assert process.wait(timeout=20) == 130
+        assert time.monotonic() - sent < 10
+        assert "1 of 2 solves are kept in cut" in process.stderr.read()
+    first, *rest = map(json.loads, Path("cut/records.jsonl").read_text().splitlines())
+    assert first["formulation"] == "fixed"
+    # the other one has a row if it had a valid mesh to keep by then
+    assert all(row["status"] == "interrupted" for row in rest)
+    assert cli.run(["table", "cut"]) == 0

@@ -1,0 +1,362 @@
+"""Comparisons: what is planned, which rows of an earlier run are used again, and what a run leaves of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.export import write_solution
+from rmesh_nlp.io.records import REQUIRED, DamagedRecordsWarning, to_json
+from rmesh_nlp.io.results import Results, read_results
+from rmesh_nlp.study import comparison, engine
+from rmesh_nlp.study.comparison import formulation_options, plan_comparison, run
+from rmesh_nlp.study.contained import _row
+from rmesh_nlp.study.plan import PlannedSolve
+from rmesh_nlp.study.runner import Done, perform
+from support.planted import plant, raising
+from support.problem_files import VALID
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.chdir(tmp_path)
+    Path("own.toml").write_text(VALID)
+    return "own.toml"
+
+
+class TestPlan:
+    def test_settings_of_examples_are_refused_for_files(self, file: str) -> None:
+        for setting in ({"n": 4}, {"delta": 0.01}, {"quadrature": 4}):
+            with pytest.raises(BadInputError, match="for the examples"):
+                plan_comparison([file], ["fixed"], **setting)  # type: ignore[arg-type]
+
+    def test_a_file_is_solved_on_uniform_refinements_too(
+        self, file: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        own, finer, finest = plan_comparison([file], ["nested"], certify=True)
+        assert [one.formulation for one in (own, finer, finest)] == ["nested", "fixed", "fixed"]
+        assert all(one.certify for one in (own, finer, finest))
+        sizes = [one.built.mesh.t.shape[1] for one in (own, finer, finest)]  # type: ignore[union-attr]
+        assert sizes == [sizes[0], 4 * sizes[0], 16 * sizes[0]]
+        assert own.built is not None
+        nodes = own.built.mesh.p.shape[1] + own.built.mesh.facets.shape[1]
+        for largest, refined in ((nodes, 1), (nodes - 1, 0)):
+            monkeypatch.setattr(comparison, "LARGEST", largest)
+            assert len(plan_comparison([file], ["nested"])) == 1 + refined
+
+    def test_two_files_of_one_name_are_refused(self, file: str) -> None:
+        Path("other.toml").write_text(VALID)
+        with pytest.raises(BadInputError, match="two problem files are both called 'block'"):
+            plan_comparison([file, "other.toml"], ["fixed"])
+
+    def test_keys_are_file_names(self) -> None:
+        options = {"seed": 3, "objective": "error-l2 + 0.01*quality"}
+        (one,) = plan_comparison(["6.1"], ["nested"], n=4, options=options)
+        assert one.key == "6.1-4-nested-error-l2_+_0.01_quality-seed3"
+        assert replace(one, options={}).key == "6.1-4-nested"
+        assert one.identity["key"] == one.key
+
+    def test_size_delta_and_rule_reach_the_example(self) -> None:
+        (one,) = plan_comparison(["6.1"], ["fixed"], n=5, delta=0.02, quadrature=6)
+        assert (one.built.size, one.built.rule) == ("5", 6)  # type: ignore[union-attr]
+        assert one.identity == {
+            **{"key": "6.1-5-fixed", "example": "6.1", "formulation": "fixed"},
+            **{"n": "5", "delta": [0.02, 0.02], "quadrature": 6},
+        }
+        for examples, n in ((["6.9"], 4), (["6.1"], -1)):
+            with pytest.raises(BadInputError):
+                plan_comparison(examples, ["fixed"], n=n)
+
+    @pytest.mark.parametrize(
+        ("options", "said"),
+        [
+            ({"objective": "nonsense"}, "nonsense"),
+            ({"objective": ["energy", "nonsense"]}, "nonsense"),
+            ({"relaxation": "nonsense"}, "unknown relaxation 'nonsense'"),
+            ({"outer": "nonsense"}, "unknown outer solver 'nonsense'"),
+            ({"relaxation": "scholtes"}, "--relaxation scholtes: not an option of fixed"),
+        ],
+    )
+    def test_options_are_checked(self, options: dict[str, Any], said: str) -> None:
+        with pytest.raises(BadInputError, match=said):
+            plan_comparison(["6.1"], ["fixed"], n=4, options=options)
+
+    def test_limits_go_to_those_that_heed_them_and_are_no_error_for_others(self) -> None:
+        limits = {"time_limit_s": 5.0, "tolerance": 1e-3}
+        nested, fixed = plan_comparison(["6.1"], ["nested", "fixed"], n=4, options=limits)
+        assert (nested.options, fixed.options) == (limits, {})
+        assert nested.time_s == 5.0 < fixed.time_s
+
+    def test_objectives_and_seeds_are_multiplied(self) -> None:
+        options = {"objective": ["energy", "error-l2"], "seed": [1, 2]}
+        plan = plan_comparison(["6.1"], ["fixed", "joint"], n=4, options=options)
+        joint = [one.options for one in plan if one.formulation == "joint"]
+        assert [(o["objective"], o["seed"]) for o in joint] == [
+            ("energy", 1), ("energy", 2), ("error-l2", 1), ("error-l2", 2)
+        ]  # fmt: skip
+        assert len(plan) == len({one.key for one in plan}) == 6  # fixed takes no seed
+
+    def test_errors_need_a_solution_that_is_known(self, file: str) -> None:
+        options = {"objective": ["energy", "error-l2"]}
+        for one in plan_comparison(["6.2"], ["fixed"], n=(4, 2), options=options):
+            assert one.built is not None
+            assert one.built.exact is not None
+        # the name of an example does not lend it the reference solution of that example
+        Path(file).write_text('name = "6.2"\n' + VALID.replace('name = "block"\n', ""))
+        with pytest.raises(BadInputError, match=r"error-l2: needs an exact .* solution, and '6\.2' has none"):
+            plan_comparison([file], ["nested"], options=options)
+
+    def test_a_formulation_may_have_options_of_its_own(self) -> None:
+        plan = plan_comparison(["6.1"], ["mpcc", "mpcc:start=joint", "nested:outer=ipopt:seed=3"], n=4)
+        assert [one.options for one in plan] == [{}, {"start": "joint"}, {"outer": "ipopt", "seed": 3}]
+        assert len({one.key for one in plan}) == 3
+
+    @pytest.mark.parametrize(
+        ("text", "said"),
+        [
+            ("mpcc:start", "name=value"),
+            ("mpcc:speed=9", "takes no option 'speed'"),
+            ("mpc:start=joint", "mpc"),
+            ("mpcc:relaxation=x", "unknown relaxation 'x'"),
+        ],
+    )
+    def test_wrong_options_are_named(self, text: str, said: str) -> None:
+        with pytest.raises(BadInputError, match=said):
+            formulation_options(text)
+
+
+@pytest.fixture(scope="module")
+def plan() -> list[PlannedSolve]:
+    """Two solves that take some milliseconds each."""
+    return [plan_comparison(["6.2"], ["fixed"], n=n)[0] for n in ((4, 2), (2, 2))]
+
+
+@pytest.fixture(scope="module")
+def first_run(plan: list[PlannedSolve], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which both are solved, to be copied."""
+    folder = tmp_path_factory.mktemp("first-run")
+    list(run(plan, Results(folder)))
+    return folder
+
+
+@pytest.fixture
+def ran(first_run: Path, tmp_path: Path) -> Path:
+    """A folder of the test's own in which both are solved."""
+    shutil.copytree(first_run, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def resumed(plan: Sequence[PlannedSolve], folder: Path) -> list[str]:
+    """Keys of those that are solved again."""
+    keys: list[str] = []
+    rows = list(run(plan, Results(folder), resume=True, on_start=lambda one: keys.append(one.key)))
+    assert sorted(row["key"] for row in rows) == sorted(one.key for one in plan)
+    assert sorted(row["key"] for row in Results(folder).read()) == sorted(one.key for one in plan)
+    return keys
+
+
+def changed(folder: Path, key: str, **entries: Any) -> None:
+    """Change the row of a key in the file."""
+    results = Results(folder)
+    results.replace_all([{**row, **entries} if row["key"] == key else row for row in results.read()])
+
+
+def test_a_row_is_on_the_disk_when_it_is_yielded_and_a_failure_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant(monkeypatch, explode=raising(RuntimeError("the\nfactor was singular")))
+    seen = []
+    plan = plan_comparison(["6.1"], ["explode", "fixed"], n=3)
+    for count, row in enumerate(run(plan, Results(tmp_path)), 1):
+        found = read_results(tmp_path)
+        assert len(found) == count
+        assert found[-1].vtu.exists() == found[-1].history.exists() == row["success"]
+        seen.append(json.loads(to_json(row)))
+    bad, good = seen
+    assert (bad["status"], bad["message"]) == ("failed", "RuntimeError: the factor was singular")
+    assert set(REQUIRED) <= set(bad)
+    assert bad["delta"] == good["delta"]
+    assert good["success"]
+    assert [result.record for result in read_results(tmp_path)] == [bad, good]
+    assert {"records.jsonl", "solutions/6.1-3-fixed.vtu", "solutions/6.1-3-fixed.csv"} <= set(
+        Results(tmp_path).manifest.names()
+    )
+
+
+def test_two_solves_of_one_key_are_refused(plan: list[PlannedSolve], tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match=r"6\.2-4x2-fixed"):
+        list(run([plan[0], plan[0]], Results(tmp_path)))
+
+
+def test_a_second_run_in_the_same_folder_is_refused_and_loses_nothing(
+    plan: list[PlannedSolve], tmp_path: Path
+) -> None:
+    first = run(plan, Results(tmp_path))
+    next(first)
+    with pytest.raises(BadInputError, match="written by another"):
+        next(run(plan, Results(tmp_path)))
+    next(run(plan, Results(tmp_path), resume=True, locked=True))  # the caller has the lock
+    assert len([*first]) == 1
+    assert len(read_results(tmp_path)) == 2
+
+
+def test_what_is_in_the_way_is_found_before_anything_is_solved(
+    plan: list[PlannedSolve], tmp_path: Path
+) -> None:
+    (tmp_path / "solutions").write_text("a file")
+    with pytest.raises(BadInputError, match="solutions is a file"):
+        list(run(plan, Results(tmp_path), on_start=lambda _: pytest.fail("it began to solve")))
+
+
+def test_successes_are_not_solved_again_whatever_their_place(plan: list[PlannedSolve], ran: Path) -> None:
+    assert resumed(plan, ran) == []
+    assert resumed(plan[::-1], ran) == []
+    results = Results(ran)  # nor those of versions that counted no nodes
+    results.replace_all([{k: v for k, v in row.items() if k != "nodes"} for row in results.read()])
+    assert resumed(plan, ran) == []
+
+
+@pytest.mark.parametrize("entries", [{"success": False}, {"status": "interrupted"}])
+def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(
+    plan: list[PlannedSolve], ran: Path, entries: dict[str, Any]
+) -> None:
+    changed(ran, plan[0].key, **entries)
+    assert resumed(plan, ran) == [plan[0].key]
+    assert all(row["success"] and row["status"] == "converged" for row in Results(ran).read())
+
+
+@pytest.mark.parametrize(
+    "spoil", ["missing", "empty", "half", "other mesh", "history", "no history", "nodes", "nan"]
+)
+def test_a_success_without_its_files_is_solved_again(plan: list[PlannedSolve], ran: Path, spoil: str) -> None:
+    good, other = read_results(ran)
+    vtu = good.vtu.read_bytes()
+    if spoil == "missing":
+        good.vtu.unlink()
+    elif spoil == "other mesh":
+        shutil.copy(other.vtu, good.vtu)
+    elif spoil == "history":
+        good.history.write_text("garbage")
+    elif spoil == "no history":
+        good.history.unlink()
+    elif spoil == "nodes":
+        changed(ran, plan[0].key, nodes=good.record["nodes"] + 1)
+    elif spoil == "nan":
+        solution = perform(plan[0]).solution
+        assert solution is not None
+        write_solution(replace(solution, displacement=np.nan * solution.displacement), good.vtu, "vtu")
+    else:
+        good.vtu.write_bytes(vtu[: len(vtu) // 2 if spoil == "half" else 0])
+    assert resumed(plan, ran) == [plan[0].key]
+    assert resumed(plan, ran) == []
+
+
+def test_resume_repairs_duplicates_and_a_cut_line(plan: list[PlannedSolve], ran: Path) -> None:
+    path = ran / "records.jsonl"
+    whole = path.read_text()
+    path.write_text(whole + whole + whole[:50])
+    with pytest.warns(DamagedRecordsWarning):
+        assert resumed(plan, ran) == []
+    assert sorted(path.read_text().splitlines()) == sorted(whole.splitlines())
+    assert (ran / "records-damaged.txt").read_text() == whole[:50] + "\n"
+
+
+def test_more_repeats_or_a_certificate_are_a_reason_to_solve_again(
+    plan: list[PlannedSolve], tmp_path: Path
+) -> None:
+    list(run(plan[:1], Results(tmp_path)))
+    twice, certified = replace(plan[0], repeats=2), replace(plan[0], certify=True)
+    assert resumed([twice], tmp_path) == [plan[0].key]
+    assert Results(tmp_path).read()[0]["repeats"] == 2
+    assert resumed([twice], tmp_path) == []
+    assert resumed(plan[:1], tmp_path) == []  # fewer would do
+    assert resumed([certified], tmp_path) == [plan[0].key]
+    assert resumed([certified], tmp_path) == []
+
+
+def test_what_auto_chose_is_resumed_as_it_was_asked_for(tmp_path: Path) -> None:
+    (one,) = plan_comparison(["6.2"], ["auto"], n=(4, 2))
+    (row,) = run([one], Results(tmp_path))
+    assert (row["formulation"], row["asked"]) == ("joint", {"formulation": "auto"})
+    assert resumed([one], tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["example", "n", "quadrature", "delta", "formulation"])
+def test_rows_of_another_problem_under_the_same_key_are_refused(
+    plan: list[PlannedSolve], ran: Path, name: str
+) -> None:
+    other = {"example": "6.3", "n": "9x9", "quadrature": 7, "delta": [0.1, 0.1], "formulation": "nested"}
+    changed(ran, plan[0].key, **{name: other[name]})
+    said = rf"cannot resume .* with {name} .*{re.escape(str(other[name]))}, not "
+    with pytest.raises(BadInputError, match=said):
+        resumed(plan, ran)
+    changed(ran, plan[0].key, success=False)  # a failure is not resumed, whatever it was
+    assert resumed(plan, ran) == [plan[0].key]
+
+
+def test_without_resume_the_earlier_run_stays_until_a_solve_has_ended(
+    plan: list[PlannedSolve], ran: Path
+) -> None:
+    rows = run(plan[:1], Results(ran), on_start=lambda _: seen.append(len(read_results(ran))))
+    seen: list[int] = []
+    next(rows)
+    assert seen == [2]
+    assert len(read_results(ran)) == 1
+    assert len(read_results(ran / "previous")) == 2
+    assert list(rows) == []
+    list(run(plan, Results(ran)))  # set aside once, not once for each solve
+    assert [len(read_results(ran / name)) for name in (".", "previous-2")] == [2, 1]
+    assert not (ran / "previous-3").exists()
+
+
+def test_an_interrupted_solve_leaves_its_row_and_is_the_last(
+    plan: list[PlannedSolve], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(solve: PlannedSolve, on_step: Any = None) -> Done:
+        done = perform(solve)
+        return replace(done, row={**done.row, "status": "interrupted"})
+
+    monkeypatch.setattr(comparison, "perform", stopped)
+    rows = run(plan, Results(tmp_path))
+    assert next(rows)["status"] == "interrupted"
+    with pytest.raises(KeyboardInterrupt):
+        next(rows)
+    assert len(Results(tmp_path).read()) == 1
+    monkeypatch.undo()
+    assert resumed(plan, tmp_path) == [one.key for one in plan]
+
+
+def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(
+    plan: list[PlannedSolve], ran: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As workers answer: a row of the one that is solved, nothing of one that was lost."""
+    got: list[str] = []
+
+    def rows_of(todo: Sequence[PlannedSolve], folder: Path, jobs: int, *, whole: bool) -> Iterator[Any]:
+        for one in todo:
+            got.append(one.key)
+            travelled = PlannedSolve(**json.loads(json.dumps(one.plain())))
+            yield one, json.loads(_row(travelled, folder)) if one.formulation == "auto" else None
+
+    monkeypatch.setattr(engine, "distributed_rows", rows_of)
+    more = [plan_comparison(["6.2"], [name], n=(4, 2))[0] for name in ("auto", "joint")]
+    *_, auto, lost = run([*plan, *more], Results(ran), resume=True, jobs=2)
+    assert got == [one.key for one in more]
+    (alone,) = run(more[:1], Results(ran / "alone"))
+    differ = {name for name in alone if auto.get(name) != alone[name]}
+    assert all("time" in name or name == "error_reduction" for name in differ), differ
+    assert set(auto) - set(alone) == {"task_time_s", "cpu_time_s"}
+    assert (lost["status"], lost["delta"], lost["n"]) == ("died", auto["delta"], "4x2")
+    stems = sorted(path.name for path in (ran / "solutions").iterdir())
+    assert stems == sorted(f"{one.key}.{kind}" for one in (*plan, more[0]) for kind in ("csv", "vtu"))
+    assert not [name for name in os.listdir(ran) if name.startswith(".rmesh-writing")]

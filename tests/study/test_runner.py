@@ -1,0 +1,142 @@
+"""A planned solve becomes one row: its own, or that of its failure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.io.records import REQUIRED
+from rmesh_nlp.io.results import Results
+from rmesh_nlp.io.vtu import fields_of, read_vtu
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.study import runner
+from rmesh_nlp.study.plan import PlannedSolve, planned
+from rmesh_nlp.study.runner import TIMES, Done, joined, perform
+from support.planted import plant, raising
+
+
+@pytest.fixture(scope="module")
+def one() -> PlannedSolve:
+    return planned(EXAMPLES["6.3"]((4, 2)), "fixed")
+
+
+def test_fields_survive_the_file_and_a_failure_removes_them(one: PlannedSolve, tmp_path: Path) -> None:
+    done = perform(one)
+    assert done.solution is not None
+    places = Results(tmp_path).result(done.row)
+    done.save(places)
+    written, read = fields_of(done.solution), read_vtu(places.vtu)
+    for name in ("nodes", "initial", "triangles", "displacement", "pressure", "friction_bound", "contact"):
+        assert (getattr(read, name) == getattr(written, name)).all(), name
+    assert read.friction_bound[read.contact].min() == 10
+    assert (read.foundation[1, read.contact] == 0).all()
+    assert len(places.steps()) == 1
+    for _ in range(2):  # nothing to remove is no error
+        Done(done.row).save(places)
+        assert not places.vtu.exists()
+        assert not places.history.exists()
+
+
+@pytest.mark.parametrize("formulation", ["nested", "joint", "mpcc"])
+def test_the_history_has_the_first_order_residual(formulation: str, tmp_path: Path) -> None:
+    """It starts at one, that of the mesh as given, and ends at that of the mesh of the solution."""
+    done = perform(planned(EXAMPLES["6.3"]((4, 2)), formulation))
+    assert done.solution is not None
+    places = Results(tmp_path).result(done.row)
+    done.save(places)
+    steps = [step["stationarity"] for step in places.steps()]
+    assert np.all(np.isfinite(steps))
+    outer = Outer(done.solution.problem)
+    q = outer.relocation.mesh_map.q_of(np.asarray(done.solution.mesh.p))
+    assert steps[0] == pytest.approx(1, rel=0.1)  # mpcc has the forces of its first relaxation there
+    assert steps[-1] == pytest.approx(outer.residual(outer.energy(q)), abs=1e-5)
+    assert steps[-1] <= 1e-5
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "message"),
+    [
+        (ValueError("not\n this"), "refused", "not this"),
+        (ValueError(), "refused", "ValueError"),
+        (ZeroDivisionError("by zero"), "failed", "ZeroDivisionError: by zero"),
+    ],
+)
+def test_an_exception_is_a_row(
+    one: PlannedSolve, error: Exception, status: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant(monkeypatch, fixed=raising(error))
+    solve = replace(one, options={"seed": 3, "objective": "error-l2"}, repeats=2)
+    done = perform(solve)
+    row = done.row
+    assert done.solution is None
+    assert (row["status"], row["success"], row["message"]) == (status, False, message)
+    assert (row["seed"], row["objective"], row["stationarity"], row["energy"]) == (3, "error-l2", "", None)
+    assert 0 <= row["wall_time_s"] < 60
+    assert row["versions"]["python"]
+    assert {name: row[name] for name in solve.identity} == solve.identity
+
+
+def test_a_problem_that_cannot_be_built_is_a_row() -> None:
+    row = perform(PlannedSolve({"kind": "dream"}, "x", "f", "9", "v", "fixed")).row
+    assert (row["status"], row["message"]) == ("failed", "ValueError: unknown kind of problem 'dream'")
+    assert set(REQUIRED) <= set(row)
+    assert (row["example"], row["family"], row["n"], row["variant"], row["repeat"]) == ("x", "f", "9", "v", 0)
+
+
+def test_theorem_41_is_not_evaluated_on_a_broken_mesh(
+    one: PlannedSolve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good = perform(one).solution
+    assert good is not None
+    broken = replace(good, audit=replace(good.audit, min_area_ratio=0.0), status=Status.INVALID_MESH)
+    monkeypatch.setattr(runner, "solve_by_options", lambda *_, **__: broken)
+    monkeypatch.setattr(runner, "error_terms", lambda _: pytest.fail("it was evaluated"))
+    assert perform(one).row["status"] == "invalid_mesh"
+
+
+class TestRepeats:
+    @pytest.fixture
+    def calls(self, monkeypatch: pytest.MonkeyPatch) -> list[PlannedSolve]:
+        calls: list[PlannedSolve] = []
+        self.statuses: list[str] = []
+
+        def once(solve: PlannedSolve, on_step: Any) -> Done:
+            calls.append(solve)
+            status = self.statuses.pop(0) if self.statuses else "converged"
+            record = {"status": status, "build_time_s": 1.0 * len(calls), "solve_time_s": 1.0}
+            return Done(record, None if status == "failed" else object())  # type: ignore[arg-type]
+
+        monkeypatch.setattr(runner, "_once", once)
+        return calls
+
+    def test_they_are_bare_and_joined(self, calls: list[PlannedSolve], one: PlannedSolve) -> None:
+        row = perform(replace(one, certify=True, repeats=3)).row
+        assert [solve.certify for solve in calls] == [True, False, False]
+        assert (row["build_time_s"], row["repeats"]) == (2.0, 3)
+
+    @pytest.mark.parametrize(
+        ("statuses", "count"),
+        [(["failed"], 1), (["interrupted"], 1), (["converged", "interrupted"], 2)],
+    )
+    def test_a_failure_or_an_interrupted_run_is_the_last(
+        self, calls: list[PlannedSolve], one: PlannedSolve, statuses: list[str], count: int
+    ) -> None:
+        self.statuses = [*statuses]
+        row = perform(replace(one, repeats=3)).row
+        assert (len(calls), row["status"]) == (count, statuses[-1])
+        assert "repeats" not in row
+
+    def test_times_are_medians_with_their_range(self) -> None:
+        first = {"energy": -1.0, **dict.fromkeys(TIMES, 3.0), "contact_time_s": None}
+        row = joined([first, {**first, "build_time_s": 1.0, "energy": -9.0}, {**first, "build_time_s": 2.0}])
+        assert (row["build_time_s"], row["build_time_range_s"]) == (2.0, [1.0, 3.0])
+        assert (row["wall_time_s"], row["wall_time_range_s"]) == (3.0, [3.0, 3.0])
+        assert (row["energy"], row["repeats"], row["first_cost_s"]) == (-1.0, 3, 6.0)
+        assert "contact_time_range_s" not in row
+        assert joined([first]) is first
