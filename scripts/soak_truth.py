@@ -5,7 +5,7 @@
     python scripts/soak_truth.py --kind parts --parts DIR --out soak    problem files, by default settings
     python scripts/soak_truth.py --out soak --compare old/random.jsonl  two versions
 
-The package states problems, solves them, and gives mesh, displacement and record. Everything else is done
+The package makes problems, solves them, and gives mesh, displacement and record. Everything else is done
 here (``scripts/truth``): assembly, contact solver, friction integral, exact foundations, reference meshes.
 
 The truth is the continuous problem on the domain of the true curves (polygons where no curve is stated), with
@@ -106,7 +106,7 @@ def own(data: Data, solution: Any, true: Reference) -> Row:
     return {"J": J, "depth": penetration(body, u), "norm": distance(body, u, true.state)}
 
 
-def judged(data: Data) -> Row:
+def checked(data: Data) -> Row:
     """A solve, measured: its row with ``faults``."""
     row: Row = {"name": data.name, "family": data.name.split(" ")[0], "formulation": data.formulation}
     row |= {**data.options, "limits": str(data.limits), "rule": str(data.rule), "gap": data.gap}
@@ -132,7 +132,7 @@ def judged(data: Data) -> Row:
     began = time.perf_counter()
     if row["feasible"]:
         measure(data, solution, row)
-    row["judge_seconds"] = time.perf_counter() - began
+    row["check_seconds"] = time.perf_counter() - began
     return row
 
 
@@ -149,8 +149,8 @@ def measure(data: Data, solution: Any, row: Row) -> None:
     row["errors"] = [one.energy - true.energy for one in states]
     row["norms"] = [distance(one.body, one.u, true.state) for one in states]
     sound = [one.converged and one.energy >= true.energy - true.bar for one in states]
-    row["judge_converged"] = true.converged and all(sound)
-    row["well_posed"] = row["judge_converged"] and true.bar <= KNOWN * row["errors"][0]
+    row["reference_converged"] = true.converged and all(sound)
+    row["well_posed"] = row["reference_converged"] and true.bar <= KNOWN * row["errors"][0]
     for key in ("peak", "resultant", "length"):
         row[key] = [getattr(one, key) for one in (*states, true.state)]
     if len(states) > 1:
@@ -159,7 +159,7 @@ def measure(data: Data, solution: Any, row: Row) -> None:
         given = [solution] if data.formulation == "fixed" else [solved(way, "fixed") for way in ways]
         row["own"] = [own(data, one, true) for one in (*given, solution)]
         row["fine_error"] = true.state.energy - true.energy
-        row["faults"] += found_faults(row) if row["judge_converged"] else []
+        row["faults"] += found_faults(row) if row["reference_converged"] else []
 
 
 def found_faults(row: Row) -> list[str]:
@@ -188,17 +188,17 @@ def found_faults(row: Row) -> list[str]:
     return [fault for fault, bad in wrong.items() if bad]
 
 
-def judge(kind: str, number: int, folder: Path) -> Row:
+def check(kind: str, number: int, folder: Path) -> Row:
     """The row of one problem."""
     warnings.simplefilter("ignore")
     data = draws.KINDS[kind](folder)[number] if kind != "random" else draws.random(number)
     row: Row = {"kind": kind, "number": number, "name": data.name, "family": data.name.split(" ")[0]}
     try:
-        return row | judged(data)
+        return row | checked(data)
     except Exception as error:  # of this script, or of its solver on such a mesh
-        row |= {"status": "judge failed", "message": f"{type(error).__name__}: {error}"[:200], "seconds": 0.0}
-        row |= {"success": False, "feasible": True, "well_posed": False, "judge_seconds": 0.0}
-        return row | {"faults": ["judge failed"]}
+        row |= {"status": "check failed", "message": f"{type(error).__name__}: {error}"[:200], "seconds": 0.0}
+        row |= {"success": False, "feasible": True, "well_posed": False, "check_seconds": 0.0}
+        return row | {"faults": ["check failed"]}
 
 
 def factor(rows: Iterable[Row]) -> float:
@@ -220,7 +220,7 @@ def summary(rows: Sequence[Row]) -> int:
         print(f"    {sum(bool(row['faults']) for row in good)} of them with a fault,", end=" ")
         print(f"median true factor {factor(good):.3f}; {faults(part) or 'no fault'}")
     print(f"statuses: {dict(Counter(row['status'] for row in rows))}")
-    for key in ("seconds", "judge_seconds"):
+    for key in ("seconds", "check_seconds"):
         times = [row[key] for row in rows]
         print(f"{key}: median {median(times):.2f}, most {max(times):.1f}")
     good, posed = ([row for row in rows if row[key]] for key in ("success", "well_posed"))
@@ -280,7 +280,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         given.out.mkdir(parents=True, exist_ok=True)
     todo = sorted({*range(given.first, last)} - {row["number"] for row in rows})
     with ProcessPoolExecutor(given.jobs) as pool:
-        for future in as_completed([pool.submit(judge, given.kind, number, given.parts) for number in todo]):
+        for future in as_completed([pool.submit(check, given.kind, number, given.parts) for number in todo]):
             row = future.result()
             rows.append(row)
             if row["faults"] or given.kind != "random" or (row["well_posed"] and not row["success"]):

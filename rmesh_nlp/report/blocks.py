@@ -19,13 +19,7 @@ RELOCATING_NOTHING = "fixed"
 
 @dataclass(frozen=True)
 class Block:
-    """Records of one example on one grid with the same move limits and rule.
-
-    Attributes
-    ----------
-    records : tuple of Record
-        In the order in which they were solved.
-    """
+    """Records of one example on one grid with the same move limits and rule, in the order of their solves."""
 
     records: tuple[Record, ...]
 

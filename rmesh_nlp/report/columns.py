@@ -14,17 +14,7 @@ Cell = Callable[[Record], str]
 
 @dataclass(frozen=True)
 class Column:
-    """One column.
-
-    Attributes
-    ----------
-    heading : str
-        Lines of the heading, separated by a bar.
-    cell : callable
-        The text of a record's cell.
-    short : str
-        The heading in LaTeX where it is another one.
-    """
+    """One column: lines of its heading separated by a bar, cells, and a heading in LaTeX if it is shorter."""
 
     heading: str
     cell: Cell

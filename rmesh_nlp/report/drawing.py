@@ -49,18 +49,9 @@ MARGIN = 0.02
 class Foundation:
     """What one contact boundary may meet.
 
-    Attributes
-    ----------
-    name : str
-        Name of the contact boundary.
-    gaps : (contact nodes,) array
-        Before any displacement; negative where the foundation overlaps the body.
-    nodes, feet : (2, contact nodes) arrays
-        The contact nodes, and the points of the foundation that they would meet.
-    starts, lines : (2, edges, points) arrays
-        Points of each contact edge, and the points of the foundation that they would meet.
-    is_far : bool
-        Whether it is too far off to be drawn with the body.
+    ``nodes`` (2, contact nodes) would meet ``feet`` after ``gaps``, negative where the foundation overlaps
+    the body; points ``starts`` (2, edges, points) of the contact edges would meet ``lines``. One that
+    ``is_far`` is not drawn.
     """
 
     name: str
@@ -81,13 +72,8 @@ class Foundation:
 class Body:
     """A body on one mesh.
 
-    Attributes
-    ----------
-    nodes : (2, nodes) array
-    triangles : (3, elements) array
-    displacement : (components, nodes) array
-    foundations : tuple of Foundation
-        None of a scalar problem.
+    Nodes (2, nodes), triangles (3, elements), displacement (components, nodes); scalar problems have no
+    foundations.
     """
 
     nodes: Array

@@ -70,10 +70,7 @@ FEW = 100
 def write_figures(results: Sequence[Result], folder: Path, manifest: Manifest | None = None) -> list[Path]:
     """Draw everything that the results hold and return the files.
 
-    Parameters
-    ----------
-    manifest : Manifest, optional
-        Of the folder above: figures are noted there, and no file is replaced that is not.
+    Figures are noted in the ``manifest`` of the folder above, and no file is replaced that is not.
 
     Raises
     ------
@@ -158,14 +155,7 @@ def _unused(name: str, paths: Sequence[Path]) -> str:
 
 
 def grid_figure(panels: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure:
-    """Grids side by side with contours of the solution; below them, if elastic, the deformed grids.
-
-    Parameters
-    ----------
-    panels : mapping from titles to Fields
-    units : Units
-        What stands in the labels of the axes.
-    """
+    """Grids by title with contours of the solution; below them, if elastic, the deformed grids."""
     bodies = [body_of(field) for field in panels.values()]
     elastic, factor = bodies[0].elastic, magnification(bodies)
     windows = [window(bodies), *([window(bodies, factor)] if elastic else [])]
@@ -210,14 +200,7 @@ def surface_figure(panels: Mapping[str, Fields]) -> Figure:
 
 
 def stress_figure(curves: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure:
-    """Contact stress of each solution, and the tangential one with its bound where there is friction.
-
-    Parameters
-    ----------
-    curves : mapping from names to Fields, the given grid first
-    units : Units
-        What stands in the labels of the axes.
-    """
+    """Contact stress by name, the given grid first; with friction the tangential one and its bound."""
     fields = list(curves.values())
     unit = bracketed(units.stress) if fields[0].displacement.shape[0] == 2 else ""
     frictional = any(np.any(field.friction_bound > 0) for field in fields)
@@ -302,16 +285,8 @@ def convergence_figure(
     """Distance to the best objective over iterations and over cost; a narrow figure has the cost alone.
 
     Drawn is the value by the problem's own rule. Energies are per unit of depth, so their unit is that of
-    force.
-
-    Parameters
-    ----------
-    best : Record
-        With the lowest objective, for curves without a feasible end.
-    looks : mapping from names to positions, optional
-        Looks of the curves; by default in their order.
-    width : float
-        Inches.
+    force. ``best`` has the lowest objective, for curves without a feasible end; ``looks`` are positions of
+    the names in other figures.
     """
     of_energy = best["objective"] == "energy"
     unit = bracketed(units_of(best.get("units")).force) if of_energy else ""

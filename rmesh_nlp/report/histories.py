@@ -35,13 +35,8 @@ TIGHTEST = 1e-6
 class Curve:
     """The history of one solve.
 
-    Attributes
-    ----------
-    name : str
-    iteration, cost, energy : arrays
-        Cost: seconds of build and solve over those of one contact solve, for all formulations alike.
-        Energy: the objective that was minimised.
-    feasible : array of bool
+    The cost is seconds of build and solve over those of one contact solve, for all formulations alike; the
+    energy is the objective that was minimised.
     """
 
     name: str
@@ -52,15 +47,9 @@ class Curve:
 
 
 def curve(result: Result, unit: float | None = None, name: str = "") -> Curve | None:
-    """The curve of a result, in the objective that was minimised; None without a history of it.
+    """The curve of a result; None without a history of what was minimised.
 
-    Parameters
-    ----------
-    result : Result
-    unit : float, optional
-        Seconds of a contact solve, where several results are compared; by default what this one measured.
-    name : str
-        The label of the record by default.
+    ``unit`` are the seconds of a contact solve, by default those that this result measured.
     """
     record = result.record
     if record["formulation"] == RELOCATING_NOTHING:
@@ -77,12 +66,7 @@ def curve(result: Result, unit: float | None = None, name: str = "") -> Curve | 
 def cost_of_gain(energy: ArrayLike, cost: ArrayLike, initial: float, best: float, level: float) -> float:
     """First cost at which ``initial - energy >= level * (initial - best)``; infinite if it never is.
 
-    Parameters
-    ----------
-    energy, cost : (steps,) arrays
-        NaN where an iterate is not feasible, and so its energy not reached.
-    level : float
-        Part of the best gain, such as 0.99.
+    Energies (steps,) are NaN where an iterate is not feasible.
     """
     reached = initial - np.asarray(energy, dtype=float) >= level * (initial - best)
     return _first(np.asarray(cost, dtype=float), reached, math.inf)

@@ -95,12 +95,7 @@ class Table:
 
 
 def write_report(folder: Path, results: Sequence[Result], question: str = "", title: str = "") -> Path:
-    """Write ``report.html`` of a folder and return its path.
-
-    Parameters
-    ----------
-    question, title : str
-        What the study asks, and its name.
+    """Write ``report.html`` of a folder, with the question and the name of a study, and return its path.
 
     Raises
     ------

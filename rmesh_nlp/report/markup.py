@@ -44,16 +44,8 @@ def latex_table(head: Sequence[str], groups: Groups, caption: str, notes: Sequen
     r"""Tables with booktabs rules, as wide as a column of the page if they fit, else as wide as the text.
 
     A ``table`` becomes a ``table*`` if its columns need more than ``COLUMN``; where pages have one column
-    the two are the same. A table of more than ``LINES`` lines is continued in a second one.
-
-    Parameters
-    ----------
-    head : sequence of str
-        LaTeX, as is ``caption``; titles, cells and notes are plain text.
-    groups : sequence of (title, rows)
-        Each title stands over its rows.
-    notes : sequence of str
-        Sentences below the table.
+    the two are the same. A table of more than ``LINES`` lines is continued in a second one. Head and caption
+    are LaTeX; cells, notes and the titles over groups of rows are plain text.
     """
     rows = [row for _, rows in groups for row in rows]
     widths = [max(map(_width, (*_lines(head[i]), *(row[i] for row in rows)))) for i in range(len(head))]

@@ -71,15 +71,7 @@ SMALL = 1e-6
 
 @dataclass(frozen=True)
 class State(Body):
-    """A solution on one mesh.
-
-    Attributes
-    ----------
-    problem : ContactProblem
-    pressure : (nodes,) array
-    stress : (elements,) array
-        Von Mises stress, or the length of the flux of a scalar problem.
-    """
+    """A solution on one mesh: pressure (nodes,), von Mises stress (elements,) or the length of the flux."""
 
     problem: ContactProblem
     pressure: Array

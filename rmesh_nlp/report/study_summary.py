@@ -1,13 +1,22 @@
-"""Rows of a study joined to tables and profiles: instances by variants, failures as failures."""
+"""Rows of a study joined to tables and profiles: instances by variants, failures as failures.
+
+Performance profiles are those of Dolan and Moré, Math. Program. 91 (2002): the share of problems that a
+formulation solves at a cost within a factor tau of the cheapest. Data profiles are those of Moré and Wild,
+SIAM J. Optim. 20 (2009): the share of problems of which it reaches a part of the best gain at a cost of
+at most kappa contact solves. Costs are arrays (problems,) by formulation. A failure is an infinite cost,
+never a missing problem.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.report.blocks import (
@@ -20,7 +29,6 @@ from rmesh_nlp.report.blocks import (
 )
 from rmesh_nlp.report.histories import cost_of_gain, curve, shift_to_audited
 from rmesh_nlp.report.markup import MISSING
-from rmesh_nlp.report.profiles import Profile, data_profiles, performance_profiles, quality_profiles
 
 HEAD = (
     *("family", "formulation", "solves", "success", "converged", "gain [%]", "of best [%]"),
@@ -41,6 +49,10 @@ RANGES = (
 LEVELS = (0.9, 0.99, 0.999)
 """Parts of the best gain for data profiles."""
 
+SAME = 1e-9
+"""Ratios that agree to this are one: costs of two clocks' ticks are ties."""
+
+
 INF = float("inf")
 
 COSTS: dict[str, tuple[str, Callable[[Record], float | None]]] = {
@@ -55,15 +67,21 @@ Instance = tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Chart:
-    """Profiles of all formulations over one quantity, on a logarithmic axis.
+class Profile:
+    """A step function, the share of problems done at a value of at most x: it rises to ``share`` ``at`` x."""
 
-    Attributes
-    ----------
-    name, title, axis : str
-        For a file name, for people, of the horizontal axis.
-    profiles : dict
-    """
+    at: Array
+    share: Array
+
+    def __call__(self, x: ArrayLike) -> Array:
+        """The share at ``x``."""
+        place = np.searchsorted(self.at, np.asarray(x, dtype=float) * (1 + SAME), side="right")
+        return np.concatenate([[0.0], self.share])[place]
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Profiles of all formulations over one quantity on a logarithmic axis; the name is for files."""
 
     name: str
     title: str
@@ -225,3 +243,50 @@ def _cost_of_level(one: Result, lowest: dict[Instance, float], level: float) -> 
         if np.isfinite(cost):
             return cost
     return cost_of_gain([record["energy_audited"]], [contact_units(record) or INF], start, best, level)
+
+
+def data_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
+    """Moré and Wild's profiles over the cost itself, that of a part of the best gain, in contact solves."""
+    return {name: _profile(row) for name, row in zip(costs, _table(costs), strict=True)}
+
+
+def performance_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
+    """Dolan and Moré's profiles over the ratio to the cheapest; what all failed is a failure of all."""
+    table = _table(costs)
+    best = np.min(table, axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratios = np.where(best > 0, table / best, np.where(table == 0, 1.0, np.inf))
+    return {name: _profile(row) for name, row in zip(costs, _failing(ratios, table), strict=True)}
+
+
+def quality_profiles(energies: Mapping[str, ArrayLike], initial: ArrayLike) -> dict[str, Profile]:
+    """Profiles over the part of the best gain that a final energy misses.
+
+    Where no formulation gains anything over the ``initial`` energies, all that did not fail miss nothing.
+    """
+    table = np.array([np.asarray(row, dtype=float) for row in energies.values()])
+    best = np.min(table, axis=0)
+    gain = np.asarray(initial, dtype=float) - best
+    with np.errstate(invalid="ignore", divide="ignore"):
+        missed = np.where(gain > 0, (table - best) / gain, np.where(table <= best, 0.0, np.inf))
+    return {name: _profile(row) for name, row in zip(energies, _failing(missed, table), strict=True)}
+
+
+def _table(costs: Mapping[str, ArrayLike]) -> Array:
+    table = np.array([np.asarray(row, dtype=float) for row in costs.values()])
+    if table.ndim != 2:
+        raise ValueError("every formulation needs a cost for every problem")
+    if np.any(table[np.isfinite(table)] < 0) or np.any(np.isnan(table)):
+        raise ValueError("costs must not be negative; a failure is infinite")
+    return table
+
+
+def _failing(values: Array, table: Array) -> Array:
+    """The values, infinite where the table says that a formulation failed."""
+    return np.where(np.isfinite(table), values, np.inf)
+
+
+def _profile(values: Array) -> Profile:
+    """The distribution of values, those that are infinite never reached."""
+    at, counts = np.unique(values[np.isfinite(values)], return_counts=True)
+    return Profile(at, np.cumsum(counts) / max(values.size, 1))

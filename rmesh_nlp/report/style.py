@@ -97,13 +97,7 @@ def look(position: int) -> Look:
 
 @dataclass(frozen=True)
 class Page:
-    """The width of a figure: one or two columns of a printed page, with letters of at least 7 points.
-
-    Attributes
-    ----------
-    columns : int
-        1 or 2.
-    """
+    """The width of a figure: one or two columns of a printed page, with letters of at least 7 points."""
 
     columns: int = 2
 

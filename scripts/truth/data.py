@@ -1,4 +1,4 @@
-"""The data of a problem, from which both sides are made: the package's statement and the judge's arrays."""
+"""The data of a problem, from which both are made: the package's problem and the arrays of the check."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FUNCTIONS = ("sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "arctan", "fabs"
 
 
 def formula(text: Text, library: ModuleType = np) -> Callable[[Any, Any], Any]:
-    """A function of position with the functions of numpy (the judge) or CasADi (the package)."""
+    """A function of position with the functions of numpy (the check) or CasADi (the package)."""
     code = compile(str(text), str(text), "eval")
     names = {"pi": np.pi, "__builtins__": {}, **{name: getattr(library, name) for name in FUNCTIONS}}
     return lambda x, y: eval(code, names, {"x": x, "y": y})
@@ -140,7 +140,7 @@ class Data:
         return len(self.materials[0].loads)
 
     def problem(self) -> rm.ContactProblem:
-        """The package's statement."""
+        """The package's problem."""
         if self.file is not None:
             return rm.read_problem(self.file)
         zones = {f"part {i}": one for i, one in enumerate(self.materials)}

@@ -1,4 +1,4 @@
-"""Problems to judge: random ones by seed, aimed ones that invite exploitation, and parts from files."""
+"""Problems to check: random ones by seed, aimed ones that invite exploitation, and parts from files."""
 
 from __future__ import annotations
 

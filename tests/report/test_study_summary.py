@@ -9,8 +9,13 @@ import pytest
 
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import Results
-from rmesh_nlp.report.profiles import data_profiles, performance_profiles, quality_profiles
-from rmesh_nlp.report.study_summary import charts, summary_rows
+from rmesh_nlp.report.study_summary import (
+    charts,
+    data_profiles,
+    performance_profiles,
+    quality_profiles,
+    summary_rows,
+)
 from support.reporting import failed, fixed_61, joint_61
 
 INF = float("inf")

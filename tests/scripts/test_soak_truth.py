@@ -1,4 +1,4 @@
-"""The judge of ``scripts/soak_truth.py`` against closed forms, and that it notices what is wrong."""
+"""The solver of ``scripts/soak_truth.py`` against closed forms, and that it notices what is wrong."""
 
 from __future__ import annotations
 
@@ -141,17 +141,17 @@ def test_false_claims_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
         "good": claimed(data.mesh, error_reduction={"factor": 1.1}, energy_audited=-0.1),
     }
     monkeypatch.setattr(soak, "solved", lambda data, formulation, **options: solutions[formulation])
-    bad = soak.judged(replace(data, formulation="bad"))
+    bad = soak.checked(replace(data, formulation="bad"))
     assert bad["well_posed"]
     assert {"larger error", "overclaimed", "audited below truth"} <= set(bad["faults"])
-    assert soak.judged(replace(data, formulation="good"))["faults"] == []
+    assert soak.checked(replace(data, formulation="good"))["faults"] == []
     assert soak.summary([bad]) == 1
 
 
 def test_success_without_admissible_displacements_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     soak, data = script("soak_truth"), pressed_block(held={"left": (0.0, -0.1)})
     monkeypatch.setattr(soak, "solved", lambda data, formulation, **options: claimed(data.mesh))
-    assert soak.judged(data)["faults"] == ["infeasible success"]
+    assert soak.checked(data)["faults"] == ["infeasible success"]
 
 
 def test_displacements_and_certificates_are_checked() -> None:
@@ -172,8 +172,8 @@ def test_displacements_and_certificates_are_checked() -> None:
         assert fault in soak.found_faults({**row, "certificate": {**sound, **change}})
 
 
-def test_nothing_of_the_package_judges() -> None:
-    """The judge imports the package's front page only, to state problems and to solve them."""
+def test_nothing_of_the_package_checks_itself() -> None:
+    """The soak imports the package's front page only, to make problems and to solve them."""
     for path in (SCRIPTS / "soak_truth.py", *(SCRIPTS / "truth").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom):

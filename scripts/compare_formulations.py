@@ -3,7 +3,7 @@
 For each size the move limits shrink with the mesh width, so that a node may move by the same part of its
 neighbourhood. Run it twice: the second time only what is missing is solved.
 
-    python scripts/compare_strategies.py 6.1 --sizes 8 16 32 --formulations nested joint --out study
+    python scripts/compare_formulations.py 6.1 --sizes 8 16 32 --formulations nested joint --out study
 
 The data frame behind ``table.csv`` is at hand for one's own tables, the fields of each solution for one's own
 figures: ``rmesh_nlp.io.vtu.read_vtu(path)``.
