@@ -1,17 +1,21 @@
-"""Folders of versions that kept no list of their files, rows of studies, and files that are half there."""
+"""Folders of results: own files without a list, rows of studies, histories, and files that are half there."""
 
 from __future__ import annotations
 
 import csv
+import errno
 import json
+import os
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.manifest import MANIFEST, Manifest
-from rmesh_nlp.io.records import DamagedRecordsWarning, damaged_last_line, read_lines, to_json
+from rmesh_nlp.io.records import DamagedRecordsWarning, to_json
 from rmesh_nlp.io.results import (
     FIGURES,
     HISTORY_FIELDS,
@@ -83,7 +87,7 @@ def test_the_list_of_a_folder_is_not_made_anew(tmp_path: Path) -> None:
         ({}, []),
     ],
 )
-def test_a_single_solve_and_tables_are_known_too_and_nothing_else(
+def test_single_solve_and_tables_are_known_too_and_nothing_else(
     tmp_path: Path, files: dict[str, str], adopted: list[str]
 ) -> None:
     fill(tmp_path, files)
@@ -130,7 +134,7 @@ def test_which_of_several_records_a_folder_is_read_from(tmp_path: Path) -> None:
     assert read_results(noted) == []
 
 
-def test_a_single_solve_is_recorded_after_its_files(tmp_path: Path) -> None:
+def test_single_solve_is_recorded_after_its_files(tmp_path: Path) -> None:
     seen = []
 
     def save(places: Any) -> None:
@@ -145,7 +149,7 @@ def test_a_single_solve_is_recorded_after_its_files(tmp_path: Path) -> None:
     assert text.endswith("}\n")
 
 
-def test_a_history_comes_back_and_unknown_values_are_nan(tmp_path: Path) -> None:
+def test_history_comes_back_and_unknown_values_are_nan(tmp_path: Path) -> None:
     result = single_result(tmp_path, fixed_61())
     assert result.steps() == []
     rows: list[dict[str, Any]] = [dict.fromkeys(HISTORY_FIELDS, 1.5), dict.fromkeys(HISTORY_FIELDS)]
@@ -162,42 +166,15 @@ def test_a_history_comes_back_and_unknown_values_are_nan(tmp_path: Path) -> None
     assert result.steps() == [dict.fromkeys(older, 2.0)]
 
 
-@pytest.mark.parametrize(
-    ("content", "kept", "damaged"),
-    [
-        (b"", 0, b""),
-        (b"\n", 1, b""),
-        (b'{"a": 1}\n', 9, b""),
-        (b'{"a": 1}', 0, b'{"a": 1}'),  # no end: the next row would be glued to it
-        (b'{"a": 1}\n{"b"\n', 9, b'{"b"\n'),
-        (b'{"a": 1}\n\0\0\n', 9, b"\0\0\n"),
-        (b'{"a": 1}\ngarbage\n', 17, b""),  # whole lines of others are for the reader to name
-        (b'{"a"\n', 5, b""),  # the only line: a file of something else
-        (b'{"a": 1}\n{"b": \xff}\n', 9, b'{"b": \xff}\n'),
-        (b"x" * 5000 + b"\n" + b'{"b": 2}\n', 5010, b""),
-        (b"x" * 5000 + b"\n" + b'{"b"' + b" " * 40000 + b"\n", 5001, b'{"b"' + b" " * 40000 + b"\n"),
-        (b'{"a": 1}\n{"n": 1' + b"0" * 5000 + b"}\n", 9 + 5008 + 1, b""),  # JSON, if not ours
-    ],
-)
-def test_where_the_whole_lines_of_a_file_end(
-    tmp_path: Path, content: bytes, kept: int, damaged: bytes
-) -> None:
-    path = tmp_path / "records.jsonl"
-    path.write_bytes(content)
-    assert damaged_last_line(path) == (kept, damaged)
-    path.unlink()
-    assert damaged_last_line(path) == (0, b"")
-
-
-def test_the_start_of_a_damaged_line_is_shown(tmp_path: Path) -> None:
-    path = tmp_path / "records.jsonl"
-    path.write_text(ROW + '{"example": "' + "x" * 100)
-    with pytest.warns(DamagedRecordsWarning) as caught:
-        assert len(read_lines(path)) == 1
-    message = str(caught[0].message)
-    assert '{"example": "' + "x" * 27 in message
-    assert "x" * 28 not in message
-    assert caught[0].filename == __file__  # where it was read
+def test_damaged_line_is_moved_away_before_the_next_row(tmp_path: Path) -> None:
+    results = Results(tmp_path)
+    results.append(fixed_61())
+    with (tmp_path / RECORDS).open("a") as file:
+        file.write('{"example": "cut')
+    with pytest.warns(DamagedRecordsWarning):
+        results.append(joint_61())
+    assert results.read() == [fixed_61(), joint_61()]
+    assert (tmp_path / "records-damaged.txt").read_text() == '{"example": "cut\n'
 
 
 def test_mending_cuts_the_file_at_its_last_whole_line(tmp_path: Path) -> None:
@@ -230,3 +207,64 @@ def test_rows_of_one_key_become_one_and_nothing_is_written_without_need(tmp_path
     for row in (good, failed_61(key="b")):  # the last success counts
         results.append(row)
     assert results.repaired() == results.read() == [rows[0], rows[1], good]
+
+
+def test_folder_without_records_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match=r"holds neither records\.jsonl nor record\.json"):
+        read_results(tmp_path)
+    with pytest.raises(BadInputError, match="is not a folder"):
+        read_results(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("content", ["", "\n", '{"example": "6.1", "form'])
+def test_folder_whose_first_solve_has_not_ended_is_an_empty_run(tmp_path: Path, content: str) -> None:
+    (tmp_path / "records.jsonl").write_text(content)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DamagedRecordsWarning)
+        assert read_results(tmp_path) == []
+
+
+HEAD = ",".join(HISTORY_FIELDS) + "\n"
+GARBAGE = {
+    "text for a number": HEAD + "0,abc,,,,,\n",
+    "too few cells": HEAD + "0,1\n",
+    "too many cells": HEAD + "1," * 99 + "\n",
+    "another head": "a,b\n1,2\n",
+    "nothing": "",
+    "zeros": "\0\0\0",
+    "bytes": "\udcff\udcfe",
+}
+
+
+@pytest.mark.parametrize("content", GARBAGE.values(), ids=GARBAGE.keys())
+def test_history_that_is_none_is_named(tmp_path: Path, content: str) -> None:
+    results = Results(tmp_path)
+    result = results.result(fixed_61(key="one"))
+    result.history.parent.mkdir()
+    result.history.write_bytes(content.encode(errors="surrogateescape"))
+    with pytest.raises(BadInputError, match=r"one\.csv is no history"):
+        result.steps()
+
+
+def test_short_write_is_an_error_and_leaves_the_file_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full disk takes some bytes without an error and refuses the next."""
+    results = Results(tmp_path)
+    results.append(fixed_61())
+    before, write, taken = (tmp_path / "records.jsonl").read_bytes(), os.write, []
+
+    def full(descriptor: int, data: bytes) -> int:
+        if taken:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        taken.append(write(descriptor, data[:100]))
+        return taken[0]
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(OSError, match="No space left"):
+        results.append(joint_61())
+    monkeypatch.undo()
+    assert taken == [100]
+    assert (tmp_path / "records.jsonl").read_bytes() == before
+    results.append(joint_61())
+    assert results.read() == [fixed_61(), joint_61()]
