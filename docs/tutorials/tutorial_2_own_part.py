@@ -46,7 +46,7 @@ rm.plot(before, after, what="pressure")
 # %%
 # One uniform refinement is the other way to a better solution. What does it give?
 
-from rmesh_nlp.problem.contact_problem import refined as finer
+from rmesh_nlp.problem import refined as finer
 
 refined = rm.solve(finer(problem), "fixed")
 print(f"relocated, {mesh.p.shape[1]} nodes: lower by {before.energy - after.energy:.3g}")

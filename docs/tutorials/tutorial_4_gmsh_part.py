@@ -111,7 +111,7 @@ rm.plot(before, after, what="pressure")
 # %%
 # Relocate or refine? One uniform refinement is the gain to beat: ``rmesh compare plate.toml`` prints both.
 
-from rmesh_nlp.problem.contact_problem import refined as finer
+from rmesh_nlp.problem import refined as finer
 
 refined = rm.solve(finer(problem), "fixed")
 print(f"relocated, {problem.mesh.p.shape[1]} nodes: lower by {before.energy - after.energy:.3g}")

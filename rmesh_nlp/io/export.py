@@ -44,8 +44,8 @@ def gaps(problem: ContactProblem, nodes: Array, displacement: Array) -> Array:
 def point_data(solution: Solution) -> dict[str, Array]:
     """Fields of the nodes, by name; vectors have three components, as VTU files want them.
 
-    ``motion`` is the way from the initial position, ``mobility`` 0 pinned, 1 sliding, 2 free,
-    3 tied, ``box_multiplier`` as in :class:`rmesh_nlp.models.residual.Multipliers`.
+    ``motion`` is the vector from the initial position, ``mobility`` 0 pinned, 1 sliding, 2 free,
+    3 tied, ``box_multiplier`` (of move limits) as in :class:`rmesh_nlp.models.residual.Multipliers`.
     """
     problem, nodes = solution.problem, np.asarray(solution.mesh.p)
     data = fields_of(solution).point_data()

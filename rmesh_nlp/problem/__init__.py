@@ -1,10 +1,10 @@
-"""What a user states: mesh, laws, supports, loads, contact, and how nodes may move."""
+"""A contact problem as a user describes it: mesh, laws, supports, loads, contact, and how nodes may move."""
 
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, where
 from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction
-from rmesh_nlp.problem.contact_problem import ContactProblem, ContactSet
+from rmesh_nlp.problem.contact_problem import ContactProblem, ContactSet, locally_refined, refined
 from rmesh_nlp.problem.laws import Elastic, Laplace, Law, PlaneStrain, PlaneStress
 from rmesh_nlp.problem.motion import Motion, Relative
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
@@ -33,6 +33,8 @@ __all__ = [
     "Traction",
     "Units",
     "at",
+    "locally_refined",
+    "refined",
     "signed_areas",
     "where",
 ]

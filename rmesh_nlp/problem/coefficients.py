@@ -1,4 +1,4 @@
-"""Numbers or functions of position: sources, tractions, obstacles, friction bounds, held values.
+"""Numbers or functions of position: sources, tractions, obstacles, friction bounds, given displacements.
 
 Functions are written with CasADi or numpy operations on ``x`` and ``y`` and are called with
 CasADi symbols, because loads move with the nodes and must be differentiated.
