@@ -44,17 +44,8 @@ def block_along_a_circle(n: int = 4) -> ContactProblem:
 
 def block_sliding_on_a_circle(n: int = 3) -> ContactProblem:
     """The block on the disc with friction, of which some contact nodes stick and some slide."""
-    return ContactProblem(
-        mesh=rectangle(2 * n, n, x=(0, 2)),
-        law=LAW,
-        dirichlet=("left",),
-        obstacle=Obstacle.circle(
-            "bottom", (1.4, -3.004), 3.0, friction=lambda x, y: 60.0 + 200 * (x - 1) ** 2
-        ),
-        motion=Motion(Relative(0.3), pinned=("top",)),
-        tractions=(Traction("top", (-20.0, -120.0)),),
-        name="sliding",
-    )
+    disc = Obstacle.circle("bottom", (1.4, -3.004), 3.0, friction=lambda x, y: 60.0 + 200 * (x - 1) ** 2)
+    return replace(block_on_a_circle(n), obstacle=disc, name="sliding")
 
 
 def block_between_two_foundations(n: int = 4) -> ContactProblem:
