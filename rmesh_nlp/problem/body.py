@@ -1,8 +1,8 @@
 """The body that a mesh stands for: triangles, those beside a curve blended to it, and its boundary edges.
 
 Let ``X_i`` be the vertices of a triangle, ``lambda_i`` its barycentric coordinates and ``d(s)`` the vector
-from the chord of an edge ab to its arc, ``s`` running from 0 at a to 1 at b. The blended triangle is the image
-of
+from the chord of an edge ab to its arc, ``s`` running from 0 at a to 1 at b. The blended triangle is the
+image of
 
     x(lambda) = sum_i lambda_i X_i + (lambda_a + lambda_b) d(lambda_b / (lambda_a + lambda_b))
 
