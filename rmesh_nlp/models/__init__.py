@@ -1,1 +1,1 @@
-"""The outer problem in its several forms: energy program, KKT program, reduced function."""
+"""The models of the outer problem: energy NLP, KKT model (MPCC), reduced model; levels of meshes."""

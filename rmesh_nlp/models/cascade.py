@@ -357,7 +357,7 @@ class _Descents:
                     return best[1:] if best is not None else reached
                 energy, last = self.energy(problem, error, path[-1], solver), path == whole
                 start = ends[path[:-1]] if len(path) > 1 else np.zeros(energy.relocation.n_q)
-                # of several only the best one is worth following to the end
+                # of several only the best one is followed to the end
                 end = chosen.end if last and len(schedules) == 1 else CONTINUED
                 q, status = self.descend(energy, start, error, end, chosen.iterations)
                 ends[path], reached = q, (energy, q, status)

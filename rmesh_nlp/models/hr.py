@@ -28,7 +28,7 @@ EFFECTIVITY = 0.65
 
 @dataclass(frozen=True)
 class Stage:
-    """A mesh of hr: the problem on it, its energy, the estimated error of the energy, moves made."""
+    """A mesh of hr: the problem on it, its energy, the estimated error of the energy, what was done."""
 
     problem: ContactProblem
     energy: float
@@ -53,7 +53,7 @@ def hr(
     Parameters
     ----------
     problem : ContactProblem
-        Without boxes.
+        Without move limits.
     nodes : int, optional
         Ends with the first mesh that has so many.
     error : float, optional
@@ -65,13 +65,13 @@ def hr(
     Raises
     ------
     BadInputError
-        If neither ``nodes`` nor ``error`` is given, or nodes have boxes.
+        If neither ``nodes`` nor ``error`` is given, or there are move limits.
     """
     if nodes is None and error is None:
         raise BadInputError("hr needs a number of nodes or an error to end with")
     check_positive(nodes=nodes, error=error, max_stages=max_stages)
     if problem.motion.delta is not None:
-        raise BadInputError('hr needs a problem without boxes: delta = "none"')
+        raise BadInputError('hr needs a problem without move limits: delta = "none"')
     chosen = settings or CascadeSettings()
     problem = with_edge_gaps(problem)
     first = cascade(problem, chosen)

@@ -192,7 +192,7 @@ def prolonged(
     """
     X0, triangles = fine.problem.mesh.p, fine.problem.triangles
     before, after = (signed_areas(x, coarse_triangles) for x in (coarse_nodes, coarse_nodes + move))
-    # slivers that the coarse map makes on purpose are kept, and are no reason to make all moves smaller
+    # slivers that the coarse map makes on purpose are kept, and are no reason to damp the map
     least = max(0.5 * float(np.min(after / before)), 1e-9)
     shift = interpolated(coarse_nodes, coarse_triangles, move, X0)
     initial = signed_areas(X0, triangles)
@@ -231,7 +231,7 @@ HALVINGS = 4
 
 
 def accepted(energy: ReducedEnergy, q: Array) -> tuple[Array, float]:
-    """The moves that are taken, and the part of ``q`` that they are; 0 for the mesh as given.
+    """The part of ``q`` that is taken, times ``q``, and that part; 0 for the mesh as given.
 
     The largest part counts whose energy is below that of the mesh as given: the continuous energy
     (:mod:`rmesh_nlp.assessment.admissible`), since what a coarse map gains by errors of the discretisation

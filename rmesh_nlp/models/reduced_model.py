@@ -8,7 +8,7 @@ Each value is an exact contact solve, u(X(q)) = argmin J(u; X(q)).
   bound of the least energy. The upper one is the energy of the displacement by the rule of the assessment,
   the lower one the dual energy of a flux in equilibrium (:mod:`rmesh_nlp.certificate.lower_bound`). Half the
   square of the error in the energy norm is at most their difference. Both are minima or maxima over the mesh,
-  and are differentiated with what attains them held.
+  and are differentiated with what attains them fixed.
 """
 
 from __future__ import annotations

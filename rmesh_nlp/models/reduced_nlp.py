@@ -21,7 +21,7 @@ itself, and dw has no effect. One factorisation takes the place of one back-subs
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,6 +37,7 @@ from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.models.second_derivatives import Curvature, curvature_of
+from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
 COLUMNS = 256
@@ -98,31 +99,7 @@ def reduced_nlp(
     return ReducedNLP(nlp, function, is_valid, residual, scale, tolerance)
 
 
-class _Callback(ca.Callback):
-    """A CasADi Function of dense columns by a Python method ``eval``.
-
-    CasADi does not own Python callbacks: they must live as long as what is made of them.
-    """
-
-    def __init__(self, name: str, inputs: Sequence[int], outputs: Sequence[ca.Sparsity]) -> None:
-        super().__init__()
-        self._inputs, self._outputs = inputs, outputs
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return len(self._inputs)
-
-    def get_n_out(self) -> int:
-        return len(self._outputs)
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._inputs[i])
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return self._outputs[i]
-
-
-class _Oracle(_Callback):
+class _Oracle(PythonFunction):
     """F(q) and its gradient in units of ``|F(0)|``: a squared error may be small."""
 
     def __init__(self, function: Reduced, relocation: Relocation, scale: float) -> None:
@@ -145,7 +122,7 @@ class _Oracle(_Callback):
         return self._function.is_defined(q)
 
 
-class _SecondOracle(_Callback):
+class _SecondOracle(PythonFunction):
     """Upper triangle of the Hessian of ``lam_f f + lam_g^T g``, f in the units of the NLP."""
 
     def __init__(self, problem: ReducedNLP, upper: ca.Sparsity) -> None:

@@ -41,7 +41,7 @@ def marked(indicators: Array, share: float = SHARE) -> NDArray[np.int64]:
 
 
 def edge_gains(problem: ContactProblem) -> Array:
-    """(elements,) decrease of the energy by a new node in the middle of each edge, the others held.
+    """(elements,) decrease of the energy by a new node in the middle of each edge, the others fixed.
 
     An edge's gain is shared by its triangles. It is an error estimator of hierarchical kind: the energy is
     minimised over each new value by itself, contact not regarded.
@@ -50,9 +50,9 @@ def edge_gains(problem: ContactProblem) -> Array:
     n, facets = mesh.p.shape[1], np.asarray(mesh.facets)
     model = ContactSolver(problem)
     values = model.displacement.values(model.solve(mesh.p).u)
-    held = problem.held()[0]
-    both = held[:, facets[0]] & held[:, facets[1]]
-    # a facet of the outer boundary between two held nodes may be held; inside none is
+    fixed = problem.held()[0]
+    both = fixed[:, facets[0]] & fixed[:, facets[1]]
+    # a facet of the outer boundary between two fixed nodes may be fixed; inside none is
     outer = np.zeros(facets.shape[1], dtype=bool)
     outer[mesh.boundary_facets()] = True
     free = ~(both & outer)

@@ -73,9 +73,9 @@ class OuterResidual:
             Multipliers with CasADi's sign, negative at active lower bounds.
         """
         relocation = self._energy.relocation
-        n, n_s, box = relocation.n_contact, relocation.n_s, relocation.mesh_map.bound
+        n, n_s, bound = relocation.n_contact, relocation.n_s, relocation.mesh_map.bound
         normal, minus, plus = np.split(-lam_g[: n + 2 * n_s], [n, n + n_s])
-        q = np.clip(x[: relocation.n_q], -box, box)  # an interior point may leave them by rounding
+        q = np.clip(x[: relocation.n_q], -bound, bound)  # an interior point may leave them by rounding
         return self.at(q, self._energy.gradient(x, normal, plus - minus))
 
     def of_state(self, q: Array, u: Array, normal_force: Array, friction: Array) -> float:
@@ -89,17 +89,17 @@ class OuterResidual:
         friction : (n_s,) array
             Tangential forces where friction may act.
         """
-        box = self._energy.relocation.mesh_map.bound
-        q = np.clip(q, -box, box)
+        bound = self._energy.relocation.mesh_map.bound
+        q = np.clip(q, -bound, bound)
         return self.at(q, self._energy.gradient(self._energy.unknowns(q, u), normal_force, friction))
 
     def at(self, q: Array, gradient: Array) -> float:
         """The residual at ``q`` with a gradient; infinite if that is not finite."""
         if not np.all(np.isfinite(gradient)):
             return float("inf")
-        box = self._energy.relocation.mesh_map.bound
+        bound = self._energy.relocation.mesh_map.bound
         released, slack, fitted = _released(self._energy, q, gradient)
-        natural = np.abs(q - np.clip(q - released / self.unit, -box, box))
+        natural = np.abs(q - np.clip(q - released / self.unit, -bound, bound))
         pairs = np.minimum(slack, fitted / self.unit)
         return float(max(np.max(natural, initial=0.0), np.max(pairs, initial=0.0)))
 

@@ -1,1 +1,1 @@
-"""Nonlinear programs and descents; knows nothing of meshes."""
+"""Nonlinear programs (NLP) and descents; knows nothing of meshes."""

@@ -1,8 +1,8 @@
 """What counts as active: every tolerance of it, with the reason for its size.
 
-Distances have no unit: moves are parts of their boxes, validity rows parts of an element's area on the given
-mesh, gaps and forces parts of the largest displacement and of the loads. Four tolerances are needed because
-four kinds of solver leave a point near a bound in four ways.
+Distances have no unit: outer variables are parts of their move limits, validity rows parts of an element's
+area on the given mesh, gaps and forces parts of the largest displacement and of the loads. Four tolerances
+are needed because four kinds of solver leave a point near a bound in four ways.
 """
 
 from __future__ import annotations

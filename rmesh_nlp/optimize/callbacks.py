@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, Protocol, runtime_checkable
 
@@ -61,36 +61,50 @@ class SignalWatch:
             self._callback.stop = True
 
 
-class IterationCallback(ca.Callback):
-    """Adapter from CasADi's iteration callback to a Monitor."""
+class PythonFunction(ca.Callback):
+    """A CasADi Function of dense columns whose subclass has a method ``eval``.
 
-    def __init__(self, n_x: int, n_g: int, n_p: int, monitor: Monitor) -> None:
+    CasADi does not own Python callbacks: they must live as long as what is made of them.
+
+    Parameters
+    ----------
+    name : str
+    inputs : sequence of int
+        Lengths of the columns.
+    outputs : sequence of casadi.Sparsity
+    """
+
+    def __init__(self, name: str, inputs: Sequence[int], outputs: Sequence[ca.Sparsity]) -> None:
         super().__init__()
-        self._sizes = {"x": n_x, "f": 1, "g": n_g, "lam_x": n_x, "lam_g": n_g, "lam_p": n_p}
-        self._monitor = monitor
-        self._iteration = 0
-        self.stop = self.interrupted = False
-        self.construct("monitor", {})
+        self._inputs, self._outputs = inputs, outputs
+        self.construct(name, {})
 
     def get_n_in(self) -> int:
-        """The outputs of nlpsol."""
-        return int(ca.nlpsol_n_out())
+        """Number of inputs."""
+        return len(self._inputs)
 
     def get_n_out(self) -> int:
-        """One: whether to stop."""
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        """Names of the outputs of nlpsol."""
-        return str(ca.nlpsol_out(i))
-
-    def get_name_out(self, i: int) -> str:
-        """Name of the only output."""
-        return "stop"
+        """Number of outputs."""
+        return len(self._outputs)
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
         """Dense columns."""
-        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)])
+        return ca.Sparsity.dense(self._inputs[i])
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        """As given."""
+        return self._outputs[i]
+
+
+class IterationCallback(PythonFunction):
+    """Adapter from CasADi's iteration callback, whose inputs are the outputs of nlpsol, to a Monitor."""
+
+    def __init__(self, n_x: int, n_g: int, n_p: int, monitor: Monitor) -> None:
+        sizes = {"x": n_x, "f": 1, "g": n_g, "lam_x": n_x, "lam_g": n_g, "lam_p": n_p}
+        self._monitor = monitor
+        self._iteration = 0
+        self.stop = self.interrupted = False
+        super().__init__("monitor", [sizes[name] for name in ca.nlpsol_out()], [ca.Sparsity.dense(1)])
 
     def eval(self, arg: list[ca.DM]) -> list[int]:
         """Pass the iterate on."""

@@ -13,7 +13,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.activity import ZERO, both_vanish, is_inside
 from rmesh_nlp.optimize.constraints import Linearised
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.trust_region import LOCAL, Evaluation, LocalRadii, NewtonSettings, minimise
+from rmesh_nlp.optimize.trust_region import Evaluation, LocalRadii, NewtonSettings, minimise
 from support.quadratics import Matrix, convex, quadratic
 
 LOCAL_ONES = LocalRadii(np.ones_like, lambda x, step: 1.0)
@@ -167,10 +167,32 @@ class TestRadius:
         values = [quadratic(np.eye(4), self.B, x).value for x in long]
         assert np.all(np.diff(values) < 0)
 
-    def test_a_step_beyond_the_domain_is_cut(self) -> None:
-        local = LocalRadii(np.ones_like, lambda x, step: min(1.0, 0.25 / np.max(np.abs(step))))
-        points = self.points(1.0, LOCAL, local=local)
+    def test_a_step_beyond_the_domain_is_cut_and_its_own_decrease_counts(self) -> None:
+        lengths: list[float] = []
+
+        def longest(x: Array, step: Array) -> float:
+            lengths.append(float(np.max(np.abs(step))))
+            return min(1.0, 0.25 / lengths[-1])
+
+        local, settings = LocalRadii(np.ones_like, longest), NewtonSettings(first_radius=2.0, grow=2.0)
+        points = self.points(1.0, settings, local=local)
+        # cut to the radius that was left, which is right and grows, and is cut again
+        np.testing.assert_allclose(lengths, [2.0, 0.25, 0.5], rtol=1e-9)
         np.testing.assert_allclose(np.max(np.abs(np.diff(points, axis=0)), axis=1), 0.25, rtol=1e-9)
+        lengths.clear()
+        result = minimise(
+            lambda x: None if x[3] > 0.1 else quadratic(np.eye(4), self.B, x),
+            np.zeros(4),
+            -np.full(4, 100.0),
+            np.full(4, 100.0),
+            tolerance=np.inf,
+            max_iterations=1,
+            local=local,
+            settings=settings,
+        )
+        # a refused step shrinks the radius from what was left of it
+        np.testing.assert_allclose(lengths, [2.0, 0.25 * 0.25], rtol=1e-9)
+        assert np.max(result.x) == pytest.approx(0.0625)
 
 
 @pytest.mark.parametrize(
