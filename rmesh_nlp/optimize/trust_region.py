@@ -269,6 +269,7 @@ class _Box:
 
     def __init__(self, lower: Array, upper: Array, settings: NewtonSettings) -> None:
         self._lower, self._upper, self.settings = lower, upper, settings
+        self._width: Array | float = 1.0
 
     def arrive(self, x: Array, here: Evaluation) -> None:
         """Take note of a new point."""
@@ -285,7 +286,8 @@ class _Box:
 
     def trusted(self, radius: float) -> tuple[Array, Array]:
         """Bounds of a step."""
-        return np.maximum(self._lower - self._x, -radius), np.minimum(self._upper - self._x, radius)
+        low, high = (self._lower - self._x) / self._width, (self._upper - self._x) / self._width
+        return np.maximum(low, -radius), np.minimum(high, radius)
 
     def step(self) -> BoxStep:
         """The minimiser of the model."""
@@ -301,7 +303,7 @@ class _Box:
 
     def land(self, part: float, y: Array, step: BoxStep) -> Array | None:
         """The point that a step leads to; None if there is none."""
-        return np.clip(self._x + y, self._lower, self._upper)
+        return np.clip(self._x + part * (self._width * y), self._lower, self._upper)
 
 
 class _LocalBox(_Box):
@@ -315,19 +317,15 @@ class _LocalBox(_Box):
 
     def arrive(self, x: Array, here: Evaluation) -> None:
         super().arrive(x, here)
-        self._width = self._local.widths(x)
+        self._width = width = self._local.widths(x)
         make = self._local.preconditioner
-        self._preconditioner = None if make is None else make(self._model, self._width)
+        self._preconditioner = None if make is None else make(self._model, width)
 
     def first_radius(self, step: BoxStep) -> float:
         return self.settings.first_radius
 
-    def trusted(self, radius: float) -> tuple[Array, Array]:
-        low, high = (self._lower - self._x) / self._width, (self._upper - self._x) / self._width
-        return np.maximum(low, -radius), np.minimum(high, radius)
-
     def step(self) -> BoxStep:
-        scaled, slope = Scaled(self._model, self._width), self._width * self._g
+        scaled, slope = Scaled(self._model, np.asarray(self._width)), self._width * self._g
         return BoxStep(scaled, slope, self._preconditioner, self.settings.max_products)
 
     def hides(self, y: Array, radius: float) -> bool:
@@ -339,10 +337,6 @@ class _LocalBox(_Box):
             s = part * (self._width * y)
             predicted = -float(self._g @ s + 0.5 * s @ self._model(s))
         return part, predicted
-
-    def land(self, part: float, y: Array, step: BoxStep) -> Array | None:
-        s = self._width * y
-        return np.clip(self._x + (part * s if part < 1 else s), self._lower, self._upper)
 
 
 class _ConstrainedBox(_Box):
