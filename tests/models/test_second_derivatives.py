@@ -18,6 +18,7 @@ from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, Re
 from rmesh_nlp.models.second_derivatives import Curvature, ObjectiveCurvature, SecantCurvature, curvature_of
 from rmesh_nlp.problem import Motion
 from rmesh_nlp.solving.outer import Outer
+from support.contact_geometry import block_sliding_on_a_circle
 from support.curved import HOLE, plate
 from support.problems import no_boxes, sloped_block
 from support.taylor import difference_order
@@ -27,6 +28,7 @@ PROBLEMS = {
     "6.2": lambda: EXAMPLES["6.2"]((6, 4)),
     "6.3": lambda: EXAMPLES["6.3"]((6, 4)),
     "sloped, stick and slip": sloped_block,
+    "curved foundation, stick and slip": block_sliding_on_a_circle,
     "along a curve": lambda: plate({"hole": HOLE}, delta=0.4, load=(lambda x, y: x * y, lambda x, y: x)),
 }
 
@@ -53,7 +55,9 @@ def test_products_of_the_energy_are_derivatives_of_its_gradient(
     assert np.all(hessian.diagonal() > 0)
 
 
-@pytest.mark.parametrize("name", ["6.2", "sloped, stick and slip", "along a curve"])
+@pytest.mark.parametrize(
+    "name", ["6.2", "sloped, stick and slip", "curved foundation, stick and slip", "along a curve"]
+)
 def test_the_schur_complement_of_the_sparse_matrix_is_the_second_derivative(name: str) -> None:
     energy = Outer(PROBLEMS[name]()).energy
     rng = np.random.default_rng(3)
