@@ -26,21 +26,13 @@ def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Arr
         The same in the tangential direction of sticking nodes.
     """
     rotated = system.rotated
-    turned = right if rotated.basis is None else rotated.basis.T @ right
+    turned = rotated.turned(right)
     inside, factor = rotated.factor(active)
     p = np.zeros(turned.size)
     p[inside] = factor.solve(turned[inside])
     left = turned - rotated.K @ p
     reaction = np.where(active.touching, left[rotated.normal], 0.0)
-    friction = np.where(_sticking(system, active), left[rotated.tangent], 0.0)
-    return p if rotated.basis is None else rotated.basis @ p, reaction, friction
-
-
-def _sticking(system: ContactSystem, active: ActiveSet) -> NDArray[np.bool_]:
-    """Nodes whose slip the active set holds."""
-    if not system.slip_bound.size:
-        return np.zeros(active.touching.size, dtype=bool)
-    return system.rotated.slips & (active.sliding == 0)
+    return rotated.back(p), reaction, np.where(rotated.sticking(active), left[rotated.tangent], 0.0)
 
 
 class TangentResponse:
@@ -61,7 +53,7 @@ class TangentResponse:
     def __init__(self, system: ContactSystem, active: ActiveSet) -> None:
         rotated = self._rotated = system.rotated
         self._inside, self._factor = rotated.factor(active)
-        self._touching, self._sticking = active.touching, _sticking(system, active)
+        self._touching, self._sticking = active.touching, rotated.sticking(active)
         self.held = np.concatenate([rotated.normal[self._touching], rotated.tangent[self._sticking]])
         # the columns of held unknowns carry the change of gaps and slips, their rows the change of the forces
         self._columns = sp.csr_array(rotated.K[:, self.held])
@@ -83,14 +75,14 @@ class TangentResponse:
             Those of gaps and slips at fixed displacement.
         """
         rotated, held, inside = self._rotated, self.held, self._inside
-        turned = force if rotated.basis is None else rotated.basis.T @ force
+        turned = rotated.turned(force)
         w = np.zeros(turned.shape)
         w[held] = -np.concatenate([gap[self._touching], slip[self._sticking]])
         w[inside] = self._factor.solve(-(turned + self._columns @ w[held])[inside])
         change = self._held_rows @ w + turned[held]
         normal, tangential = np.zeros((2, *gap.shape))
         normal[self._touching], tangential[self._sticking] = np.split(change, [int(self._touching.sum())])
-        return (w if rotated.basis is None else rotated.basis @ w), normal, tangential
+        return rotated.back(w), normal, tangential
 
 
 def weakly_active(system: ContactSystem, state: Equilibrium) -> NDArray[np.bool_]:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT, Index
+from rmesh_nlp.fem.fields import CONSTANT
+from rmesh_nlp.fem.space import Index
 from rmesh_nlp.optimize.status import Status
 
 LARGE = 5000
@@ -62,7 +63,7 @@ class ContactSystem:
     slip_bound: Array
     frictional: NDArray[np.bool_] | None = None
     rigid: Array | None = None
-    order: NDArray[np.int64] | None = None
+    order: Index | None = None
 
     def energy(self, u: Array) -> float:
         """J(u), friction included."""
@@ -77,22 +78,19 @@ class ContactSystem:
     def equilibrium(self, active: ActiveSet) -> Equilibrium:
         """Equilibrium with the given nodes touching, sticking and sliding."""
         rotated = self.rotated
-        w = np.zeros(self.load.size)
+        w, F = np.zeros(self.load.size), rotated.F.copy()
         w[rotated.normal[active.touching]] = -self.offset[active.touching]
-        F = rotated.F
-        if self.slip_bound.size:
-            F = F.copy()
-            F[rotated.tangent[rotated.slips]] -= (self.slip_bound * active.sliding)[rotated.slips]
+        friction = -self.slip_bound * active.sliding
+        if friction.size:
+            F[rotated.tangent[rotated.slips]] += friction[rotated.slips]
         inside, factor = rotated.factor(active)
         w[inside] = factor.solve((F - rotated.K @ w)[inside])
         residual = rotated.K @ w - rotated.F
         normal_force = np.where(active.touching, residual[rotated.normal], 0.0)
-        tangential = np.zeros(0)
-        if self.slip_bound.size:
-            sticking = rotated.slips & (active.sliding == 0)
-            tangential = np.where(sticking, residual[rotated.tangent], -self.slip_bound * active.sliding)
-        u = w if rotated.basis is None else rotated.basis @ w
-        return Equilibrium(u, self.energy(u), normal_force, tangential, active, Status.CONVERGED, 1)
+        if friction.size:
+            friction = np.where(rotated.sticking(active), residual[rotated.tangent], friction)
+        u = rotated.back(w)
+        return Equilibrium(u, self.energy(u), normal_force, friction, active, Status.CONVERGED, 1)
 
     @property
     def force_scale(self) -> float:
@@ -169,29 +167,32 @@ class RotatedSystem:
         basis, self.normal, self.tangent = _contact_basis(system)
         self.basis = basis
         self.slips = self.tangent >= 0  # False where the tangential displacement is given
-        if system.frictional is not None:
-            self.slips = self.slips & system.frictional[: self.slips.size]
         self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
-        self.F = system.load if basis is None else basis.T @ system.load
-        self._frictional = system.slip_bound.size > 0
+        self.F = self.turned(system.load)
         self._order = system.order
-        self._factor: tuple[bytes, NDArray[np.intp], Any] | None = None
+        self._factor: tuple[bytes, Index, Any] | None = None
 
-    def free(self, active: ActiveSet) -> NDArray[np.bool_]:
-        """Unknowns that touching and sticking nodes leave free."""
-        free = np.ones(self.F.size, dtype=bool)
-        free[self.normal[active.touching]] = False
-        if self._frictional:
-            free[self.tangent[self.slips & (active.sliding == 0)]] = False
-        return free
+    def turned(self, force: Array) -> Array:
+        """Forces (m,) or (m, k) in these coordinates."""
+        return force if self.basis is None else np.asarray(self.basis.T @ force)
 
-    def factor(self, active: ActiveSet) -> tuple[NDArray[np.intp], Any]:
+    def back(self, w: Array) -> Array:
+        """Displacements u of these coordinates w."""
+        return w if self.basis is None else np.asarray(self.basis @ w)
+
+    def sticking(self, active: ActiveSet) -> NDArray[np.bool_]:
+        """Nodes whose slip the active set holds."""
+        return self.slips & (active.sliding == 0) if active.sliding.size else np.zeros_like(self.slips)
+
+    def factor(self, active: ActiveSet) -> tuple[Index, Any]:
         """The free unknowns, in the order of elimination, and the factorised stiffness; the last is kept.
 
         So derivatives at a contact solution need no factorisation of their own.
         """
         if self._factor is None or self._factor[0] != active.key():
-            free = self.free(active)
+            free = np.ones(self.F.size, dtype=bool)
+            free[self.normal[active.touching]] = False
+            free[self.tangent[self.sticking(active)]] = False
             inside = np.flatnonzero(free) if self._order is None else self._order[free[self._order]]
             self._factor = None  # its memory first
             factor = factorised(self.K[:, inside][inside], ordered=self._order is not None)
@@ -199,83 +200,66 @@ class RotatedSystem:
         return self._factor[1:]
 
 
-def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, NDArray, NDArray]:
+def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, Index, Index]:
     """Change of unknowns ``u = basis @ w`` after which N u and T u are single entries of w.
 
     Returns the basis (None for the identity) and the entries of w that hold N u and T u; -1 where
     T u is given, or no friction acts.
     """
-    N, T = sp.csr_array(system.normals), sp.csr_array(system.tangents)
-    sticky = np.zeros(N.shape[0], dtype=bool)
-    if system.slip_bound.size:
-        sticky[:] = True if system.frictional is None else system.frictional
-    single = bool(np.all(np.diff(N.indptr) == 1) and np.all(N.data == 1)) and _apart(N)
+    N, T, n = sp.csr_array(system.normals), sp.csr_array(system.tangents), system.load.size
+    sticky = np.full(N.shape[0], system.slip_bound.size > 0)
+    if system.frictional is not None:
+        sticky &= system.frictional
     tangent = np.full(N.shape[0], -1, np.int64)
-    if single and not np.any(sticky):
-        return None, N.indices.astype(np.int64), tangent
-    if single and np.all(np.diff(T.indptr) <= 1) and np.all(T.data == 1):
-        given = np.diff(T.indptr) == 0
-        tangent[~given] = T.indices
+    simple = np.all(np.diff(N.indptr) == 1) and np.all(N.data == 1) and np.unique(N.indices).size == N.nnz
+    if simple and (not np.any(sticky) or (np.all(np.diff(T.indptr) <= 1) and np.all(T.data == 1))):
+        if np.any(sticky):
+            tangent[np.diff(T.indptr) > 0] = T.indices
         return None, N.indices.astype(np.int64), np.where(sticky, tangent, -1)
-    basis = sp.lil_array(sp.eye_array(system.load.size))
     normal = np.zeros(N.shape[0], np.int64)
-    done = _corner_basis(N, basis, normal)
-    for i in np.flatnonzero(~done):
-        n_dofs, n_values = _row(N, i)
-        normal[i] = n_dofs[np.argmax(np.abs(n_values))]
-        if n_dofs.size == 1:
-            basis[normal[i], normal[i]] = 1 / n_values[0]
-        else:  # columns n and t, orthonormal, so n.u and t.u are the new unknowns
-            other = n_dofs[np.argmin(np.abs(n_values))]
-            pair = n_values[n_dofs == normal[i]][0], n_values[n_dofs == other][0]
-            direction = _row(T, i)
-            sign = dict(zip(*direction, strict=True))
-            basis[normal[i], normal[i]], basis[other, normal[i]] = pair
-            basis[normal[i], other], basis[other, other] = sign[normal[i]], sign[other]
-            tangent[i] = other
-            continue
-        if sticky[i]:
-            t_dofs, t_values = _row(T, i)
-            if t_dofs.size and t_dofs[0] != normal[i]:
-                tangent[i] = t_dofs[0]
-                basis[tangent[i], tangent[i]] = 1 / t_values[0]
-    return sp.csc_array(basis), normal, np.where(sticky, tangent, -1)
+    entries: list[tuple[Array, Index, Index]] = []  # values, rows and columns of the basis
+
+    def add(block: Array, dofs: Index, columns: Index) -> None:
+        """Blocks (k, k, nodes): displacements ``dofs`` (k, nodes) of the unknowns ``columns`` (k, nodes)."""
+        rows, cols = np.broadcast_arrays(dofs[:, None], columns[None])
+        entries.append((block.ravel(), rows.ravel(), cols.ravel()))
+
+    # two foundations meet at a node: both gaps are unknowns there
+    shared = sp.coo_array(sp.triu(abs(N) @ abs(N).T, k=1))
+    alone = np.setdiff1d(np.arange(N.shape[0]), [*shared.row, *shared.col])
+    for pair in zip(shared.row, shared.col, strict=True):
+        dofs = np.unique(N[list(pair)].indices)
+        normal[list(pair)] = dofs
+        add(np.linalg.inv(N[list(pair)][:, dofs].toarray())[..., None], dofs[:, None], dofs[:, None])
+    used = sp.csr_array(abs(N) + abs(T) if T.shape[0] else abs(N))
+    # one component of the displacement is given: the gap is an unknown
+    one = alone[np.diff(used.indptr)[alone] == 1]
+    normal[one] = used.indices[used.indptr[one]]
+    add(1 / _entries(N, one, normal[one])[None, None], normal[None, one], normal[None, one])
+    # gap and slip are unknowns, the gap in place of the component nearest to the normal
+    both = alone[np.diff(used.indptr)[alone] == 2]
+    dofs = used.indices[used.indptr[both] + np.array([[0], [1]])]
+    n0, n1 = _entries(N, both, dofs)
+    t0, t1 = _entries(T, both, dofs)
+    columns = np.where(np.abs(n0) >= np.abs(n1), dofs, dofs[::-1])
+    normal[both], tangent[both] = columns
+    add(np.array([[t1, -n1], [-t0, n0]]) / (n0 * t1 - n1 * t0), dofs, columns)
+    values, rows, cols = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+    rest = np.setdiff1d(np.arange(n), rows)
+    where = np.append(rows, rest), np.append(cols, rest)
+    basis = sp.csc_array((np.append(values, np.ones(rest.size)), where), shape=(n, n))
+    return basis, normal, np.where(sticky, tangent, -1)
 
 
-def _shared(N: sp.csr_array) -> sp.coo_array:
-    """Pairs of gaps that depend on one unknown, as entries above the diagonal."""
-    return sp.coo_array(sp.triu(abs(N) @ abs(N).T, k=1))
+def _entries(matrix: sp.csr_array, rows: Index, columns: Index) -> Array:
+    """Entries of a sparse matrix, of the shape of ``columns``."""
+    if columns.size == 0:
+        return np.zeros(columns.shape)
+    rows = np.broadcast_to(rows, columns.shape).ravel()
+    return np.asarray(sp.csr_matrix(matrix)[rows, columns.ravel()]).reshape(columns.shape)
 
 
-def _apart(N: sp.csr_array) -> bool:
-    """Whether no two gaps, of one entry each, depend on one unknown."""
-    return np.unique(N.indices).size == N.indices.size
-
-
-def _corner_basis(N: sp.csr_array, basis: Any, normal: NDArray) -> NDArray[np.bool_]:
-    """Fills in the basis at nodes that two foundations meet: both gaps are unknowns there.
-
-    Returns which rows it has dealt with.
-    """
-    done = np.zeros(N.shape[0], dtype=bool)
-    shared = _shared(N)
-    for one, two in zip(shared.row, shared.col, strict=True):
-        dofs = np.unique(np.concatenate([_row(N, one)[0], _row(N, two)[0]]))
-        inverse = np.linalg.inv(N[[one, two]][:, dofs].toarray())
-        for i, row in enumerate(dofs):
-            for j, column in enumerate(dofs):
-                basis[row, column] = inverse[i, j]
-        normal[one], normal[two] = dofs
-        done[[one, two]] = True
-    return done
-
-
-def _row(matrix: sp.csr_array, i: Any) -> tuple[NDArray, Array]:
-    part = slice(matrix.indptr[i], matrix.indptr[i + 1])
-    return matrix.indices[part], matrix.data[part]
-
-
-def elimination_order(points: Array, edges: NDArray[np.integer], index: Index) -> NDArray[np.int64]:
+def elimination_order(points: Array, edges: NDArray[np.integer], index: Index) -> Index:
     """The unknowns of a nodal field in the order of their elimination.
 
     Parameters
@@ -291,13 +275,13 @@ def elimination_order(points: Array, edges: NDArray[np.integer], index: Index) -
     return np.asarray(unknowns[np.sort(first)], dtype=np.int64)
 
 
-def dissected(points: Array, edges: NDArray[np.integer]) -> NDArray[np.int64]:
+def dissected(points: Array, edges: NDArray[np.integer]) -> Index:
     """The nodes, separators after the halves that they separate."""
     n = points.shape[1]
     ends = np.hstack([edges, edges[::-1]])
     adjacent = sp.csr_array((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=(n, n))
     beyond = np.zeros(n)
-    parts: list[NDArray[np.int64]] = []  # from the last one to be eliminated to the first
+    parts: list[Index] = []  # from the last one to be eliminated to the first
     waiting = [np.arange(n)]
     while waiting:
         nodes = waiting.pop()
