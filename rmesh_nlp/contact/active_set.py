@@ -133,12 +133,11 @@ def _next_set(system: ContactSystem, state: Equilibrium, active: ActiveSet) -> t
 def _single_change(active: ActiveSet, proposal: ActiveSet) -> ActiveSet:
     """Only the change of least index (normal directions first)."""
     touching, sliding = active.touching.copy(), active.sliding.copy()
-    different = np.flatnonzero(touching != proposal.touching)
-    if different.size:
-        touching[different[0]] = proposal.touching[different[0]]
-    else:
-        first = np.flatnonzero(sliding != proposal.sliding)[0]
-        sliding[first] = proposal.sliding[first]
+    for now, then in ((touching, proposal.touching), (sliding, proposal.sliding)):
+        different = np.flatnonzero(now != then)
+        if different.size:
+            now[different[0]] = then[different[0]]
+            break
     return ActiveSet(touching, sliding)
 
 
@@ -148,11 +147,11 @@ def first_set(system: ContactSystem) -> ActiveSet:
     With few contact nodes those with an initial gap of zero or less touch, and all stick. Where only
     contact holds the body all touch.
     """
-    if system.rigid is not None:
-        return ActiveSet(np.ones(system.offset.size, bool), np.zeros(system.slip_bound.size, dtype=np.int8))
-    if system.offset.size >= FEW * (4 if system.slip_bound.size else 1):
+    n, frictional = system.offset.size, bool(system.slip_bound.size)
+    if system.rigid is None and n >= FEW * (4 if frictional else 1):
         return predicted_set(system)
-    return ActiveSet(system.offset <= 0, np.zeros(system.slip_bound.size, dtype=np.int8))
+    touching = system.offset <= 0 if system.rigid is None else np.ones(n, bool)
+    return ActiveSet(touching, np.zeros(system.slip_bound.size, dtype=np.int8))
 
 
 def touching_set(system: ContactSystem, touching: NDArray[np.bool_]) -> ActiveSet | None:
@@ -160,24 +159,17 @@ def touching_set(system: ContactSystem, touching: NDArray[np.bool_]) -> ActiveSe
 
     Which nodes slide is then not known, and a guess of the whole set is better.
     """
-    if system.slip_bound.size:
-        return None
-    return ActiveSet(np.array(touching), np.zeros(0, dtype=np.int8))
+    return None if system.slip_bound.size else ActiveSet(np.array(touching), np.zeros(0, dtype=np.int8))
 
 
 def predicted_set(system: ContactSystem) -> ActiveSet:
-    """The active set that the dual solution suggests.
-
-    The stiffness by itself must be regular: a body that only contact holds is not a valid problem.
-    """
+    """The active set that the dual solution suggests; the stiffness by itself must be regular."""
     n, bound = system.offset.size, system.slip_bound
-    dual = DualEnergy(system)
-    lower = np.concatenate([np.zeros(n), -bound])
     upper = np.concatenate([np.full(n, np.inf), bound])
     result = minimise(
-        dual.evaluate,
+        DualEnergy(system).evaluate,
         np.zeros(upper.size),
-        lower,
+        np.concatenate([np.zeros(n), -bound]),
         upper,
         tolerance=np.inf,
         gain_tolerance=GAIN,
@@ -201,15 +193,14 @@ class DualEnergy:
         frictional = system.slip_bound.size > 0
         rows = sp.vstack([system.normals, system.tangents]) if frictional else system.normals
         self._rows, self._columns = sp.csr_array(rows), sp.csr_array(rows.T)
-        self._load = system.load
         at_rest = np.zeros(system.slip_bound.size) if slip is None or not frictional else slip
-        self._gap = np.concatenate([system.offset, at_rest])
-        self._stiffness, self._order = system.stiffness, system.order
-        K = system.stiffness
-        if system.order is not None:
-            K = K[:, system.order][system.order]
-        self._factor = factorised(K, ordered=system.order is not None)
-        compliance = 1 / system.stiffness.diagonal()
+        self._load, self._gap = system.load, np.concatenate([system.offset, at_rest])
+        self._stiffness = K = system.stiffness
+        self._order = slice(None) if system.order is None else system.order
+        self._factor = factorised(
+            K if system.order is None else K[:, system.order][system.order], ordered=system.order is not None
+        )
+        compliance = 1 / K.diagonal()
         self._diagonal = self._rows.multiply(self._rows) @ compliance + 1e-3 * np.max(compliance)
 
     def displacement(self, y: Array) -> Array:
@@ -218,8 +209,6 @@ class DualEnergy:
 
     def _solved(self, load: Array) -> Array:
         """Displacement under a load, without contact."""
-        if self._order is None:
-            return np.asarray(self._factor.solve(load))
         u = np.empty_like(load)
         u[self._order] = self._factor.solve(load[self._order])
         return u
@@ -249,13 +238,7 @@ class DualEnergy:
 
 
 def check_load(system: ContactSystem) -> None:
-    """Raise a ProblemError unless the load presses the body on its foundations.
-
-    Raises
-    ------
-    ProblemError
-        If some rigid motion away from all foundations does not cost energy.
-    """
+    """Raise a ProblemError if some rigid motion away from all foundations does not cost energy."""
     if system.rigid is None:
         return
     work, gaps = system.rigid.T @ system.load, system.normals @ system.rigid
@@ -276,12 +259,7 @@ def check_load(system: ContactSystem) -> None:
 
 
 def check_unique(system: ContactSystem, state: Equilibrium) -> None:
-    """Raise a ProblemError if the nodes that press on the foundation leave a rigid motion.
-
-    Raises
-    ------
-    ProblemError
-    """
+    """Raise a ProblemError if the nodes that press on the foundation leave a rigid motion."""
     if system.rigid is None:
         return
     length = np.max(np.abs(system.offset), initial=0.0) + np.max(np.abs(state.u), initial=0.0)
@@ -290,16 +268,13 @@ def check_unique(system: ContactSystem, state: Equilibrium) -> None:
     if _rank(system.normals @ system.rigid, pressing) < system.rigid.shape[1]:
         raise ProblemError(
             "dirichlet",
-            "contact holds the body, but not in one place: it can still slide or turn on the nodes that "
+            "contact leaves a rigid-body mode unconstrained: the body can slide or turn on the nodes that "
             "press on the foundation; give one more displacement",
         )
 
 
 def holding(system: ContactSystem, before: ActiveSet, state: Equilibrium, proposal: ActiveSet) -> ActiveSet:
-    """The proposal, with as many nodes of the last set kept in touch as hold the body.
-
-    Those with the largest force first.
-    """
+    """The proposal, with as many nodes of the last set, by force, kept in touch as hold the body."""
     if system.rigid is None:
         return proposal
     gaps = system.normals @ system.rigid

@@ -1,4 +1,4 @@
-"""Outer variables q -> node positions: move limits, curves, ties, and validity of elements."""
+"""Outer variables q -> node positions X(q): move limits, curves, ties, validity of elements."""
 
 from rmesh_nlp.mapping.mesh_map import MeshMap, Mobility
 

@@ -1,4 +1,4 @@
-"""The admissible set M: which nodes move, in which direction, and how far."""
+"""Outer variables q -> node positions X(q): which nodes move, in which direction, and how far."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, Bends, Field
+from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, Bends, Field, constant_field
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import on_curve, parameters_of, sliding_directions
-from rmesh_nlp.problem.motion import Relative, Where
+from rmesh_nlp.problem.motion import Relative
 
 
 class Mobility(IntEnum):
@@ -27,11 +27,11 @@ class Mobility(IntEnum):
 
 @dataclass(frozen=True)
 class MeshMap:
-    """The moves of all nodes as a few unknowns q: X = X0 + P q, and X = c(t0 + q) along curves.
+    """Node positions and parameters as functions of the outer variables q.
 
-    q is measured in units of the node's own box, so that its bounds are -1 <= q <= 1; without
-    a box it is measured in units of the shortest edge at the node and unbounded. Along a curve the box
-    is measured as length of the curve.
+    X = X0 + P q, and X = c(t0 + q) along curves. q is measured in units of the node's own move limits, so
+    that -1 <= q <= 1; without them in units of the shortest edge at the node, unbounded. Along a curve the
+    limit is a length of the curve.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class MeshMap:
     n : int
         Length of q.
     bound : (n,) array
-        ``-bound <= q <= bound``; 1, or infinity without a box.
+        ``-bound <= q <= bound``; 1, or infinity without move limits.
     curves : tuple of Curve
         Curve number k owns the functions 2 k (x) and 2 k + 1 (y) of ``positions.bends``.
     """
@@ -51,6 +51,11 @@ class MeshMap:
     n: int
     bound: Array
     curves: tuple[Curve, ...] = ()
+
+    @property
+    def parameters(self) -> Field:
+        """(1, n_p) parameters p(q) of loads, moduli and shapes: none yet."""
+        return constant_field(np.zeros((1, 0)))
 
     def q_of(self, nodes: Array) -> Array:
         """The unknowns q that give these positions (2, nodes), in the least-squares sense."""
@@ -68,20 +73,17 @@ class MeshMap:
 
     @staticmethod
     def of(problem: ContactProblem) -> MeshMap:
-        """Classify every node and number its moves.
+        """Classify every node and number its outer variables.
 
         Raises
         ------
         ValueError
             If a rule of the motion cannot be obeyed: a node is to slide where its piece is not
-            straight, or is tied to a node that is tied itself or cannot make its moves.
+            straight, or is tied to a node that is tied itself or cannot follow it.
         """
-        mesh = problem.mesh
-        n_nodes = mesh.p.shape[1]
+        mesh, unit = problem.mesh, _units(problem)
         mobility, tangent = _mobility(problem)
-        unit = _units(problem)
-        index = np.full((2, n_nodes), CONSTANT)
-        scale = np.ones((2, n_nodes))
+        index, scale = np.full(mesh.p.shape, CONSTANT), np.ones(mesh.p.shape)
         count = np.where(mobility == Mobility.FREE, 2, np.where(mobility == Mobility.SLIDING, 1, 0))
         first = np.concatenate([[0], np.cumsum(count)])
         free, sliding = mobility == Mobility.FREE, mobility == Mobility.SLIDING
@@ -92,7 +94,7 @@ class MeshMap:
         step = reach * tangent[:, sliding]
         index[:, sliding] = np.where(step != 0, first[:-1][sliding], CONSTANT)
         scale[:, sliding] = np.where(step != 0, step, 1.0)
-        offset, which = np.array(mesh.p, dtype=float), np.full((2, n_nodes), STRAIGHT)
+        offset, which = np.array(mesh.p, dtype=float), np.full(mesh.p.shape, STRAIGHT)
         curves = tuple(problem.motion.curves.values())
         along = np.where(sliding, on_curve(problem), -1)
         for number, curve in enumerate(curves):
@@ -114,8 +116,7 @@ def _along(problem: ContactProblem, slides: NDArray, index: NDArray, scale: Arra
     curves = problem.motion.curves
     if not curves:
         return None
-    shape = (len(curves), index.shape[1])
-    found = Field(np.full(shape, CONSTANT), np.ones(shape), np.zeros(shape))
+    found = constant_field(np.zeros((len(curves), index.shape[1])))
     for number, (name, curve) in enumerate(curves.items()):
         nodes = problem.boundary_nodes((name,))
         found.offset[number, nodes] = curve.nearest(problem.mesh.p[:, nodes])
@@ -151,15 +152,17 @@ def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
         (motion.pinned, Mobility.PINNED),
     )
     for kind in (str, int):
-        for places, move in rules:
+        for places, mobile in rules:
             for place in places:
                 if isinstance(place, kind):
-                    mobility[_nodes_at(problem, place)] = move
+                    at = problem.boundary_nodes((place,)) if isinstance(place, str) else np.array([place])
+                    mobility[at] = mobile
     _check_still(problem, mobility, problem.boundary_nodes(tuple(varying)), "held at a function of position")
     _check_still(problem, mobility, np.array(loaded, dtype=np.int64), "under a point load")
     forced = (mobility == Mobility.SLIDING) & ~np.any(tangent != 0, axis=0)
-    if np.any(forced & ~np.any(any_tangent != 0, axis=0)):
-        node = int(np.flatnonzero(forced & ~np.any(any_tangent != 0, axis=0))[0])
+    lost = np.flatnonzero(forced & ~np.any(any_tangent != 0, axis=0))
+    if lost.size:
+        node = int(lost[0])
         x, y = mesh.p[:, node]
         raise ValueError(
             f"node {node} at ({x:.6g}, {y:.6g}) is to slide, but it is on no straight piece of boundary "
@@ -181,16 +184,10 @@ def _check_still(problem: ContactProblem, mobility: NDArray, nodes: NDArray, wha
         raise ValueError(f"node {moved[0]} is {what} and cannot move")
 
 
-def _nodes_at(problem: ContactProblem, place: Where) -> NDArray[np.int64]:
-    if isinstance(place, str):
-        return problem.boundary_nodes((place,))
-    return np.array([place])
-
-
 def _check_tie(
     problem: ContactProblem, mobility: NDArray, tangent: Array, along: NDArray, node: int, leader: int
 ) -> None:
-    """A tied node must be able to make the moves of its leader, which are straight."""
+    """A tied node must be able to follow its leader, whose way is straight."""
     if node == leader or leader in {n for n, _ in problem.motion.tied}:
         raise ValueError(f"node {node} cannot be tied to node {leader}, which is tied itself")
     if mobility[leader] == Mobility.PINNED or mobility[node] == Mobility.FREE:
@@ -204,7 +201,7 @@ def _check_tie(
 
 
 def _units(problem: ContactProblem) -> Array:
-    """Half-widths (2, nodes) of the boxes, or the shortest edge at each node where there is none."""
+    """Move limits (2, nodes) in x and y, or the shortest edge at each node where there are none."""
     delta, mesh = problem.motion.delta, problem.mesh
     if delta is not None and not isinstance(delta, Relative):
         return np.broadcast_to(np.asarray(delta, dtype=float)[:, None], mesh.p.shape)

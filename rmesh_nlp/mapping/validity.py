@@ -1,9 +1,9 @@
 """When an element is valid: the one place for its least area and its least angle.
 
 An element is valid if its signed area is at least a fraction of the initial one and, where the motion asks
-for it, each of its angles is at least ``min_angle``. As constraints on the moves (:func:`validity`) both are
-rows of order one; the measures of a given mesh (:func:`least_area_ratio`, :func:`least_angles`) decide what
-is accepted as a start and as a solution.
+for it, each of its angles is at least ``min_angle``. As constraints on the outer variables
+(:func:`validity`) both are rows of order one; the measures of a given mesh (:func:`least_area_ratio`,
+:func:`least_angles`) decide what is accepted as a start and as a solution.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ ROUNDING = 1e-9
 row falls short by less is still valid; a descent keeps its active rows above their bound by so much."""
 
 BLOCK = 1024
-"""Elements whose 64 corners of the boxes are looked at together."""
+"""Elements whose 64 corners of the move limits are looked at together."""
 
 
 @dataclass(frozen=True)
 class Validity:
-    """Constraints on the elements that the boxes alone do not keep valid, as functions of the moves.
+    """Constraints on the elements that the move limits alone do not keep valid, as functions of q.
 
     ``signed area >= bound`` for each, and with a least angle theta also, at each vertex,
     ``cross(a, b) cos(theta) - dot(a, b) sin(theta) >= 0`` for its edges a and b, which is
@@ -49,7 +49,7 @@ class Validity:
     bound : (rows,) array
         Lower bounds of the rows.
     n_q : int
-        Number of moves.
+        Number of outer variables.
     assembly : AssemblySettings
     """
 
@@ -71,7 +71,7 @@ class Validity:
 
     @cached_property
     def q(self) -> ca.MX:
-        """The symbol of the moves in ``assembled``."""
+        """The symbol of the outer variables in ``assembled``."""
         return ca.MX.sym("q", self.n_q)
 
     @cached_property
@@ -103,7 +103,7 @@ def validity(problem: ContactProblem, free: MeshMap, assembly: AssemblySettings 
     """The validity rows of a problem.
 
     The signed area is affine in each coordinate by itself, so its least value over the
-    boxes is at one of their corners; elements that cannot fail there need no constraint.
+    move limits is at one of their corners; elements that cannot fail there need no constraint.
 
     Raises
     ------
@@ -119,8 +119,12 @@ def validity(problem: ContactProblem, free: MeshMap, assembly: AssemblySettings 
     arguments = (free.positions.at(triangles[:, at_risk]), constant_field(initial[at_risk]))
     bound = np.zeros((at_risk.size, per_element))
     bound[:, 0] = motion.min_area_fraction
-    if motion.min_angle > 0:
-        _check_initial_angles(problem)
+    angle = least_angles(problem.mesh.p, triangles) if motion.min_angle > 0 else np.full(1, np.inf)
+    if np.min(angle) < motion.min_angle - np.rad2deg(ROUNDING):
+        raise ValueError(
+            f"min_angle is {motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
+            f"initial mesh has an angle of {np.min(angle):.4g}"
+        )
     return Validity(at_risk, ElementGroup(function, arguments, rows), bound.ravel(), free.n, assembly)
 
 
@@ -154,14 +158,11 @@ def is_valid(problem: ContactProblem, nodes: Array, *, by_barrier: bool = False)
     motion = problem.motion
     if not is_upright(problem, nodes):
         return False
-    least = least_area_ratio(problem, nodes)
-    if by_barrier and motion.min_angle == 0:
+    if motion.min_angle == 0 and by_barrier:
         return True
-    if not least >= motion.min_area_fraction - ROUNDING:
+    if not least_area_ratio(problem, nodes) >= motion.min_area_fraction - ROUNDING:
         return False
-    if motion.min_angle == 0:
-        return True
-    angle = least_angles(nodes, problem.triangles)
+    angle = least_angles(nodes, problem.triangles) if motion.min_angle > 0 else np.inf
     return bool(np.min(angle) >= motion.min_angle - np.rad2deg(ROUNDING))
 
 
@@ -176,7 +177,7 @@ def least_angles(nodes: Array, triangles: NDArray) -> Array:
 
 
 def _elements_at_risk(problem: ContactProblem, free: MeshMap) -> NDArray[np.int64]:
-    """Elements that the boxes do not keep valid; all that move if a least angle is asked for."""
+    """Elements that the move limits do not keep valid; all that move if a least angle is asked for."""
     triangles = problem.triangles
     if problem.motion.min_angle > 0:
         return np.flatnonzero(np.any(free.positions.index[:, triangles] != CONSTANT, axis=(0, 1)))
@@ -199,17 +200,8 @@ def _rows(angle: float) -> ca.Function:
     return ca.Function("validity", [ca.vec(X), area0], [0, ca.vertcat(*rows)])
 
 
-def _check_initial_angles(problem: ContactProblem) -> None:
-    angle = least_angles(problem.mesh.p, problem.triangles)
-    if np.min(angle) < problem.motion.min_angle - np.rad2deg(ROUNDING):
-        raise ValueError(
-            f"min_angle is {problem.motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
-            f"initial mesh has an angle of {np.min(angle):.4g}"
-        )
-
-
 def _least_areas(free: MeshMap, triangles: NDArray) -> Array:
-    """Least signed area of each element over the boxes; -infinity where a vertex has no box."""
+    """Least signed area of each element over the move limits; -infinity where a vertex has none."""
     index = free.positions.index
     bound = np.append(free.bound, 0.0)[index]  # CONSTANT is -1, the appended zero
     boundless = np.any(np.isinf(bound[:, triangles]), axis=(0, 1))

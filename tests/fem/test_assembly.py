@@ -1,13 +1,18 @@
+from collections.abc import Callable
 from dataclasses import replace
+from math import factorial
 
 import casadi as ca
 import numpy as np
+import pytest
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.energy import triangle_rule
+from rmesh_nlp.fem.element import differentiated
+from rmesh_nlp.fem.energy import strain_energy, triangle_rule
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.optimize.nlp import NLP
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, PlaneStrain
+from support.contact_geometry import block_along_a_circle
 from support.problems import sloped_block
 
 
@@ -38,16 +43,17 @@ def check(problem: ContactProblem, seed: int) -> None:
         np.testing.assert_allclose(found.full(), expected, atol=1e-12 * max(1, np.abs(expected).max()))
 
 
-def test_scalar_derivatives_are_those_of_automatic_differentiation() -> None:
-    check(replace(EXAMPLES["6.1"](4, 0.1), quadrature=4), seed=1)
-
-
-def test_elastic_derivatives_are_those_of_automatic_differentiation() -> None:
-    check(EXAMPLES["6.3"]((4, 2)), seed=2)
-
-
-def test_derivatives_with_sloped_contact_and_varying_loads() -> None:
-    check(sloped_block(), seed=3)
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: replace(EXAMPLES["6.1"](4, 0.1), quadrature=4),
+        lambda: EXAMPLES["6.3"]((4, 2)),
+        sloped_block,
+        lambda: block_along_a_circle(2),
+    ],
+)
+def test_derivatives_are_those_of_automatic_differentiation(make: Callable[[], ContactProblem]) -> None:
+    check(make(), seed=1)
 
 
 def test_an_extended_program_keeps_the_assembled_derivatives() -> None:
@@ -76,8 +82,6 @@ def test_nothing_is_unrolled_over_the_mesh() -> None:
 
 
 def test_quadrature_rules_integrate_their_degree_exactly() -> None:
-    from math import factorial
-
     for quadrature, degree in [("midpoint", 2), (3, 3), (10, 10), (19, 19), (20, 20), (25, 25)]:
         points, weights = triangle_rule(quadrature)
         for a in range(degree + 1):
@@ -86,3 +90,19 @@ def test_quadrature_rules_integrate_their_degree_exactly() -> None:
                 exact = 2 * factorial(a) * factorial(b) * factorial(c) / factorial(degree + 2)
                 value = weights @ (points[0] ** a * points[1] ** b * points[2] ** c)
                 assert abs(value - exact) < 1e-12 * max(exact, 1e-3), (quadrature, a, b, c)
+
+
+def test_equal_functions_share_their_derivatives_and_others_do_not() -> None:
+    laws = PlaneStrain(1.0, 2.0), PlaneStrain(1.0, 2.0), PlaneStrain(1.0, 3.0)
+    one, same, other = (differentiated(strain_energy(law), None, [0, 1]) for law in laws)
+    assert one is same
+    assert one is not other
+    assert differentiated(strain_energy(laws[0]), None, [1]) is not one
+    x = np.random.default_rng(0).uniform(0, 1, 12)
+    values = [np.ravel(d.gradient(x[:6], x[6:])[1]) for d in (one, other)]
+    assert np.max(np.abs(values[0] - values[1])) > 1e-3
+    problem, gradients = EXAMPLES["6.1"](n=3), []
+    for load in (lambda x, y: x, lambda x, y: x + y):  # problems that differ in their load alone
+        program = relocation(replace(problem, law=replace(problem.law, source=load)))
+        gradients.append(np.ravel(program.assembled.grad_f(np.linspace(0, 1, program.nlp.n_x), [])[1]))
+    assert np.max(np.abs(gradients[0] - gradients[1])) > 1e-3

@@ -214,9 +214,9 @@ def half_ring() -> dict:
                 "dirichlet": (Dirichlet("left", (0.0, None)),),
                 "obstacle": (Obstacle("bottom", offset=1.0), Obstacle("top", (0.0, -1.0), offset=1.0)),
             },
-            "not in one place",
+            "rigid-body mode",
         ),
-        (half_ring(), "not in one place"),
+        (half_ring(), "rigid-body mode"),
         (
             {
                 "mesh": rectangle(3, 3),

@@ -1,0 +1,147 @@
+"""The active set solves the quadratic program: Ipopt agrees, from any start, in any coordinates."""
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from rmesh_nlp.contact.active_set import DualEnergy, predicted_set, solve
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
+from support.contact_geometry import block_between_two_foundations, block_sliding_on_a_circle
+from support.problems import sloped_block
+
+
+def by_ipopt(system: ContactSystem) -> tuple[np.ndarray, float]:
+    """The same quadratic program by Ipopt, friction by slip magnitudes."""
+    m, n_t = system.load.size, system.slip_bound.size
+    x = ca.MX.sym("x", m + n_t)
+    u, s = x[:m], x[m:]
+    K, N = (ca.sparsify(ca.DM(m.toarray())) for m in (system.stiffness, system.normals))
+    f = ca.dot(u, K @ u) / 2 - ca.dot(system.load, u) + system.constant
+    g = [N @ u + system.offset]
+    if n_t:
+        T = ca.sparsify(ca.DM(system.tangents.toarray()))
+        f += ca.dot(system.slip_bound, s)
+        g += [s - T @ u, s + T @ u]
+    g = ca.vertcat(*g)
+    free, rows = np.full(m + n_t, np.inf), int(g.shape[0])
+    nlp = NLP(x, ca.MX(0, 1), f, g, -free, free, np.zeros(rows), np.full(rows, np.inf))
+    result = Solver(nlp, options={"tol": 1e-11})(np.zeros(m + n_t))
+    assert result.converged
+    return result.x[:m], result.f
+
+
+def random_system(seed: int) -> ContactSystem:
+    """A stiffness that is far from an M-matrix, where block changes alone may cycle."""
+    rng, m, n = np.random.default_rng(seed), 24, 10
+    A = rng.standard_normal((m, m))
+    rows = sp.csr_array((np.ones(2 * n), (np.arange(2 * n), rng.permutation(m)[: 2 * n])), shape=(2 * n, m))
+    return ContactSystem(
+        stiffness=sp.csc_array(A @ A.T + 1e-2 * np.eye(m)),
+        load=rng.standard_normal(m),
+        constant=0.3,
+        normals=rows[:n],
+        tangents=rows[n:],
+        offset=rng.standard_normal(n),
+        slip_bound=rng.random(n),
+    )
+
+
+def of(make: Callable[..., ContactProblem], *size: object) -> Callable[[], ContactSystem]:
+    def system() -> ContactSystem:
+        problem = make(*size)
+        return ContactSolver(problem).system(problem.mesh.p)
+
+    return system
+
+
+SYSTEMS = {
+    "6.1": of(EXAMPLES["6.1"]),
+    "6.2": of(EXAMPLES["6.2"]),
+    "6.3": of(EXAMPLES["6.3"]),
+    "slope, stick and slip": of(sloped_block),
+    "circle, stick and slip": of(block_sliding_on_a_circle),
+    "corner of two foundations": of(block_between_two_foundations),
+    **{f"random {seed}": (lambda seed=seed: random_system(seed)) for seed in range(8)},
+}
+
+
+@pytest.fixture(params=SYSTEMS)
+def system(request: pytest.FixtureRequest) -> ContactSystem:
+    return SYSTEMS[request.param]()
+
+
+def test_ipopt_finds_the_same_minimum(system: ContactSystem) -> None:
+    ours, (u, energy) = solve(system), by_ipopt(system)
+    assert ours.status is Status.CONVERGED
+    # an interior point stays a distance of about tol / force off each touching bound
+    assert ours.energy == pytest.approx(energy, rel=1e-7)
+    assert np.max(np.abs(ours.u - u)) <= 1e-4 * np.max(np.abs(u))
+    assert ours.energy == pytest.approx(system.energy(ours.u), rel=1e-14)
+
+
+def test_the_laws_of_contact_and_friction_hold_at_every_node(system: ContactSystem) -> None:
+    state = solve(system)
+    gap, slip = system.normals @ state.u + system.offset, system.tangents @ state.u
+    unit, length = system.force_scale, np.max(np.abs(state.u))
+    out_of_balance = system.stiffness @ state.u - system.load - system.normals.T @ state.normal_force
+    touching = state.active.touching
+    assert np.any(touching)
+    np.testing.assert_allclose(gap[touching], 0, atol=1e-13 * length)
+    assert np.all(gap >= -1e-13 * length)
+    assert np.all(state.normal_force >= -1e-12 * unit)
+    assert np.all(state.normal_force[~touching] == 0)
+    if system.slip_bound.size:
+        force, bound, acts = state.tangential_force, system.slip_bound, system.slip_bound > 0
+        out_of_balance -= system.tangents.T @ force
+        sticks = state.active.sliding == 0
+        assert np.all(np.abs(force) <= bound * (1 + 1e-9) + 1e-12 * unit)
+        if system.rotated.slips.all():
+            np.testing.assert_allclose(slip[sticks], 0, atol=1e-13 * length)
+        np.testing.assert_allclose((force * slip)[~sticks & acts], -(bound * np.abs(slip))[~sticks & acts])
+    np.testing.assert_allclose(out_of_balance, 0, atol=1e-9 * unit)
+
+
+def test_any_start_ends_at_the_same_solution(system: ContactSystem) -> None:
+    cold, n, rng = solve(system), system.offset.size, np.random.default_rng(1)
+    assert solve(system, cold.active).iterations == 1
+    for _ in range(5):
+        sliding = rng.integers(-1, 2, system.slip_bound.size).astype(np.int8)
+        warm = solve(system, ActiveSet(rng.random(n) < 0.5, sliding))
+        assert warm.status is Status.CONVERGED
+        assert warm.energy == pytest.approx(cold.energy, rel=1e-10)
+
+
+def test_the_dual_problem_predicts_most_of_the_active_set(system: ContactSystem) -> None:
+    if system.rigid is None:
+        guess, found = predicted_set(system), solve(system).active
+        assert np.mean(guess.touching != found.touching) <= 0.2
+        assert np.mean(guess.sliding != found.sliding) <= 0.2 if found.sliding.size else True
+
+
+def test_the_dual_energy_has_gaps_and_slips_as_its_gradient() -> None:
+    system = random_system(3)
+    dual, rng = DualEnergy(system), np.random.default_rng(0)
+    y, d = rng.standard_normal((2, 20))
+    here = dual.evaluate(y)
+    u = dual.refined(y)
+    gap_and_slip = np.concatenate([system.normals @ u + system.offset, system.tangents @ u])
+    np.testing.assert_allclose(here.gradient, gap_and_slip, rtol=1e-8)
+    # quadratic: one expansion is exact
+    expected = here.value + here.gradient @ d + dual(d) @ d / 2
+    assert dual.evaluate(y + d).value == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_iteration_limit_is_reported() -> None:
+    system = SYSTEMS["6.2"]()
+    far_off = ActiveSet(np.ones(system.offset.size, dtype=bool), np.zeros(0, dtype=np.int8))
+    state = solve(system, far_off, max_iterations=2)
+    assert (state.status, state.iterations) == (Status.ITERATION_LIMIT, 2)

@@ -1,0 +1,141 @@
+"""Contact systems of problems: against scikit-fem, turned, and with unknowns in another order."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from skfem import Basis, BilinearForm, ElementTriP1, ElementVector, FacetBasis, LinearForm, asm
+from skfem.helpers import dot, grad
+from skfem.models.elasticity import linear_elasticity
+
+from rmesh_nlp.contact import solver as of_solver
+from rmesh_nlp.contact.sensitivity import adjoint
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.system import LEAF, dissected, elimination_order
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.fields import CONSTANT
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, PlaneStrain
+from support.contact_geometry import block_on_a_circle, block_sliding_on_a_circle
+from support.problems import sloped_block
+
+
+def test_scalar_system_is_that_of_scikit_fem() -> None:
+    problem = replace(EXAMPLES["6.1"](), quadrature=8)
+    solver = ContactSolver(problem)
+    system = solver.system(problem.mesh.p)
+    basis = Basis(problem.mesh, ElementTriP1(), intorder=8)
+    source = ca.Function("f", [x := ca.SX.sym("x"), y := ca.SX.sym("y")], [problem.law.source(x, y)])
+
+    def f(x: np.ndarray) -> np.ndarray:
+        return source(x[0].ravel(), x[1].ravel()).full().reshape(x[0].shape)
+
+    K = asm(BilinearForm(lambda u, v, w: dot(grad(u), grad(v))), basis)
+    F = asm(LinearForm(lambda v, w: f(w.x) * v), basis)
+    index = solver.displacement.index[0]
+    nodes = np.flatnonzero(index >= 0)[np.argsort(index[index >= 0])]
+    np.testing.assert_allclose(system.stiffness.toarray(), K[nodes][:, nodes].toarray(), atol=1e-13)
+    np.testing.assert_allclose(system.load, F[nodes], atol=1e-13)
+
+
+def test_elastic_system_is_that_of_scikit_fem() -> None:
+    problem = replace(sloped_block(), quadrature=4)
+    solver = ContactSolver(problem)
+    system = solver.system(problem.mesh.p)
+    element = ElementVector(ElementTriP1())
+    basis = Basis(problem.mesh, element, intorder=4)
+    K = asm(linear_elasticity(problem.law.lame_lambda, problem.law.lame_mu), basis)
+    top = FacetBasis(problem.mesh, element, facets=problem.mesh.boundaries["top"], intorder=4)
+    F = asm(LinearForm(lambda v, w: -20 * w.x[0] * v[1]), basis)
+    F += asm(LinearForm(lambda v, w: -20 * v[0] - 30 * w.x[0] * v[1]), top)
+    index, dofs = solver.displacement.index, np.zeros(solver.n_u, dtype=int)
+    dofs[index[index >= 0]] = basis.nodal_dofs[index >= 0]
+    scale = np.abs(K).max()
+    np.testing.assert_allclose(system.stiffness.toarray(), K[dofs][:, dofs].toarray(), atol=1e-12 * scale)
+    np.testing.assert_allclose(system.load, F[dofs], atol=1e-11)
+
+
+def test_turned_problem_has_the_same_energy_and_forces() -> None:
+    # the contact normal is then parallel to no axis: gaps are no components of the displacement
+    straight, angle = sloped_block(), 0.4
+    Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    law = PlaneStrain(straight.law.lame_lambda, straight.law.lame_mu)
+    solutions = []
+    for turn in (np.eye(2), Q):
+        problem = replace(
+            straight,
+            law=law,
+            mesh=replace(straight.mesh, doflocs=turn @ straight.mesh.p),
+            obstacle=replace(straight.obstacle, offset=0.01, normal=tuple(turn @ [0.0, 1.0])),
+            tractions=(replace(straight.tractions[0], value=tuple(turn @ [-20.0, -30.0])),),
+        )
+        solutions.append(ContactSolver(problem).solve(problem.mesh.p))
+    one, two = solutions
+    assert two.energy == pytest.approx(one.energy, rel=1e-10)
+    np.testing.assert_allclose(two.normal_force, one.normal_force, atol=1e-9)
+    np.testing.assert_allclose(two.tangential_force, one.tangential_force, atol=1e-9)
+    assert np.any(one.active.touching)
+    assert np.any(one.tangential_force != 0)
+
+
+def test_gaps_and_slips_are_single_unknowns_of_the_rotated_system() -> None:
+    for make in (sloped_block, block_sliding_on_a_circle, block_on_a_circle):
+        problem = make()
+        system = ContactSolver(problem).system(problem.mesh.p)
+        rotated = system.rotated
+        w = np.random.default_rng(0).standard_normal(system.load.size)
+        u = rotated.back(w)
+        np.testing.assert_allclose(system.normals @ u, w[rotated.normal], atol=1e-13)
+        slips = rotated.slips
+        np.testing.assert_allclose((system.tangents @ u)[slips], w[rotated.tangent[slips]], atol=1e-13)
+        np.testing.assert_allclose(u @ (system.stiffness @ u), w @ (rotated.K @ w))
+        assert np.sum(slips) == np.sum(system.frictional)
+
+
+def test_another_quadrature_rule_changes_the_load_alone() -> None:
+    problem = EXAMPLES["6.1"](4)
+    coarse = ContactSolver(problem)
+    for rule in (8, 20):
+        ours = coarse.with_rule(rule).system(problem.mesh.p)
+        fresh = ContactSolver(replace(problem, quadrature=rule)).system(problem.mesh.p)
+        np.testing.assert_allclose(ours.load, fresh.load, rtol=1e-13)
+        np.testing.assert_array_equal(ours.stiffness.toarray(), fresh.stiffness.toarray())
+        assert np.max(np.abs(ours.load - coarse.system(problem.mesh.p).load)) > 1e-3
+
+
+def test_every_node_is_eliminated_once_and_a_separator_after_what_it_separates() -> None:
+    mesh = rectangle(24, 10, x=(0, 4))
+    order = dissected(mesh.p, mesh.facets)
+    assert np.array_equal(np.sort(order), np.arange(mesh.p.shape[1]))
+    # without the first separator, which is last, nothing connects the two halves
+    separator = np.isclose(mesh.p[0], 2.0)
+    assert np.argsort(order)[separator].min() == mesh.p.shape[1] - separator.sum()
+    n = 3 * LEAF  # points that no line separates
+    assert dissected(np.zeros((2, n)), np.array([[0], [1]])).size == n
+
+
+def test_given_and_tied_unknowns_are_left_out_of_the_order() -> None:
+    points = np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
+    index = np.array([[0, CONSTANT, 0], [1, 2, CONSTANT]])
+    order = elimination_order(points, np.array([[0, 1], [1, 2]]), index)
+    assert np.array_equal(np.sort(order), [0, 1, 2])
+
+
+@pytest.mark.parametrize("make", [sloped_block, block_sliding_on_a_circle, block_on_a_circle])
+def test_solutions_and_adjoints_do_not_depend_on_the_order(make, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem: ContactProblem = make()
+    results = []
+    for large in (5000, 10):
+        monkeypatch.setattr(of_solver, "LARGE", large)
+        solver = ContactSolver(problem)
+        system, state = solver.system(problem.mesh.p), solver.solve(problem.mesh.p)
+        assert (system.order is None) == (large == 5000)
+        results.append((state, adjoint(system, state.active, np.linspace(-1, 1, state.u.size))))
+    (one, back), (two, ordered_back) = results
+    assert one.active.key() == two.active.key()
+    assert np.any(one.active.touching)
+    np.testing.assert_allclose(two.u, one.u, atol=1e-9 * np.max(np.abs(one.u)))
+    np.testing.assert_allclose(two.normal_force, one.normal_force, atol=1e-8 * one.normal_force.max())
+    for a, b in zip(back, ordered_back, strict=True):
+        np.testing.assert_allclose(b, a, atol=1e-8 * max(np.max(np.abs(a)), 1e-300))
