@@ -231,15 +231,24 @@ def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, Index, I
         dofs = np.unique(N[list(pair)].indices)
         normal[list(pair)] = dofs
         add(np.linalg.inv(N[list(pair)][:, dofs].toarray())[..., None], dofs[:, None], dofs[:, None])
-    used = sp.csr_array(abs(N) + abs(T) if T.shape[0] else abs(N))
-    # one component of the displacement is given: the gap is an unknown
-    one = alone[np.diff(used.indptr)[alone] == 1]
-    normal[one] = used.indices[used.indptr[one]]
-    add(1 / _entries(N, one, normal[one])[None, None], normal[None, one], normal[None, one])
+    single = np.diff(N.indptr)[alone] == 1
+    # the gap is one component of the displacement, and the slip the other, unless that is given
+    one = alone[single]
+    normal[one] = N.indices[N.indptr[one]]
+    add(1 / N.data[N.indptr[one]][None, None], normal[None, one], normal[None, one])
+    slides = one[sticky[one]]
+    slides = slides[np.diff(T.indptr)[slides] == 1] if slides.size else slides
+    dof, size = (values[T.indptr[slides]] for values in (T.indices, T.data))
+    scale = np.zeros(n)
+    scale[normal[one]] = N.data[N.indptr[one]]
+    fits = (scale[dof] == 0) | ((scale[dof] == size) & (dof != normal[slides]))
+    tangent[slides] = np.where(fits, dof, -1)
+    fresh = scale[dof] == 0  # else it is the gap of another foundation at the node
+    add(1 / size[fresh][None, None], dof[None, fresh], dof[None, fresh])
     # gap and slip are unknowns, the gap in place of the component nearest to the normal
-    both = alone[np.diff(used.indptr)[alone] == 2]
-    dofs = used.indices[used.indptr[both] + np.array([[0], [1]])]
-    n0, n1 = _entries(N, both, dofs)
+    both = alone[~single]
+    dofs = N.indices[N.indptr[both] + np.array([[0], [1]])]
+    n0, n1 = N.data[N.indptr[both] + np.array([[0], [1]])]
     t0, t1 = _entries(T, both, dofs)
     columns = np.where(np.abs(n0) >= np.abs(n1), dofs, dofs[::-1])
     normal[both], tangent[both] = columns
