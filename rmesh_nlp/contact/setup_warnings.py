@@ -19,7 +19,7 @@ from rmesh_nlp.fem.edge_gaps import holds_along_edges
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import ContactSet
-from rmesh_nlp.problem.laws import Laplace, PlaneStrain
+from rmesh_nlp.problem.laws import PlaneStrain
 from rmesh_nlp.problem.units import after
 
 PENETRATION = 0.05
@@ -83,13 +83,11 @@ def setup_warnings(
     system = model.system(problem.mesh.p)
     state = state or model.solve(problem.mesh.p)
     u = model.displacement.values(state.u)
-    found = [*_materials(problem), *_loads(problem, system, accurate), *_sizes(problem, u)]
-    found += _point_loads(problem)
-    found += _round(problem)
+    found = [*_problem(problem), *_loads(problem, system, accurate), *_sizes(problem, u)]
     for part in problem.contact_sets:
         found += _contact(problem, part, system, state, u)
-    found += penetration_warnings(problem, problem.mesh.p, u)
-    return tuple(found)
+    warnings = tuple(SetupWarning(kind, message) for kind, message in found)
+    return (*warnings, *penetration_warnings(problem, problem.mesh.p, u))
 
 
 def penetration_warnings(problem: ContactProblem, nodes: Array, displacement: Array) -> list[SetupWarning]:
@@ -99,81 +97,74 @@ def penetration_warnings(problem: ContactProblem, nodes: Array, displacement: Ar
         if problem.components == 1 or part.obstacle.boundary is Place.INTERIOR:
             continue  # a displacement of its own unit: there is no edge to compare with
         depth, length = penetrations(Body(problem, nodes), part.obstacle, displacement)
-        ratio = depth / length
-        if ratio.size and np.max(ratio) > PENETRATION:
-            found.append(
-                SetupWarning(
-                    "penetration",
-                    f"between its nodes {_name(part)} passes into the foundation by {np.max(ratio):.0%} "
-                    f"of an edge (more than {PENETRATION:.0%}): refine it where the foundation is curved",
-                )
+        ratio = float(np.max(depth / length, initial=0.0))
+        if ratio > PENETRATION:
+            message = (
+                f"between its nodes {_name(part)} passes into the foundation by {ratio:.0%} "
+                f"of an edge (more than {PENETRATION:.0%}): refine it where the foundation is curved"
             )
+            found.append(SetupWarning("penetration", message))
     return found
+
+
+Found = Iterator[tuple[str, str]]
+"""Kinds and messages."""
 
 
 def _contact(
     problem: ContactProblem, part: ContactSet, system: ContactSystem, state: Equilibrium, u: Array
-) -> Iterator[SetupWarning]:
+) -> Found:
     offset, touching = system.offset[part.rows], state.active.touching[part.rows]
     if holds_along_edges(problem, part.obstacle):  # nodes keep off the foundation, which is no overlap
         offset = part.obstacle.distances(problem.mesh.p[:, part.nodes])
-    unit, extent = after(problem.units.length), _extent(problem)
-    scale = extent if problem.components == 2 else max(float(np.max(np.abs(u))), 1e-300)
+    name, n, unit = _name(part), touching.size, after(problem.units.length)
+    scale = _extent(problem) if problem.components == 2 else max(float(np.max(np.abs(u))), 1e-300)
     inside = offset < -1e-9 * scale
     if np.any(inside):
-        yield SetupWarning(
-            "overlap",
-            f"before any load the foundation overlaps the body by up to {-np.min(offset):.3g}{unit} at "
-            f"{inside.sum()} of {inside.size} nodes of {_name(part)}: the load has to push it back; is the "
-            "foundation where it should be?",
-        )
+        text = f"before any load the foundation overlaps the body by up to {-np.min(offset):.3g}{unit} at "
+        text += f"{inside.sum()} of {n} nodes of {name}: the load has to push it back; is the "
+        yield "overlap", text + "foundation where it should be?"
     if not np.any(touching):
         yield _open(problem, part, system, state)
-    elif np.all(touching) and touching.size >= FEW:
-        yield SetupWarning(
-            "all-touching",
-            f"all {touching.size} nodes of {_name(part)} touch the foundation: the edge of the contact is "
-            "not on it; a given displacement may be what is meant, or a longer contact boundary",
-        )
+    elif np.all(touching) and n >= FEW:
+        text = f"all {n} nodes of {name} touch the foundation: the edge of the contact is not on it; a given "
+        yield "all-touching", text + "displacement may be what is meant, or a longer contact boundary"
     elif touching.sum() < FEW and problem.components == 2:
-        yield SetupWarning(
-            "unresolved",
-            f"only {touching.sum()} of {touching.size} nodes of {_name(part)} touch the foundation: the mesh "
-            "is too coarse there for pressures",
-        )
+        text = f"only {touching.sum()} of {n} nodes of {name} touch the foundation: the mesh is too coarse "
+        yield "unresolved", text + "there for pressures"
 
 
 def _open(
     problem: ContactProblem, part: ContactSet, system: ContactSystem, state: Equilibrium
-) -> SetupWarning:
+) -> tuple[str, str]:
     """Contact that never closes, and the likeliest reason."""
-    offset = system.offset[part.rows]
-    change = (system.normals @ state.u)[part.rows]
+    offset, change = system.offset[part.rows], (system.normals @ state.u)[part.rows]
     least, unit = float(np.min(offset + change)), after(problem.units.length)
     text = f"contact on {_name(part)} never closes: under the load its gap is {least:.3g}{unit} or more"
-    nearest = float(np.min(offset))
-    moved = float(np.max(np.abs(change), initial=0.0))
+    nearest, moved = float(np.min(offset)), float(np.max(np.abs(change), initial=0.0))
     if problem.components == 2 and nearest > _extent(problem):
-        return SetupWarning("open", f"{text}; the foundation is farther off than the body is long")
+        return "open", f"{text}; the foundation is farther off than the body is long"
     if moved > 0 and np.min(change) >= -1e-3 * moved:
-        return SetupWarning("away", f"{text}; the load moves it away from the foundation: is its sign right?")
+        return "away", f"{text}; the load moves it away from the foundation: is its sign right?"
     if moved < FAR * nearest:
-        moves = f"it moves by {moved:.2g} where the gap is {nearest:.2g}"
-        return SetupWarning("open", f"{text}; {moves}: check units")
-    return SetupWarning("open", text)
+        return "open", f"{text}; it moves by {moved:.2g} where the gap is {nearest:.2g}: check units"
+    return "open", text
 
 
-def _point_loads(problem: ContactProblem) -> Iterator[SetupWarning]:
+def _problem(problem: ContactProblem) -> Found:
+    """What needs no solution: materials that lock, point loads, round boundaries without a curve."""
+    for law in problem.laws:
+        if not isinstance(law, PlaneStrain):
+            continue
+        poisson = law.lame_lambda / (2 * (law.lame_lambda + law.lame_mu))
+        if poisson > LOCKING:
+            text = (
+                f"Poisson's ratio is {poisson:.4g} in plane strain: linear triangles lock above {LOCKING}, "
+            )
+            yield "locking", text + "and displacements come out too small"
     if problem.point_loads:
-        yield SetupWarning(
-            "point-load",
-            "a point load has no finite energy in the plane: its energy falls without end as the mesh is "
-            "refined, so compare energies on this mesh only",
-        )
-
-
-def _round(problem: ContactProblem) -> Iterator[SetupWarning]:
-    """Contact boundaries that bend at every node, where nodes cannot slide without a curve."""
+        text = "a point load has no finite energy in the plane: its energy falls without end as the mesh is "
+        yield "point-load", text + "refined, so compare energies on this mesh only"
     for part in problem.contact_sets:
         name = part.obstacle.boundary
         if isinstance(name, Place) or name in problem.motion.curves or name in problem.motion.pinned:
@@ -181,11 +172,9 @@ def _round(problem: ContactProblem) -> Iterator[SetupWarning]:
         turns = _turns(problem, name)
         round_ones = np.count_nonzero((turns > STRAIGHT) & (turns < BEND))
         if round_ones >= FEW and 2 * round_ones > turns.size:
-            yield SetupWarning(
-                "round",
-                f"{name!r} bends at {round_ones} of its {turns.size} inner nodes, which are fixed: say which "
-                f"curve it is on, as in [curves] {name} = 'circle' or 'spline', and they slide along it",
-            )
+            text = f"{name!r} bends at {round_ones} of its {turns.size} inner nodes, which are fixed: say "
+            text += f"which curve it is on, as in [curves] {name} = 'circle' or 'spline', and they slide "
+            yield "round", text + "along it"
 
 
 def _turns(problem: ContactProblem, name: str) -> Array:
@@ -200,47 +189,32 @@ def _turns(problem: ContactProblem, name: str) -> Array:
     return np.array(turns)
 
 
-def _sizes(problem: ContactProblem, u: Array) -> Iterator[SetupWarning]:
+def _sizes(problem: ContactProblem, u: Array) -> Found:
     if problem.components == 1:
         return
     largest, extent = float(np.max(np.abs(u))), _extent(problem)
     unit = after(problem.units.length)
     said = f"the largest displacement is {largest:.2g}{unit} and the body {extent:.2g}{unit} long"
     if largest > extent:
-        yield SetupWarning("large", f"{said}: check units (modulus, loads, lengths)")
+        yield "large", f"{said}: check units (modulus, loads, lengths)"
     elif largest > LARGE * extent:
-        yield SetupWarning("large", f"{said}: small strains and gaps at the undeformed place do not hold")
+        yield "large", f"{said}: small strains and gaps at the undeformed place do not hold"
     elif 0 < largest < TINY * extent:
-        yield SetupWarning("tiny", f"{said}: check units (modulus, loads, lengths)")
+        yield "tiny", f"{said}: check units (modulus, loads, lengths)"
 
 
-def _materials(problem: ContactProblem) -> Iterator[SetupWarning]:
-    for law in problem.laws:
-        if isinstance(law, Laplace) or not isinstance(law, PlaneStrain):
-            continue
-        poisson = law.lame_lambda / (2 * (law.lame_lambda + law.lame_mu))
-        if poisson > LOCKING:
-            yield SetupWarning(
-                "locking",
-                f"Poisson's ratio is {poisson:.4g} in plane strain: linear triangles lock above {LOCKING}, "
-                "and displacements come out too small",
-            )
-
-
-def _loads(problem: ContactProblem, system: ContactSystem, accurate: Array | None) -> Iterator[SetupWarning]:
+def _loads(problem: ContactProblem, system: ContactSystem, accurate: Array | None) -> Found:
+    varying = any(callable(c) for law in problem.laws for c in law.load)
     given = bool(problem.tractions) or any(callable(c) or c != 0 for law in problem.laws for c in law.load)
     held, value = problem.held()
     if given and not np.any(value[held]) and not np.any(system.load):
-        yield SetupWarning("load", "the loads vanish on this mesh: do they use the same lengths as the mesh?")
-        return
-    if accurate is not None and any(callable(c) for law in problem.laws for c in law.load):
+        yield "load", "the loads vanish on this mesh: do they use the same lengths as the mesh?"
+    elif accurate is not None and varying:
         wrong = float(np.sum(np.abs(system.load - accurate)) / max(np.sum(np.abs(accurate)), 1e-300))
         if wrong > LOAD_ERROR:
-            yield SetupWarning(
-                "load",
-                f"the nodal loads are wrong by {wrong:.0%}: the load varies on a scale that the mesh with "
-                f"the rule {problem.quadrature!r} does not see; refine, or raise quadrature",
-            )
+            text = f"the nodal loads are wrong by {wrong:.0%}: the load varies on a scale that the mesh with "
+            text += f"the rule {problem.quadrature!r} does not see; refine, or raise quadrature"
+            yield "load", text
 
 
 def _extent(problem: ContactProblem) -> float:

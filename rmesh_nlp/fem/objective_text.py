@@ -17,6 +17,7 @@ derivatives (``u_x``, ``u_y``, or ``ux_x``, ``ux_y``, ``uy_x``, ``uy_y``) in the
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -94,10 +95,6 @@ def _boundary(text: str, arguments: list[str], *, mean: bool = False) -> Objecti
     return boundary_integral(name, density, name=text, mean=mean)
 
 
-def _mean(text: str, arguments: list[str]) -> Objective:
-    return _boundary(text, arguments, mean=True)
-
-
 def _node(text: str, arguments: list[str]) -> Objective:
     x, y, expression = _take(text, arguments, "node(X, Y, EXPR)")
     _check(text, expression, *DISPLACEMENTS.values())
@@ -121,7 +118,7 @@ def _peak_pressure(text: str, arguments: list[str]) -> Objective:
 QUANTITIES: dict[str, Callable[[str, list[str]], Objective]] = {
     "body": _body,
     "boundary": _boundary,
-    "mean": _mean,
+    "mean": partial(_boundary, mean=True),
     "node": _node,
     "peak-pressure": _peak_pressure,
 }
@@ -129,23 +126,19 @@ QUANTITIES: dict[str, Callable[[str, list[str]], Objective]] = {
 
 
 def _value(text: str, expression: str, x: Any, y: Any, u: Any, more: dict[str, Any]) -> Any:
-    names = {
-        "x": x,
-        "y": y,
-        **dict(zip(DISPLACEMENTS[int(u.shape[0])], ca.vertsplit(u), strict=True)),
-        **more,
-    }
-    try:
-        return value_of(expression, names)
-    except ValueError as error:
-        raise ValueError(f"{text}: {error}") from error
+    components = dict(zip(DISPLACEMENTS[int(u.shape[0])], ca.vertsplit(u), strict=True))
+    return _read(text, expression, {"x": x, "y": y, **components, **more})
 
 
 def _check(text: str, expression: str, *names: tuple[str, ...]) -> None:
     """Read the expression once with every name that it may have, whatever the problem."""
     every = ("x", "y", *(name for group in names for name in group))
+    _read(text, expression, {name: ca.SX.sym(name) for name in every})
+
+
+def _read(text: str, expression: str, names: dict[str, Any]) -> Any:
     try:
-        value_of(expression, {name: ca.SX.sym(name) for name in every})
+        return value_of(expression, names)
     except ValueError as error:
         raise ValueError(f"{text}: {error}") from error
 

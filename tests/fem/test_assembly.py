@@ -43,6 +43,14 @@ def check(problem: ContactProblem, seed: int) -> None:
         np.testing.assert_allclose(found.full(), expected, atol=1e-12 * max(1, np.abs(expected).max()))
 
 
+def tied_neighbours() -> ContactProblem:
+    """Two vertices of one triangle share their outer variables: local derivatives fold onto the diagonal."""
+    problem = EXAMPLES["6.1"](4, 0.1)
+    inside = problem.mesh.interior_nodes()
+    edge = next(e for e in problem.mesh.facets.T.tolist() if set(e) <= set(inside.tolist()))
+    return replace(problem, motion=replace(problem.motion, tied=(tuple(edge),)))
+
+
 @pytest.mark.parametrize(
     "make",
     [
@@ -50,6 +58,7 @@ def check(problem: ContactProblem, seed: int) -> None:
         lambda: EXAMPLES["6.3"]((4, 2)),
         sloped_block,
         lambda: block_along_a_circle(2),
+        tied_neighbours,
     ],
 )
 def test_derivatives_are_those_of_automatic_differentiation(make: Callable[[], ContactProblem]) -> None:

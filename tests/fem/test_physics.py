@@ -183,7 +183,7 @@ def test_an_interior_obstacle_has_its_known_free_boundary() -> None:
 
 
 @pytest.mark.slow
-def test_strategies_agree_on_an_interior_obstacle() -> None:
+def test_formulations_agree_on_an_interior_obstacle() -> None:
     problem = membrane(8)
     solutions = [module.solve(problem) for module in (joint, nested, mpcc)]
     energies = [s.energy for s in solutions]

@@ -68,7 +68,7 @@ def test_one_flat_element_is_enough(height: float, upright: bool) -> None:
 
 def test_a_least_angle_is_a_row_of_every_element_that_moves() -> None:
     plain = discretise(problem(Motion(0.01)))
-    assert plain.validity.size == 0  # boxes keep all areas
+    assert plain.validity.size == 0  # move limits keep all areas
     validity = discretise(problem(Motion(0.01, min_angle=20.0))).validity
     moves = np.any(plain.mesh_map.positions.index >= 0, axis=0)
     assert validity.elements.size == np.sum(np.any(moves[plain.problem.triangles], axis=0)) > 0
