@@ -9,9 +9,11 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +21,14 @@ import pytest
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.records import MEASURED
 from rmesh_nlp.io.results import read_results, row_files
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.study import engine, worker
-from rmesh_nlp.study.contained import Contained
+from rmesh_nlp.study.contained import Contained, _row
 from rmesh_nlp.study.plan import PlannedSolve, make_plan
 from rmesh_nlp.study.rows import RowsFile
+from rmesh_nlp.study.runner import failure
 from rmesh_nlp.study.study_file import read_study
 from support.planted import install
 
@@ -47,6 +51,27 @@ def solve_of(formulation: str, **changes: float) -> PlannedSolve:
 
 def rows_of(folder: Path) -> list[dict]:
     return [json.loads(line) for path in row_files(folder) for line in path.read_text().splitlines()]
+
+
+PLAN = [solve_of("fixed", time_s=float(i)) for i in (21, 22, 23)]
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Statuses by key, with which contained solves end; ``SOLVED`` has the keys that were solved."""
+    statuses = dict.fromkeys((one.key for one in PLAN), "converged")
+
+    def solve(self: Contained, one: PlannedSolve, folder: Path) -> dict:
+        status = statuses[one.key]
+        SOLVED.append(one.key)
+        return {"key": one.key, "success": status == "converged", "status": status}
+
+    monkeypatch.setattr(Contained, "solve", solve)
+    SOLVED.clear()
+    return statuses
+
+
+SOLVED: list[str] = []
 
 
 @pytest.mark.slow
@@ -94,31 +119,65 @@ def test_a_study_by_command_runs_once_and_has_fields(
     assert rows_of(out) == rows  # nothing was solved again
 
 
-def test_rows_of_workers_that_were_killed_are_kept_and_joined(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("answers")
+def test_rows_of_workers_that_were_killed_are_kept_and_joined(tmp_path: Path) -> None:
     """Two of three rows are there, one line is cut: one solve is left to do, once."""
-    plan = [solve_of("fixed", time_s=float(i)) for i in (1, 2, 3)]
-    solved = []
+    with worker.Worker(tmp_path) as killed:
+        for one in PLAN[:2]:
+            killed.perform(one)
+    with row_files(tmp_path)[0].open("a") as file:
+        file.write(f'{{"key": "{PLAN[2].key}", "succ')
+    assert engine.missing(PLAN, tmp_path) == PLAN[2:]
+    SOLVED.clear()
+    list(engine.run(PLAN, tmp_path))
+    with worker.Worker(tmp_path) as another:  # a task that the scheduler repeats finds its row
+        assert another.perform(PLAN[0]) == {"key": PLAN[0].key, "found": True}
+    assert [PLAN[2].key] == SOLVED
 
-    def solve(self: Contained, one: PlannedSolve, folder: Path | None) -> dict:
-        solved.append(one.key)
-        return {"key": one.key, "success": True, "status": "converged"}
+
+def test_fields_are_kept_unless_they_are_not_wanted(tmp_path: Path) -> None:
+    for solve in (replace(PLAN[0], fields=False), PLAN[0]):
+        row = json.loads(_row(solve, tmp_path))
+        assert (tmp_path / "solutions" / f"{row['key']}.vtu").exists() == solve.fields
+        assert row["task_time_s"] > 0
+        assert (row["variant"], row["repeat"]) == ("fixed", 0)
+
+
+@pytest.mark.parametrize(("cpu", "busy"), [(0.91, False), (0.89, True), (None, False)])
+def test_a_solve_that_did_not_have_its_core_alone_is_marked(
+    cpu: float | None, busy: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Contained, "solve", lambda *_: {"task_time_s": 1.0, "cpu_time_s": cpu})
+    for core in (None, (0, socket.socket())):
+        monkeypatch.setattr(worker, "_own_core", lambda core=core: core)
+        with worker.Worker(tmp_path) as one:
+            assert one.row(PLAN[0])["shared"] == (core is None or busy)
+
+
+@pytest.mark.parametrize(
+    ("statuses", "code"),
+    [
+        (("converged", "converged"), 0),
+        (("converged", "refused"), 0),
+        (("refused", "refused"), 1),
+        (("converged", "died"), 1),
+    ],
+)
+def test_a_study_succeeds_if_what_was_not_refused_did(
+    statuses: tuple[str, str], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = [*statuses]
+
+    def solve(self: Contained, one: PlannedSolve, folder: Path) -> dict:
+        row = failure(one, left.pop(0), "as planned")
+        measured = dict.fromkeys(MEASURED, 1)
+        return {**row, **measured, "success": True} if row["status"] == "converged" else row
 
     monkeypatch.setattr(Contained, "solve", solve)
-    killed = worker.Worker(tmp_path)
-    for one in plan[:2]:
-        killed.perform(one)
-    killed.close()
-    with row_files(tmp_path)[0].open("a") as file:
-        file.write(f'{{"key": "{plan[2].key}", "succ')
-    assert [one.key for one in engine.missing(plan, tmp_path)] == [plan[2].key]
-    solved.clear()
-    list(engine.run(plan, tmp_path))
-    assert solved == [plan[2].key]
-    another = worker.Worker(tmp_path)  # a task that the scheduler repeats finds its row
-    assert another.perform(plan[0]) == {"key": plan[0].key, "found": True}
-    assert solved == [plan[2].key]
+    path = tmp_path / "study.toml"
+    path.write_text(SMALL.replace("3", "2"))
+    assert cli.run(["study", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == code
+    assert [row["status"] for row in rows_of(tmp_path / "out")] == [*statuses]
 
 
 def test_who_resumes_waits_for_workers_that_outlived_their_client(
@@ -141,40 +200,28 @@ def test_without_the_extra_more_jobs_are_one_line(
 @pytest.mark.slow
 def test_a_local_cluster_writes_the_same_rows(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    plan = [solve_of("fixed", time_s=float(i)) for i in range(20, 24)]
-    told = list(engine.run(plan, tmp_path, jobs=2))
-    assert sorted(row["key"] for row in told) == sorted(solve.key for solve in plan)
-    assert sorted(row["key"] for row in rows_of(tmp_path)) == sorted(solve.key for solve in plan)
+    told = list(engine.run(PLAN, tmp_path, jobs=2))
+    assert sorted(row["key"] for row in told) == sorted(solve.key for solve in PLAN)
+    assert sorted(row["key"] for row in rows_of(tmp_path)) == sorted(solve.key for solve in PLAN)
     assert 1 <= len(row_files(tmp_path)) <= 2
-    assert list(engine.run(plan, tmp_path, jobs=2)) == []
+    assert list(engine.run(PLAN, tmp_path, jobs=2)) == []
 
 
-def test_failures_are_tried_again_when_that_is_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan = [solve_of("fixed", time_s=float(i)) for i in (1, 2, 3)]
-    statuses = dict(zip((one.key for one in plan), ("converged", "time_limit", "refused"), strict=True))
-    solved = []
-
-    def solve(self: Contained, one: PlannedSolve, folder: Path | None) -> dict:
-        solved.append(one.key)
-        return {"key": one.key, "success": statuses[one.key] == "converged", "status": statuses[one.key]}
-
-    monkeypatch.setattr(Contained, "solve", solve)
-    outlives = worker.Worker(tmp_path)  # as on a cluster that goes on from client to client
-    for one in plan:
-        outlives.perform(one)
-    solved.clear()
-    assert list(engine.run(plan, tmp_path)) == []
-    statuses[plan[1].key] = "converged"
-    list(engine.run(plan, tmp_path, retry_failed=True))
-    assert solved == [plan[1].key]
-    assert {row["key"]: row["status"] for row in rows_of(tmp_path)} == statuses
-    assert len(rows_of(tmp_path)) == 3
-    (kept,) = (tmp_path / "rows" / "failed.jsonl").read_text().splitlines()
-    assert json.loads(kept)["status"] == "time_limit"
-    assert outlives.perform(plan[1]) == {"key": plan[1].key, "found": True}
-    outlives.close()
+def test_failures_are_tried_again_when_that_is_asked_for(tmp_path: Path, answers: dict[str, str]) -> None:
+    answers.update(zip((one.key for one in PLAN), ("converged", "time_limit", "refused"), strict=True))
+    with worker.Worker(tmp_path) as outlives:  # as on a cluster that goes on from client to client
+        for one in PLAN:
+            outlives.perform(one)
+        SOLVED.clear()
+        assert list(engine.run(PLAN, tmp_path)) == []
+        answers[PLAN[1].key] = "converged"
+        list(engine.run(PLAN, tmp_path, retry_failed=True))
+        assert [PLAN[1].key] == SOLVED
+        assert {row["key"]: row["status"] for row in rows_of(tmp_path)} == answers
+        assert len(rows_of(tmp_path)) == 3
+        (kept,) = (tmp_path / "rows" / "failed.jsonl").read_text().splitlines()
+        assert json.loads(kept)["status"] == "time_limit"
+        assert outlives.perform(PLAN[1]) == {"key": PLAN[1].key, "found": True}
 
 
 def rmesh(*arguments: str) -> subprocess.Popen[str]:
@@ -280,20 +327,15 @@ def test_ctrl_c_with_two_jobs_keeps_what_is_finished_in_one_line(tmp_path: Path)
 @pytest.mark.slow
 def test_a_scheduler_that_is_there_already_is_used(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
-    plan = [solve_of("fixed", time_s=float(i)) for i in range(20, 24)]
     path, out = tmp_path / "study.toml", tmp_path / "out"
     path.write_text(SMALL)
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
     ) as cluster:
-        address = cluster.scheduler_address
-        told = list(engine.run(plan, tmp_path / "plan", scheduler=address))
-        assert sorted(row["key"] for row in told) == sorted(solve.key for solve in plan)
-        assert cli.run(["study", str(path), "--out", str(out), "--scheduler", address]) == 0
-        assert len(rows_of(out)) == 3
-        # the cluster goes on, and nothing is solved again
-        assert cli.run(["study", str(path), "--out", str(out), "--scheduler", address]) == 0
-        assert len(rows_of(out)) == 3
+        for _ in range(2):  # the cluster goes on, and nothing is solved again
+            address = cluster.scheduler_address
+            assert cli.run(["study", str(path), "--out", str(out), "--scheduler", address]) == 0
+            assert len(rows_of(out)) == 3
 
 
 @pytest.mark.slow

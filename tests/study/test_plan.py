@@ -12,7 +12,7 @@ from rmesh_nlp import read_records
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import safe_name
-from rmesh_nlp.study.plan import PlannedSolve, build, make_plan
+from rmesh_nlp.study.plan import PlannedSolve, build, make_plan, seconds_of_plan
 from rmesh_nlp.study.study_file import read_study, template
 
 
@@ -152,3 +152,14 @@ def test_every_solve_of_the_template_succeeds(path: Path) -> None:
     assert [row["success"] for row in rows] == [True] * 12
     moved = [row for row in rows if row["variant"] != "fixed"]
     assert all(row["gain_audited"] > 0 for row in moved)
+
+
+def test_the_time_of_a_plan_is_that_of_its_rows_or_a_rule() -> None:
+    one = PlannedSolve({}, "6.1", "6.1", "8", "a", "nested", time_s=9.5)
+    assert seconds_of_plan([one, one], []) == pytest.approx(3.0)
+    finer = replace(one, size="16x16")
+    assert seconds_of_plan([finer], []) == pytest.approx(1.5 * 4**1.3)
+    rows = [{"variant": "a", "family": "6.1", "task_time_s": t} for t in (1.0, 2.0, 30.0, None)]
+    assert seconds_of_plan([one, finer], rows) == 4.0
+    assert seconds_of_plan([finer], [{**rows[2]}]) == 9.5  # a solve is ended at its limit
+    assert seconds_of_plan([replace(one, variant="b")], rows) == pytest.approx(1.5)
