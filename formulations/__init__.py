@@ -1,1 +1,1 @@
-"""One module per strategy; each offers ``solve(problem, ...) -> Solution``."""
+"""One formulation per module: a frozen dataclass whose fields are its settings."""

@@ -1,8 +1,9 @@
 """Which formulation suits a problem, and why.
 
-A problem without boxes is solved over a cascade of coarser meshes (:mod:`formulations.cascade`), with a
-quadrature rule that is raised until the assessment confirms the gain. Where boxes, a least angle or another
-objective are asked for, ``joint`` or ``nested`` is run, the latter where many nodes have boxes.
+A problem without move limits is solved over a cascade of coarser meshes (:mod:`formulations.cascade`), with a
+quadrature rule that is raised until the assessment confirms the gain. Where move limits, a least angle or
+another objective are asked for, ``joint`` or ``nested`` is run, the latter where many nodes have move
+limits.
 """
 
 from __future__ import annotations
@@ -25,15 +26,16 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation
 
 MANY = 2000
-"""Moves above which boxed problems are solved by Newton-CG: the time of ``joint`` grows like the square of
-the number of nodes. On plates with two holes of 517 and 1,381 nodes both gain the same in the same time."""
+"""Outer variables above which problems with move limits are solved by Newton-CG: the time of ``joint`` grows
+like the square of the number of nodes. On plates with two holes of 517 and 1,381 nodes both gain the same in
+the same time."""
 
 ENOUGH = 1e-3
-"""Part of the gain so far below which a predicted step is not worth taking, for 20,000 moves. It grows with
-the moves, since a step costs more of them: see :func:`enough_for`."""
+"""Part of the gain so far below which a predicted step is not worth taking, for 20,000 outer variables. It
+grows with them, since a step costs more of them: see :func:`enough_for`."""
 
 ENOUGH_MOVES = 20_000
-"""Moves up to which ``ENOUGH`` is taken as it is."""
+"""Outer variables up to which ``ENOUGH`` is taken as it is."""
 
 SCHEDULE = (1.0, 0.1, 0.01)
 """Weights of the distortion where constraints must hold and ``joint`` is run."""
@@ -50,7 +52,7 @@ class Auto(Chooser):
     regularisation : float, str or tuple of float, optional
         Final weight of the distortion in the place of that of the cascade, or a whole schedule.
     flips : bool
-        Flip edges by energy between relocations, until neither gains; without boxes only.
+        Flip edges by energy between relocations, until neither gains; without move limits only.
     """
 
     cascade: Cascade = field(default_factory=Cascade)
@@ -82,9 +84,9 @@ class Auto(Chooser):
             return self._around(Nested()), "nested: the objective is not the energy"
         if motion.delta is not None:
             if moves > MANY and not self.flips and self.regularisation is None:
-                why = f"nested, newton: nodes have boxes, and more than {MANY} moves are many"
+                why = f"nested, newton: nodes have move limits, and more than {MANY} outer variables are many"
                 return Nested(enough=enough_for(moves)), why
-            return self._around(Joint()), "joint: nodes have boxes"
+            return self._around(Joint()), "joint: nodes have move limits"
         if motion.min_angle > 0:
             held = Confirmed(Schedule(Joint(), self.regularisation or SCHEDULE))
             why = "joint, regularised: a least angle is asked for, which must hold as a constraint"
@@ -92,7 +94,7 @@ class Auto(Chooser):
         chosen = self._weighted()
         if is_started:
             inner = Schedule(Nested(), chosen.regularisation, chosen.distortion)
-            why = "nested, newton: large moves from the start that was given"
+            why = "nested, newton: relocation from the start that was given"
             return (Flips(inner) if self.flips else inner), why
         if moves == 0:
             return Nested(), "nested: no node can move"
@@ -100,7 +102,7 @@ class Auto(Chooser):
         if self.flips:
             flips = Flips(chosen, then=Descent(end=chosen.end, iterations=chosen.brief))
             found = Polished(flips, nodes=chosen.stationary, finish=chosen.finish, most=chosen.most)
-        return found, "cascade: large moves without boxes"
+        return found, "cascade: relocation without move limits"
 
     def _around(self, formulation: Formulation) -> Formulation:
         if self.regularisation is not None:

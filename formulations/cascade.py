@@ -1,4 +1,4 @@
-"""Large moves without boxes: the energy with a distortion, over a cascade of coarser meshes."""
+"""Relocation without move limits: the energy with a distortion, over a cascade of coarser meshes."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ class _Levels:
         return rate * left
 
     def best(self, outer: Outer) -> Array:
-        """The last moves on the given mesh, which are the best; if it was not reached, the map so far."""
+        """The last ones on the given mesh, which are the best; if it was not reached, the map so far."""
         if self._moves is not None:
             return self._moves[1]
         if self._map is None:

@@ -9,7 +9,6 @@ import numpy as np
 
 from rmesh_nlp.contact import active_set
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.settings import Count
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
@@ -19,20 +18,12 @@ from rmesh_nlp.solving.parts import Step, Work
 
 @dataclass(frozen=True)
 class Fixed(Formulation):
-    """Solves the contact problem on the mesh as given; start, seed and limits change nothing.
-
-    Attributes
-    ----------
-    max_iterations : int
-        Factorisations that the contact solve may take.
-    """
+    """Solves the contact problem on the mesh as given; start, seed and limits change nothing."""
 
     relocates: ClassVar[bool] = False
-    max_iterations: Count = active_set.MAX_ITERATIONS
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        system = outer.contact.system(outer.problem.mesh.p)
-        found = active_set.solve(system, max_iterations=self.max_iterations)
+        found = active_set.solve(outer.contact.system(outer.problem.mesh.p))
         monitor.work += Work(1, 1, found.iterations)
         nan, seconds = float("nan"), monitor.clock.elapsed
         monitor.note(Step(found.iterations, found.energy, 0.0, 0.0, nan, 1, seconds))

@@ -34,7 +34,7 @@ class FlipFigures(Part):
 
 @dataclass(frozen=True)
 class Flips(Wrapper):
-    """Flips edges after a relocation and relocates again, until neither gains; without boxes only.
+    """Flips edges after a relocation and relocates again, until neither gains; without move limits only.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Flips(Wrapper):
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         super().accepts(problem, objective)
         if problem.motion.delta is not None:
-            raise BadInputError('flips need a problem without boxes: delta = "none"')
+            raise BadInputError('flips need a problem without move limits: delta = "none"')
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         found = monitor.run(self.inner, outer, q)

@@ -47,7 +47,7 @@ ORDINARY = (1e-4, 1e4)
 _BARRIER: Mapping[str, Any] = {
     # Ipopt would add a factor of its own, which depends on the unit of force.
     "nlp_scaling_method": "none",
-    # Start in the middle of the boxes and let the moves choose their corners as the barrier
+    # Start in the middle of the move limits and let the nodes choose their corners as the barrier
     # falls; with a small barrier they choose too early.
     "mu_init": 2.0,
     "bound_mult_init_method": "mu-based",
@@ -77,9 +77,9 @@ class Joint(Formulation):
     Attributes
     ----------
     tol, acceptable_tol : float
-        Ipopt's tolerances where boxes alone keep the elements valid, in units of `pull`. Many boxes are
-        weakly active, and an interior point meets those only to the square root of its tolerance; where
-        rounding stops it before, the looser one will do.
+        Ipopt's tolerances where move limits alone keep the elements valid, in units of `pull`. Many move
+        limits are weakly active, and an interior point meets those only to the square root of its tolerance;
+        where rounding stops it before, the looser one will do.
     tol_areas, acceptable_tol_areas : float
         The same where element areas are constraints, in units of `half_energy`: in those of `pull` the
         rounding of the forces can be above every tolerance, and Ipopt's restoration then leaves the
@@ -88,13 +88,13 @@ class Joint(Formulation):
         Ipopt's first barrier where a distortion keeps the elements valid, in units of `half_energy`. With its
         own one, 0.1, the first steps leave the start, which with a schedule of weights is the minimiser for
         the last weight. Of 0.1, 1e-2, 1e-3, 1e-4 and 1e-6 it was chosen on random
-        problems without boxes.
+        problems without move limits.
     fine : int
-        Number of moves from which on the start is given alternating moves
+        Number of outer variables from which on the start is given alternating displacements of nodes
         (:mod:`rmesh_nlp.models.alternating`): the end is then lower by 0.1 to 0.7 % of the gain (6.1 with
         32 to 128 squares a side). On coarser meshes they change nothing but the start.
     alternating : float
-        Length of these moves, in boxes.
+        Their length, in move limits.
     ipopt : mapping
         Further Ipopt options, which override all others.
     """
@@ -139,7 +139,7 @@ class Joint(Formulation):
         result = self.minimised(outer, q, track)
         monitor.work += Work(kkt_factorisations=track.iterations)
         monitor.check()
-        # it may leave the boxes by 2e-12
+        # it may leave the move limits by 2e-12
         end = np.clip(result.x[: outer.n], -outer.bound, outer.bound)
         status = Status.CONVERGED if result.converged else result.status
         if not result.converged and not outer.is_valid(end):
@@ -152,7 +152,7 @@ class Joint(Formulation):
         return Outcome(outer, end, status, own=_own(outer, end, result), claimed=result.f)
 
     def minimised(self, outer: Outer, q: Array, track: Track) -> NLPResult:
-        """The energy program from moves ``q`` and the contact solution there."""
+        """The energy NLP from outer variables ``q`` and the contact solution there."""
         contact, program = outer.energy(q), outer.relocation
         distorted = program.objective.has_barrier
         areas = program.n_valid > 0 or distorted
@@ -176,10 +176,11 @@ class Joint(Formulation):
     def _finished(self, outer: Outer, q: Array, monitor: Monitor) -> Array:
         """Newton steps from where an interior point stopped, if a stationary point is near; else ``q``.
 
-        Where boxes are weakly active an interior point meets them to the square root of its tolerance only,
-        and where many elements are at their least area rounding can hold its multipliers off the tolerance.
-        From there Newton's method on the reduced energy takes one to five steps, each an exact contact solve.
-        What they lead to is taken if its first-order residual is lower and its energy is not higher.
+        Where move limits are weakly active an interior point meets them to the square root of its tolerance
+        only, and where many elements are at their least area rounding can hold its multipliers off the
+        tolerance. From there Newton's method on the reduced energy takes one to five steps, each an exact
+        contact solve. What they lead to is taken if its first-order residual is lower and its energy is not
+        higher.
         """
         energy, measure = outer.energy, outer.residual
         if not q.size or energy.relocation.objective.has_barrier or not outer.is_valid(q):
@@ -230,9 +231,9 @@ def _units(relocation: Relocation, contact: ReducedPoint) -> Units | None:
 
 
 def pull(gradient: Array) -> float:
-    """The unit of the objective in which a barrier of order one suits the moves.
+    """The unit of the objective in which a barrier of order one suits the outer variables.
 
-    Three times the mean of the gradient in the moves; 1 where nothing pulls. For the energy it
+    Three times the mean of the gradient in the outer variables; 1 where nothing pulls. For the energy it
     falls like the gain per node, by a factor near 20 with every halving of the mesh size, while
     Ipopt's barrier and tolerances are absolute.
     """

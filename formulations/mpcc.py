@@ -39,7 +39,7 @@ OPTIONS: Mapping[str, Any] = {
     "t_final": 1e-9,
     "crossover": 1e-2,
     "warm_duals": True,
-    # Hundreds of boxes are weakly active at the end: an active-set Newton method does not find which.
+    # Hundreds of move limits are weakly active at the end: an active-set Newton method does not find which.
     "newton_finish": False,
 }
 """Options of :class:`rmesh_nlp.mpcc.Options` for mesh problems. t is in units of the largest displacement
@@ -53,13 +53,13 @@ BARRIER_ENERGY, BARRIER = 2.0, 0.1
 others."""
 
 BARRIER_WITHOUT_BOXES = 0.03
-"""That for the energy where moves have no boxes: there is no middle of them to begin in. Over 56 random
-problems without boxes it takes 4,162 iterations, the other one 4,709."""
+"""That for the energy where nodes have no move limits: there is no middle of them to begin in. Over 56 random
+problems without move limits it takes 4,162 iterations, the other one 4,709."""
 
 SLOWLY: Mapping[str, Any] = {"mu_linear_decrease_factor": 0.5, "mu_superlinear_decrease_power": 1.2}
 """How Ipopt's barrier falls in the first relaxation of the energy; 0.2 and 1.5 are Ipopt's own.
 
-The moves choose their corners while it falls. Slowly, the path of ``mpcc`` keeps near the central one, which
+The nodes choose their corners while it falls. Slowly, the path of ``mpcc`` keeps near the central one, which
 is that of ``joint``, and ends in the same minima: 0.45 % of the gain lower on 6.1 with 32 squares a side. It
 costs no iterations in the sum."""
 
@@ -87,7 +87,7 @@ def other_options() -> dict[str, Any]:
 
 
 def energy_options(scaling: float, boxed: bool) -> dict[str, dict[str, Any]]:
-    """Those of :func:`ipopt_options` for the energy, ``boxed`` where all moves have boxes."""
+    """Those of :func:`ipopt_options` for the energy, ``boxed`` where all nodes have move limits."""
     if not boxed:
         return ipopt_options(scaling, BARRIER_WITHOUT_BOXES)
     options = ipopt_options(scaling, BARRIER_ENERGY)
@@ -103,7 +103,7 @@ def ipopt_options(scaling: float, barrier: float, tight: float = TIGHT) -> dict[
     Parameters
     ----------
     scaling : float
-        Factor of the objective. For the energy it brings the mean gradient in the moves to a third
+        Factor of the objective. For the energy it brings the mean gradient in the outer variables to a third
         (:func:`formulations.joint.pull`): Ipopt's barrier and tolerances are absolute.
     barrier : float
     tight : float
@@ -112,8 +112,8 @@ def ipopt_options(scaling: float, barrier: float, tight: float = TIGHT) -> dict[
     common = {
         "nlp_scaling_method": "none",
         "obj_scaling_factor": scaling,
-        # METIS: the KKT matrix of equilibrium, moves and displacements fills in five times less than
-        # with the ordering that MUMPS takes of itself
+        # METIS: the KKT matrix of equilibrium, outer variables and displacements fills in five times
+        # less than with the ordering that MUMPS takes of itself
         "mumps_pivot_order": 5,
         # the least shift of an indefinite Hessian within a factor 1.5, as in joint
         "perturb_dec_fact": 0.2,
@@ -135,16 +135,16 @@ def ipopt_options(scaling: float, barrier: float, tight: float = TIGHT) -> dict[
 
 
 AFTER: Mapping[str, Any] = {"t0": 1e-9, "t_final": 1e-9}
-"""Options after another program: only the relaxation at the final t, and the exact finish."""
+"""Options after another NLP: only the relaxation at the final t, and the exact finish."""
 
 BARRIER_AFTER = 1e-10
-"""Ipopt's barrier at the end of the energy program: its tolerance there."""
+"""Ipopt's barrier at the end of the energy NLP: its tolerance there."""
 
 
 def after_energy(scaling: float) -> dict[str, Any]:
-    """Options from the minimiser of the energy program, or another formulation's, on.
+    """Options from the minimiser of the energy NLP, or another formulation's, on.
 
-    With the objective scaled and the barrier left about where that program left them, each
+    With the objective scaled and the barrier left about where that NLP left them, each
     slack times its multiplier is still the barrier: Ipopt goes on from there, as if it had been
     given the multipliers.
     """
@@ -156,7 +156,7 @@ def after_energy(scaling: float) -> dict[str, Any]:
         "mu_init": BARRIER_AFTER,
         **dict.fromkeys(PUSHES, 1e-13),
     }
-    # many boxes are weakly active: an interior point meets those only to the root of its tolerance
+    # many move limits are weakly active: an interior point meets those only to the root of its tolerance
     exact = {**ipopt, "tol": 1e-11, "acceptable_tol": 1e-7}
     return {**AFTER, "ipopt_relaxed": ipopt, "ipopt_exact": exact}
 
@@ -165,7 +165,7 @@ LIMITS = (Status.TIME_LIMIT, Status.ITERATION_LIMIT)
 """Ends of a homotopy whose last point need not be complementary."""
 
 DROPPED: Mapping[str, Any] = {"tol": 1e-8, "mu_strategy": "adaptive", "max_iter": 1000}
-"""Ipopt options of the program without complementarity."""
+"""Ipopt options of the model without complementarity."""
 
 
 def build(problem: ContactProblem, objective: str | Objective = "energy") -> MPCC:
@@ -210,7 +210,7 @@ class AllAtOnce(Formulation):
     options : mapping
         Fields of :class:`rmesh_nlp.mpcc.Options`, on top of ``formulations.mpcc.OPTIONS``.
     without_first : bool
-        Begin with the end of the same program without its complementarity.
+        Begin with the end of the same model without its complementarity.
     """
 
     relaxation: str = "scholtes"
@@ -287,11 +287,11 @@ class AllAtOnce(Formulation):
 
 
 def _in_step(outer: Outer, q: Array) -> Array:
-    """Moves to start from on a fine mesh in boxes: with small alternating moves added.
+    """The start on a fine mesh with move limits, with small alternating displacements of the nodes added.
 
-    They are those of ``joint`` (:mod:`rmesh_nlp.models.alternating`), from the same number of moves on,
-    so that both begin on the same mesh; the contact problem is solved there. A start that was given by
-    positions stays as it is.
+    They are those of ``joint`` (:mod:`rmesh_nlp.models.alternating`), from the same number of outer
+    variables on, so that both begin on the same mesh; the contact problem is solved there. A start that was
+    given by positions stays as it is.
     """
     usual = Joint()
     if np.any(q) or outer.relocation.n_valid > 0 or q.size < usual.fine:

@@ -42,10 +42,10 @@ class Nested(NestedSettings, Formulation):
     Attributes
     ----------
     outer : str
-        "newton" (projected trust-region Newton-CG where boxes alone keep the elements valid, else an
+        "newton" (projected trust-region Newton-CG where move limits alone keep the elements valid, else an
         interior-point Newton method), "newton-cg" (the former along element areas too, and the latter only
         where it stalls: cheaper, often to another minimum) or "ipopt" (with exact second derivatives; with
-        limited memory for many moves and another objective than the energy).
+        limited memory for many outer variables and another objective than the energy).
     """
 
     outer: str = "newton"

@@ -26,7 +26,7 @@ class Levels(Part):
 
 @dataclass(frozen=True)
 class Refined(Wrapper):
-    """Runs a formulation on each level from the moves of the one before; the finest is the outcome.
+    """Runs a formulation on each level from the relocation of the one before; the finest is the outcome.
 
     Boxes keep their widths in units of length. The energy before is that of the refined mesh without any
     motion.

@@ -34,7 +34,7 @@ class Schedule(Wrapper):
     ----------
     weights : float, str or tuple of float
         Of the distortion, relative to the error of the energy on the mesh as given; the last may be 0. 0.01
-        suits most problems without boxes.
+        suits most problems without move limits.
     distortion : str
         "quality", "shape-size" or "elastic", see :mod:`rmesh_nlp.fem.distortion`.
     """

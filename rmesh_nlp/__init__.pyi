@@ -1,4 +1,4 @@
-"""What type checkers and editors see of the lazy names in ``__init__.py``; a test holds both equal."""
+"""The public names: type checkers read them here, and ``__init__.py`` loads them from here on first use."""
 
 from rmesh_nlp import mpcc as mpcc
 from rmesh_nlp.api.comparison import Comparison as Comparison

@@ -25,7 +25,7 @@ def unknown(what: str, name: str, known: Iterable[str]) -> BadInputError:
 class ProblemError(ValueError):
     """A problem that contradicts itself.
 
-    ``part`` names the part of the statement that is at fault: mesh, law, dirichlet, obstacle,
+    ``part`` names the part of the problem that is at fault: mesh, law, dirichlet, obstacle,
     friction, motion, curves or tractions. ``name`` says which of several: of a region or a boundary, or the
     number of an obstacle.
     """

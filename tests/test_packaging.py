@@ -19,7 +19,6 @@ from scipy.sparse.csgraph import connected_components
 import rmesh_nlp
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli import commands
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.io.problem_file import read_table, read_toml
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import available, find
@@ -169,17 +168,6 @@ def test_file_of_a_page_has_the_solution_of_its_python(page: str, tmp_path: Path
     for name in ("energy_initial_audited", "energy_audited", "u_min", "min_area_ratio"):
         assert record[name] == pytest.approx(solution.record()[name], rel=1e-9), name
     assert record["formulation"] == solution.formulation
-
-
-def test_the_formulation_of_contributing_runs() -> None:
-    (block,) = python_blocks("CONTRIBUTING.md")
-    space: dict[str, Any] = {}
-    exec(compile(block, "CONTRIBUTING.md", "exec", dont_inherit=True), space)
-    solution = rmesh_nlp.solve(EXAMPLES["6.1"](n=4), space["Alternating"](first_step=0.1), seed=1)
-    assert solution.success
-    assert (solution.formulation, solution.settings) == ("alternating", {"first_step": 0.1})
-    assert solution.gain > 0
-    assert len(solution.history) > 5
 
 
 def test_the_folders_that_are_described_exist() -> None:

@@ -1,6 +1,6 @@
 """Curves that a mesh was made from, along which its boundary nodes slide.
 
-A curve is a pair of functions ``x(t), y(t)`` of one parameter, twice differentiable: they enter the programs
+A curve is a pair of functions ``x(t), y(t)`` of one parameter, twice differentiable: they enter the models
 as CasADi Functions, so that derivatives of the positions are exact to second order.
 """
 

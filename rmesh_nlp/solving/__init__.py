@@ -1,1 +1,1 @@
-"""What every strategy returns, and the referee that judges it."""
+"""One solve: the driver, what a formulation gets and returns, its assessment, the solution."""

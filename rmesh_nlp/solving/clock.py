@@ -56,17 +56,12 @@ def timed(solve: Callable[[], T]) -> tuple[T, float]:
     return result, statistics.median(seconds)
 
 
-def solving(elapsed: float, build: float, audit: float) -> float:
-    """Seconds of the ``elapsed`` ones that went neither into statements of programs nor into audits."""
-    return max(elapsed - build - audit, 0.0)
-
-
 class Clock:
     """Wall time since it was made, split into phases; at any moment exactly one of them runs.
 
-    ``build``: programs and their derivatives are stated. ``solve``: the strategy runs. ``audit``: the
-    referee measures, the unit of cost included. So their sum is the time from the first line of a
-    strategy to its solution.
+    ``build``: models are built with their derivatives. ``solve``: the formulation runs. ``audit``: the
+    assessment measures, the unit of cost included. So their sum is the time from the first line of a
+    formulation to its solution.
     """
 
     def __init__(self) -> None:
@@ -97,7 +92,7 @@ class Clock:
 
     @property
     def elapsed(self) -> float:
-        """Build and solve so far: what the strategy itself has cost."""
+        """Build and solve so far: what the formulation itself has cost."""
         return self.seconds("build") + self._seconds["solve"]
 
 

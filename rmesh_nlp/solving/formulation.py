@@ -63,10 +63,10 @@ class Formulation(Settings, ABC):
 
     @abstractmethod
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        """Minimise from moves ``q`` (n,).
+        """Minimise from outer variables ``q`` (n,).
 
-        Every program that it solves reports its iterates to ``monitor.track(outer)``. What a limit or Ctrl-C
-        ends needs no care: the best valid moves that were reported are the outcome then.
+        Every NLP that it solves reports its iterates to ``monitor.track(outer)``. What a limit or Ctrl-C
+        ends needs no care: the best valid outer variables that were reported are the outcome then.
         """
 
     @property

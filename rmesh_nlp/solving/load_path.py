@@ -86,14 +86,14 @@ def load_path(
     steps : int
         Equal parts of ``by``.
     solve : callable
-        A strategy that takes ``start``; it relocates nodes within the boxes of the problem's mesh.
+        A solve that takes ``start``; it relocates nodes within the move limits of the problem's mesh.
     obstacle : int
         Number of the obstacle that moves, from 0.
     relocate : str
         "each": in every step, from the mesh of the last one. "once": for the last step, whose mesh then
         serves all steps; ``solve`` is called once. "never": the mesh as given.
     hold : callable, optional
-        The strategy without motion, ``fixed``; needed for "once" and "never".
+        The solve without relocation, ``fixed``; needed for "once" and "never".
     options
         Further options of ``solve``.
 
@@ -109,7 +109,7 @@ def load_path(
     if not 0 <= obstacle < len(problem.obstacles):
         raise ValueError(f"there is no obstacle {obstacle}: the problem has {len(problem.obstacles)}")
     if relocate != "each" and hold is None:
-        raise ValueError(f"relocate={relocate!r} needs the strategy without motion")
+        raise ValueError(f"relocate={relocate!r} needs the solve without relocation")
     moves = [(by[0] * k / steps, by[1] * k / steps) for k in range(1, steps + 1)]
     if relocate == "each":
         start: Array | None = None

@@ -1,6 +1,6 @@
 """The only place that knows time, limits, Ctrl-C, history and callbacks.
 
-A formulation reports every iterate to a :class:`Track`, one for each program that it runs, and is stopped by
+A formulation reports every iterate to a :class:`Track`, one for each NLP that it runs, and is stopped by
 it. What was reached until then is kept here, so that no formulation has to look after it.
 """
 
@@ -40,7 +40,7 @@ class Runs(Protocol):
     """What a monitor runs: a :class:`rmesh_nlp.solving.formulation.Formulation`."""
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        """Minimise from moves ``q``."""
+        """Minimise from outer variables ``q``."""
 
 
 class Monitor:
@@ -57,7 +57,7 @@ class Monitor:
     clock : Clock
         Runs from the making of the monitor on.
     steps : list of Step
-        The history, over all programs of the solve.
+        The history, over all NLPs of the solve.
     stopped : Status or None
         INTERRUPTED, TIME_LIMIT or ITERATION_LIMIT, once the solve was stopped from outside.
     work : Work
@@ -65,7 +65,7 @@ class Monitor:
     last_moves : array or None
         Of the last step.
     mesh : skfem.MeshTri or None
-        The mesh as given. Moves of another one are not shown to ``on_step``.
+        The mesh as given. Those of another one are not shown to ``on_step``.
     """
 
     def __init__(self, limits: Limits | None = None, on_step: OnStep | None = None) -> None:
@@ -86,7 +86,7 @@ class Monitor:
 
     @property
     def iterations(self) -> int:
-        """Number of the last iteration, over all programs."""
+        """Number of the last iteration, over all NLPs."""
         return self.steps[-1].iteration if self.steps else 0
 
     @property
@@ -125,12 +125,12 @@ class Monitor:
             raise StoppedError
 
     def track(self, outer: Outer, unit: float = 1.0) -> Track:
-        """What the iterates of one program are reported to.
+        """What the iterates of one NLP are reported to.
 
         Parameters
         ----------
         outer : Outer
-            Whose moves are the leading unknowns of the program.
+            Whose outer variables are the leading unknowns of the program.
         unit : float
             Value of the objective where the program's is one.
         """
@@ -155,9 +155,9 @@ class Monitor:
         return given is None or (np.array_equal(mesh.p, given.p) and np.array_equal(mesh.t, given.t))
 
     def note(self, step: Step, q: Array | None = None, *, shown: bool = True) -> bool:
-        """Add a step at moves ``q`` to the history, ``shown`` to ``on_step``; whether the solve is over."""
+        """Add a step at ``q`` to the history, ``shown`` to ``on_step``; whether the solve is over."""
         if self.steps and _is_same(self.steps[-1], step):
-            return self.is_over()  # the start of a program is where the last one ended
+            return self.is_over()  # the start of an NLP is where the last one ended
         self.steps.append(step)
         self.last_moves = None if q is None else np.array(q)
         if self.on_step is not None:
@@ -165,7 +165,7 @@ class Monitor:
         return self.is_over()
 
     def run(self, formulation: Runs, outer: Outer, q: Array) -> Outcome:
-        """Where a formulation ends, also if Ctrl-C or a limit ends it: with the best valid moves so far."""
+        """Where a formulation ends, also if Ctrl-C or a limit ends it: at the best valid mesh so far."""
         self._track = None
         if self.stopped is not None:
             return Outcome(outer, q, self.stopped)
@@ -201,12 +201,12 @@ def _is_same(last: Step, step: Step) -> bool:
 
 
 class Track:
-    """The iterates of one program; called as the monitor of an NLP solver it is one.
+    """The iterates of one NLP; called as the monitor of an NLP solver it is one.
 
     Attributes
     ----------
     residual : callable or None
-        ``(x, lam_g) ->`` first-order residual of the outer problem at an iterate, for a program whose
+        ``(x, lam_g) ->`` first-order residual of the outer problem at an iterate, for an NLP whose
         multipliers give it.
     state_residual : callable or None
         ``x ->`` the same at an iterate of a homotopy, whose unknowns hold the forces.
@@ -224,7 +224,7 @@ class Track:
 
     @property
     def iterations(self) -> int:
-        """Of this program."""
+        """Of this NLP."""
         return self.monitor.iterations - self._before
 
     def see_multipliers(self, lam_g: Array) -> None:
@@ -251,12 +251,12 @@ class Track:
         )
 
     def exact(self, iteration: int, q: Array, point: ReducedPoint | None = None, **known: float) -> bool:
-        """Moves with their contact solution; whether the solve is over.
+        """Outer variables with their contact solution; whether the solve is over.
 
         Parameters
         ----------
         iteration : int
-            Of this program.
+            Of this NLP.
         q : (n,) array
         point : ReducedPoint, optional
             The outer objective there; evaluated if it is not given.
@@ -303,7 +303,7 @@ class Track:
             steps[number] = replace(steps[number], primal_residual=violation)
 
     def best(self, start: Array) -> Array:
-        """The best moves that give a valid mesh: at worst those it started with."""
+        """The best outer variables that give a valid mesh: at worst those it started with."""
         if self._best is not None:
             return self._best[1]
         bound = self.outer.bound

@@ -32,7 +32,7 @@ class Beginning:
     outer : Outer
         The outer problem, told whether the start is close to a minimiser.
     q : (n,) array
-        Admissible moves.
+        Admissible outer variables.
     name : str
         For the record: "given", "random", "positions", the name of a formulation, or "solution of" it.
     """
@@ -43,14 +43,14 @@ class Beginning:
 
 
 def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) -> Beginning:
-    """The moves to start from.
+    """The outer variables to start from.
 
     Parameters
     ----------
     outer : Outer
     start : see :data:`Start`
-        None is the mesh as given, or with a seed random moves. The name of a formulation runs it first, from
-        where ``seed`` says; its time and contact solves count.
+        None is the mesh as given, or with a seed random outer variables. The name of a formulation runs it
+        first, from where ``seed`` says; its time and contact solves count.
     seed : int, optional
     monitor : Monitor
 
@@ -147,7 +147,7 @@ def with_settings(
 
 
 def accepted(formulation: str | Formulation | Chooser, names: Collection[str]) -> set[str]:
-    """Those of the options that a formulation takes and heeds.
+    """Those of the options that a formulation takes.
 
     Raises
     ------

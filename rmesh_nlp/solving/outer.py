@@ -41,10 +41,10 @@ class Outer:
     contact : ContactSolver
         Contact solves by the problem's own rule.
     relocation : Relocation
-        The program in moves, displacements and slips: of the objective where the two levels collapse for it,
-        else of the energy.
+        The NLP in outer variables, displacements and slips: of the objective where the two levels collapse
+        for it, else of the energy.
     energy : ReducedEnergy
-        The objective of ``relocation`` as a function of the moves.
+        The objective of ``relocation`` as a function of the outer variables.
     contact_seconds : float
         Wall time of a contact solve on the mesh as given, from nothing: the unit of cost.
     is_near : bool
@@ -73,7 +73,7 @@ class Outer:
 
     @classmethod
     def around(cls, energy: ReducedEnergy, tolerance: float = TOLERANCE) -> Outer:
-        """The outer problem of an energy that is stated already."""
+        """The outer problem of an energy that is built already."""
         outer = cls.__new__(cls)
         outer.problem, outer.tolerance, outer.is_near = energy.relocation.problem, tolerance, False
         outer.contact_seconds, outer.gain = float("nan"), None
@@ -121,7 +121,7 @@ class Outer:
 
     @cached_property
     def function(self) -> Reduced:
-        """The objective as a function of the moves, each value an exact contact solve."""
+        """The objective as a function of the outer variables, each value an exact contact solve."""
         return self.energy if self.objective.collapses else outer_function(self.energy, self.objective)
 
     @cached_property
@@ -141,12 +141,12 @@ class Outer:
 
     @property
     def n(self) -> int:
-        """Number of moves."""
+        """Number of outer variables."""
         return self.relocation.n_q
 
     @property
     def bound(self) -> Array:
-        """(n,) half-widths of the boxes, infinite where there is none."""
+        """(n,) half-widths of the move limits, infinite where there is none."""
         return self.relocation.mesh_map.bound
 
     @property
@@ -155,18 +155,18 @@ class Outer:
         return Work(self.energy.contact_solves, self.energy.cold_solves, self.energy.factorisations)
 
     def nodes(self, q: Array) -> Array:
-        """(2, nodes) positions at moves ``q``."""
+        """(2, nodes) positions at outer variables ``q``."""
         return self.relocation.nodes(q)
 
     def is_valid(self, q: Array) -> bool:
-        """Whether all elements are valid at moves ``q``, see :mod:`rmesh_nlp.mapping.validity`."""
+        """Whether all elements are valid at outer variables ``q``, see :mod:`rmesh_nlp.mapping.validity`."""
         return is_valid(self.problem, self.nodes(q), by_barrier=self.relocation.objective.has_barrier)
 
     def moves(self, positions: Array | None = None, seed: int | None = None) -> Array:
-        """Moves to start from: none, those to ``positions`` (2, nodes), or drawn from the boxes with a seed.
+        """Where to start: zero, at ``positions`` (2, nodes), or drawn from the move limits with a seed.
 
-        Positions are cut to the boxes. Without boxes a draw moves nodes by up to their shortest edge. Moves
-        that break element validity are halved until they do not.
+        Positions are cut to the move limits. Without move limits a draw moves nodes by up to their shortest
+        edge. Outer variables that break element validity are halved until they do not.
         """
         if positions is not None:
             q = np.clip(self.relocation.mesh_map.q_of(positions), -self.bound, self.bound)

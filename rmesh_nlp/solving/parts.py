@@ -169,11 +169,11 @@ class Step:
         solver at its own displacement and forces. NaN where it is not known: in the steps of ``mpcc`` with
         another objective than the energy, but for the last.
     contact_solves : int
-        Contact solves so far; 0 for the all-at-once strategies.
+        Contact solves so far; 0 for the all-at-once formulations.
     seconds : float
         Wall time since the start.
     q : array or None
-        The moves, only in the steps that ``on_step`` receives: a history would be too large.
+        The outer variables, only in the steps that ``on_step`` receives: a history would be too large.
     objective : float
         The outer objective that is minimised; NaN where it is not known.
     product : float
@@ -183,12 +183,12 @@ class Step:
         Number of pairs at the corner (both members at most ``2 sqrt(t)``, in the same units); NaN
         where there are no pairs.
     stationarity : float
-        First-order residual of the outer problem at the moves, by the measure of records; NaN where it
-        was not measured.
+        First-order residual of the outer problem at the outer variables, by the measure of records; NaN
+        where it was not measured.
     energy_given : float
         Energy on the mesh of this step before any node moved, where the meshes of a descent differ.
     seconds_left : float
-        What the strategy guesses that the rest of the descent takes; NaN where it has no guess. It is
+        What the formulation guesses that the rest of the descent takes; NaN where it has no guess. It is
         for progress, like ``energy_given``, and no part of a history.
     """
 

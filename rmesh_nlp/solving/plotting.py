@@ -5,16 +5,16 @@ The figures for print are made by :mod:`rmesh_nlp.report` from files.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib import pyplot
 from matplotlib.axes import Axes
+from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.stress import stresses, von_mises
-from rmesh_nlp.problem import Place
-from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.problem import ContactProblem, Place
 
 MAP = "viridis"
 
@@ -22,7 +22,27 @@ WIDE = 1.6
 """Ratio of width to height from which on the colour bar stands below the body."""
 
 
-def plot(drawn: Solution, what: str, axes: Axes | None = None, **style: Any) -> Axes:
+class Drawn(Protocol):
+    """What is drawn: a solution. ``displacement`` is (components, nodes), ``pressure`` (nodes,)."""
+
+    @property
+    def problem(self) -> ContactProblem:
+        """The problem on the mesh as given."""
+
+    @property
+    def mesh(self) -> MeshTri:
+        """The relocated mesh."""
+
+    @property
+    def displacement(self) -> Array:
+        """In units of length."""
+
+    @property
+    def pressure(self) -> Array:
+        """Of the contact."""
+
+
+def plot(drawn: Drawn, what: str, axes: Axes | None = None, **style: Any) -> Axes:
     """Draw one of ``PICTURES`` and return the axes, those of a new figure if none are given.
 
     Raises
@@ -38,7 +58,7 @@ def plot(drawn: Solution, what: str, axes: Axes | None = None, **style: Any) -> 
     return axes
 
 
-def _mesh(axes: Axes, drawn: Solution, style: dict[str, Any]) -> None:
+def _mesh(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
     """The given mesh in light grey below the relocated one."""
     initial = drawn.problem.mesh.p
     triangles = drawn.problem.triangles.T
@@ -48,7 +68,7 @@ def _mesh(axes: Axes, drawn: Solution, style: dict[str, Any]) -> None:
     _in_plane(axes, "mesh")
 
 
-def _displacement(axes: Axes, drawn: Solution, style: dict[str, Any]) -> None:
+def _displacement(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
     u = drawn.displacement
     scalar = u.shape[0] == 1
     values = u[0] if scalar else np.linalg.norm(u, axis=0)
@@ -56,7 +76,7 @@ def _displacement(axes: Axes, drawn: Solution, style: dict[str, Any]) -> None:
     _in_plane(axes, "displacement")
 
 
-def _stress(axes: Axes, drawn: Solution, style: dict[str, Any]) -> None:
+def _stress(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
     """Von Mises stress, or the size of the flux of a scalar problem, constant on each element."""
     stress = stresses(drawn.problem, drawn.mesh.p, drawn.displacement)
     scalar = drawn.problem.components == 1
@@ -65,7 +85,7 @@ def _stress(axes: Axes, drawn: Solution, style: dict[str, Any]) -> None:
     _in_plane(axes, "flux" if scalar else "stress")
 
 
-def _pressure(axes: Axes, drawn: Solution, style: dict[str, Any]) -> None:
+def _pressure(axes: Axes, drawn: Drawn, style: dict[str, Any]) -> None:
     """Along the contact boundary; over the plane for an obstacle in the interior."""
     sets = drawn.problem.contact_sets
     if not sets:
@@ -93,7 +113,7 @@ def _along(points: Array) -> int:
     return int(np.argmax(np.ptp(points, axis=1)))
 
 
-def _coloured(axes: Axes, drawn: Solution, values: Array, style: dict[str, Any], label: str) -> None:
+def _coloured(axes: Axes, drawn: Drawn, values: Array, style: dict[str, Any], label: str) -> None:
     """Values at nodes or of elements as colours, with their bar."""
     x, y = drawn.mesh.p
     painted = axes.tripcolor(x, y, values, **{"triangles": drawn.problem.triangles.T, "cmap": MAP, **style})

@@ -297,7 +297,7 @@ class Solution(Assessment):
             rows.append(("gain left on refined meshes", f"{extra['gain_surviving']:.0%} of the objective's"))
         if self.multipliers is not None:
             box, area = self.multipliers.box, self.multipliers.area
-            rows.append(("limited by boxes", f"{np.sum(box > 0)} nodes, largest {figure(box.max())}"))
+            rows.append(("limited by move limits", f"{np.sum(box > 0)} nodes, largest {figure(box.max())}"))
             rows.append(("limited by areas", f"{np.sum(area > 0)} elements, largest {figure(area.max())}"))
         return rows
 

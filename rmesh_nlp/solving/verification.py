@@ -23,10 +23,10 @@ LEAST_ORDER = 1.9
 """What counts as second order; 1.9 is also what cashocs and dolfin-adjoint ask for."""
 
 FIRST_STEP, HALVINGS = 1e-2, 5
-"""Lengths of the steps, in units of the boxes in which nodes move."""
+"""Lengths of the steps, in units of the move limits in which nodes move."""
 
 INSIDE = 0.6
-"""Part of the boxes from which the point is drawn, so that all steps stay inside."""
+"""Part of the move limits from which the point is drawn, so that all steps stay inside."""
 
 ROUNDING = 1e-13
 """Remainders below this part of the objective are rounding and say nothing of the gradient."""

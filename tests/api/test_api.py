@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import rmesh_nlp as rm
-from formulations.fixed import Fixed
 from formulations.joint import Joint
 from formulations.multistart import MultiStart
 from rmesh_nlp.cli.app import run
@@ -72,10 +71,9 @@ def test_a_comparison_holds_solutions_records_and_tables(comparison: rm.Comparis
 
 
 def test_objects_of_one_class_are_told_apart_by_their_settings() -> None:
-    kinds = ["fixed", "auto", Joint(), Joint(first_barrier=1e-2), MultiStart(Joint(), starts=1), Fixed(9)]
+    kinds = ["fixed", "auto", Joint(), Joint(first_barrier=1e-2), MultiStart(Joint(), starts=1)]
     found = rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), kinds, max_iterations=3)
     names = ["fixed", "auto", "joint", "joint(first_barrier=0.01)", "multistart(joint, starts=1)"]
-    names += ["fixed(max_iterations=9)"]
     assert list(found.summary().index) == list(found.solutions) == names
     assert found[names[3]].settings == {"first_barrier": 1e-2}
     assert all(name in found.markdown() for name in names)

@@ -1,6 +1,9 @@
-"""What is chosen for a problem, the cascade behind it, and that the record says so."""
+"""What is chosen for a problem, the cascade behind it, its time limits and Ctrl-C, and the record of it."""
+
+from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -9,9 +12,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from formulations import cascade as of_cascade
+from formulations import cascade as of_formulation
 from formulations.auto import Auto
-from formulations.cascade import cascade, finished
 from formulations.confirmed import agrees
 from formulations.joint import Joint
 from formulations.nested import Nested
@@ -19,10 +21,13 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objectives import ENERGY
+from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.cascade import CascadeResult
+from rmesh_nlp.models import cascade as of_cascade
+from rmesh_nlp.models.cascade import CascadeResult, cascade
+from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.models.regularised_descent import Finish
+from rmesh_nlp.models.regularised_descent import Finish, finished
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -34,6 +39,8 @@ from rmesh_nlp.problem import (
     Traction,
     signed_areas,
 )
+from rmesh_nlp.solving import outer as of_outer
+from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
@@ -69,7 +76,7 @@ def test_large_moves_of_example_61_and_what_the_record_says_of_them() -> None:
 @pytest.mark.parametrize(
     ("motion", "chosen"),
     [
-        (Motion(0.02), "joint: nodes have boxes"),
+        (Motion(0.02), "joint: nodes have move limits"),
         pytest.param(Motion(None, min_angle=20.0), "joint, regularised", marks=pytest.mark.slow),
     ],
 )
@@ -126,7 +133,7 @@ def test_bad_settings_are_refused(bad: dict) -> None:
 
 
 @pytest.mark.parametrize(("n", "chosen"), [(8, Joint), (33, Nested)])
-def test_many_moves_in_boxes_are_made_by_newton(n: int, chosen: type) -> None:
+def test_many_outer_variables_within_move_limits_are_made_by_newton(n: int, chosen: type) -> None:
     """On 1,156 nodes: the time of ``joint`` grows like the square of their number."""
     problem = ContactProblem(rectangle(n, n), Laplace(1.0), ("left", "right"), motion=Motion(0.001))
     choice = Auto().choose(problem, ENERGY)
@@ -149,8 +156,8 @@ def test_a_worse_end_is_never_kept(limit: int | None, monkeypatch: pytest.Monkey
         found = cascade(*given)
         return found if limit is None else replace(found, q=worse(found.energy, found.q))
 
-    monkeypatch.setattr(of_cascade, "finished", spoilt_way)
-    monkeypatch.setattr(of_cascade, "cascade", spoilt_cascade)
+    monkeypatch.setattr(of_formulation, "finished", spoilt_way)
+    monkeypatch.setattr(of_formulation, "cascade", spoilt_cascade)
     problem = replace(no_boxes(EXAMPLES["6.1"](n=3)), quadrature=6)
     solution = auto.solve(problem, max_iterations=limit, settings={"iterations": 8, "finish": 2})
     assert solution.success
@@ -197,3 +204,93 @@ def test_steps_of_a_cascade_say_residual_gain_and_time_left() -> None:
     guesses = [step.seconds_left for step in steps if math.isfinite(step.seconds_left)]
     assert len(guesses) > len(steps) / 2
     assert min(guesses) >= 0
+
+
+def test_nothing_more_is_stated_once_the_time_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    stated = []
+    for module in (of_cascade, of_outer):
+        monkeypatch.setattr(module, "relocation", lambda *a, make=relocation: stated.append(a) or make(*a))
+    problem = no_boxes(EXAMPLES["6.1"](n=16))
+    row = auto.solve(problem, time_limit_s=1e-9).record()
+    assert row["status"] == "time_limit"
+    assert row["valid"]
+    assert row["gain"] == 0
+    assert row.get("error_reduction") is None
+    assert len(stated) == 1  # that of the audit
+
+
+def test_a_cascade_that_is_late_prolongs_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    stated = []
+    monkeypatch.setattr(of_cascade, "relocation", lambda *a: stated.append(a) or relocation(*a))
+    problem = replace(no_boxes(EXAMPLES["6.1"](n=16)), quadrature=6)
+    result = cascade(problem, is_late=lambda: len(stated) > 0)
+    assert len(stated) == 1  # the first weight on the coarsest mesh
+    assert [level.nodes for level in result.levels] == [81]
+    assert result.status is Status.INTERRUPTED
+    assert np.any(result.q != 0)
+    nodes = MeshMap.of(problem).positions.values(result.q)
+    assert np.all(signed_areas(nodes, problem.triangles) > 0)
+    energies = [ContactSolver(problem).solve(x).energy for x in (problem.mesh.p, nodes)]
+    assert energies[1] < energies[0]
+
+
+def test_a_time_limit_on_the_way_to_a_stationary_point_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def late(*given, **options):
+        monkeypatch.setattr(Monitor, "remaining", 0.0)
+        return finished(*given, **options)
+
+    monkeypatch.setattr(of_formulation, "finished", late)
+    row = auto.solve(no_boxes(EXAMPLES["6.1"](n=3))).record()
+    assert row["status"] == "time_limit"
+    assert row["valid"]
+    assert row["gain_audited"] > 0
+    assert row.get("error_reduction") is None
+
+
+class Interrupting:
+    """Ctrl-C in the first step that ``when`` is true of."""
+
+    def __init__(self, when: Callable[[Step], bool]) -> None:
+        self.when, self.steps, self.pressed = when, [], False
+
+    def __call__(self, step: Step) -> None:
+        self.steps.append(step)
+        if not self.pressed and self.when(step):
+            self.pressed = True
+            raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+def test_ctrl_c_on_a_coarse_mesh_keeps_the_map_that_there_is() -> None:
+    problem = no_boxes(EXAMPLES["6.1"](n=16))
+    press = Interrupting(lambda step: step.iteration == 6)
+    solution = auto.solve(problem, on_step=press)
+    assert press.pressed
+    assert all(step.q is None for step in press.steps)  # the given mesh was not reached
+    assert solution.status is Status.INTERRUPTED
+    assert solution.valid
+    assert solution.record()["gain_audited"] > 0
+
+
+def test_ctrl_c_on_the_way_to_a_stationary_point_keeps_the_best_mesh() -> None:
+    problem = no_boxes(EXAMPLES["6.1"](n=3))
+    # the steps of that way are the ones of which no limit of iterations is known
+    press = Interrupting(lambda step: step.iteration > 5 and not math.isfinite(step.seconds_left))
+    solution = auto.solve(problem, on_step=press)
+    assert press.pressed
+    assert solution.status is Status.INTERRUPTED
+    assert solution.valid
+    finest = [step for step in press.steps if step.q is not None]
+    assert solution.energy <= finest[0].energy
+    assert solution.record()["gain_audited"] > 0
+
+
+@pytest.mark.slow
+def test_the_way_to_a_stationary_point_keeps_to_its_contact_solves() -> None:
+    problem = replace(no_boxes(EXAMPLES["6.1"](n=3)), quadrature=8)
+    free = auto.solve(problem, tolerance=1e-15)  # a tolerance that is not met
+    most = free.contact_solves - 1
+    held = auto.solve(problem, tolerance=1e-15, settings={"most": most})
+    assert held.contact_solves <= most
+    assert held.status is Status.ITERATION_LIMIT
+    assert held.success

@@ -64,7 +64,7 @@ def test_the_first_stage_begins_at_the_contact_solution_on_the_given_mesh(object
 @pytest.mark.parametrize("objective", ["energy", "error-l2"])
 def test_no_other_program_is_solved(objective: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(*_: Any, **__: Any) -> None:
-        raise AssertionError("another strategy was asked")
+        raise AssertionError("another formulation was asked")
 
     monkeypatch.setattr(Joint, "run", forbidden)
     monkeypatch.setattr(Joint, "minimised", forbidden)
@@ -138,7 +138,7 @@ def test_a_solution_and_positions_are_starts() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["6.1", "6.3"])
-def test_a_minimum_of_another_strategy_is_certified_where_it_is(name: str) -> None:
+def test_a_minimum_of_another_formulation_is_certified_where_it_is(name: str) -> None:
     # from the given mesh mpcc ends in a lower minimum of 6.1: it must not leave nested's on the way there
     problem = EXAMPLES[name]()
     end = solved("nested", name)
@@ -176,14 +176,14 @@ def test_ipopts_barrier_is_no_relaxation_parameter() -> None:
 
 
 @pytest.mark.parametrize(
-    ("strategy", "name", "n"),
+    ("formulation", "name", "n"),
     [(mpcc, "6.1", 3), (mpcc, "6.2", (4, 2)), (joint, "6.1", 5), (joint, "6.2", (6, 3))],
 )
-def test_without_boxes_no_iterate_inverts_an_element(strategy: Any, name: str, n: Any) -> None:
+def test_without_move_limits_no_iterate_inverts_an_element(formulation: Any, name: str, n: Any) -> None:
     given = EXAMPLES[name](n)
     problem = replace(given, motion=replace(given.motion, delta=None), quadrature=6)
     least: list[float] = []
-    solution = strategy.solve(
+    solution = formulation.solve(
         problem, max_iterations=250, on_step=lambda step: least.append(area_at(problem, step.q))
     )
     assert solution.record()["status"] == "converged"

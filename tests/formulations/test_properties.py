@@ -100,11 +100,11 @@ def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
 @pytest.mark.slow
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(SEEDS, st.sampled_from([joint, nested]))
-def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, strategy: Any) -> None:
+def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, formulation: Any) -> None:
     # a rule of high degree and gaps along edges: with the degree 3 and the nodal gaps of these problems some
     # optima are those of the rule, or penetration between contact nodes
     problem = with_edge_gaps(replace(random_problem(seed), quadrature=8))
-    solution = strategy.solve(problem)
+    solution = formulation.solve(problem)
     assert solution.success, solution.status
     assert solution.energy <= solution.energy_initial + 1e-9 * abs(solution.energy_initial)
     areas = signed_areas(solution.mesh.p, problem.triangles)

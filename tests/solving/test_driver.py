@@ -1,8 +1,7 @@
-"""The driver of all formulations, with one that a third party could have written."""
+"""The driver of all formulations, with the one of CONTRIBUTING.md, as a third party would write it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,37 +13,16 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import Count, Positive
 from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.driver import solve
-from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
 from support.endings import Ends
+from support.formulations import alternating
 
-
-@dataclass(frozen=True)
-class Alternating(Formulation):
-    """Minimises over u, then over X along its gradient at that u, in turn."""
-
-    step: Positive = 1.0
-    most: Count = 200
-
-    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        track, width = monitor.track(outer), self.step
-        for iteration in range(self.most):
-            here = outer.function(q)  # the displacement at these positions
-            if track.exact(iteration, q, here):
-                break
-            if outer.residual(here) <= outer.tolerance:
-                return Outcome(outer, q, Status.CONVERGED)
-            slope = here.gradient / np.max(np.abs(here.gradient))
-            to = np.clip(q - width * slope, -outer.bound, outer.bound)
-            lower = outer.is_valid(to) and outer.function(to).value < here.value
-            q, width = (to, 1.5 * width) if lower else (q, 0.5 * width)
-        return Outcome(outer, q, Status.ITERATION_LIMIT)
+Alternating = alternating()
 
 
 @pytest.fixture(scope="module")
@@ -54,13 +32,13 @@ def problem() -> ContactProblem:
 
 def test_a_formulation_of_one_s_own_has_all_that_others_have(problem: ContactProblem) -> None:
     seen: list[Step] = []
-    solution = solve(problem, Alternating(step=0.5), tolerance=1e-2, on_step=seen.append)
+    solution = solve(problem, Alternating(first_step=0.1), tolerance=1e-2, on_step=seen.append)
     record = solution.record()
     assert solution.status is Status.CONVERGED
     assert solution.gain_audited > 0.9 * solve(problem, Joint()).gain_audited
     assert (record["formulation"], record["settings"], record["start"]) == (
         "alternating",
-        {"step": 0.5},
+        {"first_step": 0.1},
         "given",
     )
     assert [step.iteration for step in seen] == list(range(solution.iterations + 1))

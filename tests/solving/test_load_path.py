@@ -65,7 +65,7 @@ def test_relocation_gains_in_every_step(relocate: str) -> None:
         ({"relocate": "sometimes"}, "got 'sometimes'"),
         ({"steps": 0}, "at least one step"),
         ({"obstacle": 1}, "no obstacle 1"),
-        ({"relocate": "once", "hold": None}, "needs the strategy without motion"),
+        ({"relocate": "once", "hold": None}, "needs the solve without relocation"),
     ],
 )
 def test_a_wrong_path_is_refused(change: dict, message: str) -> None:

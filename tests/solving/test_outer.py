@@ -1,4 +1,4 @@
-"""Where a strategy starts, what its record says, and the Taylor test that users run, by other means."""
+"""Where a formulation starts, what its record says, and the Taylor test that users run, by other means."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class TestStart:
         np.testing.assert_array_equal(outer.moves(), np.zeros(outer.relocation.n_q))
 
     @pytest.mark.parametrize("seed", [0, 3])
-    def test_a_seed_draws_uniformly_from_the_boxes(self, outer: Outer, seed: int) -> None:
+    def test_a_seed_draws_uniformly_from_the_move_limits(self, outer: Outer, seed: int) -> None:
         drawn = np.random.default_rng(seed).uniform(-1, 1, outer.relocation.n_q)
         np.testing.assert_array_equal(outer.moves(seed=seed), drawn)
 
-    def test_positions_are_met_and_cut_to_the_boxes(self, problem: ContactProblem, outer: Outer) -> None:
+    def test_positions_are_cut_to_the_move_limits(self, problem: ContactProblem, outer: Outer) -> None:
         free = outer.relocation.mesh_map
         q = np.random.default_rng(1).uniform(-1.5, 1.5, free.n)
         start = outer.moves(free.positions.values(q), 7)  # a seed has then no effect
@@ -95,7 +95,7 @@ def test_zones_and_counts_of_a_record(problem: ContactProblem) -> None:
     assert ended(smooth, np.zeros(smooth.n)).zones is None
 
 
-def test_own_residuals_are_those_of_the_strategy_s_state(problem: ContactProblem) -> None:
+def test_own_residuals_are_those_of_the_formulation_s_state(problem: ContactProblem) -> None:
     outer = Outer(problem)
     q = np.zeros(outer.relocation.n_q)
     state = outer.energy(q).equilibrium

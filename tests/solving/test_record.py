@@ -48,10 +48,10 @@ class TestRecord:
         motion = np.linalg.norm(made.mesh.p - made.problem.mesh.p, axis=0).max()
         assert float(rows["largest motion"]) == pytest.approx(motion, rel=1e-3)
         boxes = np.sum(solution.multipliers.box > 0)
-        assert rows["limited by boxes"].startswith(f"{boxes} nodes, largest ")
+        assert rows["limited by move limits"].startswith(f"{boxes} nodes, largest ")
         areas = np.sum(solution.multipliers.area > 0)
         assert rows["limited by areas"].startswith(f"{areas} elements")
-        assert "limited by boxes" not in dict(replace(made, multipliers=None).summary())
+        assert "limited by move limits" not in dict(replace(made, multipliers=None).summary())
         assert "error reduction" not in rows
         fell = ErrorReduction((0.3, 0.4), (0.1, 0.2), 2.0, 3.0, "refinement", 15, 7)
         assert dict(replace(made, error_reduction=fell).summary())["error reduction"] == fell.text()

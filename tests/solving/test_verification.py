@@ -1,4 +1,4 @@
-"""The Taylor test that users run: it measures what it says, and notices a wrong gradient."""
+"""Taylor tests find wrong gradients, and Theorem 4.1 holds term by term."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
-from rmesh_nlp.solving.verification import TaylorTest, verify_gradient
+from rmesh_nlp.solving.verification import TaylorTest, error_terms, error_terms_on, verify_gradient
+from support.formulations import fixed, joint, mpcc
+from support.sliding import sliding_block
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,7 @@ class TestTaylor:
         assert rows[-1][1] == "right: order 2.00"
         assert "order" not in rows[1][1]
 
-    def test_it_measures_what_it_says_inside_of_the_boxes(
+    def test_it_measures_what_it_says_inside_of_the_move_limits(
         self, problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         points: list[Any] = []
@@ -92,3 +94,53 @@ class TestTaylor:
         problem = ContactProblem(rectangle(1, 1), Laplace(1.0), ("left",), motion=Motion(0.05))
         with pytest.raises(ValueError, match="may move: there is no gradient"):
             verify_gradient(problem)
+
+
+@pytest.mark.slow
+def test_the_terms_sum_to_the_energy_above_the_exact_one() -> None:
+    problem = EXAMPLES["6.1"](4)
+    before, after = error_terms(fixed.solve(problem)), error_terms(joint.solve(problem))
+    assert before is not None
+    assert after is not None
+    for terms in (before, after):
+        assert terms.I3 == 0
+        assert min(terms.I1, terms.I2) > 0
+        # what is left is the audit's quadrature of the load
+        assert terms.total == pytest.approx(terms.above_exact, rel=1e-5)
+    assert after.total < before.total
+
+
+@pytest.mark.slow
+def test_with_friction_the_third_term_closes_the_sum() -> None:
+    found = []
+    for n in (4, 8):
+        problem = sliding_block(n)
+        terms = error_terms_on(problem, problem.mesh.p)
+        assert terms is not None
+        assert min(terms.I1, terms.I3) > 0  # on these grids nodes slide where the exact solution sticks
+        assert terms.I2 >= -1e-12
+        # loads and displacement are polynomials on the elements, so rules are exact and nothing is left over
+        assert terms.total == pytest.approx(terms.above_exact, rel=1e-9)
+        assert terms.total - terms.I3 != pytest.approx(terms.above_exact, rel=1e-6)
+        found.append(terms)
+    assert found[1].total < 0.5 * found[0].total
+
+
+def test_the_terms_do_not_depend_on_the_rule_of_the_problem() -> None:
+    one, two = (EXAMPLES["6.1"](2).with_rule(rule) for rule in (1, 8))
+    assert error_terms_on(one, one.mesh.p) == error_terms_on(two, two.mesh.p)
+
+
+def test_without_an_exact_solution_there_are_no_terms() -> None:
+    assert error_terms(fixed.solve(EXAMPLES["6.2"]((6, 4)))) is None
+
+
+@pytest.mark.parametrize("formulation", [joint, mpcc])
+def test_own_residuals_are_those_of_the_formulation_s_own_forces(formulation) -> None:
+    record = formulation.solve(EXAMPLES["6.3"]((6, 4))).record()
+    for kind in ("equilibrium", "complementarity"):
+        own, outer = record[f"own_{kind}_residual"], record[f"assessed_{kind}_residual"]
+        # an interior point is right to its tolerance, a contact solve to rounding: not one number twice
+        assert 0 <= own <= 1e-6
+        assert 0 <= outer <= 1e-9
+    assert record["own_equilibrium_residual"] != record["assessed_equilibrium_residual"]

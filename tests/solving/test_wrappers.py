@@ -126,7 +126,7 @@ class TestMultiStart:
 
 
 class TestRefined:
-    def test_a_refined_mesh_moves_in_boxes_of_the_same_length(self, problem: ContactProblem) -> None:
+    def test_move_limits_of_a_refined_mesh_keep_their_length(self, problem: ContactProblem) -> None:
         fine = refined(problem)
         assert fine.mesh.t.shape[1] == 4 * problem.mesh.t.shape[1]
         meshes = [problem.mesh, fine.mesh]
@@ -300,6 +300,6 @@ class TestFlips:
         found = assess(lower, Outcome(there, there.moves(), Status.CONVERGED))
         assert (found.status, found.valid, found.improved) == (Status.WORSE, True, False)
 
-    def test_boxes_are_refused(self, problem: ContactProblem) -> None:
-        with pytest.raises(BadInputError, match="boxes"):
+    def test_move_limits_are_refused(self, problem: ContactProblem) -> None:
+        with pytest.raises(BadInputError, match="move limits"):
             solve(problem, Flips(Script().formulation))

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import importlib
+import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.options import request
 from rmesh_nlp.solving.solution import Solution
 from support.solved import solve_once
+
+
+def alternating() -> type[Formulation]:
+    """The formulation of CONTRIBUTING.md."""
+    page = (Path(__file__).parents[2] / "CONTRIBUTING.md").read_text()
+    (block,) = re.findall(r"```python\n(.*?)```", page, re.S)
+    space: dict[str, Any] = {}
+    exec(compile(block, "CONTRIBUTING.md", "exec", dont_inherit=True), space)
+    return space["Alternating"]
 
 
 @dataclass(frozen=True)

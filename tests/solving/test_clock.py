@@ -1,5 +1,7 @@
 """Guesses of the time that is left."""
 
+from __future__ import annotations
+
 import math
 
 import pytest

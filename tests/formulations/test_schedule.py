@@ -1,4 +1,6 @@
-"""Regularised problems without boxes by every strategy and outer solver."""
+"""Regularised problems without move limits by every formulation and outer solver."""
+
+from __future__ import annotations
 
 from dataclasses import replace
 
@@ -67,7 +69,7 @@ def test_a_least_angle_holds_as_a_constraint() -> None:
     assert solution.record()["gain_audited"] > 0.2 * gain_estimate(problem()).value
 
 
-def test_boxes_hold_too() -> None:
+def test_move_limits_hold_too() -> None:
     boxed = replace(problem(), motion=Motion(0.05))
     solution = nested.solve(boxed, regularisation=0.01, outer="newton")
     assert np.max(np.abs(solution.mesh.p - boxed.mesh.p)) <= 0.05 + 1e-12
@@ -82,7 +84,7 @@ def test_other_objectives_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_strategies_say_an_objective_alike() -> None:
+def test_formulations_say_an_objective_alike() -> None:
     """Rows of one objective are compared with one another: its text and its values must be the same."""
     given = replace(EXAMPLES["6.2"]((4, 2)), quadrature=4)
     rows = [one.solve(given, objective="energy+0.1*quality").record() for one in (joint, nested, mpcc)]

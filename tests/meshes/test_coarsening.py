@@ -1,5 +1,7 @@
 """Coarser meshes, edge flips, and maps between meshes."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Meshes in and out: repairs are said, errors are named, names survive."""
 
+from __future__ import annotations
+
 import re
 import sys
 import warnings
