@@ -47,7 +47,7 @@ class Refined(Wrapper):
                 break
             coarse = found.outer.problem
             with monitor.clock.during("build"):
-                fine = outer.on(refined(coarse))
+                fine = Outer(refined(coarse), outer.objective, outer.tolerance)
                 start = fine.moves(prolong(coarse, found.outer.nodes(found.q), fine.problem))
             found = monitor.run(self.inner, fine, start)
             energies.append(continuous_energy(found))

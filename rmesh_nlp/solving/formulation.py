@@ -17,7 +17,8 @@ A package offers it by one line in its ``pyproject.toml``::
     [project.entry-points."rmesh_nlp.formulations"]
     mine = "my_package.my_module:Mine"
 
-The entry may also be a function that chooses for a problem, ``(problem, objective) -> Choice``.
+The class may also be a :class:`Chooser`. What a formulation adds to the record is a frozen dataclass derived
+from :class:`rmesh_nlp.solving.parts.Part`, handed over as ``Outcome(..., details=(Mine(...),))``.
 """
 
 from __future__ import annotations

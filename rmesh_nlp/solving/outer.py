@@ -96,7 +96,7 @@ class Outer:
         return other
 
     def on(self, problem: ContactProblem) -> Outer:
-        """The same objective on another mesh, or with another rule, of the same problem."""
+        """The same objective with other edges or another rule, whose estimated error is taken over."""
         other = Outer(problem, self.objective, self.tolerance)
         other.gain = self.gain
         return other
