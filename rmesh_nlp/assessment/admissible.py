@@ -8,6 +8,7 @@ never below the least energy of the continuous problem. By Theorem 4.1 it falls 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,12 +22,11 @@ from rmesh_nlp.contact.solver import Directions
 from rmesh_nlp.contact.system import LARGE, ActiveSet, ContactSystem, Equilibrium, elimination_order
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import displacement_field
-from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.body import Body, Index
+from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import locally_refined
 from rmesh_nlp.problem.rigid import rigid_motions
 
@@ -103,20 +103,19 @@ class Continuous:
         self.field, self.n_u = displacement_field(DisplacementSpace.of(problem))
         self.stiffness = stiffness(self.body)
         self.load, self._load_doubt = load_vector(self.body)
+        self.given = self.field.values(np.zeros(self.n_u))  # (components, nodes)
         self.directions = Directions(problem, self.field, self.n_u)
         self.cells = [cell for part in problem.contact_sets for cell in cells_of(self.body, part)]
 
     def system(self, standoff: Array) -> ContactSystem:
         """The quadratic program with gaps shortened by a stand-off (gaps,)."""
-        free, given = _free(self.field), self._given()
+        free, given = np.flatnonzero(self.field.index.T.ravel() >= 0), self.given.T.ravel()
         pull = self.stiffness @ given
         nodes, sets = self.body.nodes, self.problem.contact_sets
         normals, tangents = self.directions.rows(nodes)
         gaps = [part.obstacle.distances(nodes[:, part.nodes]) for part in sets]
-        along = self._along(given)
-        offset = np.concatenate(
-            [np.zeros(0), *(gap + along[p.rows] for gap, p in zip(gaps, sets, strict=True))]
-        )
+        along = np.sum(self.directions.normals(nodes) * self.given[:, self.problem.contact_nodes], axis=0)
+        offset = np.concatenate([np.zeros(0), *gaps]) + along
         frictional = np.zeros(offset.size, dtype=bool)
         frictional[self.problem.friction_rows] = True
         rigid = rigid_motions(self.problem, nodes)
@@ -179,21 +178,8 @@ class Continuous:
         ]
         friction = float(sum(np.sum(values) for values, _ in frictions))
         doubt = float(self._load_doubt @ np.abs(u)) + float(sum(np.sum(wrong) for _, wrong in frictions))
-        energy = strain - work + friction
-        return Admissible(
-            self.problem,
-            self.body,
-            system,
-            state,
-            displacement,
-            standoff,
-            energy,
-            strain,
-            work,
-            friction,
-            doubt,
-            left,
-        )
+        parts = strain - work + friction, strain, work, friction, doubt
+        return Admissible(self.problem, self.body, system, state, displacement, standoff, *parts, left)
 
     @property
     def _is_curved(self) -> bool:
@@ -204,15 +190,6 @@ class Continuous:
         """(gaps,) gaps at the nodes, without stand-offs."""
         bare = self.system(np.zeros(self.problem.contact_nodes.size))
         return np.asarray(bare.normals @ u + bare.offset)
-
-    def _given(self) -> Array:
-        return self.field.values(np.zeros(self.n_u)).T.ravel()
-
-    def _along(self, given: Array) -> Array:
-        """(gaps,) displacement along the normal that is given at contact nodes."""
-        u = given.reshape(-1, self.problem.components).T
-        normals = self.directions.normals(self.body.nodes)
-        return np.asarray(np.sum(normals * u[:, self.problem.contact_nodes], axis=0))
 
     def _bounds(self) -> Array:
         """(gaps,) integrals of the friction bound times the hat functions; empty without friction."""
@@ -227,22 +204,28 @@ class Continuous:
             bounds.append(here[part.nodes])
         return np.concatenate(bounds)
 
+    def given_along(self, cells: Cells) -> Array:
+        """(nodes,) given displacement along the normal of the foundation of some cells."""
+        return np.asarray(np.sum(cells.contact.obstacle.normals(self.body.nodes) * self.given, axis=0))
+
     def _first_standoff(self) -> Array:
-        given = self._given().reshape(-1, self.problem.components).T
-        standoff = np.zeros(self.problem.contact_nodes.size)
+        found = []
         for cells in self.cells:
-            normals = cells.contact.obstacle.normals(self.body.nodes)
-            off = cells.off(np.sum(normals * given, axis=0))
-            size = float(np.max(np.abs(cells.distance), initial=0.0))
-            _raise(standoff, cells, np.where(off > SLACK * 1e-3 * size, off, 0.0))
-        return standoff
+            off, size = cells.off(self.given_along(cells)), np.max(np.abs(cells.distance), initial=0.0)
+            found.append(np.where(off > SLACK * 1e-3 * size, off, 0.0))
+        return self._raised(found)
 
     def _missing(self, state: Equilibrium) -> Array:
         displacement = self.field.values(state.u)
-        more = np.zeros(self.problem.contact_nodes.size)
-        for cells in self.cells:
-            _raise(more, cells, cells.missing(displacement))
-        return more
+        return self._raised([cells.missing(displacement) for cells in self.cells])
+
+    def _raised(self, off: Sequence[Array]) -> Array:
+        """(gaps,) the largest ``off`` (m,) of the cells at each free node."""
+        standoff = np.zeros(self.problem.contact_nodes.size)
+        for cells, one in zip(self.cells, off, strict=True):
+            for rows in cells.rows:
+                np.maximum.at(standoff, rows[rows >= 0], one[rows >= 0])
+        return standoff
 
 
 def admissible(
@@ -260,30 +243,14 @@ def admissible(
     """
     for _ in range(REFINEMENTS):
         here = Continuous(problem, nodes)
-        given = here._given().reshape(-1, problem.components).T
-        cut = [np.zeros(0, dtype=np.int64)]
-        for cells in here.cells:
-            if cells.nodes.shape[0] == 3:
-                normals = cells.contact.obstacle.normals(here.body.nodes)
-                bad = cells.unreachable(np.sum(normals * given, axis=0))
-                cut.append(cells.number[bad])
-        elements = np.concatenate(cut)
+        inside = [cells for cells in here.cells if cells.nodes.shape[0] == 3]
+        cut = [cells.number[cells.unreachable(here.given_along(cells))] for cells in inside]
+        elements = np.concatenate([np.zeros(0, dtype=np.int64), *cut])
         if elements.size == 0:
             break
         moved = problem if nodes is None else replace(problem, mesh=relocated_mesh(problem.mesh, nodes))
         problem, nodes, start = locally_refined(moved, elements), None, None
     return here.solve(start)
-
-
-def _raise(standoff: Array, cells: Cells, off: Array) -> None:
-    """Raise the stand-offs of the free nodes of each cell to ``off`` (m,)."""
-    for rows in cells.rows:
-        free = rows >= 0
-        np.maximum.at(standoff, rows[free], off[free])
-
-
-def _free(field: Field) -> Index:
-    return np.flatnonzero(field.index.T.ravel() >= 0)
 
 
 def _solved(system: ContactSystem, start: ActiveSet | None) -> Equilibrium:

@@ -180,23 +180,16 @@ def quantities(
     if not force.size:
         return None
     weights = nodal_weights(problem, nodes)
-    normals, tangents = directions(problem, nodes)
+    normals = np.hstack([part.obstacle.normals(nodes[:, part.nodes]) for part in problem.contact_sets])
     total = normals @ force
     if state.tangential_force.size:
-        total = total + tangents @ state.tangential_force
+        total = total + np.stack([normals[1], -normals[0]]) @ state.tangential_force
     pressing = force > 1e-9 * max(system.force_scale, float(np.max(force)))
     return Quantities(
         peak_pressure=float(np.max(force / weights)),
         resultant=float(np.linalg.norm(total)),
         contact_length=float(np.sum(weights[pressing])),
     )
-
-
-def directions(problem: ContactProblem, nodes: Array) -> tuple[Array, Array]:
-    """Normals and tangents (components, gaps) at contact nodes."""
-    parts = [part.obstacle.normals(nodes[:, part.nodes]) for part in problem.contact_sets]
-    normals = np.hstack([np.zeros((problem.components, 0)), *parts])
-    return normals, np.stack([normals[1], -normals[0]]) if problem.components == 2 else normals
 
 
 def worse(before: Quantities, after: Quantities, refined: Quantities) -> list[str]:

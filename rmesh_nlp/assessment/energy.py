@@ -25,52 +25,22 @@ def stiffness(body: Body) -> sp.csc_array:
     """The matrix K of ``1/2 u K u``, the strain energy."""
     problem = body.problem
     n = problem.components * body.nodes.shape[1]
-    rows, columns, values = [], [], []
+    matrix = sp.csc_array((n, n))
     for law, region in problem.regions:
-        for elements, curved in (
-            (region[~body.is_curved[region]], False),
-            (region[body.is_curved[region]], True),
-        ):
-            if elements.size == 0:
-                continue
-            local = (
-                _curved_stiffness(body, law, elements) if curved else _straight_stiffness(body, law, elements)
-            )
-            dofs = _dofs(problem.components, body.triangles[:, elements])
-            rows.append(np.repeat(dofs, dofs.shape[0], axis=0).ravel())
-            columns.append(np.tile(dofs, (dofs.shape[0], 1)).ravel())
-            values.append(local.reshape(-1, elements.size).ravel())
-    matrix = sp.coo_array(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
-    )
-    return sp.csc_array(matrix)
+        curved = body.is_curved[region]
+        for elements, points in ((region[~curved], 1), (region[curved], STIFFNESS_POINTS)):
 
+            def integrand(which: Index, barycentric: Array, _: Array, law: Law = law) -> Array:
+                gradient = gradients(body.at(which, barycentric)[1])[0]
+                return _density(law, gradient).reshape(-1, *gradient.shape[2:])
 
-def _dofs(components: int, triangles: Index) -> Index:
-    """(components * 3, elements) entries of each triangle, node by node."""
-    return (components * triangles[:, None] + np.arange(components)[None, :, None]).reshape(
-        -1, triangles.shape[1]
-    )
-
-
-def _straight_stiffness(body: Body, law: Law, elements: Index) -> Array:
-    barycentric = np.full((3, elements.size, 1), 1 / 3)
-    gradient, det = gradients(body.at(elements, barycentric)[1])
-    return _weighted(law, gradient, det / 2)
-
-
-def _curved_stiffness(body: Body, law: Law, elements: Index) -> Array:
-    parts = []
-
-    def collect(_: Index, barycentric: Array, __: Array) -> Array:
-        gradient, _det = gradients(body.at(elements, barycentric)[1])
-        parts.append(_density(law, gradient))
-        shape = parts[-1].shape
-        return parts[-1].reshape(-1, *shape[-2:])
-
-    found, _ = over_triangles(body, elements, collect, STIFFNESS_POINTS)
-    size = 3 * law.components
-    return found.reshape(size, size, elements.size)
+            if elements.size:
+                local = over_triangles(body, elements, integrand, points)[0]
+                nodes = problem.components * body.triangles[:, None, elements]
+                dofs = (nodes + np.arange(problem.components)[:, None]).reshape(-1, elements.size)
+                place = np.repeat(dofs, len(dofs), axis=0).ravel(), np.tile(dofs, (len(dofs), 1)).ravel()
+                matrix += sp.csc_array(sp.coo_array((local.ravel(), place), shape=(n, n)))
+    return matrix
 
 
 def _density(law: Law, gradient: Array) -> Array:
@@ -84,10 +54,6 @@ def _density(law: Law, gradient: Array) -> Array:
     for i in range(2):
         full[:, i, :, i] += mu * inner
     return full.reshape(6, 6, *gradient.shape[2:])
-
-
-def _weighted(law: Law, gradient: Array, weight: Array) -> Array:
-    return np.asarray((_density(law, gradient) * weight).sum(axis=-1))
 
 
 def load_vector(body: Body) -> tuple[Array, Array]:

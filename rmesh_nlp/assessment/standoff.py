@@ -74,8 +74,8 @@ class Cells:
         given : (nodes,) array
             Displacement along the normal where it is given.
         """
-        height = self.shares.T @ self._at_nodes() - self.low.T
-        return self._needed(height, np.where(self.rows < 0, self._at_nodes() + given[self.nodes], 0.0))
+        height = self.shares.T @ self._at_nodes - self.low.T
+        return self._needed(height, np.where(self.rows < 0, self._at_nodes + given[self.nodes], 0.0))
 
     def unreachable(self, given: Array) -> Index:
         """Cells all of whose nodes are held, through which the foundation rises."""
@@ -108,15 +108,10 @@ class Cells:
             free = rows >= 0
             np.add.at(force, rows[free], (shares * pressing)[free])
 
+    @property
     def _at_nodes(self) -> Array:
         """(v, m) gaps without displacement at the nodes."""
-        where = self._corners
-        return self.contact.obstacle.distances(where.reshape(2, -1)).reshape(where.shape[1:])
-
-    @property
-    def _corners(self) -> Array:
-        corner = [int(np.argmax(share)) for share in self.shares]
-        return self.points[:, :, corner].transpose(0, 2, 1)
+        return self.distance[:, np.argmax(self.shares, axis=1)].T
 
     def _needed(self, height: Array, held: Array) -> Array:
         """Largest ratio of what is missing (k, m), less what held nodes give, to the share of free ones."""

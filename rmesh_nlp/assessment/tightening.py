@@ -74,8 +74,8 @@ def tightened(
     size = float(np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=0.0))
     chosen = [_closed(part, part.gaps(field.values(state.u)), state) for part in cells]
     points = _points(cells, chosen, field, MARGIN * size)
-    slips, bound = _slips(system)
-    solver = _Multipliers(system, points, slips, bound)
+    slips = _slips(system)
+    solver = _Multipliers(system, points, slips, PENALTY)
     u, pressing, friction = state.u.copy(), np.zeros(points.gap.size), state.tangential_force[slips.number]
     before, penalty = np.inf, PENALTY
     for _ in range(ROUNDS):
@@ -85,7 +85,7 @@ def tightened(
         u = found
         pressing, friction, open_by = solver.updated(u, pressing, friction)
         values = field.values(u)
-        more = [_violated(part.gaps(values), *of, 0.0) for part, of in zip(cells, chosen, strict=True)]
+        more = [_violated(part.gaps(values), *of) for part, of in zip(cells, chosen, strict=True)]
         if any(cell.size for cell, _ in more):
             ends = np.cumsum([cell.size for cell, _ in chosen])
             pressing = np.insert(pressing, np.repeat(ends, [cell.size for cell, _ in more]), 0.0)
@@ -94,13 +94,13 @@ def tightened(
                 for one, two in zip(chosen, more, strict=True)
             ]
             points = _points(cells, chosen, field, MARGIN * size)
-            solver, before = _Multipliers(system, points, slips, bound, penalty), np.inf
+            solver, before = _Multipliers(system, points, slips, penalty), np.inf
             continue
         if open_by <= MARGIN * size:
             return _equilibrium(system, cells, chosen, u, pressing, slips.number, friction)
         if open_by > SLOW * before and penalty < LARGEST:
             penalty *= 10
-            solver = _Multipliers(system, points, slips, bound, penalty)
+            solver = _Multipliers(system, points, slips, penalty)
         before = open_by
     return None
 
@@ -115,24 +115,18 @@ class _Points:
 
 @dataclass(frozen=True)
 class _Slips:
-    """Rows (n, n_u) of the slips at nodes where friction acts, and their numbers among the gaps."""
+    """Rows (n, n_u) of the slips at nodes where friction acts, their numbers among the gaps, bounds."""
 
     rows: sp.csr_array
     number: Index
+    bound: Array
 
 
 class _Multipliers:
     """The augmented energy of one set of points, and its minimiser."""
 
-    def __init__(
-        self,
-        system: ContactSystem,
-        points: _Points,
-        slips: _Slips,
-        bound: Array,
-        penalty: float = PENALTY,
-    ) -> None:
-        self._system, self._points, self._slips, self._bound = system, points, slips, bound
+    def __init__(self, system: ContactSystem, points: _Points, slips: _Slips, penalty: float) -> None:
+        self._system, self._points, self._slips, self._bound = system, points, slips, slips.bound
         touched = np.unique(points.rows.indices)
         self._r = penalty * float(np.mean(system.stiffness.diagonal()[touched])) if touched.size else 1.0
         self._factor: tuple[bytes, Any] | None = None
@@ -184,16 +178,16 @@ class _Multipliers:
         return 1.0 if slope(1.0) <= 0 else float(brentq(slope, 0.0, 1.0, xtol=1e-14, rtol=1e-6))
 
 
-def _slips(system: ContactSystem) -> tuple[_Slips, Array]:
-    none = np.zeros(0, dtype=np.int64)
+def _slips(system: ContactSystem) -> _Slips:
     if not system.slip_bound.size:
-        return _Slips(sp.csr_array((0, system.load.size)), none), np.zeros(0)
+        none = np.zeros(0, dtype=np.int64)
+        return _Slips(sp.csr_array((0, system.load.size)), none, np.zeros(0))
     tangents = sp.csr_array(system.tangents)
     acts = np.diff(tangents.indptr) > 0
     if system.frictional is not None:
         acts &= system.frictional
     number = np.flatnonzero(acts)
-    return _Slips(tangents[number], number), system.slip_bound[number]
+    return _Slips(tangents[number], number, system.slip_bound[number])
 
 
 def _closed(part: Cells, gap: Array, state: Equilibrium) -> tuple[Index, Index]:
@@ -204,10 +198,10 @@ def _closed(part: Cells, gap: Array, state: Equilibrium) -> tuple[Index, Index]:
     return cell, np.argmin(gap[cell], axis=1)
 
 
-def _violated(gap: Array, cell: Index, point: Index, rounding: float) -> tuple[Index, Index]:
+def _violated(gap: Array, cell: Index, point: Index) -> tuple[Index, Index]:
     """The worst points of cells where the gap is violated, those that are chosen already left out."""
     worst = np.argmin(gap, axis=1)
-    cells = np.flatnonzero(gap[np.arange(worst.size), worst] < -rounding)
+    cells = np.flatnonzero(gap[np.arange(worst.size), worst] < 0)
     known = set(zip(cell.tolist(), point.tolist(), strict=True))
     new = [c for c in cells.tolist() if (c, int(worst[c])) not in known]
     return np.array(new, dtype=np.int64), worst[new]

@@ -108,9 +108,8 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     NotCertifiableError
         For contact that tractions linear on edges cannot express.
     """
-    held, given, given_doubt, given_error = _given_displacement(problem, skeleton)
-    traction, oscillation, doubt = _tractions(problem, skeleton)
-    parts = _contact_parts(problem, held)
+    supports, loads = _given_displacement(problem, skeleton), _tractions(problem, skeleton)
+    parts = _contact_parts(problem, supports[0])
     contact = np.concatenate([np.zeros(0, dtype=np.int64), *(part.edges for part in parts)])
     n = problem.components
     offset, offset_doubt, friction = np.zeros((3, 2, contact.size))
@@ -122,21 +121,7 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
         friction[:, part.place] = _linear_below(values_at(obstacle.friction, corners, SAMPLE_POINTS))
         rows = (obstacle.tangent, obstacle.normal) if n == 2 else (obstacle.normal,)
         axes[part.place] = np.array(rows)
-    return Conditions(
-        held,
-        given,
-        given_doubt,
-        given_error,
-        traction,
-        oscillation,
-        doubt,
-        contact,
-        offset,
-        offset_doubt,
-        friction,
-        axes,
-        parts,
-    )
+    return Conditions(*supports, *loads, contact, offset, offset_doubt, friction, axes, parts)
 
 
 def _given_displacement(problem: ContactProblem, skeleton: Skeleton) -> tuple[Mask, Array, float, float]:
