@@ -11,13 +11,13 @@ import pytest
 
 from rmesh_nlp.assessment import error_reduction as module
 from rmesh_nlp.assessment.admissible import Admissible, admissible
-from rmesh_nlp.assessment.assessor import Quantities, quantities, worse
 from rmesh_nlp.assessment.error_reduction import by_certificate, error_reduction
+from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
+from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, PlaneStrain
 from rmesh_nlp.problem.contact_problem import refined
 
 
@@ -119,36 +119,74 @@ def test_a_certificate_bounds_the_factor_from_below() -> None:
     assert by_certificate({**found.record(), "source": "exact"}, 0.32, 0.08, True)["source"] == "exact"
 
 
-def test_quantities_by_hand() -> None:
-    # a block of width 2 under a uniform pressure of 3 stands on a line: pressure 3, force 6, contact 2
-    problem = ContactProblem(
-        rectangle(4, 2, x=(0, 2)),
-        PlaneStrain.from_young(1000.0, 0.3),
-        (Dirichlet("left", (0.0, None)), Dirichlet("right", (0.0, None))),
-        Obstacle.graph("bottom", 0.0),
-        Motion(None),
-        (Traction("top", (0.0, -3.0)),),
+class Refinement:
+    """Refined meshes whose energies fall by given amounts."""
+
+    def __init__(self, last: Admissible, falls: tuple[float, ...]) -> None:
+        self.last, self.falls = last, list(falls)
+
+    def __call__(self, here: Admissible) -> Admissible:
+        return replace(here, energy=here.energy - self.falls.pop(0))
+
+
+@pytest.mark.parametrize(
+    ("falls", "few", "low", "high"),
+    [  # d / (1 - 1 / 8) and d / (1 - 1 / 1.7); of two refinements the first is known
+        ((0.7,), 0, 0.8, 0.7 * 1.7 / 0.7),
+        ((1.0, 0.35), 100, 1.0 + 0.4, 1.0 + 0.35 * 1.7 / 0.7),
+        ((1.0, 0.99), 100, 1.0 + 0.99 * 8 / 7, 1.0 + 0.99 * 1.7 / 0.7),
+        ((1.0, 1.0), 100, None, None),
+        ((1.0, -0.1), 100, None, None),
+        ((0.0,), 0, None, None),
+    ],
+)
+def test_errors_are_bounded_by_what_refinements_gain(
+    falls: tuple[float, ...], few: int, low: float, high: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    last = admissible(ContactProblem(rectangle(2, 2), Laplace(1.0), ("left", "right", "top", "bottom")))
+    monkeypatch.setattr(module, "FEW", few)
+    monkeypatch.setattr(module, "_on_refined", Refinement(last, falls))
+    found, _ = error_reduction(replace(last, energy=last.energy + 0.5), last, 3)
+    if low is None:
+        assert found is None
+        return
+    assert found is not None
+    assert found.error == pytest.approx((low, high))
+    assert found.error_initial == pytest.approx((low + 0.5, high + 0.5))
+    assert (found.factor, found.factor_upper) == pytest.approx((1 + 0.5 / high, 1 + 0.5 / low))
+    assert found.nodes == 9
+    assert "by refining the last mesh" in found.text()
+    assert f"{found.factor:.2g} to {found.factor_upper:.2g} times less on 9 nodes" in found.text()
+
+
+@pytest.mark.parametrize(("nodes", "times"), [(100, 2), (101, 1)])
+def test_meshes_of_up_to_a_hundred_nodes_are_refined_twice(
+    nodes: int, times: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mesh = rectangle(9, 9) if nodes == 100 else rectangle(100, 1)
+    last = admissible(ContactProblem(mesh, Laplace(1.0), ("left", "right")))
+    refinement = Refinement(last, (1.0, 0.5))
+    monkeypatch.setattr(module, "_on_refined", refinement)
+    error_reduction(replace(last, energy=last.energy + 0.5), last, 3)
+    assert len(refinement.falls) == 2 - times
+
+
+def test_new_nodes_touch_where_both_ends_of_their_edge_do() -> None:
+    coarse = ContactProblem(
+        rectangle(4, 1, x=(0, 4)),
+        PlaneStrain(1.0, 1.0),
+        ("top",),
+        Obstacle.graph("bottom", 0.0, friction=1.0),
     )
-    found = admissible(problem)
-    values = quantities(problem, found.body.nodes, found.system, found.state)
-    assert values is not None
-    assert vars(values) == pytest.approx({"peak_pressure": 3.0, "resultant": 6.0, "contact_length": 2.0})
+    fine = refined(coarse)
 
+    def set_of(problem: ContactProblem, touching: set[float], sliding: dict[float, int]) -> ActiveSet:
+        x = problem.mesh.p[0, problem.contact_nodes]
+        slides = np.array([sliding.get(at, 0) for at in x], dtype=np.int8)
+        return ActiveSet(np.isin(x, list(touching)), slides)
 
-def test_the_resultant_is_what_holds_the_body_friction_included() -> None:
-    problem = EXAMPLES["6.3"]((6, 4))
-    found = admissible(problem)
-    values = quantities(problem, found.body.nodes, found.system, found.state)
-    held = found.system.stiffness @ found.state.u - found.system.load  # the foundation is the rest
-    pressed, rubbed = (float(np.sum(rows @ held)) for rows in (found.system.normals, found.system.tangents))
-    assert abs(rubbed) > 0.1 * pressed
-    assert values is not None
-    assert values.resultant == pytest.approx(np.hypot(pressed, rubbed))
-
-
-def test_a_quantity_that_is_farther_from_its_limit_is_said() -> None:
-    before, refined_values = Quantities(3.0, 6.0, 2.0), Quantities(3.1, 6.0, 2.0)
-    assert worse(before, Quantities(3.19, 6.0, 2.0), refined_values) == []
-    (said,) = worse(before, Quantities(3.3, 6.05, 2.0), refined_values)
-    assert said.startswith("the largest pressure got worse")
-    assert "3 on the given mesh, 3.3 after relocation, 3.1 on the refined" in said
+    old = set_of(coarse, {0, 1, 3}, {0: 1, 1: 1, 2: 1, 3: -1, 4: -1})
+    wanted = set_of(fine, {0, 0.5, 1, 3}, {0: 1, 0.5: 1, 1: 1, 1.5: 1, 2: 1, 3: -1, 3.5: -1, 4: -1})
+    found = module._refined_set(coarse, old, fine)
+    np.testing.assert_array_equal(found.touching, wanted.touching)
+    np.testing.assert_array_equal(found.sliding, wanted.sliding)

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from skfem import ElementTriRT2
 
 from rmesh_nlp.certificate import johnson_mercier as jm
 from rmesh_nlp.certificate import raviart_thomas as rt
 from rmesh_nlp.certificate.bracket import bracket
 from rmesh_nlp.certificate.johnson_mercier import residual
-from rmesh_nlp.certificate.skeleton import skeleton_of
+from rmesh_nlp.certificate.skeleton import AFTER, skeleton_of
 from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, PlaneStrain, PlaneStress
@@ -30,15 +31,95 @@ def test_johnson_mercier_is_unisolvent():
     assert all(np.allclose(jump, 0, atol=1e-12) for jump in jm.jumps(reference.basis, jm.CORNERS[..., None]))
 
 
-def test_raviart_thomas_is_unisolvent():
-    reference = rt.reference()
-    products = reference.products.reshape(2, 2, 8, 8)
-    assert np.linalg.matrix_rank(products[0, 0] + products[1, 1]) == 8
-    divergence = np.zeros((3, 8))
-    divergence[:, 5] = 1
-    divergence[:, 6:] = np.eye(3)[:, :2] - 1 / 3
-    conditions = np.vstack([reference.forces.reshape(6, 8), divergence])
-    assert np.linalg.matrix_rank(conditions) == 8
+def test_raviart_thomas_is_the_element_of_scikit_fem() -> None:
+    """Its functions span the same space, the first five without divergence."""
+    barycentric, _ = triangle_rule(6)
+    element = ElementTriRT2()
+    theirs = np.hstack([element.lbasis(barycentric[1:], i)[0].reshape(-1, 1) for i in range(8)])
+    ours = rt._functions(barycentric).reshape(-1, 8)
+    assert np.linalg.matrix_rank(ours) == np.linalg.matrix_rank(np.hstack([ours, theirs])) == 8
+
+
+def flux_elements(k: float = 2.5) -> tuple[rt.RaviartThomas, np.ndarray]:
+    mesh = distorted(rectangle(3, 2), 0.3, seed=1)
+    skeleton = skeleton_of(ContactProblem(mesh, Laplace(0.0), ("left",)), mesh.p)
+    rng, count = np.random.default_rng(0), mesh.t.shape[1]
+    return rt.RaviartThomas(skeleton, np.full(count, k), rng.normal(size=(3, count))), rng.normal(
+        size=(count, 6)
+    )
+
+
+def at_points(elements: rt.RaviartThomas, coefficients: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+    """(2, points, elements) fluxes by Piola's map."""
+    inside = np.einsum("apk,ek->ape", rt._functions(barycentric), coefficients)
+    pushed = np.einsum("eab,bpe->ape", elements.skeleton.jacobian, inside)
+    return pushed / (2 * elements.skeleton.areas)
+
+
+def test_a_flux_balances_its_source_and_has_the_energy_of_its_values() -> None:
+    elements, traces = flux_elements()
+    coefficients, skeleton = elements.coefficients(traces), elements.skeleton
+    points, weights = triangle_rule(4)
+    flux = at_points(elements, coefficients, points)
+    mean = np.einsum("p,ape->ae", weights, flux)
+    squares = [np.einsum("p,ape->e", weights, part**2) for part in (flux, flux - mean[:, None])]
+    np.testing.assert_allclose(elements.energy(coefficients), skeleton.areas * squares[0] / (2 * 2.5))
+    np.testing.assert_allclose(elements.variation(coefficients), skeleton.areas * squares[1] / 2.5)
+    np.testing.assert_allclose(elements.mean(coefficients), mean, atol=1e-12)
+    # pointwise: central differences are exact for quadratic functions
+    for vertex, corner in enumerate(np.eye(3)):
+        around = [corner + 1e-2 * np.array(step) for step in ((-1, 1, 0), (1, -1, 0), (-1, 0, 1), (1, 0, -1))]
+        a, b, c, d = at_points(elements, coefficients, np.array(around).T).transpose(1, 0, 2)
+        slope = np.stack([a - b, c - d], axis=1) / 2e-2  # (component, reference direction, element)
+        divergence = np.einsum("cre,erc->e", slope, np.linalg.inv(skeleton.jacobian))
+        np.testing.assert_allclose(divergence, -elements.load[vertex], atol=1e-9)
+    ends = at_points(elements, coefficients, np.eye(3))
+    through = np.einsum("cie,cije->eij", skeleton.normals, ends[:, AFTER])
+    np.testing.assert_allclose(elements.forces(coefficients), through.reshape(-1, 6), atol=1e-12)
+    # it minimises the energy less the work on the traces
+    forces = np.einsum("eij,ej->ei", elements.stiffness, traces) - elements.source
+    np.testing.assert_allclose(forces, elements.forces(coefficients), atol=1e-9)
+    slopes = np.einsum("eij,ej->ei", elements.compliance, coefficients) - traces @ elements.rows
+    np.testing.assert_allclose(slopes[:, : rt.FREE], 0, atol=1e-9)
+
+
+def test_a_constant_flux_is_its_own_coefficients() -> None:
+    elements, _ = flux_elements()
+    q = np.random.default_rng(1).normal(size=(2, elements.load.shape[1]))
+    constant = elements.constant(q)
+    np.testing.assert_allclose(elements.mean(constant), q, atol=1e-12)
+    np.testing.assert_allclose(elements.variation(constant), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("lame", [(3.0, 2.0), (0.0, 1.0)])
+def test_stresses_have_the_energy_of_their_law_and_minimise_it(lame: tuple[float, float]) -> None:
+    mesh = distorted(rectangle(3, 2), 0.3, seed=1)
+    skeleton = skeleton_of(ContactProblem(mesh, PlaneStrain(3.0, 2.0), ("left",)), mesh.p)
+    rng, count = np.random.default_rng(0), mesh.t.shape[1]
+    moduli = (np.full(count, part) for part in lame)
+    elements = jm.JohnsonMercier(skeleton, *moduli, rng.normal(size=(2, 3, count)))
+    traces = rng.normal(size=(count, 12))
+    coefficients = elements.coefficients(traces)
+    stress = elements.stress(coefficients)
+    form = np.einsum("ei,eij,ej->e", coefficients, elements.compliance, coefficients) / 2
+    np.testing.assert_allclose(elements.energy(stress), form)
+    # a constant stress by Hooke's law: strain energy of the strain that makes it
+    lam, mu = lame
+    strain = np.array([0.3, -0.2, 0.1])
+    made = np.array([lam * 0.1 + 2 * mu * 0.3, lam * 0.1 - 2 * mu * 0.2, 2 * mu * 0.1])
+    density = (made[:2] @ strain[:2] + 2 * made[2] * strain[2]) / 2
+    everywhere = np.broadcast_to(made[:, None], (3, 6, 3, count))
+    np.testing.assert_allclose(elements.energy(everywhere), density * skeleton.areas)
+    forces = np.einsum("eij,ej->ei", elements.stiffness, traces) - elements.source
+    np.testing.assert_allclose(forces, elements.forces(coefficients), atol=1e-9)
+    # among stresses with the same divergence it has the least energy less the work on the traces
+    for free in np.eye(15)[: jm.FREE]:
+        other = coefficients + 1e-3 * free
+        one, two = (
+            elements.energy(elements.stress(c)) - np.sum(elements.forces(c) * traces, axis=1)
+            for c in (coefficients, other)
+        )
+        assert np.all(two > one)
 
 
 @pytest.mark.parametrize("law", [PlaneStrain(3.0, 2.0), PlaneStress(3.0, 2.0), PlaneStrain(2e5, 1.0)])

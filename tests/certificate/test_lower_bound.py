@@ -50,7 +50,6 @@ PROBLEMS: dict[str, Callable[[], ContactProblem]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_taylor_remainder_is_of_second_order(name):
     """In a direction that moves the boundary too, so that everything on it counts."""

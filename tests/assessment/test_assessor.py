@@ -1,0 +1,173 @@
+"""Residuals, causes of a gain that is none, and quantities, by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from rmesh_nlp.assessment.admissible import admissible
+from rmesh_nlp.assessment.assessor import (
+    EXPLOITS,
+    Assessor,
+    Quantities,
+    equilibrium_residual,
+    law_residual,
+    quantities,
+    worse,
+)
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
+from support.curved import HOLE, plate
+
+LAW = PlaneStrain.from_young(1000.0, 0.3)
+
+
+def sliding_block() -> ContactProblem:
+    """It spreads to both sides: slip changes its sign within an edge."""
+    held = (Dirichlet("top", (0.01, -0.1)),)
+    obstacle = Obstacle.graph("bottom", 0.0, friction=0.5)
+    return ContactProblem(rectangle(3, 1, x=(-1.5, 1.5)), LAW, held, obstacle)
+
+
+def waves() -> ContactProblem:
+    foundation = Obstacle.graph("bottom", lambda x, y: -0.02 + 0.004 * np.sin(24 * np.pi * x))
+    loads = (Traction("top", (6.0, -10.0)),)
+    return ContactProblem(rectangle(12, 3, x=(0, 2)), LAW, ("left",), foundation, tractions=loads)
+
+
+CAUSES: dict[str, Callable[[], ContactProblem]] = {
+    "quadrature": lambda: EXAMPLES["6.1"](4),
+    "penetration": waves,
+    "friction": sliding_block,
+    "geometry": lambda: plate({"hole": HOLE}),
+}
+
+
+@pytest.mark.parametrize("name", EXPLOITS)
+def test_each_cause_is_named_on_a_problem_made_for_it(name: str) -> None:
+    problem = CAUSES[name]()
+    model = ContactSolver(problem)
+    own = model.solve(problem.mesh.p)
+    assessor = Assessor(model, own)
+    exact, found = assessor.initial, assessor.initial_corrections
+    assert set(found) == set(EXPLOITS)
+    assert sum(found.values()) == pytest.approx(exact.energy - own.energy, rel=1e-9)
+    others = max(abs(value) for cause, value in found.items() if cause != name)
+    assert abs(found[name]) > 1e-6 * abs(own.energy)
+    assert others < 1e-2 * abs(found[name])
+    audit = assessor.audit(problem.mesh.p, own, exact)
+    assert audit.energy_audited == exact.energy
+    assert (audit.penetration > 1e-3) is (name == "penetration")
+    assert (audit.min_area_ratio, assessor.audit(problem.mesh.p, own, exact, 0.25).min_area_ratio) == (
+        1,
+        0.25,
+    )
+    assert max(audit.equilibrium_residual, audit.complementarity_residual) < 1e-9
+    if name == "friction":  # a g |u_t| that is lumped at nodes is too large by what lies beside the turn
+        slip = exact.displacement[0, exact.body.nodes[1] == 0]
+        weights = np.where(np.abs(exact.body.nodes[0, exact.body.nodes[1] == 0]) == 1.5, 0.5, 1.0)
+        assert found[name] == pytest.approx(exact.friction - 0.5 * weights @ np.abs(slip))
+        assert found[name] < 0
+
+
+def test_on_a_mesh_that_had_to_be_cut_all_counts_as_penetration() -> None:
+    hill = Obstacle.interior(lambda x, y: -0.02 + 0.1 * np.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / 0.002))
+    sides = ("left", "right", "top", "bottom")
+    problem = ContactProblem(rectangle(2, 2, diagonal="falling"), Laplace(0.0), sides, hill)
+    model = ContactSolver(problem)
+    own = model.solve(problem.mesh.p)
+    assessor = Assessor(model, own)
+    assert assessor.initial.problem is not problem
+    wanted = {**dict.fromkeys(EXPLOITS, 0.0), "penetration": assessor.initial.energy - own.energy}
+    assert assessor.initial_corrections == wanted
+
+
+@pytest.mark.parametrize(
+    ("normal", "tangential", "balance", "law"),
+    [
+        (0.3, -0.2, 2.0 / 3, 0.5 / 3),  # friction holds back by less than its bound although the node slides
+        (0.3, -0.7, 1.5 / 3, 0.1),  # it slides as it should, but is pressed where the gap is open
+        (-0.6, -0.7, 1.5 / 3, 0.2),  # pulled
+        (0.0, 0.7, 2.9 / 3, 1.4 / 3),  # friction along the slip
+    ],
+)
+def test_residuals_by_hand(normal: float, tangential: float, balance: float, law: float) -> None:
+    system = ContactSystem(
+        stiffness=sp.csc_array(np.diag([2.0, 4.0])),
+        load=np.array([1.0, 3.0]),
+        constant=0.0,
+        normals=sp.csr_array([[1.0, 0.0]]),
+        tangents=sp.csr_array([[0.0, 1.0]]),
+        offset=np.array([0.5]),
+        slip_bound=np.array([0.7]),
+    )
+    state = np.array([0.1, 0.2]), np.array([normal]), np.array([tangential])
+    assert system.force_scale == 3.0
+    assert equilibrium_residual(system, *state) == pytest.approx(balance)
+    assert law_residual(system, *state) == pytest.approx(law)
+
+
+def standing(pressure: float) -> ContactProblem:
+    """A block of width 2 under a uniform pressure on a line."""
+    return ContactProblem(
+        rectangle(4, 2, x=(0, 2)),
+        LAW,
+        (Dirichlet("left", (0.0, None)), Dirichlet("right", (0.0, None))),
+        Obstacle.graph("bottom", 0.0),
+        Motion(None),
+        (Traction("top", (0.0, -pressure)),),
+    )
+
+
+def test_quantities_of_a_block_that_stands_on_a_line() -> None:
+    found = admissible(standing(3.0))
+    values = quantities(found.problem, found.body.nodes, found.system, found.state)
+    assert values is not None
+    assert values.entries("_initial") == pytest.approx(
+        {"peak_pressure_initial": 3.0, "resultant_initial": 6.0, "contact_length_initial": 2.0}
+    )
+
+
+def test_quantities_count_nodes_that_press_and_friction_in_the_resultant() -> None:
+    problem = standing(3.0)
+    found = admissible(problem)
+    force, sideways = np.array([1.0, 0.0, 6.0, 1e-12, 2.0]), np.array([0.0, 0.0, 3.0, 0.0, 9.0])
+    order = np.argsort(problem.mesh.p[0, problem.contact_nodes])  # weights 1/4, 1/2, 1/2, 1/2, 1/4
+    normal, tangential = np.zeros((2, 5))
+    normal[order], tangential[order] = force, sideways
+    active = ActiveSet(normal > 0, np.zeros(5, dtype=np.int8))
+    state = Equilibrium(found.state.u, 0.0, normal, tangential, active, Status.CONVERGED, 1)
+    values = quantities(problem, problem.mesh.p, found.system, state)
+    assert values is not None
+    assert vars(values) == pytest.approx({"peak_pressure": 12.0, "resultant": 15.0, "contact_length": 1.0})
+    free = ContactProblem(problem.mesh, LAW, ("left",))
+    alone = admissible(free)
+    assert quantities(free, free.mesh.p, alone.system, alone.state) is None
+
+
+@pytest.mark.parametrize(("example", "n"), [("6.3", (6, 4)), ("6.2", (6, 4))])
+def test_the_resultant_is_what_holds_the_body_friction_included(example: str, n: tuple[int, int]) -> None:
+    found = admissible(EXAMPLES[example](n))
+    values = quantities(found.problem, found.body.nodes, found.system, found.state)
+    held = found.system.stiffness @ found.state.u - found.system.load  # the foundation is the rest
+    pressed, rubbed = (float(np.sum(rows @ held)) for rows in (found.system.normals, found.system.tangents))
+    assert values is not None
+    assert values.resultant == pytest.approx(np.hypot(pressed, rubbed))
+    assert (abs(rubbed) > 0.1 * pressed) is (example == "6.3")
+
+
+def test_a_quantity_that_is_farther_from_its_limit_is_said() -> None:
+    before, refined_values = Quantities(3.0, 6.0, 2.0), Quantities(3.1, 6.0, 2.0)
+    for after, said in ((3.23, 0), (3.232, 1), (2.97, 0), (2.968, 1), (3.1, 0)):  # 0.1 + 1 % of 3.1
+        assert len(worse(before, Quantities(after, 6.0, 2.0), refined_values)) == said
+    said = worse(before, Quantities(3.3, 6.05, 2.5), refined_values)
+    assert [text.split(" got")[0] for text in said] == ["the largest pressure", "the length of contact"]
+    assert "3 on the given mesh, 3.3 after relocation, 3.1 on the refined" in said[0]
+    assert len(worse(before, Quantities(3.0, 6.2, 2.0), refined_values)) == 1

@@ -1,0 +1,172 @@
+"""Integrals over triangles, arcs and blended triangles in closed form, and the energies made of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rmesh_nlp.assessment import integrals
+from rmesh_nlp.assessment.energy import friction_energy, load_vector, stiffness
+from rmesh_nlp.assessment.integrals import over_edges, over_triangles
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.curves import Circle
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Laplace,
+    Obstacle,
+    PlaneStrain,
+    PointLoad,
+    Traction,
+    signed_areas,
+)
+from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.coefficients import on_points
+from support.curved import HOLE, disc, plate, spline_of_the_hole
+
+ARC = Circle((0.0, 1.0), 1.0)
+CUT = np.arcsin(0.2)
+
+
+def area(problem: ContactProblem) -> float:
+    body = Body(problem, problem.mesh.p)
+    every = np.arange(body.triangles.shape[1])
+    return float(over_triangles(body, every, lambda _, s, __: np.ones((1, *s.shape[1:])), 8)[0].sum())
+
+
+def test_areas_are_those_of_the_true_domains() -> None:
+    # a square of side 10 with a hole of radius 2.5; a quarter of a disc, cut off at half-length 0.2
+    for curve, error in ((HOLE, 1e-10), (spline_of_the_hole(), 1e-3)):
+        assert area(plate({"hole": curve})) == pytest.approx(100 - np.pi * 2.5**2, rel=error)
+    quarter = disc({"arc": ARC})
+    assert area(quarter) == pytest.approx(np.pi / 4 - (CUT - np.sin(CUT) * np.cos(CUT)) / 2, rel=1e-9)
+    assert signed_areas(quarter.mesh.p, quarter.triangles).sum() < 0.996 * area(quarter)
+
+
+def test_edges_are_as_long_as_their_arcs() -> None:
+    problem = disc({"arc": ARC})
+    edges = Body(problem, problem.mesh.p).edges("arc")
+    lengths, doubt = over_edges(edges.at, edges.size, lambda _, s, __: np.ones((1, *s.shape)))
+    assert lengths.sum() == pytest.approx(np.pi / 2 - CUT, rel=1e-12)
+    assert doubt.max() < 1e-12
+
+
+def test_rules_are_refined_until_a_narrow_bump_is_integrated() -> None:
+    problem = ContactProblem(rectangle(2, 2), Laplace(1.0), ("left",))
+    body = Body(problem, problem.mesh.p)
+
+    def bump(_: Array, barycentric: Array, where: Array) -> Array:
+        far = (where[0] - 0.3) ** 2 + (where[1] - 0.4) ** 2
+        return np.exp(-far / 0.02**2)[None] * np.ones_like(barycentric[:1])
+
+    total, doubt = over_triangles(body, np.arange(8), bump)
+    assert total.sum() == pytest.approx(np.pi * 0.02**2, rel=1e-8)
+    assert doubt.sum() < 1e-8
+
+
+def test_stiffness_and_loads_are_those_of_the_formulations() -> None:
+    load = (lambda x, y: x * y, lambda x, y: np.sin(x))
+    problem = plate({"hole": HOLE}, load=load).with_rule(20)
+    body, model = Body(problem, problem.mesh.p), ContactSolver(problem)
+    system = model.system(problem.mesh.p)
+    free = np.flatnonzero(model.displacement.index.T.ravel() >= 0)
+    K, (F, doubt) = stiffness(body)[free][:, free], load_vector(body)
+    assert abs(K - system.stiffness).max() < 1e-4 * abs(K).max()
+    np.testing.assert_allclose(F[free], system.load, atol=1e-6 * np.max(np.abs(F)))
+    assert np.max(doubt) < 1e-6 * np.max(np.abs(F))
+
+
+@pytest.mark.parametrize("points", [2, 4])
+def test_a_rule_is_exact_to_its_degree(points: int) -> None:
+    """Integrals of x^a y^b over the unit square. One degree is spent on the map of the triangle."""
+    body = Body(ContactProblem(rectangle(1, 1), Laplace(1.0), ("left",)), rectangle(1, 1).p)
+
+    def error(a: int, b: int) -> float:
+        found = over_triangles(body, np.arange(2), lambda _, __, x: (x[0] ** a * x[1] ** b)[None], points)[0]
+        return abs(found.sum() * (a + 1) * (b + 1) - 1)
+
+    degree = 2 * points - 2
+    assert max(error(a, degree - a) for a in range(degree + 1)) < 1e-14
+    assert max(error(a, degree + 2 - a) for a in range(degree + 3)) > 1e-8
+
+
+def test_cells_are_cut_until_rules_agree_and_the_rest_is_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+    def at(rows: Array, s: Array) -> tuple[Array, Array]:
+        return np.stack([s, 0 * s]), 0 * s + 2.0  # edges of length 2
+
+    def kink(_: Array, s: Array, __: Array) -> Array:
+        return np.stack([np.abs(s - 0.3), s > 1 / 3])
+
+    found, doubt = over_edges(at, 2, kink)
+    assert found[0] == pytest.approx(np.full(2, 0.09 + 0.49), abs=1e-6)
+    error = np.abs(found[1] - 4 / 3)
+    assert np.all((error > 0) & (error < 2 * doubt[1]) & (doubt[1] < 2 / 2**8))
+    monkeypatch.setattr(integrals, "CHUNK", 20)  # many parts, the same sums
+    np.testing.assert_allclose(over_edges(at, 2, kink)[0], found, rtol=1e-14)
+    assert over_edges(at, 0, kink)[0].size == 0
+
+
+@pytest.mark.parametrize("chunk", [100_000, 40])
+def test_strain_energies_by_hand(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(integrals, "CHUNK", chunk)
+    mesh = rectangle(3, 2, x=(0, 2))
+    nodes, slope = np.asarray(mesh.p), np.array([[0.3, -0.2], [0.4, 0.7]])
+    strain = (slope + slope.T) / 2
+    density = 3.0 * np.trace(strain) ** 2 / 2 + 2.0 * np.sum(strain**2)
+    for law, u, energy in (
+        (PlaneStrain(3.0, 2.0), slope @ nodes, 2 * density),
+        (Laplace(1.0, 5.0), slope[:1] @ nodes, 5 * (0.09 + 0.04)),
+    ):
+        K = stiffness(Body(ContactProblem(mesh, law, ("left",)), nodes))
+        assert u.T.ravel() @ (K @ u.T.ravel()) / 2 == pytest.approx(energy)
+    # beside arcs: a rigid rotation of the barycentric coordinates costs nothing, and energies are positive
+    body = Body(plate({"hole": HOLE}), plate().mesh.p)
+    K = stiffness(body).toarray()
+    np.testing.assert_allclose(K @ np.tile([1.0, -2.0], body.nodes.shape[1]), 0, atol=1e-9 * np.max(K))
+    assert abs(K - K.T).max() < 1e-12 * np.max(K)
+
+
+def test_resultants_of_loads_are_those_of_the_true_domain() -> None:
+    problem = replace(
+        plate({"hole": HOLE}, load=(2.0, -3.0)),
+        tractions=(Traction("right", (10.0, 0.0)), Traction("hole", (0.0, 4.0))),
+        point_loads=(PointLoad(0, (0.5, 0.25)),),
+    )
+    load, doubt = load_vector(Body(problem, problem.mesh.p))
+    area, arc = 100 - np.pi * 2.5**2, 2 * np.pi * 2.5
+    assert load.reshape(-1, 2).sum(axis=0) == pytest.approx(
+        [2 * area + 100 + 0.5, -3 * area + 4 * arc + 0.25]
+    )
+    assert doubt.max() < 1e-9 * np.abs(load).max()
+
+
+@pytest.mark.parametrize(("a", "b"), [(-0.1, 0.3), (0.2, -0.6), (0.1, 0.4), (-0.2, 0.0)])
+def test_friction_of_a_slip_by_hand(a: float, b: float) -> None:
+    """The integral of (1 + x)^2 |a + (b - a) x / 2| along an edge, split where the slip turns."""
+    problem = ContactProblem(
+        rectangle(1, 1, x=(0, 2)),
+        PlaneStrain(1.0, 1.0),
+        ("top",),
+        Obstacle.graph("bottom", 0.0, friction=lambda x, y: (1 + x) ** 2),
+    )
+    body = Body(problem, problem.mesh.p)
+    edges, u = body.edges("bottom"), np.full(problem.mesh.p.shape, 7.0)
+    at = body.nodes[:, edges.ends[:, 0]]
+    u[0, edges.ends[:, 0]] = np.where(at[0] == 0, a, b)
+    turn = 2 * a / (a - b) if a * b < 0 else 2.0
+    anti = np.polynomial.Polynomial([1, 2, 1]) * np.polynomial.Polynomial([a, (b - a) / 2])
+    anti = anti.integ()
+    wanted = abs(anti(turn) - anti(0)) + abs(anti(2) - anti(turn))
+    found, doubt = friction_energy(edges, problem.obstacles[0], u)
+    assert found == pytest.approx([wanted], rel=1e-12)
+    assert doubt.shape == (1,)
+    assert doubt[0] < 1e-12
+
+
+def test_a_constant_coefficient_has_its_value_everywhere() -> None:
+    points = np.random.default_rng(0).uniform(size=(2, 5000))
+    np.testing.assert_array_equal(on_points(lambda x, y: 0 * x, points), np.zeros(5000))
+    np.testing.assert_allclose(on_points(lambda x, y: x * y + 2, points), points[0] * points[1] + 2)

@@ -1,0 +1,95 @@
+"""How far nodes must keep off a foundation, against gap violations in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from rmesh_nlp.assessment.standoff import Cells, cells_of
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain
+from rmesh_nlp.problem.body import Body
+
+S = np.linspace(0, 1, 4001)[1:]
+
+
+def edge(height: Callable, held: tuple[str, ...] = ("top",), length: float = 2.0) -> Cells:
+    """One contact edge from x = 0 to its length over a foundation -1 + height(x / length)."""
+    problem = ContactProblem(
+        rectangle(1, 1, x=(0, length)),
+        PlaneStrain(1.0, 1.0),
+        tuple(Dirichlet(name, (0.0, 0.25)) for name in held),
+        Obstacle.graph("bottom", lambda x, y: -1 + height(x / length)),
+    )
+    (cells,) = cells_of(Body(problem, problem.mesh.p), problem.contact_sets[0])
+    return cells
+
+
+@pytest.mark.parametrize(
+    ("height", "off"),
+    [
+        (lambda s: 0.4 * s * (1 - s), 0.1),  # a crest of 0.4 / 4 over its chord
+        (lambda s: 0.3 + 0.2 * s, 0.0),
+        (lambda s: -0.4 * s * (1 - s), 0.0),  # a valley
+        (lambda s: 0.05 * (1 - np.cos(2 * np.pi * s)), 0.1),
+    ],
+)
+def test_nodes_keep_off_by_the_height_of_the_foundation_over_its_chord(height: Callable, off: float) -> None:
+    cells = edge(height)
+    found = cells.off(np.zeros(4))
+    assert off - 1e-12 <= found[0] <= off + 1e-4
+    # so raised the gap is closed at the crest and nowhere violated; without it is violated by as much
+    u = np.zeros((2, 4))
+    u[1] = -1.0
+    on_chord = u.copy()
+    x = cells.points[0, 0, [0, -1]]
+    on_chord[1, cells.nodes[:, 0]] = -(1 - height(x / 2)) + found[0]
+    assert -1e-12 <= np.min(cells.gaps(on_chord)) <= 1e-4
+    assert cells.missing(on_chord)[0] < 1e-12
+    on_chord[1] -= 0.05
+    assert cells.missing(on_chord)[0] == pytest.approx(0.05, abs=1e-4)
+
+
+def test_beside_a_held_node_the_free_one_makes_up_for_it() -> None:
+    """The held end is 1/4 above its place, the other one must give the rest: max (a - N_j G_j) / N_i."""
+    height = lambda s: 12 * s * (1 - s) ** 2  # noqa: E731
+    cells = edge(height, ("left",))
+    held = cells.rows[:, 0] < 0
+    assert held.sum() == 1
+    given = np.full(4, 0.25)
+    wanted = np.max((height(S) - (1 - S) * 1.25) / S)
+    assert cells.off(given)[0] == pytest.approx(wanted, rel=1e-3)
+    assert cells.off(given)[0] > 0
+    force = np.zeros(1)
+    cells.share(force, np.array([0]), np.array([32]), np.array([8.0]))
+    share = cells.shares[~held, 32]
+    assert force == pytest.approx(8 * share)
+    assert sorted(cells.shares[:, 32]) == [0.25, 0.75]
+
+
+def test_triangles_all_of_whose_nodes_are_held_are_found_where_the_foundation_rises() -> None:
+    sides = tuple(Dirichlet(side, (0.0,)) for side in ("left", "right", "top", "bottom"))
+    hill = Obstacle.interior(lambda x, y: -0.02 + 0.1 * np.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / 0.002))
+    problem = ContactProblem(rectangle(2, 2, diagonal="falling"), Laplace(0.0), sides, hill)
+    body = Body(problem, problem.mesh.p)
+    (cells,) = cells_of(body, problem.contact_sets[0])
+    inside = np.all(body.nodes[:, body.triangles].sum(axis=0) <= 0.5 + 1e-12, axis=0)
+    np.testing.assert_array_equal(cells.unreachable(np.zeros(9)), np.flatnonzero(inside))
+    assert cells.unreachable(np.full(9, 0.0801)).size == 0  # the hill is 0.08 high
+    assert cells.unreachable(np.full(9, 0.077)).size == 1
+
+
+def test_in_triangles_a_paraboloid_is_looked_at_between_samples_too() -> None:
+    """-r^2 about a point of no lattice: the node opposite keeps off by its height over the plane."""
+    middle = np.array([0.31, 0.27])
+    hill = Obstacle.interior(lambda x, y: -1 - (x - middle[0]) ** 2 - (y - middle[1]) ** 2)
+    problem = ContactProblem(rectangle(1, 1, diagonal="falling"), Laplace(0.0), ("right",), hill)
+    (cells,) = cells_of(Body(problem, problem.mesh.p), problem.contact_sets[0])
+    corner = 0 if np.all(np.min(cells.points[:, 0], axis=1) < 0.01) else 1  # the triangle at the origin
+    gaps = cells.gaps(np.zeros((1, 4)))[corner]
+    exact = 1 + np.sum((cells.points[:, corner] - middle[:, None]) ** 2, axis=0)
+    assert np.all(gaps <= exact)
+    assert np.min(gaps) <= 1.0  # not above the least gap, which no sample has
+    assert np.min(gaps) > 1 - 1e-3

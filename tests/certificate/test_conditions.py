@@ -1,0 +1,242 @@
+"""Data of edges and elements by hand: moments, doubts, remainders, constants of the oscillation term."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.special import jn_zeros
+
+from rmesh_nlp.certificate.conditions import conditions_of
+from rmesh_nlp.certificate.displacement import penetration, potential
+from rmesh_nlp.certificate.integrals import integrals, loads
+from rmesh_nlp.certificate.oscillation import POINCARE, korn, oscillation
+from rmesh_nlp.certificate.skeleton import AFTER, CORNERS, Skeleton, same_domain, skeleton_of
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
+from support.certificates import distorted
+
+JUMP = lambda x, y: ca.if_else(x > 0.37, 1.0, 0.0)  # noqa: E731
+
+
+def plate(**changes) -> ContactProblem:
+    """Four by two squares of side 1/2 over (0, 2) x (0, 1)."""
+    settings = {
+        "mesh": rectangle(4, 2, x=(0, 2)),
+        "law": PlaneStrain(3.0, 2.0, (0.0, lambda x, y: 6 * x * x)),
+        "dirichlet": (Dirichlet("left", (0.0, lambda x, y: 0.1 * y)),),
+        "obstacle": Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.5 * x, friction=lambda x, y: 1 + x),
+        "tractions": (Traction("top", (2.0, lambda x, y: 4 * x * x)),),
+    }
+    return ContactProblem(**{**settings, **changes})
+
+
+def on(problem: ContactProblem, nodes=None) -> Skeleton:
+    return skeleton_of(problem, problem.mesh.p if nodes is None else nodes)
+
+
+def test_moments_are_the_integrals_against_the_linear_functions() -> None:
+    triangle, edge = 3 * CORNERS[..., None], np.array([[[0.0], [2.0]], [[1.0], [1.0]]])
+    found = integrals(lambda x, y: x / 3, triangle)  # the barycentric coordinate of the second vertex
+    assert found.moments[:, 0] == pytest.approx([1 / 12, 1 / 6, 1 / 12])
+    assert found.square[0] == pytest.approx(1 / 6)
+    found = integrals(lambda x, y: x / 2, edge)
+    assert found.moments[:, 0] == pytest.approx([1 / 6, 1 / 3])
+    assert found.square[0] == pytest.approx(1 / 3)
+    assert np.max(found.doubt) < 1e-15
+    for corners, vertices in ((triangle, 3), (edge, 2)):
+        constant = integrals(-4.0, corners)
+        assert constant.moments[:, 0] == pytest.approx(np.full(vertices, -4 / vertices))
+        assert (constant.square[0], np.max(constant.doubt)) == (16.0, 0.0)
+
+
+def test_rules_grow_until_two_agree_and_the_doubt_bounds_what_is_left() -> None:
+    corners = np.array([[[0.0], [1.0]], [[0.0], [0.0]]])
+    wave = integrals(lambda x, y: ca.sin(14 * x), corners)
+    assert np.sum(wave.moments) == pytest.approx((1 - np.cos(14)) / 14, rel=1e-6)
+    assert np.max(wave.doubt) < 1e-6
+    jump = integrals(JUMP, corners)
+    exact = np.array([0.63**2 / 2, (1 - 0.37**2) / 2])
+    assert 1e-6 < np.max(np.abs(jump.moments[:, 0] - exact)) < 3 * np.max(jump.doubt)
+
+
+def test_a_load_is_split_into_its_best_linear_part_and_the_rest() -> None:
+    linear = lambda x, y: 2 * x - 3 * y + 1  # noqa: E731
+    problem = plate(mesh=distorted(plate().mesh, 0.2, 1), law=PlaneStrain(3.0, 2.0, (linear, 5.0)))
+    skeleton = on(problem)
+    found = loads(problem, skeleton)
+    np.testing.assert_allclose(found.linear[0], linear(*skeleton.corners), atol=1e-12)
+    np.testing.assert_allclose(found.linear[1], 5.0, atol=1e-12)
+    assert np.max(found.remainder) < 1e-6
+    u = np.random.default_rng(0).normal(size=problem.mesh.p.shape)
+    at_corners, force = u[:, skeleton.triangles], np.stack([linear(*skeleton.corners), np.full((3, 16), 5.0)])
+    mass = (np.ones((3, 3)) + np.eye(3)) / 12
+    by_hand = np.einsum("cie,ij,cje,e->", at_corners, mass, force, skeleton.areas)
+    assert found.work(u, skeleton) == pytest.approx(by_hand)
+    assert found.doubtful_work(u, skeleton) < 1e-10
+    # 6 x^2 on a right triangle of side h leaves h^2 sqrt(6^2 / 150 - ...): by a fine rule
+    law = PlaneStrain(3.0, 2.0, (0.0, lambda x, y: 6 * x * x))
+    bent, skeleton = loads(plate(law=law), on(plate())), on(plate())
+    s = (np.arange(400) + 0.5) / 400
+    b = np.stack(np.meshgrid(s, s)).reshape(2, -1)
+    b = np.where(b.sum(axis=0) > 1, 1 - b, b)
+    b = np.vstack([1 - b.sum(axis=0), b])
+    x = skeleton.corners[0].T @ b
+    rest = 6 * x**2 - bent.linear[1].T @ b
+    np.testing.assert_allclose(bent.remainder**2, skeleton.areas * np.mean(rest**2, axis=1), rtol=2e-2)
+    assert np.max(np.abs(rest.mean(axis=1))) < 1e-3
+    constant = loads(plate(law=PlaneStrain(3.0, 2.0, (1.0, 5.0))), skeleton)
+    assert not np.any(constant.remainder)
+
+
+def test_doubtful_work_is_the_doubt_times_what_any_displacement_may_be() -> None:
+    problem = plate(law=PlaneStrain(3.0, 2.0, (JUMP, 0.0)))
+    skeleton = on(problem)
+    found, u = loads(problem, skeleton), np.random.default_rng(0).normal(size=problem.mesh.p.shape)
+    size = np.abs(u[:, skeleton.triangles]) + np.max(np.abs(u))
+    assert found.doubtful_work(u, skeleton) == pytest.approx(np.sum(found.doubt * size * skeleton.areas))
+    assert np.sum(found.doubt) > 1e-3
+
+
+def test_edges_are_numbered_and_directed_as_promised() -> None:
+    skeleton = on(plate(), distorted(plate().mesh, 0.2, 3).p)
+    ends = skeleton.ends[skeleton.place, skeleton.edges[:, None]]
+    np.testing.assert_array_equal(ends, skeleton.triangles[AFTER])
+    np.testing.assert_allclose(skeleton.normals.sum(axis=1), 0, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(skeleton.normals, axis=0), skeleton.lengths[skeleton.edges])
+    middle = skeleton.corners[:, AFTER].mean(axis=2) - skeleton.centres[:, None]
+    assert np.all(np.sum(middle * skeleton.normals, axis=0) > 0)  # outward
+    assert np.all(np.any(skeleton.edges[:, skeleton.owner] == np.arange(skeleton.owner.size), axis=0))
+    slope = np.array([[2.0, -1.0], [0.5, 3.0]])
+    found = skeleton.gradients(slope @ skeleton.nodes)
+    np.testing.assert_allclose(found, np.broadcast_to(slope[..., None], found.shape), atol=1e-12)
+
+
+def test_conditions_of_edges_by_hand() -> None:
+    problem = plate()
+    skeleton = on(problem)
+    found = conditions_of(problem, skeleton)
+    length, sides = 0.5, problem.mesh.boundaries
+    x = skeleton.nodes[:, skeleton.ends]
+    np.testing.assert_array_equal(np.flatnonzero(found.held[1]), np.unique(sides["left"]))
+    y = x[1][:, sides["left"]]
+    np.testing.assert_allclose(found.given[1][:, sides["left"]], 0.1 * (2 * y + y[::-1]) / 6)
+    assert found.given_error < 1e-12
+    np.testing.assert_allclose(found.traction[0][:, sides["top"]], 1.0)
+    # 4 x^2 leaves 4 h^2 (s^2 - s + 1/6), whose square has the mean 1/180
+    wanted = np.where(np.isin(np.arange(x.shape[2]), sides["top"]), 4 * length**2 * np.sqrt(length / 180), 0)
+    np.testing.assert_allclose(found.traction_oscillation, wanted, atol=1e-7)
+    a, b = x[0][:, found.contact]
+    np.testing.assert_allclose(found.offset, 0.5 * np.stack([(2 * a + b) / 6, (a + 2 * b) / 6]), atol=1e-15)
+    np.testing.assert_allclose(found.friction, 1 + np.stack([a, b]))
+    np.testing.assert_allclose(found.axes, np.broadcast_to(np.eye(2), found.axes.shape))
+    for shape in (lambda s: s * s, lambda s: s * (1 - s)):  # a bound that bends is not exceeded, nor by far
+        rough = replace(problem.obstacles[0], friction=lambda x, y, shape=shape: 3 + shape(x))
+        bound = conditions_of(plate(obstacle=rough), skeleton).friction
+        s = np.linspace(0, 1, 33)
+        excess = (
+            np.outer(1 - s, bound[0]) + np.outer(s, bound[1]) - 3 - shape(np.outer(1 - s, a) + np.outer(s, b))
+        )
+        assert np.max(excess) <= 1e-12
+        assert np.min(np.max(excess, axis=0)) > -1e-12
+    bent = conditions_of(plate(dirichlet=(Dirichlet("left", (0.0, lambda x, y: y * y)),)), skeleton)
+    largest = (4 * 0.75**2 / 2 + 1) / 6  # the moment of y^2 at y = 1 by Simpson's rule
+    assert np.max(np.abs(bent.given)) == pytest.approx(largest)
+    assert bent.given_error == pytest.approx(0.5**2 / 4 / largest)  # to its chord
+
+
+def test_constants_of_the_oscillation_are_those_of_the_literature() -> None:
+    assert 0 <= POINCARE * jn_zeros(1, 1)[0] - 1 < 1e-5  # never below 1 / j_11
+    # of an equilateral triangle rho / R is one half: beta^2 = 1 / (8 (1 + sqrt(3) / 2))
+    nodes = np.array([[0.0, 1.0, 0.5], [0.0, 0.0, np.sqrt(3) / 2]])
+    one = Skeleton(
+        nodes,
+        np.array([[0], [1], [2]]),
+        np.array([[1, 0, 0], [2, 2, 1]]),
+        np.arange(3)[:, None],
+        np.array([[[0], [1]], [[1], [0]], [[0], [1]]]),
+    )
+    assert korn(one)[0] == pytest.approx(np.sqrt(16 * (1 + np.sqrt(3) / 2)))
+    # h / j |f| + h sqrt(|e| / |T| (1 / j^2 + 1 / j)) |g|, times the constant of the energy
+    area, only = np.sqrt(3) / 4, np.array([0.0, 5.0, 0.0])
+    edge = np.sqrt((POINCARE**2 + POINCARE) / area)
+    found = oscillation(one, np.array([2.0]), only, np.array([7.0]))
+    assert found[0] == pytest.approx(7 * (2 * POINCARE + 5 * edge))
+    wide = replace(one, nodes=3 * nodes)
+    assert oscillation(wide, np.array([2.0]), 0 * only, np.array([7.0]))[0] == pytest.approx(42 * POINCARE)
+    assert oscillation(wide, np.zeros(1), only, np.ones(1))[0] == pytest.approx(5 * edge * np.sqrt(3))
+
+
+def test_korn_constant_is_not_too_small() -> None:
+    """Rayleigh quotients of quadratic displacements without mean rotation stay below the constant."""
+    skeleton = on(plate(), distorted(plate().mesh, 0.3, 4).p)
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        a = rng.normal(size=(2, 3))
+        x = skeleton.corners - skeleton.centres[:, None]
+        slope = np.array(
+            [[2 * a[i, 0] * x[0] + a[i, 1] * x[1], a[i, 1] * x[0] + 2 * a[i, 2] * x[1]] for i in range(2)]
+        )
+        strain = (slope + slope.transpose(1, 0, 2, 3)) / 2
+        mass = (np.ones((3, 3)) + np.eye(3)) / 12
+        norms = [np.einsum("ijke,kl,ijle->e", g, mass, g) for g in (slope, strain)]
+        assert np.all(norms[0] <= korn(skeleton) ** 2 * norms[1])
+
+
+def test_the_potential_of_a_displacement_by_hand() -> None:
+    """u = (y - 1/2, x): slip changes sign on no edge of the bottom, and on the top tractions do work."""
+    law = PlaneStrain(3.0, 2.0, (4.0, 0.0))
+    friction = Obstacle("bottom", (0.0, 1.0), friction=lambda x, y: 1 + x)
+    problem = plate(law=law, obstacle=friction, tractions=(Traction("top", (2.0, lambda x, y: 4 * x)),))
+    skeleton = on(problem)
+    u = np.stack([skeleton.nodes[1] - 0.5, skeleton.nodes[0]])
+    found = potential(problem, skeleton, conditions_of(problem, skeleton), loads(problem, skeleton), 8.0, u)
+    # load 4 * 0 * area, traction 2 * 1/2 * 2 + int 4 x^2 = 2 + 32/3, friction int (1 + x) / 2 = 2
+    assert found.energy == pytest.approx(8 - (2 + 32 / 3) + 2)
+    assert found.norm == pytest.approx(4.0)
+    assert np.sum(found.friction) == pytest.approx(2.0)
+    assert found.traction_doubt < 1e-12
+    jump = plate(law=law, obstacle=(), tractions=(Traction("top", (JUMP, 0.0)),))
+    data = conditions_of(jump, skeleton)
+    doubt = potential(jump, skeleton, data, loads(jump, skeleton), 8.0, u).traction_doubt
+    size = np.abs(u[:, skeleton.ends]) + 2.0  # the largest displacement
+    assert doubt == pytest.approx(np.sum(data.traction_doubt * size) * 0.5)
+    assert doubt > 1e-4
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_penetration_is_found_between_nodes_and_concave_gaps_are_safe(inside: bool) -> None:
+    def depth(offset, down: float) -> float:
+        law = Laplace(0.0) if inside else PlaneStrain(3.0, 2.0)
+        obstacle = (
+            Obstacle.interior(lambda x, y: -offset(x))
+            if inside
+            else Obstacle("bottom", (0.0, 1.0), lambda x, y: offset(x))
+        )
+        problem = ContactProblem(rectangle(4, 4, x=(0, 2)), law, ("top",), obstacle)
+        skeleton = on(problem)
+        u = np.zeros((problem.components, skeleton.nodes.shape[1]))
+        u[-1] = -down
+        return penetration(problem, skeleton, conditions_of(problem, skeleton), u)
+
+    assert depth(lambda x: 0.1 * x, 0.0) == 0.0
+    assert depth(lambda x: 0.1 * x + 0.2, 0.3) == pytest.approx(0.1)  # at x = 0
+    assert depth(lambda x: 0.5 * (2 - x) * x, 0.0) == 0.0  # concave: 0 at the ends of the boundary
+    # (x - 1/4)^2 - 1/16 vanishes at the first nodes and is least, -1/16, between them
+    found = depth(lambda x: (x - 0.25) ** 2 - 1 / 16 + 0 * x, 0.0)
+    assert 1 / 16 <= found <= (1 / 16 + 1 / 32 if inside else 1 / 16 + 1e-3)
+
+
+def test_the_domain_is_the_same_unless_its_boundary_moves() -> None:
+    problem = plate(motion=Motion(0.1))
+    inside = distorted(problem.mesh, 0.3, 0).p
+    assert same_domain(problem, inside)
+    for name, by in (("right", (0.01, 0.0)), ("top", (0.0, 1e-6))):
+        moved = inside.copy()
+        moved[:, np.unique(problem.mesh.facets[:, problem.mesh.boundaries[name]])] += np.array(by)[:, None]
+        assert not same_domain(problem, moved)
+    slid, top = inside.copy(), problem.mesh.facets[:, problem.mesh.boundaries["top"]]
+    slid[0, np.setdiff1d(np.unique(top), np.flatnonzero(np.isin(inside[0], (0.0, 2.0))))] += 0.01
+    assert same_domain(problem, slid)
