@@ -22,7 +22,6 @@ which is, and with which the flux is therefore found: a bound as well, and a smo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -58,28 +57,10 @@ LEAST = 1e-3
 
 
 @dataclass(frozen=True)
-class _Elements:
-    """The elements of one law, and their functions."""
-
-    law: Laplace
-    which: Index
-    functions: ElementFunctions
-
-    def columns(self, name: str) -> Columns:
-        return columnwise(getattr(self.functions, name), self.which.size)
-
-
-@dataclass(frozen=True)
 class _Edges:
-    """Edges with a function on them.
+    """A function on some edges, and where they stand among what it is multiplied with.
 
-    Attributes
-    ----------
-    kind : str
-        "offset", "given" or "applied": what the function is multiplied with.
-    which, number : (edges,) int arrays
-        Numbers of the edges, and where they stand among what is multiplied.
-    function : casadi.Function
+    ``kind`` is "offset", "given" or "applied".
     """
 
     kind: str
@@ -90,34 +71,16 @@ class _Edges:
 
 @dataclass(frozen=True)
 class _State:
-    """A solved equilibration.
+    """A solved equilibration: coefficients of the flux, traces of the elements, and forces."""
 
-    Attributes
-    ----------
-    columns : (6, elements) array
-        Positions of the vertices of each element.
-    e : (elements,) array
-        Numbers of the oscillation term.
-    flux : (elements, 8) array
-        Coefficients.
-    traces : (elements, 6 or 9) array
-        Of each element, not counted from any base.
-    force : array
-        Contact forces, those of an obstacle in the interior first.
-    reaction : (traces,) array
-        Forces through the edges less the applied ones.
-    value : float
-        The lower bound.
-    """
-
-    columns: Array
-    e: Array
+    columns: Array  # (6, elements) positions of the vertices
+    e: Array  # (elements,) numbers of the oscillation term
     elements: RaviartThomas
     problem: Hybrid
-    flux: Array
-    traces: Array
-    force: Array
-    reaction: Array
+    flux: Array  # (elements, 8)
+    traces: Array  # (elements, 6 or 9), not counted from any base
+    force: Array  # of contact, those of an obstacle in the interior first
+    reaction: Array  # (traces,) forces through the edges less the applied ones
     value: float
 
 
@@ -152,9 +115,7 @@ class LowerBound:
         self._inside = inside[0] if inside else None
         offset = self._inside.offset if self._inside else None
         self._groups = [
-            _Elements(law, which, element_functions(law.load[0], law.conductivity, offset))
-            for law, which in problem.regions
-            if isinstance(law, Laplace)
+            _elements(law, which, offset) for law, which in problem.regions if isinstance(law, Laplace)
         ]
         skeleton = skeleton_of(problem, problem.mesh.p)
         conditions = conditions_of(problem, skeleton)
@@ -178,7 +139,7 @@ class LowerBound:
         """(elements,) the numbers e of the oscillation term: variation of the flux on the mesh as given."""
         nodes = np.asarray(self.problem.mesh.p)
         e = np.full(self.problem.mesh.t.shape[1], np.inf)
-        if not any(group.functions.varies for group in self._groups):
+        if not any(group.varies for group in self._groups):
             return e
         for _ in range(BALANCING):
             state = self._equilibrated(nodes, np.zeros((1, nodes.shape[1])), e)
@@ -197,7 +158,7 @@ class LowerBound:
             X = columns[:, group.which]
             conductivity[group.which] = group.law.conductivity
             source[:, group.which], offset[:, group.which] = group.columns("data")([X])
-            if group.functions.varies:
+            if group.varies:
                 r[group.which] = group.columns("oscillation")([X])[0]
         elements = RaviartThomas(skeleton, conductivity, source, self._inside is not None, penalty=r / e)
         computed = elements.constant(conductivity * skeleton.gradients(u)[0])
@@ -258,17 +219,17 @@ def _edge_functions(problem: ContactProblem, conditions: Conditions) -> list[_Ed
     for part in conditions.parts:
         if callable(part.obstacle.offset):
             number = np.arange(part.place.start, part.place.stop)
-            found.append(_Edges("offset", part.edges, number, moments_on_edge(part.obstacle.offset)))
+            found.append(_Edges("offset", part.edges, number, _on_edge(part.obstacle.offset)))
     for support in problem.supports:
         (value,) = support.value
         if callable(value):
             edges = np.unique(problem.mesh.boundaries[support.boundary])
-            found.append(_Edges("given", edges, edges, moments_on_edge(value)))
+            found.append(_Edges("given", edges, edges, _on_edge(value)))
     for load in problem.tractions:
         (value,) = load.value
         if callable(value) or value != 0:
             edges = np.unique(problem.mesh.boundaries[load.boundary])
-            found.append(_Edges("applied", edges, edges, forces_on_edge(value)))
+            found.append(_Edges("applied", edges, edges, _on_edge(value, forces=True)))
     return found
 
 
@@ -297,33 +258,34 @@ EDGE_POINTS = 10
 
 
 @dataclass(frozen=True)
-class ElementFunctions:
-    """Functions of the columns X (6), c (8) and others of one element.
+class _Elements:
+    """The elements of one law, and functions of the columns X (6), c (8) and others of one element.
 
-    Attributes
-    ----------
-    data : casadi.Function
-        ``X -> source at the vertices (3), moments of the obstacle (3)``.
-    oscillation : casadi.Function
-        ``X -> r``.
-    slope : casadi.Function
-        ``(X, c, nu, omega, P, e) -> derivative by X`` of less the energy and the oscillation term, with nu
-        against the coefficients that the source prescribes or, with an obstacle, omega against the forces
-        of the source and P against the moments of the obstacle.
-    varies : bool
-        Whether there is an oscillation term.
+    - ``data``: ``X -> source at the vertices (3), moments of the obstacle (3)``;
+    - ``oscillation``: ``X -> r``;
+    - ``slope``: ``(X, c, nu, omega, P, e) -> derivative by X`` of less the energy and that term, with
+      nu against the coefficients that the source prescribes or, with an obstacle, omega against the forces
+      of the source and P against the moments of the obstacle.
     """
 
+    law: Laplace
+    which: Index
     data: ca.Function
     oscillation: ca.Function
     slope: ca.Function
-    varies: bool
+
+    @property
+    def varies(self) -> bool:
+        """Whether there is an oscillation term."""
+        return callable(self.law.load[0])
+
+    def columns(self, name: str) -> Columns:
+        return columnwise(getattr(self, name), self.which.size)
 
 
-def element_functions(
-    source: Coefficient, conductivity: float, obstacle: Coefficient | None
-) -> ElementFunctions:
+def _elements(law: Laplace, which: Index, obstacle: Coefficient | None) -> _Elements:
     """The functions of the elements of one law."""
+    source, conductivity = law.load[0], law.conductivity
     X_column, c, e = ca.SX.sym("X", 6), ca.SX.sym("c", 8), ca.SX.sym("e")
     nu, omega, P = ca.SX.sym("nu", 3), ca.SX.sym("omega", 3), ca.SX.sym("P", 3)
     X = ca.reshape(X_column, 2, 3)
@@ -350,11 +312,12 @@ def element_functions(
         lagrangian -= 2 * area * ca.dot(nu, given)
     else:
         lagrangian -= area * ca.dot(omega, values) + ca.dot(P, moments)
-    return ElementFunctions(
+    return _Elements(
+        law,
+        which,
         ca.Function("data", [X_column], [ca.densify(values), ca.densify(moments)]),
         ca.Function("oscillation", [X_column], [ca.densify(r)]),
         ca.Function("slope", [X_column, c, nu, omega, P, e], [ca.densify(ca.gradient(lagrangian, X_column))]),
-        varies,
     )
 
 
@@ -381,21 +344,15 @@ def _linear_part(f: Coefficient, X: ca.SX) -> tuple[ca.SX, ca.SX]:
     return linear, sum(rest[1:], rest[0])
 
 
-def moments_on_edge(f: Coefficient) -> ca.Function:
-    """``(X, weights) -> derivative by X`` (4) of weights . moments of f on an edge with ends X."""
-    return _on_edge(f, lambda X, moments: moments)
+def _on_edge(f: Coefficient, *, forces: bool = False) -> ca.Function:
+    """``(X, weights) -> derivative by X`` (4) of weights . moments of f on an edge with ends X.
 
-
-def forces_on_edge(f: Coefficient) -> ca.Function:
-    """The same for forces of a traction f: its best linear approximation at the ends, times the length."""
-    return _on_edge(
-        f,
-        lambda X, m: ca.norm_2(X[:, 1] - X[:, 0]) * ca.vertcat(4 * m[0] - 2 * m[1], 4 * m[1] - 2 * m[0]),
-    )
-
-
-def _on_edge(f: Coefficient, quantity: Callable[[ca.SX, ca.SX], ca.SX]) -> ca.Function:
+    Or of the forces of a traction f: its best linear approximation at the ends, times the length.
+    """
     X_column, weights = ca.SX.sym("X", 4), ca.SX.sym("w", 2)
     X = ca.reshape(X_column, 2, 2)
-    total = ca.dot(weights, quantity(X, _moments(f, X, *edge_rule(EDGE_POINTS))[0]))
+    m = _moments(f, X, *edge_rule(EDGE_POINTS))[0]
+    if forces:
+        m = ca.norm_2(X[:, 1] - X[:, 0]) * ca.vertcat(4 * m[0] - 2 * m[1], 4 * m[1] - 2 * m[0])
+    total = ca.dot(weights, m)
     return ca.Function("edge", [X_column, weights], [ca.densify(ca.gradient(total, X_column))])

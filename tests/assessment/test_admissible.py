@@ -91,24 +91,6 @@ def test_between_nodes_friction_stays_within_its_bound() -> None:
     assert np.all(np.abs(found.tangential_force) <= system.slip_bound * (1 + 1e-9))
 
 
-def test_slip_that_changes_sign_within_an_edge() -> None:
-    # the block spreads to both sides, and is pushed to one: u_t is zero off the middle of an edge
-    problem = ContactProblem(
-        rectangle(3, 1, x=(-1.5, 1.5)),
-        LAW,
-        (Dirichlet("top", (0.01, -0.1)),),
-        Obstacle.graph("bottom", 0.0, friction=0.5),
-    )
-    found = admissible(problem)
-    below = np.flatnonzero(found.body.nodes[1] == 0)
-    u = found.displacement[0, below[np.argsort(found.body.nodes[0, below])]]
-    a, b = u[1:3]
-    assert a < 0 < b
-    assert abs(a + b) > 0.1 * b
-    outside = 0.5 * (abs(u[0] + a) + abs(u[3] + b)) / 2
-    assert found.friction == pytest.approx(outside + 0.5 * (a**2 + b**2) / (2 * abs(a - b)), rel=1e-9)
-
-
 @pytest.mark.parametrize(
     "obstacle",
     [
