@@ -107,7 +107,7 @@ def _depth(offset: Coefficient, corners: Array, along: Array, points: Array, siz
     small = ROUNDING * max(size, float(np.max(np.abs(samples))))
     if len(points) == 2:
         top = bends = np.diff(samples, 2, axis=0)
-        share = 1 / 4
+        share = 1 / 2  # what a kink halfway between two samples lies below them
     else:
         one, two, across = bends = np.einsum("k,kdpe->dpe", (1.0, -2.0, 1.0), samples[_TRIPLES])
         mixed = (one + two - across) / 2

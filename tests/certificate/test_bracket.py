@@ -16,6 +16,7 @@ from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.certificate.integrals import integrals, loads
 from rmesh_nlp.certificate.johnson_mercier import equilibrated_stress
 from rmesh_nlp.certificate.lower_bound import LowerBound
+from rmesh_nlp.certificate.oscillation import korn
 from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import EXACT_ENERGY_61
@@ -323,12 +324,15 @@ def test_the_oscillation_term_by_hand_and_why_it_is_needed(monkeypatch):
     k, f = 2.0, 30.0
     square = integrals(rest, mesh.p[:, mesh.t]).square
     r = np.sqrt(2) / 3.8317 * np.sqrt(square / 2) / np.sqrt(k)
-    variation = (
-        f * np.sqrt(1 / 36) / np.sqrt(2 * 2 * k) * np.sqrt(2)
-    )  # of x over a right triangle: side^2 / 18
+    variation = f * np.sqrt(1 / 36 / k)  # x has the variance 1 / 18 on a right triangle of area 1 / 2
     spread = np.sum(variation * r + r**2 / 2)
     both = replace(problem, law=Laplace(lambda x, y: f + rest(x, y), k))
     assert bracket_of(both).lower == pytest.approx(along_one_axis(k, f, 0.0, 0.0) - spread, rel=1e-7)
+    # in a body without stress the displacement may be any: Korn's constant and the softer modulus count
+    for lam, mu in ((3.0, 2.0), (-1.0, 2.0)):
+        body = replace(problem, law=PlaneStrain(lam, mu, (0.0, rest)), dirichlet=("left", "right"))
+        korns = korn(skeleton_of(body, mesh.p)) ** 2 / min(2 * mu, 2 * (lam + mu))
+        assert bracket_of(body).lower == pytest.approx(-np.sum(k * r**2 * korns / 2), rel=1e-7)
     monkeypatch.setattr(module, "oscillation", lambda skeleton, *_: np.zeros(skeleton.areas.size))
     assert bracket_of(problem).lower > fine.upper
 
