@@ -136,12 +136,12 @@ def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Arr
     length = max(float(np.max(np.abs(u), initial=0.0)), 1e-300)
     force = system.force_scale
     gap = system.normals @ u + system.offset
-    worst = float(np.max(np.abs(np.minimum(gap / length, normal / force)), initial=0.0))
+    parts = [np.abs(np.minimum(gap / length, normal / force))]
     if system.slip_bound.size:
         slip = (system.tangents @ u) * force / length
         friction = tangential + np.clip(slip - tangential, -system.slip_bound, system.slip_bound)
-        worst = max(worst, float(np.max(np.abs(friction), initial=0.0)) / force)
-    return worst
+        parts.append(np.abs(friction) / force)
+    return float(np.max(np.concatenate(parts), initial=0.0))  # not a number if one part is none
 
 
 CLEAR = 0.01

@@ -96,7 +96,8 @@ class Measured:
             return Status.INVALID_MESH
         if self.contact is not Status.CONVERGED:
             return self.contact
-        if not max(audit.equilibrium_residual, audit.complementarity_residual) <= TOLERANCE:
+        residuals = audit.equilibrium_residual, audit.complementarity_residual
+        if not all(residual <= TOLERANCE for residual in residuals):  # also if one is no number
             return Status.INACCURATE
         return None if self.is_known else Status.EVALUATION_ERROR
 
@@ -144,7 +145,7 @@ class Conclusion:
 
 
 def conclusion(said: Status, measured: Measured) -> Conclusion:
-    """Judge what was measured; ``said`` is how the solver says that it ended."""
+    """What follows from the measurements; ``said`` is how the solver says that it ended."""
     fault, improved, stationary = measured.fault, measured.improved, measured.stationary
     if fault is None and said in MET and not measured.consistent:
         fault = Status.INACCURATE

@@ -79,7 +79,25 @@ def test_friction_is_the_integral_of_the_bound_times_the_slip(frequency: int) ->
 
 def test_a_bound_that_jumps_within_an_edge_leaves_a_doubt() -> None:
     jump = Obstacle.graph("bottom", 0.0, friction=lambda x, y: ca.if_else(x > 1.9, 0.8, 0.2))
-    assert admissible(block(jump)).doubt > 1e3 * admissible(block(replace(jump, friction=0.8))).doubt
+    plain = block(replace(jump, friction=0.8))
+    assert admissible(block(jump)).doubt > 1e3 * admissible(plain).doubt
+    step = lambda x, y: ca.if_else(x + 0.3 * y > 0.77, -3.0, 0.0)  # noqa: E731
+    load = replace(plain, law=PlaneStrain.from_young(1000.0, 0.3, (0.0, step)))
+    assert admissible(load).doubt > 1e3 * admissible(plain).doubt
+
+
+def test_beside_a_narrow_bump_nodes_come_closer_than_its_height() -> None:
+    """The gap is closed at the bump, between two nodes; raising both by its height costs energy."""
+    bump = Obstacle.graph("bottom", lambda x, y: -0.02 + 0.01 * np.exp(-(((x - 0.8) / 0.01) ** 2)))
+    here = Continuous(block(bump))
+    assert here.solve().state.energy < solve(here.system(here._first_standoff())).energy - 5e-4
+
+
+def test_ripples_of_a_foundation_keep_nodes_off_by_their_height() -> None:
+    ripples = Obstacle.graph("bottom", lambda x, y: -0.02 + 1e-6 * np.sin(24 * np.pi * x))
+    found = admissible(block(ripples))
+    assert 1e-7 < np.max(found.standoff) < 1e-5
+    assert deepest(found) < 1e-10
 
 
 def test_between_nodes_friction_stays_within_its_bound() -> None:

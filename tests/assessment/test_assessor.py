@@ -112,6 +112,9 @@ def test_residuals_by_hand(normal: float, tangential: float, balance: float, law
     assert system.force_scale == 3.0
     assert equilibrium_residual(system, *state) == pytest.approx(balance)
     assert law_residual(system, *state) == pytest.approx(law)
+    mirrored = np.array([0.1, -0.2]), np.array([normal]), np.array([-tangential])
+    assert law_residual(system, *mirrored) == pytest.approx(law)
+    assert np.isnan(law_residual(system, state[0], state[1], np.array([np.nan])))
 
 
 def standing(pressure: float) -> ContactProblem:

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from rmesh_nlp.assessment.assessor import EXPLOITS, Audit
 from rmesh_nlp.assessment.conclusion import FAILURES, Conclusion, Measured, conclusion
-from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
@@ -42,6 +41,7 @@ def with_audit(**changes: Any) -> Measured:
         (with_audit(equilibrium_residual=2e-6), Status.INACCURATE, False, True),
         (with_audit(complementarity_residual=2e-6), Status.INACCURATE, False, True),
         (with_audit(equilibrium_residual=float("nan")), Status.INACCURATE, False, True),
+        (with_audit(complementarity_residual=float("nan")), Status.INACCURATE, False, True),
         (replace(GOOD, gain_audited=-1e-8, decrease=-1e-8), Status.EXPLOITED, True, False),
         (replace(GOOD, gain=0.0, gain_audited=-1e-8, decrease=0.1), Status.EXPLOITED, True, False),
         (replace(GOOD, gain=-0.1, gain_audited=-0.1, decrease=-0.1), Status.WORSE, True, False),
@@ -111,6 +111,12 @@ def test_a_failed_solver_needs_a_gain(said: Status) -> None:
     assert (gained.status, gained.success) == (Status.STALLED, True)
 
 
+@pytest.mark.parametrize(("decrease", "status"), [(5e-9, Status.FAILED), (2e-8, Status.STALLED)])
+def test_a_gain_of_rounding_excuses_no_failed_solver(decrease: float, status: Status) -> None:
+    measured = replace(GOOD, stationary=False, decrease=decrease, size=10.0)
+    assert conclusion(Status.FAILED, measured).status is status
+
+
 def test_an_energy_that_the_solver_made_up_is_a_fault() -> None:
     judged = conclusion(Status.CONVERGED, replace(GOOD, consistent=False))
     assert (judged.status, judged.valid, judged.success) == (Status.INACCURATE, False, False)
@@ -163,7 +169,7 @@ FAULTS = {"invalid_mesh", "cycled", "iteration_limit", "inaccurate", "evaluation
 
 @settings(max_examples=250, deadline=None)
 @given(st.sampled_from(list(Status)), st.one_of(measurements, sound))
-def test_no_verdict_contradicts_itself(said: Status, measured: Measured) -> None:
+def test_no_conclusion_contradicts_itself(said: Status, measured: Measured) -> None:
     judged = conclusion(said, measured)
     word = judged.status.value
     assert judged.stationary == measured.stationary
@@ -173,7 +179,8 @@ def test_no_verdict_contradicts_itself(said: Status, measured: Measured) -> None
         assert judged.valid
         assert judged.improved
         assert word in LEGITIMATE
-        assert max(audit.equilibrium_residual, audit.complementarity_residual) <= 1e-6
+        assert audit.equilibrium_residual <= 1e-6
+        assert audit.complementarity_residual <= 1e-6
         assert audit.min_area_ratio > 0
         assert np.all(np.isfinite(numbers))
         assert measured.contact is Status.CONVERGED
@@ -239,17 +246,6 @@ def test_a_claimed_energy_is_checked() -> None:
     wrong, right = (ended(outer, q, claimed=value * (1 + part)) for part in (1e-5, 1e-8))
     assert (wrong.status, wrong.success) == (Status.INACCURATE, False)
     assert (right.status, right.success) == (Status.NOT_STATIONARY, True)
-
-
-def test_where_strict_complementarity_fails_is_seen() -> None:
-    # without load nothing moves: at gap zero neither gap nor force is positive
-    problem = ContactProblem(rectangle(2, 2), Laplace(0.0), ("left",), Obstacle("right", (1.0,), 0.0))
-    outer = Outer(problem)
-    system = outer.contact.system(problem.mesh.p)
-    assert np.all(weakly_active(system, outer.given))
-    apart = replace(problem, obstacle=Obstacle("right", (1.0,), 0.1), law=Laplace(1.0))
-    other = Outer(apart)
-    assert not np.any(weakly_active(other.contact.system(apart.mesh.p), other.given))
 
 
 @pytest.mark.parametrize(

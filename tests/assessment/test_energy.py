@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rmesh_nlp.assessment import energy as energies
 from rmesh_nlp.assessment import integrals
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, stiffness
 from rmesh_nlp.assessment.integrals import over_edges, over_triangles
@@ -127,6 +128,8 @@ def test_strain_energies_by_hand(chunk: int, monkeypatch: pytest.MonkeyPatch) ->
     K = stiffness(body).toarray()
     np.testing.assert_allclose(K @ np.tile([1.0, -2.0], body.nodes.shape[1]), 0, atol=1e-9 * np.max(K))
     assert abs(K - K.T).max() < 1e-12 * np.max(K)
+    monkeypatch.setattr(energies, "STIFFNESS_POINTS", 14)
+    np.testing.assert_allclose(K, stiffness(body).toarray(), atol=1e-7 * np.max(K))
 
 
 def test_resultants_of_loads_are_those_of_the_true_domain() -> None:

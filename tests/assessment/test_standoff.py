@@ -34,6 +34,7 @@ def edge(height: Callable, held: tuple[str, ...] = ("top",), length: float = 2.0
         (lambda s: 0.3 + 0.2 * s, 0.0),
         (lambda s: -0.4 * s * (1 - s), 0.0),  # a valley
         (lambda s: 0.05 * (1 - np.cos(2 * np.pi * s)), 0.1),
+        (lambda s: s * s * (1 - s), 4 / 27),  # the top lies between two samples
     ],
 )
 def test_nodes_keep_off_by_the_height_of_the_foundation_over_its_chord(height: Callable, off: float) -> None:

@@ -243,6 +243,13 @@ def test_a_load_that_jumps_inside_elements_is_flagged():
     assert "quadrature" in " ".join(found.why)
 
 
+def test_an_obstacle_in_the_interior_that_jumps_leaves_a_doubt():
+    sides = ("left", "right", "top", "bottom")
+    step = Obstacle.interior(lambda x, y: ca.if_else(x + 0.2 * y > 0.47, -0.05, -0.04))
+    found = bracket_of(ContactProblem(rectangle(3, 3), Laplace(-5.0), sides, step))
+    assert found.upper - found.lower > np.sum(found.local) + 1e-5
+
+
 def test_roller_and_oblique_supports():
     """A component may be given where the other is in contact, unless the normal is oblique."""
     roller = (Dirichlet("left", (0.0, None)), Dirichlet("right", (None, 0.0)))
@@ -379,6 +386,5 @@ def test_a_finer_equilibration_bounds_the_same_displacement_more_closely(kind):
     assert finer.local.shape == plain.local.shape
     assert np.sum(finer.local) == pytest.approx(finer.upper - finer.lower, rel=1e-6)
     assert np.corrcoef(finer.local, plain.local)[0, 1] > 0.8
-    assert finer.field.shape == plain.field.shape
-    assert np.corrcoef(finer.field.ravel(), plain.field.ravel())[0, 1] > 0.9
+    np.testing.assert_allclose(finer.field, plain.field, atol=0.5 * np.max(np.abs(plain.field)))
     assert refined_bracket(problem, nodes, guess).lower == finer.lower
