@@ -5,7 +5,7 @@
 A collection is a Python file with ``names()`` and ``get(name)``; ``get`` returns a dict with ``x f g G H lbx
 ubx lbg ubg x0 target`` (CasADi expressions, bounds, a start, the best known value). AMPL .nl files and
 NOSBENCH's .json files, and folders of them, are read too. Every solve is a process of its own. What it ends
-with is judged by the problem's expressions, never by the solver's word: solved is a point whose constraint
+with is measured by the problem's expressions, not taken from the solver: solved is a point whose constraint
 violation and products G H are at most 1e-6, lowest one whose objective is also within 1e-4, relative, of the
 best known value or, where none is known, of the least that any solver here found. Time is processor time of
 build and solve. MPECSS and pympcc are compared if they are installed (see benchmark_peers.py). Writes
@@ -31,8 +31,8 @@ from isolated import Failed, isolated
 from mpcc_library.families import FAMILIES
 from mpcc_library.solvers import NEEDS, SOLVERS
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.problem import MPCC
-from rmesh_nlp.mpcc.reading import READERS, Problem, read
+from rmesh_nlp.mpcc import MPCC, Problem, read
+from rmesh_nlp.mpcc.reading import READERS
 
 SOLVED, LOWEST = 1e-6, 1e-4
 
@@ -74,10 +74,10 @@ def problems(
         if path.suffix == ".py":
             yield from ((path.stem, problem) for problem in read_collection(path))
             continue
-        inside = (
-            sorted(p for p in path.rglob("*") if p.suffix.lower() in READERS) if path.is_dir() else [path]
+        files = (
+            [p for p in sorted(path.rglob("*")) if p.suffix.lower() in READERS] if path.is_dir() else [path]
         )
-        yield from ((one.parent.name, read(one)) for one in inside)
+        yield from ((one.parent.name, read(one)) for one in files)
     for name in list(FAMILIES) if list(families) == ["all"] else families:
         if name not in FAMILIES:
             raise ValueError(f"unknown family {name!r}; there are {', '.join(['all', *FAMILIES])}")
@@ -85,12 +85,12 @@ def problems(
         yield from ((name, make(size, seed)) for size in known[:sizes] for seed in range(seeds))
 
 
-def judged(problem: Problem, x: Array) -> tuple[float, float]:
+def measured(problem: Problem, x: Array) -> tuple[float, float]:
     """Objective of a point, and the largest of its constraint violation and its products."""
-    program = problem.mpcc
-    found = ca.Function("all", [program.x, program.p], [program.f, program.g, program.G, program.H])
-    f, g, G, H = (np.asarray(v.full()).ravel() for v in found(x, program.parameters(problem.p0)))
-    excess = [program.lbx - x, x - program.ubx, program.lbg - g, g - program.ubg, -G, -H, np.abs(G * H)]
+    mpcc = problem.mpcc
+    found = ca.Function("all", [mpcc.x, mpcc.p], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])
+    f, g, G, H = (np.asarray(v.full()).ravel() for v in found(x, mpcc.parameters(problem.p0)))
+    excess = [mpcc.lbx - x, x - mpcc.ubx, mpcc.lbg - g, g - mpcc.ubg, -G, -H, np.abs(G * H)]
     return problem.sign * float(f[0]), float(np.max(np.concatenate(excess), initial=0.0))
 
 
@@ -101,13 +101,12 @@ def solved(group: str, problem: Problem, solver: str, limit: float) -> Row:
         began = time.process_time()
         end = SOLVERS[solver](problem)
         seconds = time.process_time() - began
-        f, violation = judged(problem, end.x)
-        return Row(
-            group, problem.name, solver, end.status, f, violation, problem.target, end.iterations, seconds
-        )
+        f, violation = measured(problem, end.x)
+        return Row(*key, end.status, f, violation, problem.target, end.iterations, seconds)
 
+    key = (group, problem.name, solver)
     row = isolated(work, limit)
-    return Row(group, problem.name, solver, row.why, seconds=limit) if isinstance(row, Failed) else row
+    return Row(*key, row.why, seconds=limit) if isinstance(row, Failed) else row
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -118,24 +117,28 @@ def table(rows: Sequence[Row]) -> str:
             least[row.problem] = float(np.nanmin([least[row.problem], row.f]))
     lines = [
         "| problems | solver | solved | lowest | iterations | time [s] | over ours |",
-        "|:--|:--|--:|--:|--:|--:|--:|",
+        "|:--|:--" + "|--:" * 5 + "|",
     ]
     groups = list(dict.fromkeys(row.group for row in rows))
     for group in groups + (["all"] if len(groups) > 1 else []):
-        inside = [row for row in rows if group in (row.group, "all")]
         ours = 0.0
-        for solver in dict.fromkeys(row.solver for row in inside):
-            own = [row for row in inside if row.solver == solver]
+        for solver in dict.fromkeys(row.solver for row in rows):
+            own = [row for row in rows if row.solver == solver and group in (row.group, "all")]
             good = [row for row in own if row.violation <= SOLVED]
             low = [r for r in good if r.f - least[r.problem] <= LOWEST * max(1.0, abs(least[r.problem]))]
-            seconds = sum(row.seconds for row in own)
+            seconds, counts = sum(row.seconds for row in own), [row.iterations for row in own]
             ours = ours or seconds
-            counted = all(row.iterations is not None for row in own)
-            iterations = str(sum(row.iterations or 0 for row in own)) if counted else "-"
-            lines.append(
-                f"| {group}, {len(own)} | {solver} | {len(good)} | {len(low)} | {iterations} "
-                f"| {seconds:.2f} | {seconds / ours:.2f} |"
+            iterations = "-" if None in counts else str(sum(count or 0 for count in counts))
+            cells = (
+                f"{group}, {len(own)}",
+                solver,
+                len(good),
+                len(low),
+                iterations,
+                f"{seconds:.2f}",
+                f"{seconds / ours:.2f}",
             )
+            lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines) + "\n"
 
 

@@ -30,7 +30,7 @@ import rmesh_nlp as rm
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from mpcc_library.solvers import End, plain_loop
-from rmesh_nlp.mpcc.reading import Problem
+from rmesh_nlp.mpcc import Problem
 
 START = 0.5
 """Every unknown of the start of the plain loop."""

@@ -12,9 +12,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp import mpcc
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.reading import Problem
+from rmesh_nlp.mpcc import Problem, solve
 
 STEPS = 9
 """Of the plain loop: t = 1, 0.1, ..., 1e-8."""
@@ -31,30 +30,24 @@ class End:
 
 def ours(problem: Problem) -> End:
     """`rmesh_nlp.mpcc` by its defaults."""
-    result = mpcc.solve(problem.mpcc, problem.x0, p=problem.p0)
+    result = solve(problem.mpcc, problem.x0, p=problem.p0)
     return End(result.x, result.status.value, result.counts["ipopt_iterations"])
 
 
 def plain_loop(problem: Problem) -> End:
     """One ``nlpsol`` with ``G H <= t``, each solve started from the one before; Ipopt by its defaults."""
-    program = problem.mpcc
-    n, t = program.n_pairs, type(program.x).sym("t")
-    nlp = {
-        "x": program.x,
-        "p": ca.vertcat(program.p, t),
-        "f": program.f,
-        "g": ca.vertcat(program.g, program.G, program.H, program.G * program.H - t),
-    }
+    mpcc, n = problem.mpcc, problem.mpcc.n_pairs
+    t = type(mpcc.x).sym("t")
+    g = ca.vertcat(mpcc.g, mpcc.G, mpcc.H, mpcc.G * mpcc.H - t)
+    nlp = {"x": mpcc.x, "p": ca.vertcat(mpcc.p, t), "f": mpcc.f, "g": g}
     quiet = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False}
     solver = ca.nlpsol("plain", "ipopt", nlp, {"ipopt": {"print_level": 0, "sb": "yes"}, **quiet})
     bounds = {
-        "lbx": program.lbx,
-        "ubx": program.ubx,
-        "lbg": np.concatenate([program.lbg, np.zeros(2 * n), np.full(n, -np.inf)]),
-        "ubg": np.concatenate([program.ubg, np.full(2 * n, np.inf), np.zeros(n)]),
-    }
-    p = program.parameters(problem.p0)
-    x: Any = program.start(problem.x0, p)
+        "lbx": mpcc.lbx, "lbg": np.concatenate([mpcc.lbg, np.zeros(2 * n), np.full(n, -np.inf)]),
+        "ubx": mpcc.ubx, "ubg": np.concatenate([mpcc.ubg, np.full(2 * n, np.inf), np.zeros(n)]),
+    }  # fmt: skip
+    p = mpcc.parameters(problem.p0)
+    x: Any = mpcc.start(problem.x0, p)
     iterations = 0
     for k in range(STEPS):
         x = solver(x0=x, p=np.append(p, 10.0**-k), **bounds)["x"]
@@ -67,17 +60,15 @@ def mpecss(problem: Problem) -> End:
     from mpecss.helpers.loaders.macmpec_loader import load_macmpec
     from mpecss.phase_2.mpecss import run_mpecss
 
-    def bounds(values: Any) -> list[float | None]:
-        return [float(b) if np.isfinite(b) else None for b in values]
-
-    program, n = problem.mpcc, problem.mpcc.n_pairs
-    data: dict[str, Any] = {"w0": list(map(float, problem.x0)), "lbG": [0.0] * n, "lbH": [0.0] * n}
-    data |= {"lbw": bounds(program.lbx), "ubw": bounds(program.ubx)}
-    data |= {"lbg": bounds(program.lbg), "ubg": bounds(program.ubg)}
+    mpcc = problem.mpcc
+    data: dict[str, Any] = {"w0": list(map(float, problem.x0))}
+    data |= {name: [0.0] * mpcc.n_pairs for name in ("lbG", "lbH")}
+    for theirs, values in (("lbw", mpcc.lbx), ("ubw", mpcc.ubx), ("lbg", mpcc.lbg), ("ubg", mpcc.ubg)):
+        data[theirs] = [float(b) if np.isfinite(b) else None for b in np.asarray(values)]
     for key in ("f", "g", "G", "H"):
-        expression = getattr(program, key)
+        expression = getattr(mpcc, key)
         if expression.shape[0]:
-            data[f"{key}_fun"] = ca.Function(key, [program.x], [expression]).serialize()
+            data[f"{key}_fun"] = ca.Function(key, [mpcc.x], [expression]).serialize()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{Path(folder).name}.nl.json"  # what it has built is kept by name
         path.write_text(json.dumps(data), encoding="utf-8")
@@ -89,9 +80,9 @@ def pympcc(problem: Problem) -> End:
     """The package pympcc with its default strategy and the exact derivatives that CasADi gives."""
     import pympcc as peer
 
-    program = problem.mpcc
-    x, g, G, H = program.x, program.g, program.G, program.H
-    lower, upper = np.asarray(program.lbg), np.asarray(program.ubg)
+    mpcc = problem.mpcc
+    x, g, G, H = mpcc.x, mpcc.g, mpcc.G, mpcc.H
+    lower, upper = np.asarray(mpcc.lbg), np.asarray(mpcc.ubg)
     equal = lower == upper
     h = ca.vertcat(*[g[int(i)] - lower[i] for i in np.flatnonzero(equal)], ca.SX(0, 1))
     below = [lower[i] - g[int(i)] for i in np.flatnonzero(~equal & np.isfinite(lower))]
@@ -99,47 +90,41 @@ def pympcc(problem: Problem) -> End:
     c = ca.vertcat(*below, *above, ca.SX(0, 1))
     rows = ca.vertcat(c, h, G, H, G * H)
     weights, weight = ca.SX.sym("weights", rows.shape[0]), ca.SX.sym("weight")
-    hessian = ca.tril(ca.hessian(weight * program.f + ca.dot(weights, rows), x)[0])
+    hessian = ca.tril(ca.hessian(weight * mpcc.f + ca.dot(weights, rows), x)[0])
     hessian_at = ca.Function("hessian", [x, weights, weight], [hessian])
 
-    def dense(expression: Any) -> Callable[[Array], Array]:
+    def dense(expression: Any, flat: bool = False) -> Callable[[Array], Array]:
         function = ca.Function("f", [x], [expression])
-        return lambda at: function(at).full()
-
-    def column(expression: Any) -> Callable[[Array], Array]:
-        function = dense(expression)
-        return lambda at: function(at).ravel()
+        return lambda at: function(at).full().ravel() if flat else function(at).full()
 
     def lagrangian(at: Array, multipliers: Array, factor: float) -> Array:
         padded = np.zeros(rows.shape[0])
         padded[: min(len(multipliers), len(padded))] = multipliers[: len(padded)]
         return np.array(hessian_at(at, padded, factor).nonzeros())
 
-    value = column(program.f)
-    derivatives = {
-        "gradient": column(ca.gradient(program.f, x)),
-        "comp_G": column(G),
-        "comp_G_jacobian": dense(ca.jacobian(G, x)),
-        "comp_H": column(H),
-        "comp_H_jacobian": dense(ca.jacobian(H, x)),
+    value = dense(mpcc.f, flat=True)
+    derivatives: dict[str, Any] = {
+        "gradient": dense(ca.gradient(mpcc.f, x), flat=True),
         "lagrangian_hessian": lagrangian,
         "lagrangian_hessian_sparsity": tuple(np.array(part) for part in hessian.sparsity().get_triplet()),
     }
-    if c.shape[0]:
-        derivatives |= {"ineq_constraints": column(c), "ineq_jacobian": dense(ca.jacobian(c, x))}
-    if h.shape[0]:
-        derivatives |= {"eq_constraints": column(h), "eq_jacobian": dense(ca.jacobian(h, x))}
-    stated = peer.MPCCProblem(
-        n=x.shape[0],
-        n_comp=G.shape[0],
-        x0=np.array(problem.x0, dtype=float),
-        objective=lambda at: float(value(at)[0]),
-        xl=np.array(program.lbx, dtype=float),
-        xu=np.array(program.ubx, dtype=float),
-        n_ineq=c.shape[0],
-        n_eq=h.shape[0],
-        **derivatives,
+    names = (
+        ("comp_G", "comp_G"),
+        ("comp_H", "comp_H"),
+        ("ineq_constraints", "ineq"),
+        ("eq_constraints", "eq"),
     )
+    for (values, name), column in zip(names, (G, H, c, h), strict=True):
+        if column.shape[0] or name.startswith("comp"):
+            derivatives |= {
+                values: dense(column, flat=True),
+                f"{name}_jacobian": dense(ca.jacobian(column, x)),
+            }
+    stated = peer.MPCCProblem(
+        n=x.shape[0], n_comp=G.shape[0], n_ineq=c.shape[0], n_eq=h.shape[0],
+        x0=np.array(problem.x0, dtype=float), objective=lambda at: float(value(at)[0]),
+        xl=np.array(mpcc.lbx, dtype=float), xu=np.array(mpcc.ubx, dtype=float), **derivatives,
+    )  # fmt: skip
     result = peer.solve(stated)
     return End(np.asarray(result.x), "converged" if result.success else "not converged")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from mpcc_library.builder import Builder
-from rmesh_nlp.mpcc.reading import Problem
+from mpcc_library.families import Builder
+from rmesh_nlp.mpcc import Problem
 
 
 def switch_detection(size: int, seed: int) -> Problem:
