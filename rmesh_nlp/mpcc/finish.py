@@ -29,7 +29,7 @@ _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to
 _REACHES = (2.0, 20.0)  # radii of the search for a feasible branch, in units of the largest min(G, H)
 _SIGN_STEPS = 200  # cheap: each starts at the solution of the one before
 _REGULAR, _CONSISTENT = 1e-10, 1e-3
-_TRUST = (None, 1e-1, 1e-3)  # relative boxes in which a lower point of the descent branch is sought
+_TRUST = (None, 1e-1, 1e-3)  # relative radii within which a lower point of the descent branch is sought
 _NEAR_BIACTIVE = 3e-5  # pairs closer to the corner than this are tried on both sides at once
 
 
@@ -174,8 +174,8 @@ def _descend(run: Run, here: Finish, direction: Direction) -> NLPResult | None:
     """Solve the branch of the direction; near the point if its solution far away is not lower."""
     aim = here.f - _DECREASE * (1 + abs(here.f))
     for reach in _TRUST:
-        box = None if reach is None else reach * (1 + np.abs(here.z))
-        better = run.branch(here.z, direction.G_fixed, box=box)
+        radius = None if reach is None else reach * (1 + np.abs(here.z))
+        better = run.branch(here.z, direction.G_fixed, radius=radius)
         if run.exact(better.x) and better.f < aim:
             return better
     return None

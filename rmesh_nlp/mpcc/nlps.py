@@ -105,19 +105,19 @@ class CompiledNLPs:
         fix_G: BoolArray,
         fix_H: BoolArray,
         *,
-        box: Array | None = None,
+        radius: Array | None = None,
         free_signs: bool = False,
         warm: NLPResult | None = None,
     ) -> NLPResult:
         """Solve the NLP in which the given members are zero, from ``z``.
 
-        ``box`` keeps the unknowns near ``z``; ``free_signs`` lets the other members be negative; ``warm``
+        ``radius`` keeps the unknowns near ``z``; ``free_signs`` lets the other members be negative; ``warm``
         gives multipliers of the lifted NLP, see :meth:`without_relaxation`.
         """
         lifted = self.lifted
         lower, upper = lifted.nlp.lbx.copy(), lifted.nlp.ubx.copy()
-        if box is not None:
-            lower, upper = np.maximum(lower, z - box), np.minimum(upper, z + box)
+        if radius is not None:
+            lower, upper = np.maximum(lower, z - radius), np.minimum(upper, z + radius)
         if free_signs:
             lower[lifted.member] = -np.inf
         fixed = np.append(lifted.first[fix_G], lifted.second[fix_H])

@@ -6,16 +6,6 @@ Form and signs::
                                     0 <= G(x, p)  _|_  H(x, p) >= 0   componentwise,
 
 that is ``G_i >= 0``, ``H_i >= 0`` and ``G_i H_i = 0`` for every pair i.
-
-Mixed pairs have bounds of their own, of which exactly two are finite, as in AMPL's ``complements``.
-One on each side is a shift or a reflection: ``G >= lbG _|_ H >= lbH`` becomes
-``0 <= G - lbG _|_ H - lbH >= 0`` (upper bounds: ``ubG - G``, ``ubH - H``). Both on one side, say H::
-
-    lbH <= H <= ubH  _|_  G      means  H = lbH and G >= 0,  or  H = ubH and G <= 0,  or between and G = 0.
-
-It becomes ``G = up - down`` with two new unknowns, ``0 <= up _|_ H - lbH >= 0`` and
-``0 <= down _|_ ubH - H >= 0``. ``lbH = ubH`` fixes H and leaves G free. A pair without any finite bound
-(AMPL's free variable) is the equation ``G = 0``.
 """
 
 from __future__ import annotations
@@ -30,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.mixed import PlainPairs
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
 
@@ -219,7 +210,7 @@ class MPCC:
     ) -> MPCC:
         """An MPCC whose pairs have bounds of their own: ``lbG <= G <= ubG _|_ lbH <= H <= ubH``.
 
-        For each pair two of the four bounds are finite, see :mod:`rmesh_nlp.mpcc.problem`. Pairs with both
+        For each pair two of the four bounds are finite, see :mod:`rmesh_nlp.mpcc.mixed`. Pairs with both
         bounds on one side get two new unknowns each, after the user's; a start ``x0`` may leave them out.
 
         Raises
@@ -232,18 +223,15 @@ class MPCC:
         bounds = [_values(name, value, plain.n_pairs) for name, value in named]
         _refuse_crossing("G", *bounds[:2])
         _refuse_crossing("H", *bounds[2:])
-        pairs = _PlainPairs(type(plain.x))
-        for i, (a, b) in enumerate(zip(_entries(plain.G), _entries(plain.H), strict=True)):
-            pairs.add(i, a, b, *(float(bound[i]) for bound in bounds))
+        pairs = PlainPairs(type(plain.x))
+        for i in range(plain.n_pairs):
+            pairs.add(i, plain.G[i], plain.H[i], *(float(bound[i]) for bound in bounds))
         n_new, n_rows = len(pairs.unknowns), len(pairs.rows)
-        split = [value for source in pairs.sources for value in (ca.fmax(source, 0), ca.fmax(-source, 0))]
-        start = [ca.densify(ca.vertcat(*split))]
         return cls(
             [plain.x, *pairs.unknowns], plain.f, [plain.g, *pairs.rows], pairs.G, pairs.H,
             lbx=np.append(plain.lbx, np.zeros(n_new)), ubx=np.append(plain.ubx, np.full(n_new, np.inf)),
             lbg=np.append(plain.lbg, np.zeros(n_rows)), ubg=np.append(plain.ubg, np.zeros(n_rows)),
-            p=plain.p,
-            completion=ca.Function("completion", [plain.x, plain.p], start) if split else None,
+            p=plain.p, completion=pairs.completion(plain.x, plain.p),
         )  # fmt: skip
 
     @classmethod
@@ -296,56 +284,6 @@ class MPCC:
             lbx=plain.lbx, ubx=plain.ubx, lbg=np.asarray(plain.lbg)[kept], ubg=np.asarray(plain.ubg)[kept],
             p=plain.p,
         )  # fmt: skip
-
-
-@dataclass
-class _PlainPairs:
-    """What mixed pairs become: pairs, rows, and new unknowns ``up``, ``down`` of ``source = up - down``."""
-
-    kind: Any
-    unknowns: list[Any] = field(default_factory=list)
-    sources: list[Any] = field(default_factory=list)
-    rows: list[Any] = field(default_factory=list)
-    G: list[Any] = field(default_factory=list)
-    H: list[Any] = field(default_factory=list)
-
-    def add(self, i: int, a: Any, b: Any, lg: float, ug: float, lh: float, uh: float) -> None:
-        """Rewrite pair i; raises ValueError if its bounds make no complementarity."""
-        match tuple(int(np.isfinite(bound)) for bound in (lg, ug, lh, uh)):
-            case (0, 0, 1, 1):
-                self._boxed(lh, b, uh, a)
-            case (1, 1, 0, 0):
-                self._boxed(lg, a, ug, b)
-            case (0, 0, 0, 0):
-                self.rows.append(a)
-            case (g_low, g_high, h_low, h_high) if g_low + g_high == 1 and h_low + h_high == 1:
-                self._pair(a - lg if g_low else ug - a, b - lh if h_low else uh - b)
-            case _:
-                raise ValueError(
-                    f"pair {i} has the bounds {lg} <= G <= {ug}, {lh} <= H <= {uh}: exactly two of the "
-                    "four must be finite (or none, for the equation G = 0)"
-                )
-
-    def _pair(self, a: Any, b: Any) -> None:
-        self.G.append(a)
-        self.H.append(b)
-
-    def _boxed(self, lower: float, value: Any, upper: float, partner: Any) -> None:
-        """Add ``lower <= value <= upper _|_ partner``."""
-        if lower == upper:
-            self.rows.append(value - lower)
-            return
-        n = len(self.sources)
-        up, down = self.kind.sym(f"up{n}"), self.kind.sym(f"down{n}")
-        self.unknowns += [up, down]
-        self.sources.append(partner)
-        self.rows.append(partner - up + down)
-        self._pair(up, value - lower)
-        self._pair(down, upper - value)
-
-
-def _entries(column: Any) -> list[Any]:
-    return [column[i] for i in range(column.shape[0])]
 
 
 def _extended_derivatives(mpcc: MPCC, x: Any, p: Any, f: Any, rows: Sequence[Any]) -> Derivatives | None:

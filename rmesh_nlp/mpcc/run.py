@@ -94,14 +94,14 @@ class Run:
         fix_H: BoolArray | None = None,
         *,
         phase: str = "branch",
-        box: Array | None = None,
+        radius: Array | None = None,
         free_signs: bool = False,
         warm: NLPResult | None = None,
     ) -> NLPResult:
         """Solve the NLP in which G is zero where ``fix_G``, and H where ``fix_H`` (None: elsewhere)."""
         self._begin(phase, 0.0)
         fix_H = ~fix_G if fix_H is None else fix_H
-        result = self.nlps.branch(z, self.p, fix_G, fix_H, box=box, free_signs=free_signs, warm=warm)
+        result = self.nlps.branch(z, self.p, fix_G, fix_H, radius=radius, free_signs=free_signs, warm=warm)
         return self._ended(phase, 0.0, result)
 
     def polished(self, z: Array) -> None:

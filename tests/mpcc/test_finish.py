@@ -242,7 +242,7 @@ class TestPivot:
         run = ScriptedRun(branches=lambda call: waiting.pop(0), exact=lambda z: bool(z[0]))
         found = finishing._descend(run, here, DOWN)
         assert (found is not None and found.f) == (ends[-1][0] and 0.9)
-        boxes = [call.options["box"] for call in run.branch_calls]
+        boxes = [call.options["radius"] for call in run.branch_calls]
         assert (len(boxes), boxes[0]) == (tries, None)
         for box, reach in zip(boxes[1:], (0.1, 1e-3), strict=False):
             np.testing.assert_allclose(box, [4 * reach, reach])  # relative to 1 + |z|
