@@ -43,7 +43,7 @@ def test_interpolation_is_exact_for_linear_functions_and_continued_from_the_near
     problem = random_problem(1)
     mesh, points = problem.mesh, np.random.default_rng(0).uniform(0.2, 0.8, (2, 30))
     lower, upper = mesh.p.min(axis=1, keepdims=True), mesh.p.max(axis=1, keepdims=True)
-    points = lower + points * (upper - lower)
+    points = np.hstack([lower + points * (upper - lower), upper + 0.3 * (upper - lower)])
     vertices, weights = located(mesh.p, problem.triangles, points)
     there = np.einsum("cvk,vk->ck", mesh.p[:, vertices], weights)
     inside = np.all(np.isclose(there, points, atol=1e-12), axis=0)
