@@ -144,3 +144,10 @@ def test_nearest_branch_keeps_bounds_and_pairs_far_from_the_corner():
     z, fix_G = nearest_branch(lifted, np.array([5.0, 1e-3, 2e-3, 0.0]), ONE, 1e-2)
     assert list(fix_G) == [False, False]
     assert z[:2] == pytest.approx([5.01, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize(("sign", "end"), [(-1, 2e-3), (1, -3e-3)])
+def test_nearest_branch_stops_at_the_bounds_of_unknowns_beside_the_pairs(sign, end):
+    lifted = lift(MPCC(XYW, sign * w + x + y, None, x, y, lbx=[-9, -9, -3e-3], ubx=[9, 9, 2e-3]))
+    z, _ = nearest_branch(lifted, np.array([1e-3, 0.0, 1e-3]), ONE, 1e-2)
+    assert z == pytest.approx([0, 0, end], abs=1e-12)
