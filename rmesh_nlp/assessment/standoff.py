@@ -17,7 +17,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.body import Body, Edges, Index
-from rmesh_nlp.problem.contact_problem import ContactSet
+from rmesh_nlp.problem.data import ContactSet
 
 SAMPLES = 128
 """Parts of an edge between whose ends the foundation is looked at."""

@@ -18,7 +18,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import holds_along_edges
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.problem.contact_problem import ContactSet
+from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.laws import PlaneStrain
 from rmesh_nlp.problem.units import after
 

@@ -24,7 +24,7 @@ from rmesh_nlp.fem.element import NO_ROWS, PointValues, corners, line_rule, loca
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, ElementTerm, Field, constant_field, unknown_field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem, Obstacle, at
-from rmesh_nlp.problem.contact_problem import ContactSet
+from rmesh_nlp.problem.data import ContactSet
 
 FRICTION_DEGREE = 31
 """Degree of the rule for the integral of the friction bound: exact to 1e-6 for four waves within an edge."""

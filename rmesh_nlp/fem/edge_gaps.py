@@ -33,7 +33,7 @@ from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.problem.contact_problem import ContactSet
+from rmesh_nlp.problem.data import ContactSet
 
 SAMPLES = 16
 """Parts of an edge; heights are taken between them."""

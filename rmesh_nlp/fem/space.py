@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
-from rmesh_nlp.problem.contact_problem import ContactSet
+from rmesh_nlp.problem.data import ContactSet
 
 Index = NDArray[np.int64]
 

@@ -4,7 +4,8 @@ from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, where
 from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction
-from rmesh_nlp.problem.contact_problem import ContactProblem, ContactSet, locally_refined, refined
+from rmesh_nlp.problem.contact_problem import ContactProblem, locally_refined, refined
+from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.laws import Elastic, Laplace, Law, PlaneStrain, PlaneStress
 from rmesh_nlp.problem.motion import Motion, Relative
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place

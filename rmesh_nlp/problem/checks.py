@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +13,9 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import overlapping, signed_areas
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
+from rmesh_nlp.problem.data import ContactSet, ProblemData
 from rmesh_nlp.problem.obstacle import NO_NORMAL, Place
 from rmesh_nlp.problem.rigid import NO_MOTION, rigid_motions, seen_by_contact
-
-if TYPE_CHECKING:
-    from rmesh_nlp.problem.contact_problem import ContactProblem, ContactSet
 
 CLOSED = 1e-10
 """Part of the distances below which a given gap is zero, by rounding."""
@@ -33,7 +30,7 @@ LEAST_DEGREE_ON_EDGES = 4
 """That of the rule for tractions."""
 
 
-def check(problem: ContactProblem) -> None:
+def check(problem: ProblemData) -> None:
     """Raise a ProblemError if a problem contradicts itself."""
     _check_mesh(problem)
     _check_names(problem)
@@ -53,13 +50,13 @@ def check(problem: ContactProblem) -> None:
     _check_rigid_motions(problem)
 
 
-def check_unknowns(problem: ContactProblem) -> None:
+def check_unknowns(problem: ProblemData) -> None:
     """Raise a ProblemError if there is nothing to solve for; such a problem may still be refined."""
     if np.all(problem.held()[0][:, np.unique(problem.mesh.t)]):
         raise ProblemError("dirichlet", "every displacement is given: leave some node free")
 
 
-def _check_mesh(problem: ContactProblem) -> None:
+def _check_mesh(problem: ProblemData) -> None:
     mesh = problem.mesh
     if type(mesh).__name__ != "MeshTri1":
         said = f"the mesh must be a skfem.MeshTri of first order, got {type(mesh).__name__}"
@@ -75,7 +72,7 @@ def _check_mesh(problem: ContactProblem) -> None:
         raise ProblemError("mesh", wrong)
 
 
-def _check_names(problem: ContactProblem) -> None:
+def _check_names(problem: ProblemData) -> None:
     if not problem.dirichlet and not problem.obstacles:
         said = "at least one boundary must be held (dirichlet), or the energy has no minimum"
         raise ProblemError("dirichlet", said)
@@ -92,7 +89,7 @@ def _check_names(problem: ContactProblem) -> None:
             raise ProblemError(part, f"the boundary {name!r} of the mesh is empty")
 
 
-def _check_laws(problem: ContactProblem) -> None:
+def _check_laws(problem: ProblemData) -> None:
     if not isinstance(problem.law, Mapping):
         return
     subdomains = problem.mesh.subdomains or {}
@@ -110,7 +107,7 @@ def _check_laws(problem: ContactProblem) -> None:
         raise ProblemError("law", "the laws of the subdomains mix scalar and elastic problems")
 
 
-def _check_components(problem: ContactProblem) -> None:
+def _check_components(problem: ProblemData) -> None:
     n, count = problem.components, problem.mesh.p.shape[1]
     for load in problem.point_loads:
         if not 0 <= load.node < count:
@@ -130,7 +127,7 @@ def _check_components(problem: ContactProblem) -> None:
             raise ProblemError(part, f"{what} has {len(values)} components: it needs {n} values")
 
 
-def _check_functions(problem: ContactProblem) -> None:
+def _check_functions(problem: ProblemData) -> None:
     """Functions of position must take symbols, and be finite where they are evaluated on the given mesh.
 
     These are its nodes and the points of its quadrature rules.
@@ -146,7 +143,7 @@ def _check_functions(problem: ContactProblem) -> None:
             raise ProblemError(part, f"{what} must not be negative, got {values[k]:.6g} at {place}", name)
 
 
-def _functions(problem: ContactProblem) -> Iterator[tuple[str, Coefficient, Array, str, str | int]]:
+def _functions(problem: ProblemData) -> Iterator[tuple[str, Coefficient, Array, str, str | int]]:
     """Part of the problem, coefficient, points (2, n), description, and which of several."""
     laws = problem.law if isinstance(problem.law, Mapping) else {"": problem.law}
     for (name, law), (_, elements) in zip(laws.items(), problem.regions, strict=True):
@@ -181,7 +178,7 @@ def _components(what: str, values: tuple[Coefficient, ...]) -> list[tuple[str, C
     return [(f"component {i} of the {what}", value) for i, value in enumerate(values, 1)]
 
 
-def _inside(problem: ContactProblem, elements: NDArray) -> Array:
+def _inside(problem: ProblemData, elements: NDArray) -> Array:
     """The nodes of some elements and their quadrature points for loads, (2, points)."""
     local = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5]])
     if isinstance(problem.rule, int):
@@ -189,7 +186,7 @@ def _inside(problem: ContactProblem, elements: NDArray) -> Array:
     return _nodes_and_points(problem.mesh.p, problem.mesh.t[:, elements], local)
 
 
-def _along(problem: ContactProblem, boundary: str) -> Array:
+def _along(problem: ProblemData, boundary: str) -> Array:
     """The nodes of a boundary and its quadrature points for tractions, (2, points)."""
     degree = problem.rule if isinstance(problem.rule, int) else 0
     local, _ = get_quadrature_line(max(degree, LEAST_DEGREE_ON_EDGES))
@@ -201,7 +198,7 @@ def _nodes_and_points(p: Array, cells: NDArray, local: Array) -> Array:
     return np.hstack([p[:, np.unique(cells)], np.einsum("cae,an->cen", p[:, cells], weights).reshape(2, -1)])
 
 
-def _check_friction(problem: ContactProblem) -> None:
+def _check_friction(problem: ProblemData) -> None:
     """With friction a contact node may be fixed along the tangent at zero, and not otherwise."""
     held, value = problem.held()
     for part in problem.contact_sets:
@@ -218,7 +215,7 @@ def _check_friction(problem: ContactProblem) -> None:
             )
 
 
-def _check_given_gaps(problem: ContactProblem, contact: ContactSet) -> None:
+def _check_given_gaps(problem: ProblemData, contact: ContactSet) -> None:
     """Where given displacements fix the gap it must not be negative: no displacement would be admissible."""
     obstacle = contact.obstacle
     nodes = np.setdiff1d(problem.nodes_of(obstacle), contact.nodes)
@@ -238,7 +235,7 @@ def _check_given_gaps(problem: ContactProblem, contact: ContactSet) -> None:
         )
 
 
-def _check_shared_nodes(problem: ContactProblem) -> None:
+def _check_shared_nodes(problem: ProblemData) -> None:
     """A node may meet two foundations if it can obey both gaps, and without friction."""
     nodes, count = np.unique(problem.contact_nodes, return_counts=True)
     held, _ = problem.held()
@@ -253,7 +250,7 @@ def _check_shared_nodes(problem: ContactProblem) -> None:
             raise ProblemError("friction", f"{said}, one of them with friction: end one of them before it")
 
 
-def _check_rigid_motions(problem: ContactProblem) -> None:
+def _check_rigid_motions(problem: ProblemData) -> None:
     """Given displacements, or contact with them, must prevent every rigid motion of every part.
 
     Whether contact does so under the load, and in one place only, is a matter of the forces:

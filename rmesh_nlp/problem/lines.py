@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Curve
-
-if TYPE_CHECKING:
-    from rmesh_nlp.problem.contact_problem import ContactProblem
+from rmesh_nlp.problem.data import ProblemData
 
 Index = NDArray[np.int64]
 
@@ -79,7 +77,7 @@ def parameters_of(curve: Curve, points: Array) -> tuple[Array, Array]:
     return t, np.linalg.norm(curve.velocity(t), axis=0)
 
 
-def sliding_directions(problem: ContactProblem, *, geometry_only: bool = False) -> tuple[Index, Array]:
+def sliding_directions(problem: ProblemData, *, geometry_only: bool = False) -> tuple[Index, Array]:
     """Nodes on lines, and unit tangents (2, nodes) of those that may slide, zero elsewhere.
 
     With ``geometry_only`` the ends of named parts and jumps of coefficients do not stop a node:
@@ -108,7 +106,7 @@ def sliding_directions(problem: ContactProblem, *, geometry_only: bool = False) 
     return np.unique(ends), tangent
 
 
-def on_curve(problem: ContactProblem) -> Index:
+def on_curve(problem: ProblemData) -> Index:
     """Number (nodes,) of the curve of the motion that each node may slide along, -1 where there is none.
 
     Such a node has exactly two facets on lines, of the same named parts and between the same
@@ -129,7 +127,7 @@ def on_curve(problem: ContactProblem) -> Index:
     return result
 
 
-def line_facets(problem: ContactProblem) -> Index:
+def line_facets(problem: ProblemData) -> Index:
     """Numbers of the facets on lines."""
     return np.flatnonzero(_labels(problem) > 0)
 
@@ -145,7 +143,7 @@ def _pairs(ends: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     return owner[regular], facet[start[regular]], facet[start[regular] + 1]
 
 
-def _labels(problem: ContactProblem) -> Index:
+def _labels(problem: ProblemData) -> Index:
     """A number per facet: 0 off all lines, else which names and subdomains it has on its sides."""
     mesh = problem.mesh
     member = _table(mesh.boundaries, mesh.facets.shape[1])
@@ -159,7 +157,7 @@ def _labels(problem: ContactProblem) -> Index:
     return result
 
 
-def element_zones(problem: ContactProblem) -> Index:
+def element_zones(problem: ProblemData) -> Index:
     """A number per element: which set of named subdomains it belongs to."""
     member = _table(problem.mesh.subdomains, problem.mesh.t.shape[1])
     if member.shape[1] == 0:

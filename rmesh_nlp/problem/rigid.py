@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
@@ -11,15 +9,13 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from rmesh_nlp.evaluation import Array
-
-if TYPE_CHECKING:
-    from rmesh_nlp.problem.contact_problem import ContactProblem
+from rmesh_nlp.problem.data import ProblemData
 
 NO_MOTION = 1e-9
 """Displacements smaller than this, of motions of unit size, are none."""
 
 
-def rigid_motions(problem: ContactProblem, nodes: Array | None = None) -> Array:
+def rigid_motions(problem: ProblemData, nodes: Array | None = None) -> Array:
     """A basis (motions, components, nodes) of the rigid motions that no given displacement prevents.
 
     Each belongs to one connected part of the mesh and is zero on the others. Empty if the given
@@ -58,7 +54,7 @@ def _modes(p: Array, part: NDArray, components: int) -> Array:
     return modes
 
 
-def seen_by_contact(problem: ContactProblem, motions: Array) -> Array:
+def seen_by_contact(problem: ProblemData, motions: Array) -> Array:
     """Change of every gap (gaps, motions) by each motion."""
     rows = [np.zeros((0, len(motions)))]
     for part in problem.contact_sets:

@@ -1,0 +1,185 @@
+"""What a contact problem consists of, before it is checked, and what follows from it on its mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from skfem import MeshTri
+
+from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.curves import Curve
+from rmesh_nlp.meshes.geometry import counter_clockwise
+from rmesh_nlp.problem.coefficients import on_points, suitable_rule
+from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction, as_tuple
+from rmesh_nlp.problem.laws import Law
+from rmesh_nlp.problem.motion import Motion
+from rmesh_nlp.problem.obstacle import NO_CONTACT, NO_NORMAL, Obstacle, Place
+from rmesh_nlp.problem.units import NO_UNITS, Units
+
+BY_VALIDITY = Motion(delta=None)
+"""Motion limited by element validity alone."""
+
+CLASH = 1e-12
+"""Relative difference of two displacements given at one node that is rounding."""
+
+
+@dataclass(frozen=True)
+class ContactSet:
+    """The contact nodes of one obstacle and the rows of their gaps among those of all obstacles."""
+
+    number: int
+    obstacle: Obstacle
+    nodes: NDArray[np.int64]
+    rows: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ProblemData:
+    """The fields of a :class:`rmesh_nlp.ContactProblem`, unchecked, with the sets of nodes that they name."""
+
+    mesh: MeshTri
+    law: Law | Mapping[str, Law]
+    dirichlet: tuple[str | Dirichlet, ...]
+    obstacle: Obstacle | tuple[Obstacle, ...] = NO_CONTACT
+    motion: Motion = BY_VALIDITY
+    tractions: tuple[Traction, ...] = ()
+    quadrature: str | int = "auto"
+    exact: ExactSolution | None = None
+    name: str = "problem"
+    size: str = ""
+    point_loads: tuple[PointLoad, ...] = ()
+    units: Units = NO_UNITS
+    reference: Array | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def laws(self) -> tuple[Law, ...]:
+        """The law of each region."""
+        return tuple(self.law.values()) if isinstance(self.law, Mapping) else (self.law,)
+
+    @cached_property
+    def regions(self) -> tuple[tuple[Law, NDArray[np.int64]], ...]:
+        """Each law with the numbers of its elements."""
+        every = np.arange(self.mesh.t.shape[1])
+        if not isinstance(self.law, Mapping):
+            return ((self.law, every),)
+        return tuple((law, every[np.asarray(self.mesh.subdomains[name])]) for name, law in self.law.items())
+
+    @cached_property
+    def rule(self) -> str | int:
+        """The quadrature rule itself: "midpoint" or a degree."""
+        if self.quadrature != "auto":
+            return self.quadrature
+        loads = [part for law in self.laws for part in law.load]
+        return suitable_rule(loads, [part for traction in self.tractions for part in traction.value])
+
+    @property
+    def components(self) -> int:
+        """Number of displacement components, 1 or 2."""
+        return self.laws[0].components
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """All obstacles; none for ``NO_CONTACT``."""
+        return tuple(o for o in as_tuple(self.obstacle) if o.boundary is not Place.NOWHERE)
+
+    @property
+    def frictional(self) -> bool:
+        """Whether contact is with friction anywhere."""
+        return any(obstacle.frictional for obstacle in self.obstacles)
+
+    @property
+    def supports(self) -> tuple[Dirichlet, ...]:
+        """``dirichlet`` with plain names written out as zeros."""
+        zero = (0.0,) * self.components
+        return tuple(Dirichlet(d, zero) if isinstance(d, str) else d for d in self.dirichlet)
+
+    @cached_property
+    def triangles(self) -> NDArray[np.int64]:
+        """(3, elements) vertex numbers, each triangle counter-clockwise."""
+        return counter_clockwise(self.mesh.p, self.mesh.t)
+
+    @cached_property
+    def curve_of_facet(self) -> NDArray[np.int64]:
+        """(facets,) number of the curve of the motion that each facet is on; -1 for straight ones."""
+        found = np.full(self.mesh.facets.shape[1], -1)
+        for number, name in enumerate(self.motion.curves):
+            found[np.asarray(self.mesh.boundaries[name])] = number
+        return found
+
+    @property
+    def curves(self) -> tuple[Curve, ...]:
+        """The curves of the motion by their numbers."""
+        return tuple(self.motion.curves.values())
+
+    def edges_by_curve(self, boundary: str) -> list[tuple[int, NDArray[np.int64]]]:
+        """Edges (2, n) of a boundary, for each curve with its number; straight ones with -1."""
+        facets = np.unique(np.asarray(self.mesh.boundaries[boundary]))
+        curve = self.curve_of_facet[facets]
+        numbers = np.unique(curve).tolist()
+        return [(k, self.mesh.facets[:, facets[curve == k]].astype(np.int64)) for k in numbers]
+
+    def boundary_nodes(self, names: tuple[str, ...]) -> NDArray[np.int64]:
+        """Sorted numbers of the nodes on the named boundaries."""
+        facets = [np.zeros(0, np.int64), *(np.asarray(self.mesh.boundaries[name]) for name in names)]
+        return np.unique(self.mesh.facets[:, np.concatenate(facets)]).astype(np.int64)
+
+    def held(self) -> tuple[NDArray[np.bool_], Array]:
+        """Where displacement components are given, and their values: two (components, nodes) arrays."""
+        return self._held
+
+    @cached_property
+    def _held(self) -> tuple[NDArray[np.bool_], Array]:
+        shape = (self.components, self.mesh.p.shape[1])
+        held, value = np.zeros(shape, dtype=bool), np.zeros(shape)
+        for support in self.supports:
+            nodes = self.boundary_nodes((support.boundary,))
+            what = f"the displacement given on {support.boundary!r}"
+            for i, coefficient in enumerate(support.value):
+                if coefficient is None:
+                    continue
+                given = on_points(coefficient, self.mesh.p[:, nodes], what)
+                scale = max(1.0, float(np.max(np.abs(given), initial=0.0)))
+                clash = held[i, nodes] & (np.abs(value[i, nodes] - given) > CLASH * scale)
+                if np.any(clash):
+                    k = int(np.flatnonzero(clash)[0])
+                    raise ProblemError(
+                        "dirichlet",
+                        f"{what} is {given[k]:.6g} at node {nodes[k]}, where another boundary gives "
+                        f"{value[i, nodes[k]]:.6g}",
+                    )
+                held[i, nodes], value[i, nodes] = True, given
+        return held, value
+
+    def nodes_of(self, obstacle: Obstacle) -> NDArray[np.int64]:
+        """Sorted numbers of the nodes at which an obstacle may be met."""
+        place = obstacle.boundary
+        return np.unique(self.mesh.t) if isinstance(place, Place) else self.boundary_nodes((place,))
+
+    @cached_property
+    def contact_sets(self) -> tuple[ContactSet, ...]:
+        """Per obstacle the nodes whose gap depends on a displacement that is not given."""
+        held, _ = self.held()
+        sets, first = [], 0
+        for number, obstacle in enumerate(self.obstacles):
+            nodes = self.nodes_of(obstacle)
+            seen = np.abs(obstacle.normals(self.mesh.p[:, nodes])) > NO_NORMAL
+            nodes = nodes[np.any(~held[:, nodes] & seen, axis=0)].astype(np.int64)
+            sets.append(ContactSet(number, obstacle, nodes, first + np.arange(nodes.size)))
+            first += nodes.size
+        return tuple(sets)
+
+    @property
+    def contact_nodes(self) -> NDArray[np.int64]:
+        """The node of every gap, obstacle by obstacle; a node of two obstacles is there twice."""
+        return np.concatenate([np.zeros(0, np.int64), *(part.nodes for part in self.contact_sets)])
+
+    @property
+    def friction_rows(self) -> NDArray[np.int64]:
+        """Numbers of those gaps at which friction may act."""
+        rows = [part.rows for part in self.contact_sets if part.obstacle.frictional]
+        return np.concatenate([np.zeros(0, np.int64), *rows])
