@@ -26,10 +26,11 @@ LATTICES, POINTS = (48, 32, 24, 16, 12), 150_000
 """The same along the sides of a triangle: the finest with which the mesh has no more points than this, or the
 coarsest."""
 
-BETWEEN = {2: 1 / 4, 3: 1 / 6}
-"""Of the largest second difference beside a sample, what the height may exceed it by towards the next ones,
-on edges (2 nodes) and in triangles (3): a quarter at a kink of the foundation, an eighth on a smooth edge, a
-sixth of that of a paraboloid within a triangle of samples."""
+BETWEEN = 1 / 2
+"""Of the largest second difference beside a sample, what the height may exceed it by towards the next ones.
+A kink of size s at the part r of the way between two samples rises s r (1 - r) above their line and has
+second differences s r and s (1 - r): at most a half, halfway. In a triangle of samples the height over a
+ridge is largest on a side. Smooth foundations need an eighth on edges and a sixth in triangles."""
 
 NO_SHARE = 1e-9
 """A node with less than this share of a point does not reach it."""
@@ -142,8 +143,7 @@ def cells_of(body: Body, contact: ContactSet) -> Iterator[Cells]:
         distance = contact.obstacle.distances(points.reshape(2, -1)).reshape(points.shape[1:])
         bend = distance[:, bends[0]] - 2 * distance[:, bends[1]] + distance[:, bends[2]]
         around = np.max(np.abs(bend)[:, triples], axis=2)
-        share = BETWEEN[shares.shape[0]]
-        yield Cells(contact, part, some, row[some], shares, points, distance, distance - share * around)
+        yield Cells(contact, part, some, row[some], shares, points, distance, distance - BETWEEN * around)
 
 
 def _points(body: Body, edges: Edges | None, part: Index, shares: Array) -> Array:
