@@ -7,12 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from rmesh_nlp.assessment.standoff import Cells, cells_of
+from rmesh_nlp.assessment.standoff import SAMPLES, Cells, cells_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain
 from rmesh_nlp.problem.body import Body
 
 S = np.linspace(0, 1, 4001)[1:]
+RIDGE = (SAMPLES / 2 + 0.5) / SAMPLES
+"""Halfway between two samples."""
 
 
 def edge(height: Callable, held: tuple[str, ...] = ("top",), length: float = 2.0) -> Cells:
@@ -35,6 +37,7 @@ def edge(height: Callable, held: tuple[str, ...] = ("top",), length: float = 2.0
         (lambda s: -0.4 * s * (1 - s), 0.0),  # a valley
         (lambda s: 0.05 * (1 - np.cos(2 * np.pi * s)), 0.1),
         (lambda s: s * s * (1 - s), 4 / 27),  # the top lies between two samples
+        (lambda s: 0.4 * np.minimum(s / RIDGE, (1 - s) / (1 - RIDGE)), 0.4),
     ],
 )
 def test_nodes_keep_off_by_the_height_of_the_foundation_over_its_chord(height: Callable, off: float) -> None:
@@ -61,7 +64,7 @@ def test_beside_a_held_node_the_free_one_makes_up_for_it() -> None:
     assert held.sum() == 1
     given = np.full(4, 0.25)
     wanted = np.max((height(S) - (1 - S) * 1.25) / S)
-    assert cells.off(given)[0] == pytest.approx(wanted, rel=1e-3)
+    assert wanted <= cells.off(given)[0] <= wanted * (1 + 2e-3)  # the margin between samples is one-sided
     assert cells.off(given)[0] > 0
     force = np.zeros(1)
     cells.share(force, np.array([0]), np.array([32]), np.array([8.0]))
