@@ -136,8 +136,8 @@ def variant(record: Record) -> str:
 
 
 def variants_of(records: Sequence[Record]) -> list[str]:
-    """All variants that relocate, by name: the same order, and so the same looks, in all figures."""
-    return sorted({variant(record) for record in records if record["formulation"] != RELOCATING_NOTHING})
+    """All variants that relocate, in the order of the records: the same looks in all figures of a folder."""
+    return list(dict.fromkeys(variant(r) for r in records if r["formulation"] != RELOCATING_NOTHING))
 
 
 def names_of_solves(records: Sequence[Record]) -> list[str]:
