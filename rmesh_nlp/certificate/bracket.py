@@ -39,6 +39,7 @@ from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.raviart_thomas import equilibrated_flux
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.problem.rigid import rigid_motions
 
@@ -212,7 +213,7 @@ def refined_bracket(
         return plain if plain.guaranteed_lower else found
     if refinements == 0:
         return bracket(problem, nodes, guess)
-    mesh = replace(problem.mesh, doflocs=np.ascontiguousarray(nodes))
+    mesh = relocated_mesh(problem.mesh, nodes)
     for _ in range(refinements):
         guess, mesh = _prolonged(guess, mesh), mesh.refined(1)
     finer = replace(problem, mesh=mesh, motion=Motion(None))

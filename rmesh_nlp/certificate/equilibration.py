@@ -161,7 +161,7 @@ def _improved(found: Hybrid, pressure: Array, friction: Array, products: int) ->
 
     One step of projected conjugate gradients: the dual function is quadratic.
     """
-    dual = DualEnergy(found.system, contact_start(found, 0))
+    dual = DualEnergy(found.system, contact_start(found))
     bound = found.system.slip_bound
     lower = np.concatenate([np.zeros(pressure.size), -bound])
     upper = np.concatenate([np.full(pressure.size, np.inf), bound])

@@ -160,9 +160,9 @@ def hybrid(
     )
 
 
-def contact_start(found: Hybrid, axis: int) -> Array:
-    """(2 contact edges,) traces of the base along a row of ``conditions.axes``, end by end."""
-    return np.asarray(found.start[_contact_traces(found.conditions, axis).ravel()])
+def contact_start(found: Hybrid) -> Array:
+    """(2 contact edges,) traces of the base along the first row of ``conditions.axes``, end by end."""
+    return np.asarray(found.start[_contact_traces(found.conditions, 0).ravel()])
 
 
 def _contact_traces(conditions: Conditions, axis: int) -> Index:

@@ -291,7 +291,7 @@ def compare(
     rmesh compare 6.1 --formulations fixed,nested,joint --n 16 --out fine
     rmesh compare --out results --resume
     """
-    names, chosen = tuple(dict.fromkeys(examples or ())), o.parse_names("--formulations", formulations)
+    names, chosen = tuple(dict.fromkeys(examples or ())), o.parse_names(formulations)
     given, voice = o.keywords(context.params), _voice(json, quiet)
     work = load("cli.solving").compare
     raise typer.Exit(work(names, chosen, given, out, resume, jobs, voice, figures, verbose))

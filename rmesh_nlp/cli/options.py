@@ -246,11 +246,11 @@ def parse_weights(text: str) -> tuple[float, ...]:
     return found
 
 
-def parse_names(option: str, text: str) -> tuple[str, ...]:
-    """A list separated by commas, without repetitions, in the order given."""
+def parse_names(text: str) -> tuple[str, ...]:
+    """The value of ``--formulations``, separated by commas: without repetitions, in the order given."""
     names = [part.strip() for part in text.split(",")]
     if not all(names):
-        raise BadInputError(f"{option} must be names separated by commas, got {text!r}")
+        raise BadInputError(f"--formulations must be names separated by commas, got {text!r}")
     return tuple(dict.fromkeys(names))
 
 

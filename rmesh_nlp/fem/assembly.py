@@ -25,6 +25,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.element import differentiated, plain
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, straightened
 from rmesh_nlp.fem.space import Index
+from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import Derivatives
 from rmesh_nlp.vectorised import USUAL, AssemblySettings, Columns, columnwise
 
@@ -175,11 +176,8 @@ class _InCasadi:
         return self._gathered[id(field)][1]
 
 
-class Summed(ca.Callback):
+class Summed(PythonFunction):
     """The sums over element groups as a Function that runs in numpy.
-
-    CasADi does not own Python callbacks: whoever keeps a Function made of this one must keep
-    this one too.
 
     Parameters
     ----------
@@ -200,10 +198,7 @@ class Summed(ca.Callback):
         kernels: list[Kernel],
         settings: AssemblySettings,
     ) -> None:
-        super().__init__()
         sums = [_Sums(shape, [k.results[number] for k in kernels]) for number, shape in enumerate(shapes)]
-        self._inputs = [symbol.sparsity() for symbol in inputs]
-        self._outputs = [s.pattern for s in sums]
         # for each group its function, its arguments, and per output the matrix that takes the results there
         self._parts: list[tuple[Columns, list[_Gather], list[sp.csr_array]]] = []
         for part, kernel in enumerate(kernels):
@@ -211,23 +206,7 @@ class Summed(ca.Callback):
             if any(matrix.nnz for matrix in matrices):
                 columns = columnwise(kernel.function, kernel.size, settings)
                 self._parts.append((columns, [_Gather(*a) for a in kernel.arguments], matrices))
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        """As given."""
-        return len(self._inputs)
-
-    def get_n_out(self) -> int:
-        """As given."""
-        return len(self._outputs)
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """As given."""
-        return self._inputs[i]
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        """As given."""
-        return self._outputs[i]
+        super().__init__(name, [symbol.sparsity() for symbol in inputs], [s.pattern for s in sums])
 
     def has_eval_buffer(self) -> bool:
         """Evaluation in place, without copies to CasADi's own matrices."""

@@ -170,8 +170,3 @@ def _gap_function(
             ca.Function("distance", [x, y], [ca.densify(obstacle.distance(x, y))]),
         ),
     )
-
-
-def edges_of(problem: ContactProblem, obstacle: Obstacle) -> Index:
-    """(2, edges) node numbers of the edges of a contact boundary, or of all edges for the interior."""
-    return Body(problem, problem.mesh.p).edges_of(obstacle).ends

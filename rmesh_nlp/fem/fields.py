@@ -187,11 +187,9 @@ class ElementGroup:
         return replace(self, arguments=arguments, rows=self.rows[:, chosen])
 
 
-def objective_group(
-    function: ca.Function, local: tuple[Field, ...], at_points: PointValues | None = None
-) -> ElementGroup:
+def objective_group(function: ca.Function, local: tuple[Field, ...]) -> ElementGroup:
     """Elements that add to the objective and to no constraint."""
-    return ElementGroup(function, local, np.zeros((0, local[0].index.shape[1]), dtype=np.int64), at_points)
+    return ElementGroup(function, local, np.zeros((0, local[0].index.shape[1]), dtype=np.int64))
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ def read_table(path: str | Path) -> ProblemTable:
     try:
         return ProblemTable.model_validate(data)
     except ValidationError as error:
-        raise schema_errors(path, error, data) from error
+        raise schema_errors(path, error, data, ProblemTable) from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:

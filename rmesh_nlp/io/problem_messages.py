@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, get_args
@@ -16,6 +16,9 @@ from rmesh_nlp.io.problem_schema import ProblemTable
 
 LISTS = ("contact", "point_loads")
 """Tables of which a file may have several."""
+
+NAMED = ("materials", "formulations")
+"""Tables of tables by names."""
 
 
 class ProblemFileError(BadInputError):
@@ -89,12 +92,15 @@ def one_line(error: Any) -> str:
     return " ".join(str(error).split())
 
 
-def schema_errors(path: Path, error: ValidationError, data: dict[str, Any]) -> ProblemFileError:
-    """All of pydantic's errors, one line each."""
-    return ProblemFileError([_line(path, item, data) for item in error.errors()])
+def schema_errors(
+    path: Path, error: ValidationError, data: dict[str, Any], file: type[BaseModel]
+) -> ProblemFileError:
+    """All of pydantic's errors, one line each; ``file`` is the model of a whole file."""
+    tables = {"": file, **dict(_tables(file))}
+    return ProblemFileError([_line(path, item, data, tables) for item in error.errors()])
 
 
-def _line(path: Path, item: Any, data: dict[str, Any]) -> str:
+def _line(path: Path, item: Any, data: dict[str, Any], tables: Mapping[str, type[BaseModel]]) -> str:
     place, value = [str(part) for part in item["loc"]], as_text(item["input"])
     if len(place) > 1 and place[0] in LISTS and place[1].isdigit():
         number = int(place.pop(1))
@@ -105,7 +111,7 @@ def _line(path: Path, item: Any, data: dict[str, Any]) -> str:
     if not place:
         return f"{path}: {message}"
     if item["type"] == "extra_forbidden":
-        message = f"unknown key{_home(place[-1]) or nearest(place[-1], _known_keys(place[:-1]))}"
+        message = f"unknown key{_home(place[-1], tables) or nearest(place[-1], _known(place[:-1], tables))}"
     elif item["type"] == "missing":
         value, message = "nothing", "expected, but it is missing"
     elif item["type"] == "literal_error":
@@ -130,21 +136,18 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _models(part)
 
 
-_TABLES = dict(_tables(ProblemTable))
-
-
-def _known_keys(location: list[str]) -> list[str]:
+def _known(location: list[str], tables: Mapping[str, type[BaseModel]]) -> list[str]:
     """Keys that the table at this place may have."""
     place = "materials" if location[:1] == ["materials"] else re.sub(r"\[\d+\]", "", ".".join(location))
-    return list(_TABLES.get(place, ProblemTable).model_fields)
+    return list(tables.get(place, tables[""]).model_fields)
 
 
-def _home(name: str) -> str:
+def _home(name: str, tables: Mapping[str, type[BaseModel]]) -> str:
     """The end of a message about a key that stands in the wrong table; empty if no table has it."""
-    homes = [place for place, table in _TABLES.items() if name in table.model_fields and place != "materials"]
-    if homes:
-        return f" here: it belongs in {' or '.join(f'[{place}]' for place in homes)}"
-    return " here: it belongs at the top of the file" if name in ProblemTable.model_fields else ""
+    homes = [place for place, table in tables.items() if name in table.model_fields and place not in NAMED]
+    if inside := [place for place in homes if place]:
+        return f" here: it belongs in {' or '.join(f'[{place}]' for place in inside)}"
+    return " here: it belongs at the top of the file" if homes else ""
 
 
 def nearest(name: str, known: list[str]) -> str:

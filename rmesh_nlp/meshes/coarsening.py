@@ -54,12 +54,12 @@ class Decimated:
     into: NDArray[np.int64]
 
 
-def decimated(nodes: Array, triangles: NDArray, lines: Lines, target: int, seed: int = 0) -> Decimated:
+def decimated(nodes: Array, triangles: NDArray, lines: Lines, target: int) -> Decimated:
     """Take out nodes until ``target`` are left, or no more can go.
 
-    ``triangles`` (3, elements) are counter-clockwise; the same seed gives the same mesh.
+    ``triangles`` (3, elements) are counter-clockwise.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)  # the same mesh each time
     t, element = np.array(triangles), np.arange(triangles.shape[1])
     into = np.arange(nodes.shape[1])
     on_line = np.zeros(nodes.shape[1], dtype=bool)
@@ -79,14 +79,10 @@ def decimated(nodes: Array, triangles: NDArray, lines: Lines, target: int, seed:
             left -= merges.shape[1]
         edges = into[lines.edges]
         # in their places: flips never cross a line, so each triangle stays within its subdomain
-        t = flipped(nodes, t, edges[:, edges[0] != edges[1]], partial(_cotangents, nodes)).triangles
+        t = flipped(nodes, t, edges[:, edges[0] != edges[1]], partial(sum_of_cotangents, nodes)).triangles
         if before - left < LEAST_PROGRESS * before:
             break
     return Decimated(t, element, into)
-
-
-def _cotangents(nodes: Array, triangles: NDArray, _: NDArray) -> Array:
-    return sum_of_cotangents(nodes, triangles)
 
 
 def _merges(

@@ -40,7 +40,6 @@ def flipped(
     fixed: NDArray,
     worth: Worth,
     least_gain: float = 0.0,
-    max_rounds: int = MAX_ROUNDS,
     allowed: Callable[[NDArray[np.int64]], NDArray[np.bool_]] | None = None,
 ) -> Flipped:
     """Flip edges as long as it lowers the sum of ``worth``, by more than ``least_gain`` a flip.
@@ -62,7 +61,7 @@ def flipped(
     fixed_keys = low * n + high
     value = worth(t, np.arange(t.shape[1]))
     count, total = 0, 0.0
-    for _ in range(max_rounds):
+    for _ in range(MAX_ROUNDS):
         left, right, quad = _interior_edges(t, n, fixed_keys)
         a, b, c, d = quad
         one, two = np.stack([c, d, b]), np.stack([d, c, a])
@@ -114,7 +113,7 @@ def _independent(gain: Array, left: NDArray, right: NDArray, n: int, least: floa
     return number[(rank[left[number]] == number) & (rank[right[number]] == number)]
 
 
-def sum_of_cotangents(nodes: Array, triangles: NDArray) -> Array:
+def sum_of_cotangents(nodes: Array, triangles: NDArray, _: NDArray | None = None) -> Array:
     """A worth by which flips make a mesh Delaunay: the sum of the cotangents of the angles.
 
     In a triangle it is ``(sum of squared edges) / (4 area)``; the Delaunay mesh has the least total

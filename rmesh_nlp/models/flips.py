@@ -39,6 +39,9 @@ reference for the flipped one between the same nodes."""
 LEAST_GAIN = 1e-6
 """Least gain of a flip, in parts of what is to be gained: rounding must not flip an edge back and forth."""
 
+LEAST_ROUND = 2e-3
+"""Part of what is to be gained that a round of flips and relocation must give for another one to follow."""
+
 
 @dataclass(frozen=True)
 class FlippedProblem:
@@ -160,7 +163,6 @@ def flips_and_moves(
     *,
     given: ContactProblem,
     rounds: int = 8,
-    least: float = 2e-3,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[ContactProblem, tuple[Round, ...]]:
     """Flip edges and relocate nodes in turn, until neither gains.
@@ -177,8 +179,6 @@ def flips_and_moves(
         On the mesh as given, against which distortion is measured in every round.
     rounds : int
         At most.
-    least : float
-        Part of ``gain`` that a round must give for another one to follow.
     stop : callable
         Whether no other round may follow, for reasons of the caller.
     """
@@ -196,7 +196,7 @@ def flips_and_moves(
         problem = replace(kept, reference=shapes)
         now = min(relocated, flipped_energy)
         done.append(Round(result.flips, result.changed, flipped_energy, now))
-        if energy - now < least * gain or stop():
+        if energy - now < LEAST_ROUND * gain or stop():
             break
         energy = now
     return problem, tuple(done)

@@ -12,6 +12,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
+from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.cascade import CascadeSettings, cascade
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.flips import POOR, equilateral, flip_edges, mean_around
@@ -138,7 +139,7 @@ def _relocated(
 
 
 def _at(problem: ContactProblem, positions: np.ndarray) -> ContactProblem:
-    return replace(problem, mesh=replace(problem.mesh, doflocs=np.ascontiguousarray(positions)))
+    return replace(problem, mesh=relocated_mesh(problem.mesh, positions))
 
 
 def _stage(problem: ContactProblem, iterations: int, flips: int) -> Stage:

@@ -30,7 +30,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.edge_gaps import edges_of, holds_along_edges
+from rmesh_nlp.fem.edge_gaps import holds_along_edges
 from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
@@ -39,6 +39,7 @@ from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.models.second_derivatives import Curvature, curvature_of
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
+from rmesh_nlp.problem.body import Body
 
 COLUMNS = 256
 """Columns of the Hessian that are computed at a time; it bounds the memory for changes of displacement."""
@@ -105,7 +106,9 @@ class _Oracle(PythonFunction):
     def __init__(self, function: Reduced, relocation: Relocation, scale: float) -> None:
         self._function, self._scale, self._relocation = function, scale, relocation
         self._n = n = relocation.n_q
-        super().__init__("reduced_objective", [n], [ca.Sparsity.dense(1), ca.Sparsity.dense(n)])
+        super().__init__(
+            "reduced_objective", [ca.Sparsity.dense(n)], [ca.Sparsity.dense(1), ca.Sparsity.dense(n)]
+        )
 
     def eval(self, arg: list[ca.DM]) -> list[Any]:
         q = arg[0].full().ravel()
@@ -128,7 +131,8 @@ class _SecondOracle(PythonFunction):
     def __init__(self, problem: ReducedNLP, upper: ca.Sparsity) -> None:
         self._function, self._scale, self._upper = problem.function, problem.scale, upper
         self._n, self._rows = problem.nlp.n_x, problem.nlp.n_g
-        super().__init__("reduced_hessian", [self._n, 1, self._rows], [upper])
+        inputs = [ca.Sparsity.dense(size) for size in (self._n, 1, self._rows)]
+        super().__init__("reduced_hessian", inputs, [upper])
 
     def eval(self, arg: list[ca.DM]) -> list[ca.DM]:
         q, lam_f, lam_g = arg[0].full().ravel(), float(arg[1]) / self._scale, arg[2].full().ravel()
@@ -269,7 +273,7 @@ def _beside(relocation: Relocation) -> sp.csr_array:
     found = sp.csr_array((n, n))
     for part in problem.contact_sets:
         if holds_along_edges(problem, part.obstacle):
-            one, two = edges_of(problem, part.obstacle)
+            one, two = Body(problem, problem.mesh.p).edges_of(part.obstacle).ends
             pairs = np.append(one, two), np.append(two, one)
             found = found + sp.csr_array((np.ones(pairs[0].size), pairs), shape=(n, n))
     return found

@@ -118,14 +118,13 @@ class GainEstimate:
 
     Attributes
     ----------
-    energy, energy_refined : float
-        Of the continuous problem on the mesh, and on its uniform refinement.
+    energy : float
+        Of the continuous problem on the mesh.
     value : float
         Estimated error of the energy of the mesh, positive.
     """
 
     energy: float
-    energy_refined: float
     value: float
 
 
@@ -142,11 +141,9 @@ def gain_estimate(problem: ContactProblem) -> GainEstimate:
     here, there = admissible(problem), _refined(problem)
     floor = LEAST_GAIN * max(abs(here.energy), 1e-300)
     if there is not None and there.status is Status.CONVERGED and there.energy < here.energy:
-        return GainEstimate(
-            here.energy, there.energy, max(EXTRAPOLATION * (here.energy - there.energy), floor)
-        )
+        return GainEstimate(here.energy, max(EXTRAPOLATION * (here.energy - there.energy), floor))
     gain = float(edge_gains(problem).sum())
-    return GainEstimate(here.energy, here.energy - gain, max(gain, floor))
+    return GainEstimate(here.energy, max(gain, floor))
 
 
 def _refined(problem: ContactProblem) -> Admissible | None:

@@ -166,7 +166,7 @@ def warm_start(lifted: Lifted, z0: Array, weight: float, known: MPCCResult | Dua
     np.add.at(lam_z, np.append(lifted.first, lifted.second), column[source.n_g :])
     return NLPResult(
         x=z0, f=0.0, g=np.zeros(lifted.nlp.n_g), lam_x=lam_z, lam_g=column[lifted.rows],
-        status=Status.CONVERGED, solver_message="", iterations=0, history={}, seconds=0.0,
+        status=Status.CONVERGED, iterations=0, history={}, seconds=0.0,
     )  # fmt: skip
 
 

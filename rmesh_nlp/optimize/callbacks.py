@@ -62,19 +62,17 @@ class SignalWatch:
 
 
 class PythonFunction(ca.Callback):
-    """A CasADi Function of dense columns whose subclass has a method ``eval``.
+    """A CasADi Function in Python; its subclass has a method ``eval``, or ``eval_buffer``.
 
     CasADi does not own Python callbacks: they must live as long as what is made of them.
 
     Parameters
     ----------
     name : str
-    inputs : sequence of int
-        Lengths of the columns.
-    outputs : sequence of casadi.Sparsity
+    inputs, outputs : sequence of casadi.Sparsity
     """
 
-    def __init__(self, name: str, inputs: Sequence[int], outputs: Sequence[ca.Sparsity]) -> None:
+    def __init__(self, name: str, inputs: Sequence[ca.Sparsity], outputs: Sequence[ca.Sparsity]) -> None:
         super().__init__()
         self._inputs, self._outputs = inputs, outputs
         self.construct(name, {})
@@ -88,8 +86,8 @@ class PythonFunction(ca.Callback):
         return len(self._outputs)
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """Dense columns."""
-        return ca.Sparsity.dense(self._inputs[i])
+        """As given."""
+        return self._inputs[i]
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         """As given."""
@@ -104,7 +102,8 @@ class IterationCallback(PythonFunction):
         self._monitor = monitor
         self._iteration = 0
         self.stop = self.interrupted = False
-        super().__init__("monitor", [sizes[name] for name in ca.nlpsol_out()], [ca.Sparsity.dense(1)])
+        inputs = [ca.Sparsity.dense(sizes[name]) for name in ca.nlpsol_out()]
+        super().__init__("monitor", inputs, [ca.Sparsity.dense(1)])
 
     def eval(self, arg: list[ca.DM]) -> list[int]:
         """Pass the iterate on."""

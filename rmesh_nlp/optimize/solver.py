@@ -96,8 +96,6 @@ class NLPResult:
     x, g, lam_x, lam_g : arrays
     f : float
     status : Status
-    solver_message : str
-        The solver's own word.
     iterations : int
     history : dict of str to list of float
         Per iteration: ``obj``, ``inf_pr``, ``inf_du``, ``mu``, ... as the solver gives them.
@@ -110,7 +108,6 @@ class NLPResult:
     lam_x: Array
     lam_g: Array
     status: Status
-    solver_message: str
     iterations: int
     history: dict[str, list[float]]
     seconds: float
@@ -223,7 +220,6 @@ class Solver:
             lam_x=flat(solution["lam_x"]),
             lam_g=flat(solution["lam_g"]),
             status=status,
-            solver_message=word,
             iterations=int(stats.get("iter_count", 0)),
             history={key: list(values) for key, values in stats.get("iterations", {}).items()},
             seconds=seconds,

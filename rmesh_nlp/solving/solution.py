@@ -310,10 +310,6 @@ class Solution(Assessment):
     def _repr_html_(self) -> str:
         return html_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
 
-    def history_rows(self) -> list[dict[str, Any]]:
-        """The history as plain dictionaries, for CSV or pandas: None where unknown, ``t`` may be ``inf``."""
-        return [step.row() for step in self.history]
-
 
 def _gain(gain: float, initial: float) -> str:
     """A gain by itself and as a part of the initial value."""

@@ -105,8 +105,7 @@ def test_t_goes_down_in_the_history_and_products_follow() -> None:
         assert step.product <= step.t * (1 + 1e-6) + 1e-12
     assert solution.history[-1].biactive == solution.record()["biactive"]
     assert solution.history[-1].objective == pytest.approx(solution.record()["objective_value"], rel=1e-6)
-    rows = solution.history_rows()
-    assert [row["t"] for row in rows] == t.tolist()
+    assert [step.row()["t"] for step in solution.history] == t.tolist()
 
 
 @pytest.mark.parametrize("start", ["joint", "nested", None])

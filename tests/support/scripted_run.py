@@ -27,8 +27,7 @@ def two_minima() -> MPCC:
 def ended(x: Sequence[float], status: Status = Status.CONVERGED, f: float = 0.0, **changes: Any) -> NLPResult:
     """A result of an NLP in the two unknowns, with one row of a relaxation."""
     parts = {"g": np.zeros(1), "lam_x": np.zeros(2), "lam_g": np.zeros(1)} | changes
-    return NLPResult(np.array(x, float), f, **parts, status=status, solver_message="", iterations=3,
-                     history={}, seconds=0.5)  # fmt: skip
+    return NLPResult(np.array(x, float), f, **parts, status=status, iterations=3, history={}, seconds=0.5)
 
 
 @dataclass(frozen=True)
