@@ -286,7 +286,7 @@ class ReducedCertificate:
         positions = rel.mesh_map.positions
         moving = positions.index != CONSTANT
         of_lower = np.bincount(
-            positions.index[moving], (slope * positions.scale)[moving], minlength=inner.q.size
+            positions.index[moving], (slope * positions.slopes(inner.q))[moving], minlength=inner.q.size
         )
         value, gradient = self.weight * (upper.value - lower), self.weight * (upper.gradient - of_lower)
         if self._others is not None:

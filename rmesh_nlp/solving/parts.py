@@ -261,9 +261,9 @@ class Certificate:
     guaranteed_upper: bool
     guaranteed_initial: bool
     why: str
-    local: Array
-    local_initial: Array
-    field: Array
+    local: Array = field(repr=False)
+    local_initial: Array = field(repr=False)
+    field: Array = field(repr=False)
     residual: float
 
     def record(self) -> dict[str, Any]:

@@ -109,6 +109,17 @@ def test_the_gradient_of_the_bound_of_the_error_has_rate_2(kind: str, objective:
     assert rm.verify_gradient(problem, objective, seed=1).order > 1.9
 
 
+def test_the_gradient_of_the_bound_has_rate_2_where_nodes_slide_along_a_circle() -> None:
+    mesh = plate({}).mesh
+    problem = rm.ContactProblem(
+        mesh,
+        rm.Laplace(source=-1.0),
+        ("left",),
+        motion=Motion(delta=rm.Relative(0.3), curves={"hole": CURVES["circle"]}),
+    )
+    assert rm.verify_gradient(problem, "certificate").order > 1.9
+
+
 def test_weights_that_do_not_move_would_be_noticed() -> None:
     """The derivative of omega_i is a visible part of the gradient of 6.3."""
     problem = EXAMPLES["6.3"]()
