@@ -19,9 +19,9 @@ comparison = rm.compare(problem, ["fixed", "nested", "joint", "mpcc"])
 comparison
 
 # %%
-# Audited energies are those of the contact problem solved once more with a rule of degree 20:
-# formulations are compared by them. The whole records are in ``comparison.frame()``, the tables of
-# ``rmesh compare`` in ``comparison.markdown()``.
+# Audited energies are those of the contact problem solved once more, independently of the solver: loads
+# by an adaptive rule, gaps along whole edges. Formulations are compared by them. The whole records are in
+# ``comparison.frame()``, the tables of ``rmesh compare`` in ``comparison.markdown()``.
 
 best = comparison.best
 print(best.formulation, best.audit.energy_audited)

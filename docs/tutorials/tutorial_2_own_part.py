@@ -20,7 +20,7 @@ mesh = type(mesh)(sloped, mesh.t, _boundaries=mesh.boundaries)
 print(sorted(mesh.boundaries))
 
 # %%
-# Its law, where it is held, what it may touch, what loads it, and how far its nodes may move.
+# Its law, where it is fixed, what it may touch, what loads it, and how far its nodes may move.
 
 problem = rm.ContactProblem(
     mesh=mesh,

@@ -173,7 +173,7 @@ def check(
 def advise(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")],
 ) -> None:
-    """Say whether to relocate, to refine, or both, before anything dear is solved.
+    """Say whether to relocate, to refine, or both, before an expensive solve.
 
     Relocates on a coarse mesh, prolongs the map, and refines uniformly twice.
 

@@ -66,7 +66,7 @@ def check(path: Path, picture: Path | None = None) -> int:
         rows.append(("regularisation", "a barrier in the place of the least area: areas are only positive"))
     for kind in Mobility:
         rows.append((f"nodes {kind.name.lower()}", str(int((free.mobility == kind).sum()))))
-    rows.append(("moves", str(free.n)))
+    rows.append(("outer variables", str(free.n)))
     rows.append(("validity constraints", str(parts.validity.size)))
     try:
         check_unknowns(problem)
