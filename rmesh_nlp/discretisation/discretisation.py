@@ -86,7 +86,7 @@ class Discretisation:
     @property
     def friction_rows(self) -> Index:
         """(n_s,) numbers of the gaps at which friction may act."""
-        return self.space.friction_rows
+        return self.problem.friction_rows
 
     @property
     def n_contact(self) -> int:

@@ -107,7 +107,7 @@ def slip_terms(space: DisplacementSpace) -> list[ElementTerm]:
 
     Of positions, displacement and slip magnitudes (obstacles, nodes).
     """
-    terms, first, n_s = [], 0, space.friction_rows.size
+    terms, first, n_s = [], 0, space.problem.friction_rows.size
     for part in _frictional(space):
         for which, vertices, shares in space.kinds(part.nodes):
             at_node = part.nodes[None, which]

@@ -82,13 +82,7 @@ class DisplacementSpace:
     @cached_property
     def contact_nodes(self) -> Index:
         """(gaps,) the node of every gap; a node of two obstacles is there twice."""
-        return np.concatenate([np.zeros(0, np.int64), *(part.nodes for part in self.contact_sets)])
-
-    @cached_property
-    def friction_rows(self) -> Index:
-        """(n_s,) numbers of the gaps at which friction may act."""
-        rows = [part.rows for part in self.contact_sets if part.obstacle.frictional]
-        return np.concatenate([np.zeros(0, np.int64), *rows])
+        return self.nodes_of(self.problem.contact_nodes)
 
     def weights(self, X: Array) -> Array:
         """omega_i of (5.9) for every gap: the integral of its node's shape function over the boundary.
@@ -107,14 +101,6 @@ class DisplacementSpace:
             whole = np.bincount(self.nodes_of(cells).ravel(), share, self.n_nodes)
             weights.append(np.asarray(whole[part.nodes], dtype=float))
         return np.concatenate(weights)
-
-    def at_vertices(self, values: Array) -> Array:
-        """(components, vertices) values at the vertices, for output, of nodal values (components, nodes)."""
-        return np.asarray(values[:, self.number])
-
-    def interpolated(self, values: Array, elements: Index, barycentric: Array) -> Array:
-        """(components, points) values at points (3, points) of ``elements``, of nodal values."""
-        return np.asarray(np.einsum("cvp,vp->cp", values[:, self.elements[:, elements]], barycentric))
 
     @cached_property
     def _vertex(self) -> Index:

@@ -175,9 +175,6 @@ SAME_NODE = 1e-10
 
 PLAIN_CELLS = ("triangle", "line", "vertex")
 
-Groups = Mapping[str, NDArray[np.int64]]
-"""Names of edges as (edges, 2), or of triangles as (triangles,) arrays of numbers."""
-
 
 class MeshRepairWarning(UserWarning):
     """A mesh was repaired; the message says how."""

@@ -152,11 +152,6 @@ class ErrorTerms:
     I3: float
     above_exact: float
 
-    @property
-    def total(self) -> float:
-        """``I1 + I2 + I3``."""
-        return self.I1 + self.I2 + self.I3
-
     def entries(self) -> dict[str, float | None]:
         """Entries of a record."""
         return {"I1": self.I1, "I2": self.I2, "I3": self.I3, "energy_above_exact": self.above_exact}

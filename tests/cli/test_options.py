@@ -43,12 +43,12 @@ MEANT = {
 def test_every_option_of_solve_reaches_the_planned_solve(plans: list[PlannedSolve]) -> None:
     arguments = ["solve", "6.1", "-f", "mpcc", "--n", "4", "--delta", "0.02,0.01", "--quadrature", "5"]
     assert cli.run([*arguments, *TYPED.split()]) == 130
-    assert (
-        cli.run(["solve", "6.2", "--n", "4x2", "--delta", "none", "--regularisation", "1,0.1", "--flips"])
-        == 130
-    )
-    assert cli.run(["solve", "6.2", "-f", "nested", "--outer", "ipopt", "--starts", "2"]) == 130
-    assert cli.run(["solve", "6.2", "--levels", "2"]) == 130
+    for typed in (
+        "--n 4x2 --delta none --regularisation 1,0.1 --flips",
+        "-f nested --outer ipopt --starts 2",
+        "--levels 2",
+    ):
+        assert cli.run(["solve", "6.2", *typed.split()]) == 130
     mpcc, joint, nested, levels = plans
     assert (mpcc.formulation, mpcc.options, mpcc.certify) == ("mpcc", MEANT, True)
     assert mpcc.identity["delta"] == [0.02, 0.01]
@@ -61,25 +61,8 @@ def test_every_option_of_solve_reaches_the_planned_solve(plans: list[PlannedSolv
 
 
 def test_compare_takes_several_seeds_and_objectives(plans: list[PlannedSolve]) -> None:
-    assert (
-        cli.run(
-            [
-                "compare",
-                "6.1",
-                "--formulations",
-                "joint,fixed",
-                "--n",
-                "3",
-                "--seed",
-                "1",
-                "--seed",
-                "2,3",
-                "--repeats",
-                "2",
-            ]
-        )
-        == 130
-    )
+    typed = "compare 6.1 --formulations joint,fixed --n 3 --seed 1 --seed 2,3 --repeats 2"
+    assert cli.run(typed.split()) == 130
     (first,) = plans
     assert (first.options, first.repeats) == ({"seed": 1}, 2)
 

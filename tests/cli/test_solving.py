@@ -82,23 +82,8 @@ def test_a_limit_of_iterations_is_exit_code_0_if_the_mesh_is_better() -> None:
 def test_compare_writes_everything_and_table_and_figures_remake_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert (
-        run(
-            *[
-                "compare",
-                "6.1",
-                "--formulations",
-                "fixed,joint",
-                "--n",
-                "3",
-                "--quadrature",
-                "6",
-                "--out",
-                "all",
-            ]
-        )
-        == 0
-    )
+    arguments = "compare 6.1 --formulations fixed,joint --n 3 --quadrature 6 --out all"
+    assert run(*arguments.split()) == 0
     out = Path("all")
     printed = capsys.readouterr()
     assert (out / "table.md").read_text().startswith(f"{printed.out}\n## Details\n")
@@ -135,18 +120,9 @@ def test_commands_of_results_take_a_single_solve_and_what_a_killed_one_left() ->
 
 @pytest.mark.slow
 def test_an_objective_that_joint_refuses_is_a_dash_and_no_failure() -> None:
-    arguments = [
-        "compare",
-        "6.1",
-        "--n",
-        "4",
-        "--quadrature",
-        "6",
-        "--formulations",
-        "joint,nested",
-        *QUICKLY,
-    ]
-    assert run(*arguments, "--objective", "energy", "--objective", "error-l2", "--out", "both") == 0
+    typed = "compare 6.1 --n 4 --quadrature 6 --formulations joint,nested --out both"
+    arguments = [*typed.split(), *QUICKLY]
+    assert run(*arguments, "--objective", "energy", "--objective", "error-l2") == 0
     rows = [result.record for result in read_results(Path("both"))]
     assert [does_not_apply(row) for row in rows] == [False, False, True, False]
     assert (rows[2]["status"], rows[2]["success"], rows[2]["energy"]) == ("refused", False, None)
@@ -164,18 +140,8 @@ def test_refusing_the_only_objective_is_no_success() -> None:
 
 @pytest.mark.slow
 def test_seeds_and_objectives_join_what_is_there() -> None:
-    arguments = [
-        "compare",
-        "6.1",
-        "--n",
-        "3",
-        "--quadrature",
-        "6",
-        *QUICKLY,
-        "--out",
-        "all",
-        "--formulations",
-    ]
+    typed = "compare 6.1 --n 3 --quadrature 6 --out all"
+    arguments = [*typed.split(), *QUICKLY, "--formulations"]
     assert run(*arguments, "joint", "--seed", "1", "--seed", "2,3") == 0
     assert "## Several starts" in Path("all/table.md").read_text()
     assert run(*arguments, "nested", "--objective", "error-l2", "--resume") == 0

@@ -23,14 +23,7 @@ from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstac
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.solving import advice as advising
 from rmesh_nlp.solving.advice import advise, recommended
-
-
-def example(n: int = 8) -> ContactProblem:
-    return replace(EXAMPLES["6.1"](n=n), motion=Motion(None), quadrature=6)
-
-
-def error(problem: ContactProblem) -> float:
-    return ContactSolver(replace(problem, quadrature=10)).solve(problem.mesh.p).energy - problem.exact.energy
+from support.problems import energy_error, signorini
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -53,7 +46,7 @@ def test_refinement_keeps_domain_names_and_old_nodes(seed: int) -> None:
 
 def test_stages_refine_until_there_are_enough_nodes_or_the_error_is_small() -> None:
     settings = CascadeSettings(iterations=8, brief=4)
-    stages = hr(example(4), nodes=30, settings=settings)
+    stages = hr(signorini(4), nodes=30, settings=settings)
     nodes = [stage.problem.mesh.p.shape[1] for stage in stages]
     assert nodes[0] == 25
     assert nodes[-2] < 30 <= nodes[-1]
@@ -62,9 +55,9 @@ def test_stages_refine_until_there_are_enough_nodes_or_the_error_is_small() -> N
     assert last.error_estimate == pytest.approx(edge_gains(last.problem).sum() / EFFECTIVITY)
     assert last.energy == pytest.approx(ContactSolver(last.problem).solve(last.problem.mesh.p).energy)
     assert last.problem.reference is None
-    (only,) = hr(example(4), error=stages[0].error_estimate, settings=settings)
+    (only,) = hr(signorini(4), error=stages[0].error_estimate, settings=settings)
     assert only.energy == stages[0].energy
-    assert len(hr(example(4), nodes=9999, settings=settings, max_stages=1)) == 1
+    assert len(hr(signorini(4), nodes=9999, settings=settings, max_stages=1)) == 1
 
 
 def test_new_nodes_are_amid_their_edges_on_the_mesh_as_given() -> None:
@@ -94,17 +87,17 @@ def test_elements_are_compared_with_the_mesh_as_given_and_none_with_a_flat_one()
 
 def test_hr_refuses_what_it_cannot_do() -> None:
     with pytest.raises(BadInputError, match="number of nodes"):
-        hr(example())
+        hr(signorini())
     with pytest.raises(BadInputError, match=r"boxes|move limits"):
         hr(EXAMPLES["6.1"](n=4), nodes=100)
 
 
 @pytest.mark.slow
 def test_hr_needs_fewer_nodes_than_refinement() -> None:
-    stages = hr(example(), nodes=150)
+    stages = hr(signorini(), nodes=150)
     nodes = [stage.problem.mesh.p.shape[1] for stage in stages]
     assert np.all(np.diff(nodes) > 0)
-    assert error(stages[-1].problem) < 0.3 * error(example(16))
+    assert energy_error(stages[-1].problem) < 0.3 * energy_error(signorini(16))
     assert stages[-1].error_estimate < stages[0].error_estimate
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
@@ -15,15 +14,7 @@ from rmesh_nlp.models.hr import EFFECTIVITY
 from rmesh_nlp.models.regularisation import _refined, edge_gains, gain_estimate, marked, regularised, weights
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.problem.contact_problem import locally_refined
-from support.problems import no_boxes
-
-
-def example(n: int = 8) -> ContactProblem:
-    return replace(EXAMPLES["6.1"](n=n), motion=Motion(None), quadrature=6)
-
-
-def error(problem: ContactProblem) -> float:
-    return ContactSolver(replace(problem, quadrature=10)).solve(problem.mesh.p).energy - problem.exact.energy
+from support.problems import energy_error, no_boxes, signorini
 
 
 def test_marked_triangles_have_their_share_and_no_more_than_needed() -> None:
@@ -46,12 +37,14 @@ def test_the_gain_of_one_edge_by_hand() -> None:
 @pytest.mark.slow
 def test_edge_gains_estimate_the_error_and_adaptive_refinement_beats_uniform_refinement() -> None:
     for n in (8, 16, 32):
-        assert edge_gains(example(n)).sum() == pytest.approx(EFFECTIVITY * error(example(n)), rel=0.15)
-    problem = example()
+        assert edge_gains(signorini(n)).sum() == pytest.approx(
+            EFFECTIVITY * energy_error(signorini(n)), rel=0.15
+        )
+    problem = signorini()
     while problem.mesh.p.shape[1] < 200:
         problem = locally_refined(problem, marked(edge_gains(problem)))
     assert problem.mesh.p.shape[1] < 289
-    assert error(problem) < 0.7 * error(example(16))
+    assert energy_error(problem) < 0.7 * energy_error(signorini(16))
 
 
 def test_the_gain_is_estimated_well_where_the_error_is_known() -> None:

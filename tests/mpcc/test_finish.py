@@ -6,16 +6,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, Options
+from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.mpcc import finish as finishing
 from rmesh_nlp.mpcc.finish import Finish, finish, pivot, polished
 from rmesh_nlp.mpcc.lpec import Direction
-from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.polish import Polished
-from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import ScriptedRun, ended, two_minima
+from support.scripted_run import ScriptedRun, ended, run_of, two_minima
 
 x, y, w = (ca.SX.sym(name) for name in "xyw")
 XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
@@ -29,10 +27,6 @@ def labelled(f, status=Status.CONVERGED, direction=None):
 
 
 OPEN, GOOD, POOR = labelled(1.0, Status.STALLED), labelled(2.0), labelled(2.0, Status.STALLED)
-
-
-def run_of(mpcc, **options):
-    return Run(CompiledNLPs(mpcc, Options(**options)), np.zeros(0))
 
 
 @pytest.mark.parametrize(

@@ -4,22 +4,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, Options
+from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.polish import _Branch, polish, project
-from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.nlp import Derivatives
-from support.scripted_run import two_minima
+from support.scripted_run import run_of, two_minima
 
 x, y, w = (ca.SX.sym(name) for name in "xyw")
 XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
 ON_G, ON_H = np.array([True]), np.array([False])
 INF = np.inf
-
-
-def run_of(mpcc, **options):
-    return Run(CompiledNLPs(mpcc, Options(**options)), np.zeros(0))
 
 
 def overdetermined():

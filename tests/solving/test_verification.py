@@ -12,9 +12,19 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
-from rmesh_nlp.solving.verification import TaylorTest, error_terms, error_terms_on, verify_gradient
+from rmesh_nlp.solving.verification import (
+    ErrorTerms,
+    TaylorTest,
+    error_terms,
+    error_terms_on,
+    verify_gradient,
+)
 from support.formulations import fixed, joint, mpcc
 from support.sliding import sliding_block
+
+
+def total(terms: ErrorTerms) -> float:
+    return terms.I1 + terms.I2 + terms.I3
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +116,8 @@ def test_the_terms_sum_to_the_energy_above_the_exact_one() -> None:
         assert terms.I3 == 0
         assert min(terms.I1, terms.I2) > 0
         # what is left is the audit's quadrature of the load
-        assert terms.total == pytest.approx(terms.above_exact, rel=1e-5)
-    assert after.total < before.total
+        assert total(terms) == pytest.approx(terms.above_exact, rel=1e-5)
+    assert total(after) < total(before)
 
 
 @pytest.mark.slow
@@ -120,10 +130,10 @@ def test_with_friction_the_third_term_closes_the_sum() -> None:
         assert min(terms.I1, terms.I3) > 0  # on these grids nodes slide where the exact solution sticks
         assert terms.I2 >= -1e-12
         # loads and displacement are polynomials on the elements, so rules are exact and nothing is left over
-        assert terms.total == pytest.approx(terms.above_exact, rel=1e-9)
-        assert terms.total - terms.I3 != pytest.approx(terms.above_exact, rel=1e-6)
+        assert total(terms) == pytest.approx(terms.above_exact, rel=1e-9)
+        assert total(terms) - terms.I3 != pytest.approx(terms.above_exact, rel=1e-6)
         found.append(terms)
-    assert found[1].total < 0.5 * found[0].total
+    assert total(found[1]) < 0.5 * total(found[0])
 
 
 def test_the_terms_do_not_depend_on_the_rule_of_the_problem() -> None:

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 from skfem import MeshTri
 
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PiecewiseLinear, PlaneStrain, Traction
 
 
@@ -32,6 +34,16 @@ def sloped_block(friction: float = 60.0) -> ContactProblem:
         tractions=(Traction("top", (-20.0, lambda x, y: -30 * x)),),
         name="sloped",
     )
+
+
+def signorini(n: int = 8) -> ContactProblem:
+    """Example 6.1 without move limits, its load by a rule of degree 6."""
+    return replace(EXAMPLES["6.1"](n=n), motion=Motion(None), quadrature=6)
+
+
+def energy_error(problem: ContactProblem) -> float:
+    """Error of the energy on the mesh of a problem whose solution is known."""
+    return ContactSolver(replace(problem, quadrature=10)).solve(problem.mesh.p).energy - problem.exact.energy
 
 
 def no_boxes(problem: ContactProblem) -> ContactProblem:

@@ -24,6 +24,11 @@ def two_minima() -> MPCC:
     return MPCC(ca.vertcat(X, Y), (X - 2) ** 2 + (Y - 1) ** 2, None, X, Y)
 
 
+def run_of(mpcc: MPCC, **options: Any) -> Run:
+    """A run of an MPCC without parameters."""
+    return Run(CompiledNLPs(mpcc, Options(**options)), np.zeros(0))
+
+
 def ended(x: Sequence[float], status: Status = Status.CONVERGED, f: float = 0.0, **changes: Any) -> NLPResult:
     """A result of an NLP in the two unknowns, with one row of a relaxation."""
     parts = {"g": np.zeros(1), "lam_x": np.zeros(2), "lam_g": np.zeros(1)} | changes
