@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT
@@ -147,7 +147,7 @@ class Equilibrium:
     iterations: int
 
 
-def factorised(K: sp.csc_array, *, ordered: bool = False) -> Any:
+def factorised(K: sp.csc_array, *, ordered: bool = False) -> SuperLU:
     """Sparse factorisation of a symmetric positive definite matrix, in its own order if ``ordered``."""
     # SuperLU takes 32-bit indices; SciPy before 1.13 makes 64-bit ones when a matrix is sliced
     indices, starts = (a.astype(np.int32, copy=False) for a in (K.indices, K.indptr))

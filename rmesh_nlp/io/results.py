@@ -132,10 +132,6 @@ class Results:
         self.manifest.claim(RECORDS)
         write_text(self.folder / RECORDS, "".join(to_json(record) + "\n" for record in records))
 
-    def set_aside(self) -> Path | None:
-        """Move what an earlier run left here to ``previous``, ``previous-2``, ...; see :class:`Manifest`."""
-        return self.manifest.set_aside()
-
     def mend(self) -> None:
         """Move a damaged last line to ``records-damaged.txt``; needs the lock."""
         path = self.folder / RECORDS

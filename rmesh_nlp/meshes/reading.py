@@ -38,8 +38,8 @@ class _TooLongError(Exception):
     pass
 
 
-def read_file(path: Path) -> Any:
-    """The ``meshio.Mesh`` of a file, read in the format of its extension and no other.
+def read_file(path: Path) -> meshio.Mesh:
+    """The mesh of a file, read in the format of its extension and no other.
 
     Some of meshio's readers never come to the end of a damaged file, so their time is limited.
 
@@ -126,7 +126,7 @@ def _format(path: Path) -> str:
     return str(kinds[0])
 
 
-def _limited(read: Callable[[], Any], seconds: float) -> Any:
+def _limited(read: Callable[[], meshio.Mesh], seconds: float) -> meshio.Mesh:
     """What ``read`` returns, if it does so in time."""
     if hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread():
         with _alarm(seconds):
@@ -149,7 +149,7 @@ def _alarm(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
-def _in_a_thread(read: Callable[[], Any], seconds: float) -> Any:
+def _in_a_thread(read: Callable[[], meshio.Mesh], seconds: float) -> meshio.Mesh:
     """The same where no signal can interrupt: a reader that hangs is left behind in its thread."""
     result: list[Any] = []
 
@@ -280,7 +280,7 @@ def read_mesh(path: str | Path) -> MeshTri:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _hint_of_gmsh(file: Any) -> str:
+def _hint_of_gmsh(file: meshio.Mesh) -> str:
     """Why a file of gmsh may have lines alone, and how to mend it."""
     if not any(key.startswith("gmsh:") for key in file.cell_data):
         return ""
@@ -374,7 +374,7 @@ def _facet_numbers(name: str, edges: NDArray, lookup: dict, number: NDArray) -> 
     return np.unique(np.array(result, dtype=np.int64))
 
 
-def _groups(file: Any) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
+def _groups(file: meshio.Mesh) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
     """Named edges and triangles of a meshio mesh."""
     parts: dict[str, dict[str, list[NDArray]]] = {"line": {}, "triangle": {}}
     title = {"line": "boundary", "triangle": "subdomain"}

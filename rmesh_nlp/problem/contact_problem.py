@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.table import Table
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
@@ -120,7 +120,7 @@ class ContactProblem(ProblemData):
         contact = [f"{part.nodes.size} nodes {part.obstacle.in_words()}" for part in self.contact_sets]
         return [*rows, ("contact", "; ".join(contact) or "none"), ("motion", self.motion.in_words())]
 
-    def __rich__(self) -> Any:
+    def __rich__(self) -> Table:
         return rich_table(f"Contact problem {self.name!r}", self.summary())
 
     def __repr__(self) -> str:

@@ -8,6 +8,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from rich.table import Table
 from skfem import MeshTri
 
 from rmesh_nlp.assessment.admissible import Admissible
@@ -301,7 +302,7 @@ class Solution(Assessment):
             rows.append(("limited by areas", f"{np.sum(area > 0)} elements, largest {figure(area.max())}"))
         return rows
 
-    def __rich__(self) -> Any:
+    def __rich__(self) -> Table:
         return rich_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
 
     def __repr__(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from rich.table import Table
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.display import Rows, html_table, rich_table
@@ -81,7 +82,7 @@ class TaylorTest:
             ("gradient", f"{'right' if self.passed else 'WRONG'}: order {self.order:.2f}"),
         ]
 
-    def __rich__(self) -> object:
+    def __rich__(self) -> Table:
         return rich_table(f"Taylor test of {self.objective!r}", self.summary())
 
     def _repr_html_(self) -> str:

@@ -215,7 +215,7 @@ def run(
         ended = _side_by_side(todo, results, jobs) if jobs > 1 else _here(todo, on_start, on_step)
         for solve, row, save in ended:
             if not clean:
-                results.set_aside()
+                manifest.set_aside()
                 clean = True
             manifest.claim(*results.names(solve.key))
             save(results.result(row))

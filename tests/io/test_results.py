@@ -62,7 +62,7 @@ MINE = {
 def test_what_an_earlier_version_wrote_is_known_by_its_records_and_its_heads(tmp_path: Path) -> None:
     fill(tmp_path, OWN | MINE)
     assert sorted(Results(tmp_path).manifest.names()) == sorted(OWN)
-    Results(tmp_path).set_aside()
+    Results(tmp_path).manifest.set_aside()
     assert {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()} == {
         *MINE, *(f"previous/{name}" for name in OWN), f"previous/{MANIFEST}"
     }  # fmt: skip
