@@ -23,7 +23,6 @@ from rmesh_nlp.io.problem_messages import one_line
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.checks import check_unknowns
 from rmesh_nlp.report.pictures import draw_problem
 from rmesh_nlp.solving.advice import advise as advice
 from rmesh_nlp.solving.formulation import find
@@ -69,7 +68,7 @@ def check(path: Path, picture: Path | None = None) -> int:
     rows.append(("outer variables", str(free.n)))
     rows.append(("validity constraints", str(parts.validity.size)))
     try:
-        check_unknowns(problem)
+        parts.check_unknowns()
         found = [warning.message for warning in setup_warnings(problem)]
     except ValueError as error:
         raise BadInputError(f"{path}: {one_line(error)}") from error

@@ -166,8 +166,9 @@ def predicted_set(system: ContactSystem) -> ActiveSet:
     """The active set that the dual solution suggests; the stiffness by itself must be regular."""
     n, bound = system.offset.size, system.slip_bound
     upper = np.concatenate([np.full(n, np.inf), bound])
+    dual = DualEnergy(system)
     result = minimise(
-        DualEnergy(system).evaluate,
+        dual.evaluate,
         np.zeros(upper.size),
         np.concatenate([np.zeros(n), -bound]),
         upper,

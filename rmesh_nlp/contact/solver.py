@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -14,11 +14,10 @@ from rmesh_nlp.contact.active_set import check_load, check_unique, solve
 from rmesh_nlp.contact.system import LARGE, ActiveSet, ContactSystem, Equilibrium, elimination_order
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
-from rmesh_nlp.fem.fields import Field, unknown_field
+from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.obstacle import NO_NORMAL
-from rmesh_nlp.problem.rigid import rigid_motions
 
 
 @dataclass(frozen=True)
@@ -95,8 +94,7 @@ class ContactSolver:
         self.displacement, self.n_u = parts.displacement, parts.n_u
         self.contact_nodes = parts.contact_nodes
         n_gaps = parts.n_contact
-        self._given = given = _Given(problem)
-        positions, X = given.positions, given.symbol
+        positions, X = parts.vertices.positions, parts.vertices.symbol
         u = ca.MX.sym("u", self.n_u)
         groups = [term.on(positions, self.displacement) for term in (*parts.strain, *parts.gaps)]
         inner = parts.assemble(groups, u, X, n_gaps)
@@ -120,7 +118,6 @@ class ContactSolver:
             self._kept.append(friction)
             bounds = ca.densify(friction.grad_f(ca.MX.zeros(parts.n_s), X)[1])
             self._bounds = Evaluator(ca.Function("bounds", [X], [bounds]))
-        self._floats = rigid_motions(problem).size > 0
         self._check()
 
     def with_rule(self, rule: str | int) -> ContactSolver:
@@ -134,14 +131,14 @@ class ContactSolver:
 
     def _check(self) -> None:
         """Whether the load presses a body on that contact alone holds."""
-        if self._floats:
+        if self.discretisation.floats:
             system = self.system(self.problem.mesh.p)
             check_load(system)
             check_unique(system, solve(system))
 
     def system(self, nodes: Array) -> ContactSystem:
         """The quadratic program at vertex positions (2, vertices)."""
-        given = self._given(nodes)
+        given = self.discretisation.vertices.values(nodes)
         hessian, held, constant, offset = self._evaluate(given)
         work, load = self._loads(given)
         normals, tangents = self.normals, self.tangents
@@ -156,7 +153,7 @@ class ContactSolver:
             offset=offset,
             slip_bound=self._slip_bound(given),
             frictional=self.frictional,
-            rigid=self._rigid(nodes) if self._floats else None,
+            rigid=self.discretisation.rigid_motions(nodes) if self.discretisation.floats else None,
             order=self._order,
         )
 
@@ -166,7 +163,7 @@ class ContactSolver:
 
     def strain_and_friction(self, nodes: Array, u: Array) -> tuple[float, float]:
         """Strain energy and friction energy of a displacement at vertex positions."""
-        given = self._given(nodes)
+        given = self.discretisation.vertices.values(nodes)
         hessian, pull, constant, _ = self._evaluate(given)
         strain = 0.5 * float(u @ (self._stiffness(hessian) @ u)) - float(pull @ u) + float(constant[0])
         bound = self._slip_bound(given)
@@ -192,43 +189,13 @@ class ContactSolver:
             return None
         return elimination_order(space.points(mesh.p), space.nodes_of(mesh.facets), self.displacement.index)
 
-    def _rigid(self, nodes: Array) -> Array:
-        """The rigid motions that only contact prevents, (n_u, motions)."""
-        free = self.displacement.index >= 0
-        motions = [self.discretisation.space.of_linear(m) for m in rigid_motions(self.problem, nodes)]
-        result = np.zeros((self.n_u, len(motions)))
-        for k, motion in enumerate(motions):
-            result[self.displacement.index[free], k] = motion[free]
-        return result
-
-
-class _Given:
-    """Vertex positions as parameters of a function, and the parameters of vertices on curves with them."""
-
-    def __init__(self, problem: ContactProblem) -> None:
-        n = problem.mesh.p.shape[1]
-        self._curves = [
-            (curve, problem.boundary_nodes((name,))) for name, curve in problem.motion.curves.items()
-        ]
-        positions = unknown_field((2, n), parameter=True)
-        along = unknown_field((len(self._curves), n), 2 * n, parameter=True) if self._curves else None
-        self.positions = replace(positions, along=along)
-        self.symbol = ca.MX.sym("X", (2 + len(self._curves)) * n)
-
-    def __call__(self, nodes: Array) -> Array:
-        """The values of ``symbol`` at vertex positions (2, vertices)."""
-        along = np.zeros((len(self._curves), nodes.shape[1]))
-        for row, (curve, here) in zip(along, self._curves, strict=True):
-            row[here] = curve.nearest(nodes[:, here])
-        return np.concatenate([nodes.ravel(order="F"), along.ravel(order="F")])
-
 
 class _Loads:
     """Minus the work of the loads on the given displacements, and the nodal forces (n_u,), by one rule."""
 
     def __init__(self, parts: Discretisation) -> None:
-        given, u = _Given(parts.problem), ca.MX.sym("u", parts.n_u)
-        X, groups = given.symbol, [term.on(given.positions, parts.displacement) for term in parts.loads]
+        positions, X, u = parts.vertices.positions, parts.vertices.symbol, ca.MX.sym("u", parts.n_u)
+        groups = [term.on(positions, parts.displacement) for term in parts.loads]
         self._kept = parts.assemble(groups, u, X, 0)
         value, gradient = self._kept.grad_f(ca.MX.zeros(parts.n_u), X)
         self._evaluate = Evaluator(ca.Function("loads", [X], [ca.densify(value), -ca.densify(gradient)]))

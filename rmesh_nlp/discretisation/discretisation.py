@@ -13,16 +13,20 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
 
+from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import friction_terms, gap_field, gap_terms, slip_field, slip_terms
 from rmesh_nlp.fem.energy import displacement_field, load_terms, strain_terms
 from rmesh_nlp.fem.fields import ElementGroup, ElementTerm, Field
 from rmesh_nlp.fem.objective import Objective, scaled_group
 from rmesh_nlp.fem.space import DisplacementSpace, Index
-from rmesh_nlp.mapping.mesh_map import MeshMap
+from rmesh_nlp.mapping.mesh_map import MeshMap, VertexParameters
 from rmesh_nlp.mapping.validity import Validity, validity
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.rigid import rigid_motions
 from rmesh_nlp.vectorised import USUAL, AssemblySettings
 
 
@@ -52,6 +56,30 @@ class Discretisation:
     def mesh_map(self) -> MeshMap:
         """The field of vertex positions as a function of q, and the move limits."""
         return MeshMap.of(self.problem)
+
+    @cached_property
+    def vertices(self) -> VertexParameters:
+        """The vertex positions as parameters of what is solved at positions that are given."""
+        return VertexParameters(self.problem)
+
+    @cached_property
+    def floats(self) -> bool:
+        """Whether contact alone prevents some rigid motion."""
+        return rigid_motions(self.problem).size > 0
+
+    def check_unknowns(self) -> None:
+        """Raise a ProblemError if there is nothing to solve for; such a problem may still be refined."""
+        if self.n_u == 0:
+            raise ProblemError("dirichlet", "every displacement is given: leave some node free")
+
+    def rigid_motions(self, nodes: Array) -> Array:
+        """(n_u, motions) the rigid motions at vertex positions (2, vertices) that only contact prevents."""
+        free = self.displacement.index >= 0
+        motions = [self.space.of_linear(motion) for motion in rigid_motions(self.problem, nodes)]
+        result = np.zeros((self.n_u, len(motions)))
+        for k, motion in enumerate(motions):
+            result[self.displacement.index[free], k] = motion[free]
+        return result
 
     @cached_property
     def displacement(self) -> Field:

@@ -103,12 +103,10 @@ class Objective:
             for group in term.groups(problem, positions, displacement, slip)
         ]
 
-    def position_groups(
-        self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
-    ) -> list[ElementGroup]:
-        """Element groups of the terms in the positions alone."""
-        chosen = Objective(tuple((weight, term) for weight, term in self.terms if term.of_positions))
-        return chosen.groups(problem, positions, displacement, slip)
+    @property
+    def in_positions(self) -> Objective:
+        """Its terms in the positions alone."""
+        return Objective(tuple((weight, term) for weight, term in self.terms if term.of_positions))
 
     def __add__(self, other: Objective) -> Objective:
         return Objective((*self.terms, *other.terms)) if isinstance(other, Objective) else NotImplemented

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, Bends, Field, constant_field
+from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, Bends, Field, constant_field, unknown_field
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import on_curve, parameters_of, sliding_directions
@@ -109,6 +110,35 @@ class MeshMap:
         bends = Bends(which, tuple(f for curve in curves for f in curve.functions)) if curves else None
         positions = Field(index, scale, offset, bends=bends, along=_along(problem, along, index, scale))
         return MeshMap(mobility, positions, int(first[-1]), bound, curves)
+
+
+class VertexParameters:
+    """Vertex positions as parameters of a function, and with them where on the curves the vertices are.
+
+    Attributes
+    ----------
+    positions : Field
+        (2, vertices), of the parameters.
+    symbol : MX symbol
+        The parameters.
+    """
+
+    def __init__(self, problem: ContactProblem) -> None:
+        n = problem.mesh.p.shape[1]
+        self._curves = [
+            (curve, problem.boundary_nodes((name,))) for name, curve in problem.motion.curves.items()
+        ]
+        positions = unknown_field((2, n), parameter=True)
+        along = unknown_field((len(self._curves), n), 2 * n, parameter=True) if self._curves else None
+        self.positions = replace(positions, along=along)
+        self.symbol = ca.MX.sym("X", (2 + len(self._curves)) * n)
+
+    def values(self, nodes: Array) -> Array:
+        """The parameters at vertex positions (2, vertices)."""
+        along = np.zeros((len(self._curves), nodes.shape[1]))
+        for row, (curve, here) in zip(along, self._curves, strict=True):
+            row[here] = curve.nearest(nodes[:, here])
+        return np.concatenate([nodes.ravel(order="F"), along.ravel(order="F")])
 
 
 def _along(problem: ContactProblem, slides: NDArray, index: NDArray, scale: Array) -> Field | None:

@@ -24,7 +24,7 @@ from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
 from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.fields import Field, Index
+from rmesh_nlp.fem.fields import ElementGroup, Field, Index
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping import MeshMap
@@ -61,6 +61,8 @@ class Relocation:
         The validity rows by themselves; none where a barrier stands in their place.
     objective : Objective
         The energy, and terms in the positions alone if there are any.
+    position_groups : tuple of ElementGroup
+        The element groups of those terms.
     """
 
     discretisation: Discretisation
@@ -70,6 +72,7 @@ class Relocation:
     slip: Field
     validity: Validity
     objective: Objective = ENERGY
+    position_groups: tuple[ElementGroup, ...] = ()
 
     @cached_property
     def nlp(self) -> NLP:
@@ -187,24 +190,24 @@ def relocation(problem: ContactProblem | Discretisation, objective: Objective = 
         raise ValueError(f"{objective.text!r} is not the energy with terms in the positions alone")
     parts = discretise(problem)
     free, n_u, n_s, n_contact = parts.mesh_map, parts.n_u, parts.n_s, parts.n_contact
+    validity = parts.validity
+    if objective.has_barrier and parts.problem.motion.min_angle == 0:
+        validity = validity.without_rows()
     displacement = parts.displacement.numbered_from(free.n)
     slip = parts.slip.numbered_from(free.n + n_u)
-    fields = (free.positions, displacement, slip)
+    position_groups = parts.objective(objective.in_positions, free.positions, displacement, slip)
     groups = [
         *parts.bulk(free.positions, displacement),
         *(term.on(free.positions, displacement) for term in parts.gaps),
         *(term.on(free.positions, slip) for term in parts.friction),
         *(term.on(free.positions, displacement, slip, first_row=n_contact) for term in parts.slips),
-        *objective.position_groups(parts.problem, *fields),
+        *position_groups,
     ]
     n_rows = n_contact + 2 * n_s
-    validity = parts.validity
-    if objective.has_barrier and parts.problem.motion.min_angle == 0:
-        validity = validity.without_rows()
     groups.append(replace(validity.upright_group, rows=validity.group.rows + n_rows))
     x = ca.MX.sym("x", free.n + n_u + n_s)
     assembled = parts.assemble(groups, x, ca.MX(0, 1), n_rows + validity.size)
-    return Relocation(parts, x, assembled, displacement, slip, validity, objective)
+    return Relocation(parts, x, assembled, displacement, slip, validity, objective, tuple(position_groups))
 
 
 @dataclass(frozen=True)

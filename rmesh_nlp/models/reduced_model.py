@@ -92,10 +92,7 @@ class ReducedEnergy:
         self._gradient = Evaluator(
             ca.Function("reduced_gradient", [x, normal, tangential], [ca.densify(gradient)])
         )
-        fields = (relocation.mesh_map.positions, relocation.displacement, relocation.slip)
-        self._position_terms = element_values(
-            relocation.objective.position_groups(relocation.problem, *fields)
-        )
+        self._position_terms = element_values(relocation.position_groups)
 
     @property
     def energy(self) -> ReducedEnergy:

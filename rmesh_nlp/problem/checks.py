@@ -50,12 +50,6 @@ def check(problem: ProblemData) -> None:
     _check_rigid_motions(problem)
 
 
-def check_unknowns(problem: ProblemData) -> None:
-    """Raise a ProblemError if there is nothing to solve for; such a problem may still be refined."""
-    if np.all(problem.held()[0][:, np.unique(problem.mesh.t)]):
-        raise ProblemError("dirichlet", "every displacement is given: leave some node free")
-
-
 def _check_mesh(problem: ProblemData) -> None:
     mesh = problem.mesh
     if type(mesh).__name__ != "MeshTri1":

@@ -20,8 +20,7 @@ from rmesh_nlp.models.energy_nlp import Relocation, relocation
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, outer_function
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.checks import check_unknowns
-from rmesh_nlp.solving.clock import TOLERANCE
+from rmesh_nlp.solving.clock import TOLERANCE, timed
 from rmesh_nlp.solving.parts import Work
 
 
@@ -57,10 +56,10 @@ class Outer:
     def __init__(
         self, problem: ContactProblem, objective: str | Objective = "energy", tolerance: float = TOLERANCE
     ) -> None:
-        check_unknowns(problem)
         self.problem, self.tolerance, self.is_near = problem, tolerance, False
         self.contact_seconds, self.gain = float("nan"), None  # type: float, float | None
         self.discretisation: Discretisation = discretise(problem)
+        self.discretisation.check_unknowns()
         self.contact = ContactSolver(self.discretisation)
         self._minimise(parse_objective(objective))
 
@@ -109,15 +108,10 @@ class Outer:
 
     @cached_property
     def given(self) -> Equilibrium:
-        """The contact solution on the mesh as given."""
-        found = self.contact.solve(np.asarray(self.problem.mesh.p))
+        """The contact solution on the mesh as given; its time is the unit of cost."""
+        found, self.contact_seconds = timed(lambda: self.contact.solve(np.asarray(self.problem.mesh.p)))
         self.energy.knows(found)
         return found
-
-    def knows(self, given: Equilibrium, seconds: float) -> None:
-        """Take over the contact solution on the mesh as given, and its time, the unit of cost."""
-        self.given, self.contact_seconds = given, seconds
-        self.energy.knows(given)
 
     @cached_property
     def function(self) -> Reduced:

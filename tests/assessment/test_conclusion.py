@@ -207,7 +207,8 @@ def test_a_contact_solve_that_failed_anywhere_is_a_fault(monkeypatch: pytest.Mon
         judged = ended(outer, np.zeros(outer.n))
         assert (judged.status, judged.valid, judged.success) == (Status.CYCLED, False, False)
     ill = Outer(EXAMPLES["6.2"]((4, 2)))
-    ill.knows(replace(ill.given, status=Status.ITERATION_LIMIT), 1.0)
+    ill.given = replace(ill.given, status=Status.ITERATION_LIMIT)
+    ill.energy.knows(ill.given)
     judged = ended(ill, np.zeros(ill.n))
     assert (judged.status, judged.success) == (Status.ITERATION_LIMIT, False)
     assert judged.solver_status is Status.CONVERGED
