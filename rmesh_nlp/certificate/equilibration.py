@@ -170,6 +170,6 @@ def _improved(found: Hybrid, pressure: Array, friction: Array, products: int) ->
         step = BoxStep(dual, dual.evaluate(y).gradient)
         step.max_products = products
         step.scale = SOFTER * step.scale
-        s, _ = step.solve(lower - y, upper - y, FORCING)
+        s, _ = step.within(lower - y, upper - y, FORCING)
         y = np.clip(y + s, lower, upper)
     return dual.refined(y), y[: pressure.size], y[pressure.size :]

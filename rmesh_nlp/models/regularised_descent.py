@@ -239,7 +239,7 @@ def _polished(
         count += factor.factorisations
         step = BoxStep(Scaled(model, width), width * energy(q).gradient, factor)
         low, high = (-bound - q) / width, (bound - q) / width
-        move, _ = step.solve(np.maximum(low, -1.0), np.minimum(high, 1.0), EXACT_FORCING)
+        move, _ = step.within(np.maximum(low, -1.0), np.minimum(high, 1.0), EXACT_FORCING)
         there = np.clip(q + width * move, -bound, bound)
         if not energy.is_defined(there) or not residual(energy(there)) < here:
             break

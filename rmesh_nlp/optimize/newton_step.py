@@ -98,7 +98,7 @@ class BoxStep:
         self.products = 0
         self._free: NDArray[np.bool_] | slice = slice(None)
 
-    def solve(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
+    def within(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
         """A step within the box, and the decrease that the model predicts."""
         self._lower, self._upper = lower, upper
         s, Hs = self._cauchy()
@@ -199,11 +199,11 @@ class ConstrainedStep(BoxStep):
         super().__init__(model, g, max_products=MAX_PRODUCTS_CONSTRAINED)
         self._rows = rows
 
-    def solve(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
+    def within(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
         """A step within the box and the rows, and the decrease that the model predicts."""
         room = self._rows.slack - self._rows.floor
         self._set = Polyhedron(lower, upper, room, self._rows.jacobian, self.scale)
-        return super().solve(lower, upper, forcing)
+        return super().within(lower, upper, forcing)
 
     def rows_active(self, s: Array) -> int:
         """Number of rows that are active at a step."""

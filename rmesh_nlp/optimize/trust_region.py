@@ -232,7 +232,7 @@ def minimise(
         while True:
             step = domain.step()
             radius = radius or domain.first_radius(step)
-            y, predicted = step.solve(*domain.trusted(radius), use.forcing)
+            y, predicted = step.within(*domain.trusted(radius), use.forcing)
             products += step.products
             gained, nothing = reference - here.value, predicted <= domain.nothing * size
             crowded = step.rows_active(y) > use.crowded

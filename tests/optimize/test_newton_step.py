@@ -22,7 +22,7 @@ def stiff(n: int) -> Array:
 def test_the_predicted_decrease_is_that_of_the_model_and_the_step_is_stationary(seed: int) -> None:
     rng = np.random.default_rng(seed)
     A, g, upper = convex(rng, 15), rng.standard_normal(15), rng.uniform(0.01, 1, 15)
-    s, predicted = BoxStep(Matrix(A), g, max_products=400).solve(-upper, upper, 1e-9)
+    s, predicted = BoxStep(Matrix(A), g, max_products=400).within(-upper, upper, 1e-9)
     assert predicted == pytest.approx(-(g @ s + 0.5 * s @ A @ s), rel=1e-9)
     assert np.all(np.abs(s) <= upper)
     # rounds end where one gives less than 6 % of the decrease: that is near the minimum, not at it
@@ -42,7 +42,7 @@ def test_a_limit_of_products_is_kept() -> None:
     A, g, wide = convex(rng, 30), rng.standard_normal(30), np.full(30, 1e3)
     free, short = BoxStep(Matrix(A), g), BoxStep(Matrix(A), g, max_products=5)
     for step in (free, short):
-        step.solve(-wide, wide, 1e-8)
+        step.within(-wide, wide, 1e-8)
     assert short.products <= 6 < free.products  # one more for the search that ends a round
 
 
@@ -50,7 +50,7 @@ def test_a_constrained_step_ends_on_the_rows_with_their_multipliers() -> None:
     # nearest point of the half plane x + y <= 1 to (1, 2): (0, 1), multiplier 1
     rows = Linearised(np.array([1.0]), np.zeros(1), sp.csr_array([[-1.0, -1.0]]))
     step = ConstrainedStep(Matrix(np.eye(2)), -np.array([1.0, 2.0]), rows)
-    s, predicted = step.solve(-np.full(2, 9.0), np.full(2, 9.0), 1e-8)
+    s, predicted = step.within(-np.full(2, 9.0), np.full(2, 9.0), 1e-8)
     np.testing.assert_allclose(s, [0.0, 1.0], atol=1e-5)
     assert predicted == pytest.approx(2 - 0.5, rel=1e-4)
     assert step.rows_active(s) == 1
@@ -100,11 +100,11 @@ def test_a_good_preconditioner_saves_products_and_gives_the_same_minimum_in_a_bo
     factor = positive_definite(sp.csc_array(model.A), n)
     wide, narrow = np.full(n, 1e6), np.full(n, 0.3)
     step, plain = BoxStep(model, g, factor), BoxStep(model, g)
-    s, _ = step.solve(-wide, wide, 1e-8)
+    s, _ = step.within(-wide, wide, 1e-8)
     np.testing.assert_allclose(s, -np.linalg.solve(model.A, g), rtol=1e-6)
-    plain.solve(-wide, wide, 1e-8)
+    plain.within(-wide, wide, 1e-8)
     assert step.products < plain.products / 3
-    inside, decrease = BoxStep(model, g, factor).solve(-narrow, narrow, 1e-6)
+    inside, decrease = BoxStep(model, g, factor).within(-narrow, narrow, 1e-6)
     assert np.all(np.abs(inside) <= narrow)
     assert decrease > 0
     assert decrease == pytest.approx(-(g @ inside + 0.5 * inside @ model.A @ inside))
