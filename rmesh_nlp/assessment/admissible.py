@@ -100,11 +100,12 @@ class Continuous:
         here = problem.mesh.p if nodes is None else nodes
         self.problem = problem
         self.body = Body(problem, here)
-        self.field, self.n_u = displacement_field(DisplacementSpace.of(problem))
+        space = DisplacementSpace.of(problem)
+        self.field, self.n_u = displacement_field(space)
         self.stiffness = stiffness(self.body)
         self.load, self._load_doubt = load_vector(self.body)
         self.given = self.field.values(np.zeros(self.n_u))  # (components, nodes)
-        self.directions = Directions(problem, self.field, self.n_u)
+        self.directions = Directions(space, self.field, self.n_u)
         self.cells = [cell for part in problem.contact_sets for cell in cells_of(self.body, part)]
 
     def system(self, standoff: Array) -> ContactSystem:

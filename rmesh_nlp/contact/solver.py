@@ -22,40 +22,36 @@ from rmesh_nlp.problem.obstacle import NO_NORMAL
 
 @dataclass(frozen=True)
 class Directions:
-    """Normals and tangents at the contact nodes of a problem.
+    """Normals and tangents at the contact nodes of a space.
 
     Attributes
     ----------
-    problem : ContactProblem
+    space : DisplacementSpace
     displacement : Field
         (components, nodes), the displacement as a function of the unknowns u.
     n_u : int
     """
 
-    problem: ContactProblem
+    space: DisplacementSpace
     displacement: Field
     n_u: int
 
-    @cached_property
-    def _space(self) -> DisplacementSpace:
-        return self.displacement.space or DisplacementSpace.of(self.problem)
-
     def normals(self, nodes: Array) -> Array:
         """Unit normals (components, gaps) at vertex positions (2, vertices)."""
-        points = self._space.points(nodes)
-        parts = [part.obstacle.normals(points[:, part.nodes]) for part in self._space.contact_sets]
-        return np.hstack([np.zeros((self.problem.components, 0)), *parts])
+        points = self.space.points(nodes)
+        parts = [part.obstacle.normals(points[:, part.nodes]) for part in self.space.contact_sets]
+        return np.hstack([np.zeros((self.space.problem.components, 0)), *parts])
 
     def rows(self, nodes: Array) -> tuple[sp.csr_array, sp.csr_array]:
         """Sparse rows (gaps, n_u) of normals and tangents; a scalar problem has no tangents."""
         normals = self.normals(nodes)
-        if self.problem.components == 1:
+        if self.space.problem.components == 1:
             return self._rows(normals), sp.csr_array((0, self.n_u))
         return self._rows(normals), self._rows(np.stack([normals[1], -normals[0]]))
 
     def _rows(self, vectors: Array) -> sp.csr_array:
         """Rows that take the component of the displacement along ``vectors`` (components, gaps)."""
-        index = self.displacement.index[:, self._space.contact_nodes]
+        index = self.displacement.index[:, self.space.contact_nodes]
         if index.size == 0:
             return sp.csr_array((0, self.n_u))
         row = np.broadcast_to(np.arange(index.shape[1]), index.shape)
@@ -108,7 +104,7 @@ class ContactSolver:
         self._loads = _Loads(parts)
         self._stiffness = Symmetric(numbered(hessian.sparsity()))
         self._curved = any(part.level is not None for part in problem.obstacles)
-        self._directions = Directions(problem, self.displacement, self.n_u)
+        self._directions = Directions(parts.space, self.displacement, self.n_u)
         self.normals, self.tangents = self._directions.rows(problem.mesh.p)
         self.frictional = np.zeros(n_gaps, dtype=bool)
         self.frictional[parts.friction_rows] = True
