@@ -102,6 +102,6 @@ def reproduce(out: Path, quick: bool, quiet: bool) -> int:
         paths = write_reproduction(out, statements, quick)
     if not quiet:
         for one in statements:
-            print(f"{one.example}, {one.what}: printed {one.printed}, here {one.ours} {one.verdict}".rstrip())
+            print(f"{one.example}, {one.what}: printed {one.printed}, here {one.ours} {one.outcome}".rstrip())
         print("wrote", ", ".join(map(str, paths)))
     return SUCCESS

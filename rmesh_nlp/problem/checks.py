@@ -248,7 +248,7 @@ def _check_rigid_motions(problem: ProblemData) -> None:
     """Given displacements, or contact with them, must prevent every rigid motion of every part.
 
     Whether contact does so under the load, and in one place only, is a matter of the forces:
-    :mod:`rmesh_nlp.contact.floating`.
+    :mod:`rmesh_nlp.contact.active_set`.
     """
     motions = rigid_motions(problem)
     gaps = seen_by_contact(problem, motions)

@@ -284,7 +284,7 @@ INTRODUCTION = (
 def write_reproduction(folder: Path, statements: Sequence[Statement], quick: bool) -> list[Path]:
     """Write ``reproduction.md`` and ``reproduction.html``; returns their paths."""
     Manifest(folder).claim(*REPRODUCTION)
-    rows = [[s.example, s.what, s.printed, s.ours, s.verdict or MISSING, s.evidence] for s in statements]
+    rows = [[s.example, s.what, s.printed, s.ours, s.outcome or MISSING, s.evidence] for s in statements]
     remarks = _reproduction_remarks(quick)
     items = "".join(f"- {line}\n" for line in remarks)
     markdown = "\n".join([f"# {TITLE}\n", f"{INTRODUCTION}\n", markdown_table(HEAD, rows), items])

@@ -60,7 +60,7 @@ class Statement:
     ----------
     example, what : str
     printed, ours : str
-    verdict : str
+    outcome : str
         ``MET`` to the printed digits, ``PASSED`` by a lower energy, or ``NOT_MET``; empty where nothing is
         printed and the statement is evidence for another one.
     evidence : str
@@ -70,7 +70,7 @@ class Statement:
     what: str
     printed: str
     ours: str
-    verdict: str
+    outcome: str
     evidence: str
 
 
@@ -83,7 +83,7 @@ def reproduce(*, quick: bool = False, say: Say = lambda text: None) -> list[Stat
         statements += _given(example)
         energies = _descents(example, 1.0, starts, say, nested=not quick)
         statements += _final(example, energies, starts)
-        if example in LARGER and statements[-1].verdict == NOT_MET:
+        if example in LARGER and statements[-1].outcome == NOT_MET:
             larger = 0 if quick else LARGER_STARTS
             statements += [_larger(example, factor, larger, say) for factor in LARGER[example]]
     statements.append(_frozen(0 if quick else LARGER_STARTS, say))
@@ -139,10 +139,10 @@ def _final(example: str, energies: dict[str, float], starts: int) -> list[Statem
     )
     count = f"{len(seeds)} of {starts} random starts ended with a valid mesh, joint"
     spread = f"{min(seeds):.6f}, {median(seeds):.6f}, {max(seeds):.6f}" if seeds else "-"
-    ours, verdict = f"{good[best]:.6f} ({best})", _reached(good[best], printed)
+    ours, outcome = f"{good[best]:.6f} ({best})", _reached(good[best], printed)
     return [
         Statement(example, "random starts: least, median, largest", "-", spread, "", count),
-        Statement(example, "final energy", f"{printed:.4f}", ours, verdict, evidence),
+        Statement(example, "final energy", f"{printed:.4f}", ours, outcome, evidence),
     ]
 
 
@@ -156,12 +156,12 @@ def _larger(example: str, factor: float, starts: int, say: Say) -> Statement:
     printed = PAPER[example].energy_final
     energies = _descents(example, factor, starts, say, nested=starts > 0)
     best = min(value for value in energies.values() if math.isfinite(value))
-    verdict, meaning = _reached(best, printed), "the paper prints the smaller move limits"
-    if verdict != NOT_MET:
+    outcome, meaning = _reached(best, printed), "the paper prints the smaller move limits"
+    if outcome != NOT_MET:
         meaning = "the printed energy is within reach of larger move limits than the paper prints"
     what = f"final energy with move limits {factor:g} times as large"
     evidence = f"lowest of {len(energies)} descents; {meaning}"
-    return Statement(example, what, f"{printed:.4f}", f"{best:.6f}", verdict, evidence)
+    return Statement(example, what, f"{printed:.4f}", f"{best:.6f}", outcome, evidence)
 
 
 def _frozen(starts: int, say: Say) -> Statement:

@@ -29,7 +29,7 @@ def test_a_final_energy_is_compared_with_the_printed_one(
     ends = {name: paper.energy_final - 1e-5 + change for name, paper in PAPER.items()}
     monkeypatch.setattr(reproduction, "_descents", lambda example, *_, **__: {"joint": ends[example]})
     monkeypatch.setattr(reproduction, "least_energy_with_frozen_friction", lambda *_: ends["6.3"])
-    found = [one.verdict for one in reproduce(quick=True) if "final" in one.what]
+    found = [one.outcome for one in reproduce(quick=True) if "final" in one.what]
     assert set(found) == {verdict}
 
 
@@ -37,13 +37,13 @@ def test_a_final_energy_is_compared_with_the_printed_one(
 def test_what_is_printed_of_the_given_meshes_is_met(statements: list[Statement]) -> None:
     initial = [one for one in statements if "initial" in one.what]
     assert len(initial) == 5
-    assert {one.verdict for one in initial} == {MET}
+    assert {one.outcome for one in initial} == {MET}
 
 
 @pytest.mark.slow
 def test_only_frozen_friction_weights_lead_below_the_printed_energy(statements: list[Statement]) -> None:
     """6.3: neither its move limits nor larger ones do."""
-    found = {one.what: one.verdict for one in statements if one.example == "6.3" and "final" in one.what}
+    found = {one.what: one.outcome for one in statements if one.example == "6.3" and "final" in one.what}
     assert found.pop("final energy, friction weights wrongly held fixed") == PASSED
     assert set(found.values()) == {NOT_MET}
 
@@ -53,7 +53,7 @@ def test_twice_the_move_limits_pass_the_printed_energy_of_62_alone(
     statements: list[Statement],
 ) -> None:
     found = {one.example: one for one in statements if "2 times as large" in one.what}
-    assert {example: one.verdict for example, one in found.items()} == {"6.2": PASSED, "6.3": NOT_MET}
+    assert {example: one.outcome for example, one in found.items()} == {"6.2": PASSED, "6.3": NOT_MET}
     assert float(found["6.2"].ours) == pytest.approx(-4.92164, abs=5e-6)
 
 
