@@ -28,8 +28,8 @@ class Levels(Part):
 class Refined(Wrapper):
     """Runs a formulation on each level from the relocation of the one before; the finest is the outcome.
 
-    Move limits keep their widths in units of length. The energy before is that of the refined mesh without any
-    motion.
+    Move limits keep their widths in units of length. The energy before is that of the refined mesh without
+    any motion.
 
     Attributes
     ----------
