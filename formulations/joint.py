@@ -18,7 +18,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.models.alternating import alternated
 from rmesh_nlp.models.energy_nlp import Relocation, relocation
-from rmesh_nlp.models.outer_solvers import ROUNDING
+from rmesh_nlp.models.outer_solvers import RISE
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
@@ -192,7 +192,7 @@ class Joint(Formulation):
         if not (outer.is_valid(found.q) and energy.is_defined(found.q)):
             return q
         there = energy(found.q)
-        better = measure(there) < residual and there.value <= value + ROUNDING * abs(value)
+        better = measure(there) < residual and there.value <= value + RISE * abs(value)
         return found.q if better else q
 
 

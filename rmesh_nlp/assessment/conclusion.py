@@ -24,10 +24,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from rmesh_nlp.assessment.assessor import TOLERANCE, Audit
+from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.optimize.status import Status
-
-ROUNDING = 1e-9
-"""Part of the objective's size below which differences of it are rounding."""
 
 FAILURES = (
     Status.INFEASIBLE,

@@ -25,7 +25,7 @@ Mask = NDArray[np.bool_]
 SAMPLE_POINTS = np.stack([np.linspace(1, 0, 33), np.linspace(0, 1, 33)])
 """Barycentric coordinates (2, 33) of the points of an edge at which coefficients are looked at."""
 
-ROUNDING = 1e-12
+DEVIATION = 1e-12
 """Deviations relative to the values themselves that count as none."""
 
 
@@ -204,5 +204,5 @@ def _linear_below(samples: Array) -> Array:
         return np.zeros((2, 0))
     ends = samples[[0, -1]]
     excess = np.max(SAMPLE_POINTS.T @ ends - samples, axis=0)
-    scale = ROUNDING * np.max(np.abs(samples), axis=0)
+    scale = DEVIATION * np.max(np.abs(samples), axis=0)
     return np.asarray(np.maximum(ends - np.where(excess > scale, excess, 0.0), 0.0))

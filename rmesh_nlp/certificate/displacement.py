@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rmesh_nlp.assessment.energy import friction_energy
-from rmesh_nlp.certificate.conditions import ROUNDING, SAMPLE_POINTS, Conditions
+from rmesh_nlp.certificate.conditions import DEVIATION, SAMPLE_POINTS, Conditions
 from rmesh_nlp.certificate.integrals import Loads, values_at
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
@@ -70,7 +70,7 @@ def displacement_faults(
 ) -> tuple[str, ...]:
     """Reasons why the displacement is not known to be admissible; none if it is."""
     faults = []
-    if conditions.given_error > ROUNDING:
+    if conditions.given_error > DEVIATION:
         faults.append(f"upper: {GIVEN}, and held at nodes only")
     depth = penetration(problem, skeleton, conditions, displacement)
     if depth > 0:
@@ -104,7 +104,7 @@ def penetration(
 def _depth(offset: Coefficient, corners: Array, along: Array, points: Array, size: float) -> float:
     samples = values_at(offset, corners, points)
     gap = samples + points.T @ along
-    small = ROUNDING * max(size, float(np.max(np.abs(samples))))
+    small = DEVIATION * max(size, float(np.max(np.abs(samples))))
     if len(points) == 2:
         top = bends = np.diff(samples, 2, axis=0)
         share = 1 / 2  # what a kink halfway between two samples lies below them

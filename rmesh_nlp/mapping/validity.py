@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_field
@@ -24,10 +24,6 @@ from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.vectorised import USUAL, AssemblySettings
-
-ROUNDING = 1e-9
-"""Slack of a validity row that counts as none, in parts of the initial area or in radians. An element whose
-row falls short by less is still valid; a descent keeps its active rows above their bound by so much."""
 
 BLOCK = 1024
 """Elements whose 64 corners of the move limits are looked at together."""

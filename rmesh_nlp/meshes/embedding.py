@@ -21,10 +21,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
+from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.meshes.geometry import counter_clockwise
-
-ROUNDING = 1e-9
-"""Distances below this part of an edge, and angles below this, are none."""
 
 ON = 1e-6
 """Part of an edge within which a node lies on it: files are often written with seven digits."""

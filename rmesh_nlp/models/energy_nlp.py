@@ -22,13 +22,13 @@ import scipy.sparse as sp
 
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
+from rmesh_nlp.evaluation import ROUNDING, Array, Block, Evaluator, Symmetric, numbered
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import ElementGroup, Field, Index
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping import MeshMap
-from rmesh_nlp.mapping.validity import ROUNDING, Validity
+from rmesh_nlp.mapping.validity import Validity
 from rmesh_nlp.optimize.constraints import Linearised, Polyhedron
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem

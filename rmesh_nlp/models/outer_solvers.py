@@ -30,7 +30,7 @@ EXACT = "interior point with exact Hessians"
 LIMITED_MEMORY = "interior point with limited memory"
 CONJUGATE_GRADIENTS = "projected Newton-CG"
 
-ROUNDING = 1e-12
+RISE = 1e-12
 """Part of its value by which an objective may be above that at the start: the error of a contact solve."""
 
 LARGEST_DENSE = 1500
@@ -168,7 +168,7 @@ def _run(
     n, stationary = problem.nlp.n_x, False
     start, function = first[:n], problem.function
     most = function(start).value
-    most += ROUNDING * abs(most)
+    most += RISE * abs(most)
 
     def watch(iteration: int, x: Array, f: float) -> bool:
         nonlocal stationary

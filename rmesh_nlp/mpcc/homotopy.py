@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.mpcc.finish import Finish, finish, pivot, polished
 from rmesh_nlp.mpcc.lifting import BoolArray
 from rmesh_nlp.mpcc.run import Run
@@ -24,7 +24,6 @@ RETREATS = 3
 CORNER = 3.0  # pairs this close to the corner, in units of sqrt(t), may belong into it
 _FALLS, _STUCK = 0.9, 3  # products that fall by less than a tenth, so many times in turn, do not fall
 _PIVOT, _NEAR = 1e-4, 0.05  # from this t on branches are descended over, from points not worse than this
-_ROUNDING = 1 + 1e-9  # 0.1 * 0.1 is more than 0.01
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
 _SAME = 1e-4  # relaxed solutions that are not lower than this, relative, end no lower either
@@ -97,7 +96,7 @@ def follow(
             if run.exact(result.x) or t <= options.t_final:
                 path.keep(finish(run, result.x, search=True, warm=warm, corner=corner))
                 return
-            if before is not None and t <= options.crossover * _ROUNDING and _settled(before, sides):
+            if before is not None and t <= options.crossover * (1 + ROUNDING) and _settled(before, sides):
                 expected = objective + _outlook(run, warm)
                 near = _early(run, result.x, warm, corner, t, expected)
                 if near is not None and path.keep(near) and _at_the_limit(near.f, expected, _GAP):
@@ -150,7 +149,7 @@ def _next(t: float, factor: float, product: float, t_final: float) -> float:
     t = factor * t
     while t > product and t > t_final:
         t *= factor
-    return t_final if t <= t_final * _ROUNDING else t
+    return t_final if t <= t_final * (1 + ROUNDING) else t
 
 
 def _outlook(run: Run, warm: NLPResult) -> float:
@@ -202,7 +201,7 @@ def second_path(run: Run, path: Path, x0: Array, first: Finish | None) -> None:
         # a feasible set that only shrinks gives no lower end
         if known is not None and result.converged and f >= known.f - _SAME * (1 + abs(known.f)):
             return
-        if t <= options.crossover * _ROUNDING:
+        if t <= options.crossover * (1 + ROUNDING):
             break
         x, t = result.x[: x0.size], max(options.factor * t, options.t_final)
     if known is None or not _same_branch(run, result.x, known.z):

@@ -58,7 +58,7 @@ HIDDEN = 0.05
 LEAST_RADIUS = 1e-6
 """Local radius, in widths, at which a descent gives up."""
 
-ROUNDING = 1e-14
+FUNCTION_ERROR = 1e-14
 """Error of a function with local radii, relative to its value: near the end both decreases are rounding, and
 then count as alike (A. R. Conn, N. I. M. Gould, Ph. L. Toint, Trust-region methods, SIAM 2000, 17.4.2)."""
 
@@ -309,7 +309,7 @@ class _Box:
 class _LocalBox(_Box):
     """The same with a radius for each variable."""
 
-    nothing, rounding, least_radius = NOTHING_LOCAL, ROUNDING, LEAST_RADIUS
+    nothing, rounding, least_radius = NOTHING_LOCAL, FUNCTION_ERROR, LEAST_RADIUS
 
     def __init__(self, lower: Array, upper: Array, settings: NewtonSettings, local: LocalRadii) -> None:
         super().__init__(lower, upper, settings)

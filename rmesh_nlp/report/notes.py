@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.examples import PAPER, PaperValues
 from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import units_of
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, audited, blocks, label, objective_of
-
-ROUNDING = 1e-9
-"""An energy is below a bound if by more than this part of it."""
 
 TIED = 1e-8
 """Energies that differ by less than this part of them are one: two solvers' ends of the same minimum."""

@@ -29,7 +29,7 @@ FIRST_STEP, HALVINGS = 1e-2, 5
 INSIDE = 0.6
 """Part of the move limits from which the point is drawn, so that all steps stay inside."""
 
-ROUNDING = 1e-13
+LEAST_REMAINDER = 1e-13
 """Remainders below this part of the objective are rounding and say nothing of the gradient."""
 
 
@@ -128,7 +128,7 @@ def verify_gradient(
     steps = np.array([FIRST_STEP * 0.5**k for k in range(HALVINGS)])
     values = np.array([function(q + step * direction).value for step in steps])
     remainders = np.abs(values - here.value - steps * slope)
-    known = remainders > ROUNDING * max(abs(here.value), float(np.max(np.abs(values))))
+    known = remainders > LEAST_REMAINDER * max(abs(here.value), float(np.max(np.abs(values))))
     with np.errstate(divide="ignore", invalid="ignore"):
         orders = np.log2(remainders[:-1] / remainders[1:])
     orders[~(known[:-1] & known[1:])] = np.nan

@@ -11,8 +11,9 @@ import pytest
 
 from models.test_reduced_nlp import bumpy
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.mapping.validity import ROUNDING, least_angles
+from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.models import outer_solvers
 from rmesh_nlp.models.outer_solvers import EXACT, LIMITED_MEMORY, NestedSettings
 from rmesh_nlp.optimize.status import Status
