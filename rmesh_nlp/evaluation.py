@@ -8,8 +8,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 ROUNDING = 1e-9
-"""Difference of two computed numbers that counts as none: of energies over their size, of lengths over an edge,
-of areas over the initial ones, of angles in radians."""
+"""Difference of two computed numbers that counts as none: of energies over their size, of lengths over an
+edge, of areas over the initial ones, of angles in radians."""
 
 Array = NDArray[np.float64]
 
