@@ -109,6 +109,22 @@ def test_between_nodes_friction_stays_within_its_bound() -> None:
     assert np.all(np.abs(found.tangential_force) <= system.slip_bound * (1 + 1e-9))
 
 
+def test_forces_of_two_foundations_balance_the_load() -> None:
+    """Normals are the same everywhere on each, so what points press is shared among nodes exactly."""
+    below = Obstacle.graph("bottom", lambda x, y: -0.02 + 0.004 * np.sin(24 * np.pi * x))
+    above = Obstacle("top", (0.0, -1.0), lambda x, y: 0.01 + 0.004 * np.sin(16 * np.pi * x))
+    pushed = (Traction("right", (-400.0, 100.0)),)
+    problem = ContactProblem(rectangle(12, 3, x=(0, 2)), LAW, ("left",), (below, above), tractions=pushed)
+    here = Continuous(problem)
+    system = here.system(here._first_standoff())
+    found = tightened(system, solve(system), here.cells, here.field)
+    assert found is not None
+    for part in problem.contact_sets:
+        assert np.max(found.normal_force[part.rows]) > 10
+    forces = system.normals.T @ found.normal_force
+    np.testing.assert_allclose(system.stiffness @ found.u - system.load, forces, atol=1e-8)
+
+
 @pytest.mark.parametrize(
     "obstacle",
     [

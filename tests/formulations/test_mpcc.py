@@ -149,6 +149,31 @@ def test_a_minimum_of_another_formulation_is_certified_where_it_is(name: str) ->
     assert certified.iterations < 40
 
 
+@pytest.mark.parametrize("start", ["joint", None])
+def test_the_mean_gradient_of_ipopts_objective_is_a_third_at_the_start(
+    start: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its barrier goes on from another formulation's end only with the objective scaled as it was there."""
+    given: dict[str, Any] = {}
+
+    class Noted(module.MPCCSolver):  # type: ignore[misc]
+        def __init__(self, mpcc: Any, **options: Any) -> None:
+            given.update(options)
+            super().__init__(mpcc, **options)
+
+    monkeypatch.setattr(module, "MPCCSolver", Noted)
+    problem = example("6.1", 3, 6)
+    begin = None if start is None else joint.solve(problem)
+    mpcc.solve(problem, start=begin)
+    outer = Outer(problem)
+    q = outer.moves(None if begin is None else begin.mesh.p)
+    unit = abs(outer.energy(np.zeros(outer.n)).value)
+    gradient = outer.energy(q).gradient / unit
+    for options in (given["ipopt_relaxed"], given["ipopt_exact"]):
+        mean = options["obj_scaling_factor"] * np.mean(np.abs(gradient))
+        assert mean == pytest.approx(1 / 3, rel=1e-6)
+
+
 def test_starts_that_do_not_fit_are_refused() -> None:
     problem = coarse("6.1")
     with pytest.raises(ValueError, match="unknown start 'zero': choose from"):

@@ -72,6 +72,13 @@ def test_failure_is_a_failure_in_table_and_profiles() -> None:
         assert (profiles["a"](1e9), profiles["b"](1e9)) == (0.5, 1.0), name
 
 
+def test_success_that_stopped_early_does_not_count_as_converged() -> None:
+    rows = [joint_61(variant="a"), joint_61(variant="a"), joint_61(variant="a", status="iteration_limit")]
+    head, (row,) = summary_rows([*rows, failed(joint_61(), variant="a", formulation="joint")])
+    counts = {name: row[head.index(name)] for name in ("solves", "success", "converged")}
+    assert counts == {"solves": "4", "success": "3", "converged": "2"}
+
+
 def test_assessment_is_no_cost_in_tables_and_profiles() -> None:
     # a's assessment takes long, but it builds and solves in half of b's time
     names = ("build_time_s", "solve_time_s", "audit_time_s", "wall_time_s")

@@ -16,6 +16,7 @@ from rmesh_nlp.io.records import REQUIRED
 from rmesh_nlp.report.joined import multistart_rows, refinement_notes, refinement_rows
 from rmesh_nlp.report.markup import LINES, latex_cell, latex_table, latex_text, markdown_table
 from rmesh_nlp.report.notes import detailed_notes, main_notes, stopped_early, units_notes
+from rmesh_nlp.report.study_summary import RANGES, summary_rows
 from rmesh_nlp.report.tables import DETAILS, latex, markdown, short_markdown, write_tables
 from rmesh_nlp.report.tables import csv as as_csv
 from support.reporting import ROWS, failed, joint_61, joint_62
@@ -100,6 +101,15 @@ def test_markdown_literally() -> None:
     assert text.startswith(short)
     assert DETAILS not in short
     assert short_markdown([]).startswith("# Comparison of formulations\n\nNo solve has ended yet.")
+
+
+def test_details_of_a_study_are_the_medians_with_their_ranges() -> None:
+    rows = [joint_62(family="f", variant="a", iterations=count) for count in (4, 6, 11)]
+    details = markdown(rows).partition(DETAILS)[2]
+    head, (row,) = summary_rows(rows)
+    assert row[head.index("iterations")] == "6 [4, 11]"
+    assert markdown_table(head, [row]) in details
+    assert f"- {RANGES}" in details
 
 
 def test_latex_literally() -> None:

@@ -10,6 +10,7 @@ from rmesh_nlp.cli import app as cli
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Relative
 from rmesh_nlp.solving.load_path import contact_force, load_path
+from rmesh_nlp.solving.solution import Solution
 from support.formulations import fixed, joint
 
 LAW = PlaneStrain(1.15e4, 0.83e4)
@@ -57,6 +58,23 @@ def test_relocation_gains_in_every_step(relocate: str) -> None:
         )
     else:
         np.testing.assert_array_equal(moved[0].solution.mesh.p, moved[1].solution.mesh.p)
+
+
+def test_the_mesh_of_all_steps_is_relocated_for_the_last_one() -> None:
+    """The foundation begins at height 1 and ends 0.03 lower: that is where ``solve`` must find it."""
+    found: list[ContactProblem] = []
+
+    def noted(problem: ContactProblem) -> Solution:
+        found.append(problem)
+        return joint.solve(problem)
+
+    problem = block(Obstacle.line("top", (0, 1), (0, -1)))
+    steps = list(load_path(problem, (0.0, -0.03), 3, noted, relocate="once", hold=fixed.solve))
+    assert [float(one.obstacles[0].distances(np.array([[0.5], [1.0]]))[0]) for one in found] == pytest.approx(
+        [-0.03]
+    )
+    for step in steps:
+        np.testing.assert_array_equal(step.solution.mesh.p, steps[-1].solution.mesh.p)
 
 
 @pytest.mark.parametrize(
