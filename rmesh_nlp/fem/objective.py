@@ -84,11 +84,6 @@ class Objective:
         return any(term.barrier for _, term in self.terms)
 
     @property
-    def of_positions(self) -> bool:
-        """Whether it depends on the positions alone."""
-        return all(term.of_positions for _, term in self.terms)
-
-    @property
     def needs_exact(self) -> bool:
         """Whether a term compares with an exact or reference solution."""
         return any(term.needs_exact for _, term in self.terms)

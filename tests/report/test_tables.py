@@ -297,6 +297,7 @@ def test_errors_and_other_objectives_have_tables_of_their_own() -> None:
 
 def test_csv_has_every_scalar_field_and_the_values_of_the_paper() -> None:
     first, second = csv.DictReader(io.StringIO(as_csv(ROWS)))
+    assert next(iter(first)) == next(iter(ROWS[0])), "no column of row numbers"
     assert (first["energy"], first["paper_energy_final"]) == ("-4.910329789", "-4.9188")
     assert first["delta"] == "0.15667x0.07333"
     assert float(first["time_contact_solves"]) == pytest.approx(20.0)
