@@ -327,3 +327,14 @@ REFUSED = {
 def test_an_objective_that_does_not_suit_a_problem_is_named(text: str) -> None:
     with pytest.raises(ValueError, match=REFUSED[text]):
         value(replace(rm.EXAMPLES["6.2"]((6, 3)), exact=None), text)
+
+
+def test_the_friction_error_is_refused_where_two_laws_meet() -> None:
+    problem = rm.EXAMPLES["6.3"]((4, 2))
+    left = np.flatnonzero(problem.mesh.p[0, problem.mesh.t].mean(axis=0) < 2)
+    right = np.setdiff1d(np.arange(problem.mesh.t.shape[1]), left)
+    mesh = problem.mesh.with_subdomains({"left half": left, "right half": right})
+    exact = rm.ExactSolution(lambda x, y: (0 * x, 0 * x), 0.0)
+    two = replace(problem, mesh=mesh, law={"left half": problem.law, "right half": problem.law}, exact=exact)
+    with pytest.raises(ValueError, match="'friction' needs one law"):
+        rm.verify_gradient(two, "friction")

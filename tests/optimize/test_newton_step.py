@@ -22,7 +22,9 @@ def stiff(n: int) -> Array:
 def test_the_predicted_decrease_is_that_of_the_model_and_the_step_is_stationary(seed: int) -> None:
     rng = np.random.default_rng(seed)
     A, g, upper = convex(rng, 15), rng.standard_normal(15), rng.uniform(0.01, 1, 15)
-    s, predicted = BoxStep(Matrix(A), g, max_products=400).within(-upper, upper, 1e-9)
+    step = BoxStep(Matrix(A), g, max_products=400)
+    s, predicted = step.within(-upper, upper, 1e-9)
+    assert step.rows_active(s) == 0  # bounds are no rows: they never hold the radius back
     assert predicted == pytest.approx(-(g @ s + 0.5 * s @ A @ s), rel=1e-9)
     assert np.all(np.abs(s) <= upper)
     # rounds end where one gives less than 6 % of the decrease: that is near the minimum, not at it
