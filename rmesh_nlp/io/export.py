@@ -13,9 +13,10 @@ from skfem import MeshTri
 from rmesh_nlp.contact.active_set import solve, touching_set
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.io.files import write_text, write_whole
-from rmesh_nlp.io.vtu import fields_of, three
+from rmesh_nlp.io.vtu import fields_of, file_mesh, three
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
@@ -28,13 +29,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def gaps(problem: ContactProblem, nodes: Array, displacement: Array) -> Array:
+def gaps(space: DisplacementSpace, nodes: Array, displacement: Array) -> Array:
     """Gap (nodes,) along the contact normal in units of length; NaN off the contact set.
 
-    At a node that may meet two foundations the smaller one.
+    Nodes and displacement are those of the space. At a node that may meet two foundations the smaller gap.
     """
-    result = np.full(nodes.shape[1], np.nan)
-    for part in problem.contact_sets:
+    result = np.full(space.n_nodes, np.nan)
+    for part in space.contact_sets:
         here = nodes[:, part.nodes]
         along = np.sum(part.obstacle.normals(here) * displacement[:, part.nodes], axis=0)
         result[part.nodes] = np.fmin(result[part.nodes], along + part.obstacle.distances(here))
@@ -42,18 +43,18 @@ def gaps(problem: ContactProblem, nodes: Array, displacement: Array) -> Array:
 
 
 def point_data(solution: Solution) -> dict[str, Array]:
-    """Fields of the nodes, by name; vectors have three components, as VTU files want them.
+    """Fields of the nodes of the displacement, by name; vectors have three components for VTU files.
 
     ``motion`` is the vector from the initial position, ``mobility`` 0 pinned, 1 sliding, 2 free,
     3 tied, ``box_multiplier`` (of move limits) as in :class:`rmesh_nlp.models.residual.Multipliers`.
     """
-    problem, nodes = solution.problem, np.asarray(solution.mesh.p)
-    data = fields_of(solution).point_data()
-    data["gap"] = gaps(problem, nodes, solution.displacement)
-    data["motion"] = three(nodes - solution.initial_nodes)
-    data["mobility"] = MeshMap.of(problem).mobility.astype(np.int32)
+    space, fields = DisplacementSpace.of(solution.problem), fields_of(solution)
+    data = fields.point_data()
+    data["gap"] = gaps(space, fields.nodes, solution.displacement)
+    data["motion"] = three(fields.nodes - fields.initial)
+    data["mobility"] = space.of_linear(MeshMap.of(solution.problem).mobility[None])[0].astype(np.int32)
     if solution.multipliers is not None:
-        data["box_multiplier"] = solution.multipliers.box
+        data["box_multiplier"] = space.of_linear(solution.multipliers.box[None])[0]
     return data
 
 
@@ -100,9 +101,9 @@ def write_solution(
     certificate: Certificate | None = None,
 ) -> None:
     """Write a solution with all its fields, in the format of the suffix; ``.vtu`` for ParaView."""
-    points, cells = three(np.asarray(solution.mesh.p)), [("triangle", solution.problem.triangles.T)]
-    data = {name: [values] for name, values in cell_data(solution, certificate).items()}
-    meshio.Mesh(points, cells, point_data=point_data(solution), cell_data=data).write(path, file_format)
+    space = DisplacementSpace.of(solution.problem)
+    points, of_cells = space.points(np.asarray(solution.mesh.p)), cell_data(solution, certificate)
+    file_mesh(points, space.elements, point_data(solution), of_cells).write(path, file_format)
 
 
 def write_mesh(mesh: MeshTri, path: str | Path) -> None:
@@ -179,6 +180,7 @@ class Series:
         """
         folder = Path(folder)
         model, free = ContactSolver(self.problem), MeshMap.of(self.problem)
+        space = model.discretisation.space
         entries, active = [], None
         for step in self._chosen():
             nodes = free.positions.values(np.asarray(step.q))
@@ -189,15 +191,12 @@ class Series:
             active = state.active
             u = model.displacement.values(state.u)
             file = self._file(step, name)
-            frame = meshio.Mesh(
-                three(nodes),
-                [("triangle", self.problem.triangles.T)],
-                point_data={
-                    "displacement": u[0] if u.shape[0] == 1 else three(u),
-                    "motion": three(nodes - self.problem.mesh.p),
-                },
-            )
-            write_whole(folder / file, frame.write)
+            points = space.points(nodes)
+            fields = {
+                "displacement": u[0] if u.shape[0] == 1 else three(u),
+                "motion": three(points - space.points(self.problem.mesh.p)),
+            }
+            write_whole(folder / file, file_mesh(points, space.elements, fields).write)
             entries.append(f'    <DataSet timestep="{step.iteration}" file={quoteattr(file)}/>')
         path = folder / f"{name}.pvd"
         lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
@@ -218,13 +217,15 @@ class Series:
 
 def node_table(solution: Solution) -> pd.DataFrame:
     """The fields of the nodes as a pandas table, one row per node, vectors by component."""
-    return _table({"x": solution.mesh.p[0], "y": solution.mesh.p[1], **point_data(solution)})
+    x, y = DisplacementSpace.of(solution.problem).points(np.asarray(solution.mesh.p))
+    return _table({"x": x, "y": y, **point_data(solution)})
 
 
 def element_table(solution: Solution) -> pd.DataFrame:
     """The fields of the elements as a pandas table, one row per element."""
-    a, b, c = solution.problem.triangles
-    return _table({"node_1": a, "node_2": b, "node_3": c, **cell_data(solution)})
+    elements = DisplacementSpace.of(solution.problem).elements
+    nodes = {f"node_{k}": column for k, column in enumerate(elements, 1)}
+    return _table({**nodes, **cell_data(solution)})
 
 
 def _table(data: dict[str, Any]) -> pd.DataFrame:

@@ -12,6 +12,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.files import write_whole
 from rmesh_nlp.io.problem_file import build, read_table
 from rmesh_nlp.io.problem_schema import ProblemTable
@@ -82,12 +83,14 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
         problem = replace(problem, quadrature=record["quadrature"])
     vtu = folder / "solution.vtu"
     fields = read_vtu(vtu)
-    if not np.array_equal(fields.triangles, problem.triangles):
+    space = DisplacementSpace.of(problem)
+    if not np.array_equal(fields.triangles, space.elements):
         return None
     data = meshio.vtu.read(str(vtu))
     multipliers = None
     if "box_multiplier" in data.point_data:
         cells = (data.cell_data[name][0] for name in ("area_multiplier", "angle_multiplier"))
         multipliers = Multipliers(data.point_data["box_multiplier"], *cells)
-    mesh = relocated_mesh(problem.mesh, fields.nodes)
+    vertices = space.nodes_of(np.arange(problem.mesh.p.shape[1]))
+    mesh = relocated_mesh(problem.mesh, fields.nodes[:, vertices])
     return KeptSolution(problem, mesh, fields.displacement, fields.pressure, multipliers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,19 +12,24 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.solving.solution import Solution
+
+CELLS = {3: "triangle", 6: "triangle6"}
+"""What VTU files call elements, by their number of nodes."""
 
 
 @dataclass(frozen=True)
 class Fields:
-    """What a VTU file holds. Arrays run over the nodes in their last axis.
+    """What a VTU file holds. Arrays run over the nodes of the displacement in their last axis.
 
     Attributes
     ----------
     nodes, initial : (2, nodes) arrays
         Positions after and before the relocation.
-    triangles : (3, elements) array
+    triangles : (nodes per element, elements) array
+        The vertices first.
     displacement : (components, nodes) array
     pressure, tangential_stress, friction_bound : (nodes,) arrays
         In N/m^2, zero off the contact nodes.
@@ -67,21 +73,33 @@ def three(points: Array) -> Array:
     return np.ascontiguousarray(np.vstack([points, np.zeros(points.shape[1])]).T)
 
 
+def file_mesh(
+    points: Array,
+    elements: NDArray[np.int64],
+    point_data: Mapping[str, Array],
+    cell_data: Mapping[str, Array] | None = None,
+) -> meshio.Mesh:
+    """What meshio writes: nodes (2, nodes), elements (nodes per element, elements) and their fields."""
+    cells = [(CELLS[len(elements)], elements.T)]
+    of_cells = {name: [values] for name, values in (cell_data or {}).items()}
+    return meshio.Mesh(three(points), cells, point_data=dict(point_data), cell_data=of_cells)
+
+
 def fields_of(solution: Solution) -> Fields:
     """The fields of a solution."""
-    problem, nodes = solution.problem, np.asarray(solution.mesh.p)
-    contact = np.zeros(nodes.shape[1], dtype=bool)
-    contact[problem.contact_nodes] = True
-    bound, foundation = np.zeros(nodes.shape[1]), nodes.copy()
-    for part in problem.contact_sets:
+    space = DisplacementSpace.of(solution.problem)
+    nodes = space.points(np.asarray(solution.mesh.p))
+    contact, bound, foundation = np.zeros(space.n_nodes, dtype=bool), np.zeros(space.n_nodes), nodes.copy()
+    for part in space.contact_sets:
         here = nodes[:, part.nodes]
+        contact[part.nodes] = True
         bound[part.nodes] = on_points(part.obstacle.friction, here)
-        if problem.components == 2:
+        if solution.problem.components == 2:
             foundation[:, part.nodes] = part.obstacle.feet(here)
     return Fields(
         nodes=nodes,
-        initial=solution.initial_nodes,
-        triangles=problem.triangles,
+        initial=space.points(solution.initial_nodes),
+        triangles=space.elements,
         displacement=solution.displacement,
         pressure=solution.pressure,
         tangential_stress=solution.tangential_stress,
@@ -108,7 +126,7 @@ def read_vtu(path: Path) -> Fields:
         fields = Fields(
             nodes=mesh.points[:, :2].T,
             initial=data["initial_position"][:, :2].T,
-            triangles=mesh.cells_dict["triangle"].T,
+            triangles=next(block.data.T for block in mesh.cells if block.type in CELLS.values()),
             displacement=np.atleast_2d(data["displacement"].T),
             pressure=data["pressure"],
             tangential_stress=data["tangential_stress"],
