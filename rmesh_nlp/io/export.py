@@ -52,7 +52,9 @@ def point_data(solution: Solution) -> dict[str, Array]:
     data = fields.point_data()
     data["gap"] = gaps(space, fields.nodes, solution.displacement)
     data["motion"] = three(fields.nodes - fields.initial)
-    data["mobility"] = space.of_linear(MeshMap.of(solution.problem).mobility[None])[0].astype(np.int32)
+    data["mobility"] = space.of_linear(MeshMap.of(solution.problem).mobility[None].astype(float))[0].astype(
+        np.int32
+    )
     if solution.multipliers is not None:
         data["box_multiplier"] = space.of_linear(solution.multipliers.box[None])[0]
     return data
