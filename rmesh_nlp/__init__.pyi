@@ -16,6 +16,7 @@ from rmesh_nlp.meshes.curves import Circle as Circle
 from rmesh_nlp.meshes.curves import Parametrised as Parametrised
 from rmesh_nlp.meshes.curves import Spline as Spline
 from rmesh_nlp.mpcc import MPCC as MPCC
+from rmesh_nlp.optimize.status import Status as Status
 from rmesh_nlp.problem import ContactProblem as ContactProblem
 from rmesh_nlp.problem import Dirichlet as Dirichlet
 from rmesh_nlp.problem import ExactSolution as ExactSolution
@@ -33,7 +34,11 @@ from rmesh_nlp.problem import where as where
 from rmesh_nlp.solving.certify import certify as certify
 from rmesh_nlp.solving.clock import Limits as Limits
 from rmesh_nlp.solving.driver import solve as solve
+from rmesh_nlp.solving.formulation import Formulation as Formulation
 from rmesh_nlp.solving.formulation import formulations as formulations
+from rmesh_nlp.solving.monitor import Monitor as Monitor
+from rmesh_nlp.solving.outcome import Outcome as Outcome
+from rmesh_nlp.solving.outer import Outer as Outer
 from rmesh_nlp.solving.solution import Solution as Solution
 from rmesh_nlp.solving.verification import verify_gradient as verify_gradient
 
