@@ -34,7 +34,7 @@ ENOUGH = 1e-3
 """Part of the gain so far below which a predicted step is not worth taking, for 20,000 outer variables. It
 grows with them, since a step costs more of them: see :func:`enough_for`."""
 
-ENOUGH_MOVES = 20_000
+ENOUGH_UP_TO = 20_000
 """Outer variables up to which ``ENOUGH`` is taken as it is."""
 
 SCHEDULE = (1.0, 0.1, 0.01)
@@ -79,13 +79,13 @@ class Auto(Chooser):
     def _chosen(
         self, problem: ContactProblem, objective: Objective, is_started: bool
     ) -> tuple[Formulation, str]:
-        motion, moves = problem.motion, MeshMap.of(problem).n
+        motion, n = problem.motion, MeshMap.of(problem).n
         if not objective.is_energy:
             return self._around(Nested()), "nested: the objective is not the energy"
         if motion.delta is not None:
-            if moves > MANY and not self.flips and self.regularisation is None:
+            if n > MANY and not self.flips and self.regularisation is None:
                 why = f"nested, newton: nodes have move limits, and more than {MANY} outer variables are many"
-                return Nested(enough=enough_for(moves)), why
+                return Nested(enough=enough_for(n)), why
             return self._around(Joint()), "joint: nodes have move limits"
         if motion.min_angle > 0:
             held = Confirmed(Schedule(Joint(), self.regularisation or SCHEDULE))
@@ -96,7 +96,7 @@ class Auto(Chooser):
             inner = Schedule(Nested(), chosen.regularisation, chosen.distortion)
             why = "nested, newton: relocation from the start that was given"
             return (Flips(inner) if self.flips else inner), why
-        if moves == 0:
+        if n == 0:
             return Nested(), "nested: no node can move"
         found: Formulation = chosen
         if self.flips:
@@ -118,6 +118,6 @@ class Auto(Chooser):
         return replace(self.cascade, regularisation=last, schedules=schedules)
 
 
-def enough_for(moves: int) -> float:
+def enough_for(n: int) -> float:
     """Part of the gain so far below which a predicted step is not worth taking."""
-    return ENOUGH * max(1.0, moves / ENOUGH_MOVES)
+    return ENOUGH * max(1.0, n / ENOUGH_UP_TO)

@@ -18,7 +18,7 @@ from rmesh_nlp.models.levels import COARSER, prolonged
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES
 from rmesh_nlp.models.regularised_descent import descend, finished
-from rmesh_nlp.optimize.status import Status, StoppedError
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Count, Limit, Positive
 from rmesh_nlp.solving.formulation import Formulation, Wrapper
@@ -88,11 +88,9 @@ class Maps(Formulation):
         minimised = f"the energy with {distortion} weighted {weight:g} of its estimated error"
         figures = CascadeFigures("newton", weight, distortion, minimised)
         monitor.work += Work(ESTIMATE_SOLVES)
-        try:
-            found = cascade(outer.problem, chosen, levels, monitor.is_over)
-        except (KeyboardInterrupt, StoppedError) as error:
-            said = monitor.stop(error)
-            return Outcome(outer, levels.best(outer), said, details=(figures,))
+        found = monitor.attempt(lambda: cascade(outer.problem, chosen, levels, monitor.is_over))
+        if found is None:
+            return Outcome(outer, levels.best(outer), monitor.end, details=(figures,))
         figures = replace(figures, cascade=found.record(), gain_estimate=found.gain_estimate)
         with monitor.clock.during("build"):
             end = (
@@ -125,7 +123,7 @@ class _Levels:
         self._track: Track | None = None
         self._began = 0.0
         self._first = self._before = 0
-        self._moves: tuple[float, Array] | None = None
+        self._last: tuple[float, Array] | None = None
         self._map: tuple[Array, NDArray[np.int64], Array] | None = None
 
     def __call__(self, iteration: int, energy: ReducedEnergy, q: Array, value: float) -> bool:
@@ -137,7 +135,7 @@ class _Levels:
             self._first = iteration
         mesh = energy.relocation.problem.mesh
         if mesh.p.shape[1] == self._outer.problem.mesh.p.shape[1]:
-            self._moves = value, np.array(q)
+            self._last = value, np.array(q)
         else:
             self._map = mesh.p, energy.relocation.problem.triangles, energy.relocation.nodes(q) - mesh.p
         given = track.outer.given.energy
@@ -160,8 +158,8 @@ class _Levels:
 
     def best(self, outer: Outer) -> Array:
         """The last ones on the given mesh, which are the best; if it was not reached, the map so far."""
-        if self._moves is not None:
-            return self._moves[1]
+        if self._last is not None:
+            return self._last[1]
         if self._map is None:
             return np.zeros(outer.n)
         q = prolonged(*self._map, outer.discretisation)
@@ -229,24 +227,24 @@ class Polished(Wrapper):
             return found
         began, before = time.process_time(), energy.contact_solves
         last = before + max(self.most - monitor.spent.contact_solves - SPARE, 1)
-        track = monitor.track(end)
-        try:
-            more = finished(
+        track, begin = monitor.track(end), q
+        more = monitor.attempt(
+            lambda: finished(
                 energy,
-                q,
+                begin,
                 end.residual,
                 tolerance=end.tolerance,
-                reference=energy(q).value + (end.gain or 0.0),
+                reference=energy(begin).value + (end.gain or 0.0),
                 max_iterations=self.finish,
                 on_step=lambda i, x, _: (
                     track.exact(i, x, energy(x), energy_given=end.given.energy)
                     or energy.contact_solves >= last
                 ),
             )
-            x, status = more.result.x, more.result.status
-        except (KeyboardInterrupt, StoppedError) as error:
-            status, x = monitor.stop(error), track.best(q)
-            return replace(found, q=x, status=status)
+        )
+        if more is None:
+            return replace(found, q=track.best(q), status=monitor.end)
+        x, status = more.result.x, more.result.status
         if status is Status.INTERRUPTED:
             status = monitor.stopped or Status.ITERATION_LIMIT
         figures = {

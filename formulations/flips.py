@@ -64,20 +64,21 @@ class Flips(Wrapper):
                 return flipped
             with monitor.clock.during("build"):
                 there = first.outer.on(flipped)
-            found = monitor.run(_again(self), there, there.moves())
+            found = monitor.run(_again(self), there, there.variables())
             return _moved(found)
 
         gain = monitor.estimate(outer) if first.outer.gain is None else first.outer.gain
-        try:
-            last, rounds = flips_and_moves(_moved(first), gain, relocate, given=given, stop=monitor.is_over)
-        except KeyboardInterrupt as error:
-            monitor.stop(error)
+        ended = monitor.attempt(
+            lambda: flips_and_moves(_moved(first), gain, relocate, given=given, stop=monitor.is_over)
+        )
+        if ended is None:
             return found.after(first)
+        last, rounds = ended
         monitor.work += Work(SOLVES * len(rounds))
         if rounds and not _same(_moved(found), last):
             with monitor.clock.during("build"):
                 there = first.outer.on(last)
-            found = Outcome(there, there.moves(), found.status)
+            found = Outcome(there, there.variables(), found.status)
         before = {tuple(t) for t in np.sort(given.triangles, axis=0).T}
         after = np.sort(found.outer.problem.triangles, axis=0).T
         figures = FlipFigures(

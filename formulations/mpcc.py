@@ -52,7 +52,7 @@ BARRIER_ENERGY, BARRIER = 2.0, 0.1
 """Ipopt's first barrier: in units of the pull for the energy, as in ``joint``, in units of the objective for
 others."""
 
-BARRIER_WITHOUT_BOXES = 0.03
+BARRIER_WITHOUT_LIMITS = 0.03
 """That for the energy where nodes have no move limits: there is no middle of them to begin in. Over 56 random
 problems without move limits it takes 4,162 iterations, the other one 4,709."""
 
@@ -86,10 +86,10 @@ def other_options() -> dict[str, Any]:
     return {**ipopt_options(1.0, BARRIER, TIGHT_OTHERS), "factor": FACTOR_OTHERS}
 
 
-def energy_options(scaling: float, boxed: bool) -> dict[str, dict[str, Any]]:
-    """Those of :func:`ipopt_options` for the energy, ``boxed`` where all nodes have move limits."""
-    if not boxed:
-        return ipopt_options(scaling, BARRIER_WITHOUT_BOXES)
+def energy_options(scaling: float, limited: bool) -> dict[str, dict[str, Any]]:
+    """Those of :func:`ipopt_options` for the energy, ``limited`` where all nodes have move limits."""
+    if not limited:
+        return ipopt_options(scaling, BARRIER_WITHOUT_LIMITS)
     options = ipopt_options(scaling, BARRIER_ENERGY)
     return {**options, "ipopt_relaxed": {**options["ipopt_relaxed"], **SLOWLY}}
 
@@ -257,12 +257,12 @@ class AllAtOnce(Formulation):
             monitor.check()
             x, near, solves = first.x, True, 1
             track = monitor.track(outer, program.value)
-        boxed = bool(np.all(np.isfinite(outer.bound)))
+        limited = bool(np.all(np.isfinite(outer.bound)))
         own: Mapping[str, Any]
         if near:
             own = after_energy(program.value / scaling) if is_energy else AFTER
         else:
-            own = energy_options(program.value / scaling, boxed) if is_energy else other_options()
+            own = energy_options(program.value / scaling, limited) if is_energy else other_options()
         limits = {"time_limit_s": max(monitor.remaining, 1e-3), "max_iterations": monitor.iterations_left}
         with monitor.clock.during("build"):
             solver = MPCCSolver(
@@ -274,12 +274,12 @@ class AllAtOnce(Formulation):
         relaxation = Relaxation(self.relaxation)
         if result.status in LIMITS:
             return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))
-        moves, u, normal, tangential = program.split(result.x)
+        end, u, normal, tangential = program.split(result.x)
         return Outcome(
             outer,
-            np.clip(moves, -outer.bound, outer.bound),
+            np.clip(end, -outer.bound, outer.bound),
             result.status,
-            own=_equilibrium(outer, moves, u, normal, tangential, result),
+            own=_equilibrium(outer, end, u, normal, tangential, result),
             decides=True,
             label=result.stationarity,
             details=(relaxation, _figures(outer, program, solves, result)),

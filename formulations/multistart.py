@@ -41,7 +41,7 @@ class MultiStart(Wrapper):
         ends: list[tuple[float, Outcome]] = []
         seeds: list[int | None] = [None, *range(1, self.starts + 1)]
         for seed in seeds:
-            found = monitor.run(self.inner, outer, q if seed is None else outer.moves(seed=seed))
+            found = monitor.run(self.inner, outer, q if seed is None else outer.variables(seed=seed))
             ends.append((continuous_energy(found), found))
             if monitor.is_over():
                 break

@@ -48,7 +48,7 @@ class Refined(Wrapper):
             coarse = found.outer.problem
             with monitor.clock.during("build"):
                 fine = Outer(refined(coarse), outer.objective, outer.tolerance)
-                start = fine.moves(prolong(coarse, found.outer.nodes(found.q), fine.problem))
+                start = fine.variables(prolong(coarse, found.outer.nodes(found.q), fine.problem))
             found = monitor.run(self.inner, fine, start)
             energies.append(continuous_energy(found))
         return found.having(Levels(tuple(energies)))

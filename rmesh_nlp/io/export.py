@@ -56,7 +56,7 @@ def point_data(solution: Solution) -> dict[str, Array]:
         np.int32
     )
     if solution.multipliers is not None:
-        data["box_multiplier"] = space.of_linear(solution.multipliers.box[None])[0]
+        data["box_multiplier"] = space.of_linear(solution.multipliers.limit[None])[0]
     return data
 
 

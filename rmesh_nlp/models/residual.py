@@ -127,7 +127,7 @@ class Multipliers:
 
     Attributes
     ----------
-    box : (nodes,) array
+    limit : (nodes,) array
         Per unit of length by which the node's move limits grow in all directions; zero where none is active.
     area : (elements,) array
         Per unit of the element's least relative area.
@@ -135,7 +135,7 @@ class Multipliers:
         Sum over the vertices, per unit of the scaled angle rows; zero without a least angle.
     """
 
-    box: Array
+    limit: Array
     area: Array
     angle: Array
 

@@ -271,8 +271,8 @@ def limits(solution: Drawable) -> NDArray[np.object_]:
         pull = solution.multipliers.area + solution.multipliers.angle
         active = pull > SMALL * np.max(pull, initial=0.0)
         result[np.unique(problem.triangles[:, active])] = Limit.AREA
-        box = solution.multipliers.box
-        result[box > SMALL * np.max(box, initial=0.0)] = Limit.MOVE_LIMIT
+        limit = solution.multipliers.limit
+        result[limit > SMALL * np.max(limit, initial=0.0)] = Limit.MOVE_LIMIT
     result[mobility == Mobility.PINNED] = Limit.PINNED
     return result
 

@@ -249,15 +249,15 @@ def _decrease(
         one, two = begin.minimising(outer.objective).function(ends[0][1]).value, function(q).value
     elif isinstance(function, ReducedEnergy):
         one, two = (
-            energy + (whose.energy.of_positions(moves) if begin is outer else 0.0)
-            for (energy, _), (whose, moves) in zip(states, ends, strict=True)
+            energy + (whose.energy.of_positions(at) if begin is outer else 0.0)
+            for (energy, _), (whose, at) in zip(states, ends, strict=True)
         )
     elif isinstance(function, ReducedCertificate):  # by that rule already
         one, two = function(np.zeros(q.size)).value, function(q).value
     else:
         one, two = (
-            objective_value(whose.energy, outer.objective, moves, state)
-            for (_, state), (whose, moves) in zip(states, ends, strict=True)
+            objective_value(whose.energy, outer.objective, at, state)
+            for (_, state), (whose, at) in zip(states, ends, strict=True)
         )
     return one - two, max(abs(one), abs(two))
 

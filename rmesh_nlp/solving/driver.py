@@ -185,13 +185,10 @@ def _made(
     """The one place where a solution is made."""
     found, certificate, remark, reduction = end.found, None, None, None
     with monitor.clock.during("audit"):
-        try:
-            if monitor.stopped is None and choices.chosen is not None:
-                found, reduction = reduced_error(found, end.spent)
-            if monitor.stopped is None:
-                found = surviving_gain(end.outcome, found)
-        except KeyboardInterrupt:  # the solution is there
-            monitor.stopped = Status.INTERRUPTED
+        if choices.chosen is not None:
+            reduced = monitor.attempt(lambda: reduced_error(end.found, end.spent))
+            found, reduction = reduced or (found, None)
+        found = monitor.attempt(lambda: surviving_gain(end.outcome, found)) or found
         if certify and monitor.stopped is not Status.INTERRUPTED:
             certificate, remark = certified(found)
     if certificate is not None and certificate.is_disproved:
@@ -228,7 +225,7 @@ def _history(monitor: Monitor, end: End) -> tuple[Step, ...]:
     if not monitor.steps:
         return ()
     *steps, last = monitor.steps
-    q, at = end.outcome.q, monitor.last_moves
+    q, at = end.outcome.q, monitor.last_q
     size = np.max(np.abs(q), initial=0.0)
     if (
         np.isnan(last.dual_residual)

@@ -62,7 +62,7 @@ class Monitor:
         INTERRUPTED, TIME_LIMIT or ITERATION_LIMIT, once the solve was stopped from outside.
     work : Work
         What formulations have spent beside the contact solves of the outer problems that they track.
-    last_moves : array or None
+    last_q : array or None
         Of the last step.
     mesh : skfem.MeshTri or None
         The mesh as given. Those of another one are not shown to ``on_step``.
@@ -74,7 +74,7 @@ class Monitor:
         self.steps: list[Step] = []
         self.stopped: Status | None = None
         self.work = Work()
-        self.last_moves: Array | None = None
+        self.last_q: Array | None = None
         self.mesh: MeshTri | None = None
         self._tracked: list[Outer] = []
         self._track: Track | None = None
@@ -159,7 +159,7 @@ class Monitor:
         if self.steps and _is_same(self.steps[-1], step):
             return self.is_over()  # the start of an NLP is where the last one ended
         self.steps.append(step)
-        self.last_moves = None if q is None else np.array(q)
+        self.last_q = None if q is None else np.array(q)
         if self.on_step is not None:
             self.on_step(replace(step, q=np.array(q)) if q is not None and shown else step)
         return self.is_over()
@@ -167,23 +167,33 @@ class Monitor:
     def run(self, formulation: Runs, outer: Outer, q: Array) -> Outcome:
         """Where a formulation ends, also if Ctrl-C or a limit ends it: at the best valid mesh so far."""
         self._track = None
-        if self.stopped is not None:
-            return Outcome(outer, q, self.stopped)
-        try:
-            return formulation.run(outer, q, self)
-        except (KeyboardInterrupt, StoppedError) as error:
-            said = self.stop(error)
-        if self._track is None:
-            return Outcome(outer, q, said)
-        last = self._track
-        return Outcome(last.outer, last.best(q if last.outer.n == q.size else np.zeros(last.outer.n)), said)
+        found, last = self.attempt(lambda: formulation.run(outer, q, self)), self._track
+        if found is not None:
+            return found
+        if last is None:
+            return Outcome(outer, q, self.end)
+        start = q if last.outer.n == q.size else np.zeros(last.outer.n)
+        return Outcome(last.outer, last.best(start), self.end)
 
-    def stop(self, error: BaseException) -> Status:
-        """Note what ended a formulation: Ctrl-C, or a limit."""
-        if isinstance(error, KeyboardInterrupt):
+    def attempt(self, work: Callable[[], T]) -> T | None:
+        """The result of a part of a solve; None if Ctrl-C or a limit has ended the solve before or ends it.
+
+        A formulation that knows more of what was reached than the last track does asks for it by this.
+        """
+        if self.stopped is not None:
+            return None
+        try:
+            return work()
+        except KeyboardInterrupt:
             self.stopped = Status.INTERRUPTED
-        self.stopped = self.stopped or Status.TIME_LIMIT
-        return self.stopped
+        except StoppedError:
+            self.stopped = self.end
+        return None
+
+    @property
+    def end(self) -> Status:
+        """What ended the solve."""
+        return self.stopped or Status.TIME_LIMIT
 
     def finish(self, work: Callable[[], T]) -> T:
         """The result of a part of the assessment; Ctrl-C is noted and ends what follows."""

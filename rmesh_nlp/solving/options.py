@@ -60,22 +60,22 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
         If there is no such formulation, it does not take the problem, or positions are not (2, nodes).
     """
     if start is None:
-        return Beginning(outer, outer.moves(seed=seed), GIVEN if seed is None else "random")
+        return Beginning(outer, outer.variables(seed=seed), GIVEN if seed is None else "random")
     if isinstance(start, str):
         if start == GIVEN:
-            return Beginning(outer, outer.moves(), GIVEN)
+            return Beginning(outer, outer.variables(), GIVEN)
         if start not in available():
             raise unknown("start", start, [GIVEN, *sorted(available())])
         first = composed(start, {})
         if not isinstance(first, Formulation):
             raise BadInputError(f"start must be a formulation that is no choice of others, got {start!r}")
         first.accepts(outer.problem, outer.objective)
-        found = monitor.run(first, outer, outer.moves(seed=seed))
+        found = monitor.run(first, outer, outer.variables(seed=seed))
         return Beginning(outer.near(), found.q, start)
     if isinstance(start, Solution):
-        q = outer.moves(positions(outer, start.mesh.p))
+        q = outer.variables(positions(outer, start.mesh.p))
         return Beginning(outer.near(), q, f"solution of {start.formulation}")
-    return Beginning(outer, outer.moves(positions(outer, start)), "positions")
+    return Beginning(outer, outer.variables(positions(outer, start)), "positions")
 
 
 def positions(outer: Outer, nodes: Any) -> Array:

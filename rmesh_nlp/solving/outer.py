@@ -156,7 +156,7 @@ class Outer:
         """Whether all elements are valid at outer variables ``q``, see :mod:`rmesh_nlp.mapping.validity`."""
         return is_valid(self.problem, self.nodes(q), by_barrier=self.relocation.objective.has_barrier)
 
-    def moves(self, positions: Array | None = None, seed: int | None = None) -> Array:
+    def variables(self, positions: Array | None = None, seed: int | None = None) -> Array:
         """Where to start: zero, at ``positions`` (2, nodes), or drawn from the move limits with a seed.
 
         Positions are cut to the move limits. Without move limits a draw moves nodes by up to their shortest

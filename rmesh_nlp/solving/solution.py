@@ -297,9 +297,9 @@ class Solution(Assessment):
         if "gain_surviving" in extra:
             rows.append(("gain left on refined meshes", f"{extra['gain_surviving']:.0%} of the objective's"))
         if self.multipliers is not None:
-            box, area = self.multipliers.box, self.multipliers.area
-            rows.append(("limited by move limits", f"{np.sum(box > 0)} nodes, largest {figure(box.max())}"))
-            rows.append(("limited by areas", f"{np.sum(area > 0)} elements, largest {figure(area.max())}"))
+            found = self.multipliers
+            for by, what, rate in (("move limits", "nodes", found.limit), ("areas", "elements", found.area)):
+                rows.append((f"limited by {by}", f"{np.sum(rate > 0)} {what}, largest {figure(rate.max())}"))
         return rows
 
     def __rich__(self) -> Table:

@@ -120,7 +120,7 @@ def verify_gradient(
     if n == 0:
         raise ValueError(f"no node of {problem.name!r} may move: there is no gradient to test")
     rng = np.random.default_rng(seed)
-    q, direction = INSIDE * outer.moves(seed=int(rng.integers(2**31))), rng.uniform(-1, 1, n)
+    q, direction = INSIDE * outer.variables(seed=int(rng.integers(2**31))), rng.uniform(-1, 1, n)
     while not outer.is_valid(q + FIRST_STEP * direction):
         direction /= 2
     here = function(q)

@@ -188,7 +188,7 @@ def least_energy_with_frozen_friction(problem: ContactProblem, seed: int | None 
     outer = Outer(problem)
     program = outer.relocation
     nlp = program.nlp.extended(f=_difference(problem, program))
-    q = outer.moves(seed=seed)
+    q = outer.variables(seed=seed)
     solver = Solver(nlp, options=FROZEN_OPTIONS)
     result = solver(outer.energy.point(q, outer.energy(q).equilibrium))
     return result.f if result.converged else float("nan")

@@ -56,7 +56,7 @@ def test_large_moves_of_example_61_and_what_the_record_says_of_them() -> None:
     row = solution.record()
     exact = problem.exact.energy
     error = [row["energy_initial_audited"] - exact, row["energy_audited"] - exact]
-    # boxes of a fifth of an edge give 1.6 times less
+    # move limits of a fifth of an edge give 1.6 times less
     assert error[0] / error[1] > 5
     assert row["chosen_by"] == "auto"
     assert "81, 289 nodes" in row["chosen"]

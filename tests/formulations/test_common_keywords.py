@@ -51,7 +51,7 @@ def test_every_formulation_has_the_common_keywords(name: str) -> None:
 @pytest.mark.parametrize(
     ("formulation", "problem"),
     [(nested, SMALL), (joint, SMALL), (mpcc, SMALL), (auto, SMALL), (auto, UNLIMITED)],
-    ids=["nested", "joint", "mpcc", "auto-boxes", "auto-cascade"],
+    ids=["nested", "joint", "mpcc", "auto-joint", "auto-cascade"],
 )
 def test_a_limit_of_iterations_holds_and_is_said(formulation: Any, problem: Any) -> None:
     steps: list[Step] = []

@@ -31,7 +31,7 @@ LOOSE = {"tol": 1e-3, "acceptable_tol": 1e-3, "tol_areas": 1e-6, "acceptable_tol
 @pytest.mark.parametrize(
     ("example", "arguments"),
     [("6.1", (4,)), ("6.3", ((4, 2),)), ("6.2", ((6, 3), (1.0, 0.5)))],
-    ids=["boxes", "friction", "areas"],
+    ids=["move limits", "friction", "areas"],
 )
 def test_a_loose_end_is_finished_by_newton_steps_that_the_record_counts(
     example: str, arguments: tuple[Any, ...]

@@ -166,7 +166,7 @@ def test_the_mean_gradient_of_ipopts_objective_is_a_third_at_the_start(
     begin = None if start is None else joint.solve(problem)
     mpcc.solve(problem, start=begin)
     outer = Outer(problem)
-    q = outer.moves(None if begin is None else begin.mesh.p)
+    q = outer.variables(None if begin is None else begin.mesh.p)
     unit = abs(outer.energy(np.zeros(outer.n)).value)
     gradient = outer.energy(q).gradient / unit
     for options in (given["ipopt_relaxed"], given["ipopt_exact"]):
@@ -221,7 +221,7 @@ def area_at(problem: ContactProblem, q: np.ndarray) -> float:
 
 def test_only_on_fine_meshes_the_start_is_given_alternating_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     outer = Outer(coarse("6.1"))
-    given, bound = outer.moves(), outer.bound
+    given, bound = outer.variables(), outer.bound
     assert module._in_step(outer, given) is given
     monkeypatch.setattr(module, "Joint", lambda: Joint(fine=1, alternating=0.2))
     positions = np.full(outer.n, 0.1)

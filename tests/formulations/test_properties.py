@@ -73,7 +73,7 @@ def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
 @given(SEEDS)
 def test_contact_law_and_equilibrium_hold_on_any_moved_mesh(seed: int) -> None:
     outer = Outer(random_problem(seed))
-    nodes = outer.relocation.nodes(outer.moves(seed=seed))
+    nodes = outer.relocation.nodes(outer.variables(seed=seed))
     system, state = outer.contact.system(nodes), outer.contact.solve(nodes)
     assert state.status is Status.CONVERGED
     assert equilibrium_residual(system, state.u, state.normal_force, state.tangential_force) < 1e-9
@@ -85,7 +85,7 @@ def test_contact_law_and_equilibrium_hold_on_any_moved_mesh(seed: int) -> None:
 @given(SEEDS)
 def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
     outer, rng = Outer(random_problem(seed)), np.random.default_rng(seed)
-    q = 0.5 * outer.moves(seed=seed)
+    q = 0.5 * outer.variables(seed=seed)
     d = rng.uniform(-1, 1, q.size)
     here = outer.energy(q)
     steps = 1e-3 * 0.5 ** np.arange(4)
@@ -122,6 +122,6 @@ def test_random_starts_keep_areas_and_angles(seed: int, angle: float) -> None:
     problem = random_problem(seed)
     angle = min(angle, 0.9 * float(np.min(least_angles(problem.mesh.p, problem.triangles))))
     outer = Outer(replace(problem, motion=replace(problem.motion, min_angle=angle), obstacle=NO_CONTACT))
-    nodes = outer.relocation.nodes(outer.moves(seed=seed))
+    nodes = outer.relocation.nodes(outer.variables(seed=seed))
     assert np.min(least_angles(nodes, problem.triangles)) >= angle
     assert np.any(nodes != problem.mesh.p)

@@ -70,10 +70,10 @@ def test_a_least_angle_holds_as_a_constraint() -> None:
 
 
 def test_move_limits_hold_too() -> None:
-    boxed = replace(problem(), motion=Motion(0.05))
-    solution = nested.solve(boxed, regularisation=0.01, outer="newton")
-    assert np.max(np.abs(solution.mesh.p - boxed.mesh.p)) <= 0.05 + 1e-12
-    assert np.max(np.abs(solution.mesh.p - boxed.mesh.p)) > 0.049
+    limited = replace(problem(), motion=Motion(0.05))
+    solution = nested.solve(limited, regularisation=0.01, outer="newton")
+    assert np.max(np.abs(solution.mesh.p - limited.mesh.p)) <= 0.05 + 1e-12
+    assert np.max(np.abs(solution.mesh.p - limited.mesh.p)) > 0.049
 
 
 def test_other_objectives_are_refused() -> None:

@@ -51,8 +51,8 @@ def test_file_has_all_fields(solution: Solution, tmp_path: Path) -> None:
     assert {"stress", "von_mises", "least_angle", "zone"} <= set(cells)
     multipliers = solution.multipliers
     assert multipliers is not None
-    np.testing.assert_array_equal(nodes["box_multiplier"], multipliers.box)
-    assert np.any(multipliers.box != 0)
+    np.testing.assert_array_equal(nodes["box_multiplier"], multipliers.limit)
+    assert np.any(multipliers.limit != 0)
     np.testing.assert_array_equal(cells["area_multiplier"], multipliers.area)
     np.testing.assert_allclose(nodes["initial_position"] + nodes["motion"], file.points, atol=1e-15)
     touching = nodes["pressure"] > 0

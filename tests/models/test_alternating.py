@@ -26,7 +26,7 @@ def test_alternating_moves_are_red_and_black_on_a_structured_grid() -> None:
 @pytest.mark.parametrize("seed", [None, 3])
 def test_they_go_downhill_from_any_start(seed: int | None) -> None:
     outer = Outer(EXAMPLES["6.1"](8))
-    q = outer.moves(seed=seed)
+    q = outer.variables(seed=seed)
     gradient = outer.energy(q).gradient
     moved = alternated(outer.relocation, q, gradient, 0.1, outer.is_valid)
     inside = np.abs(moved) < 1

@@ -107,7 +107,7 @@ def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
     np.testing.assert_allclose(
         rows.jacobian.T @ found.area[outer.relocation.validity.elements], pull, atol=1e-9
     )
-    assert not np.any(found.box)
+    assert not np.any(found.limit)
 
 
 def test_multipliers_of_angles_are_sums_over_the_vertices() -> None:
@@ -131,11 +131,11 @@ def test_the_multiplier_of_a_move_limit_is_the_rate_per_length(sign: float) -> N
     q[index[0, slanted]], gradient[index[0, slanted]] = sign, -3.0 * sign
     q[index[1, inner]], gradient[index[1, inner]] = sign, -2.0 * sign
     gradient[index[0, inner]] = 7.0  # inside its limits
-    found = multipliers(outer.energy, q, gradient).box
+    found = multipliers(outer.energy, q, gradient).limit
     assert found[slanted] == pytest.approx(3.0 / 0.1)
     assert found[inner] == pytest.approx(2.0 / 0.05)
     assert np.count_nonzero(found) == 2
-    assert not np.any(multipliers(outer.energy, q, np.abs(gradient) * sign).box)  # pushed inwards
+    assert not np.any(multipliers(outer.energy, q, np.abs(gradient) * sign).limit)  # pushed inwards
 
 
 def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
@@ -144,5 +144,5 @@ def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
     node = outer.problem.boundary_nodes(("hole",))[3]
     q, gradient = np.zeros(outer.n), np.zeros(outer.n)
     q[index[0, node]], gradient[index[0, node]] = 1.0, -2.0
-    found = multipliers(outer.energy, q, gradient).box
+    found = multipliers(outer.energy, q, gradient).limit
     assert found[node] == pytest.approx(2.0 / 0.4, rel=1e-6)

@@ -145,7 +145,7 @@ def test_without_move_limits_validity_alone_limits() -> None:
     assert one.audit.min_area_ratio == pytest.approx(0.3, abs=1e-4)
     multipliers = one.multipliers
     assert multipliers is not None
-    assert np.all(multipliers.box == 0)
+    assert np.all(multipliers.limit == 0)
     assert multipliers.area.max() > 0
     # an envelope theorem: the energy falls at the sum of the multipliers when the bound is lowered
     step = 1e-4
@@ -162,9 +162,9 @@ def test_multipliers_of_move_limits_are_the_rate_of_the_energy() -> None:
     # the same q in wider limits: outer variables off their bounds have no first-order effect
     wider = Outer(replace(p, motion=Motion(delta + step))).energy(q)
     assert solution.multipliers is not None
-    assert np.sum(solution.multipliers.box > 0) > 10
+    assert np.sum(solution.multipliers.limit > 0) > 10
     rate = (solution.energy - wider.value) / step
-    assert solution.multipliers.box.sum() == pytest.approx(rate, rel=1e-2)
+    assert solution.multipliers.limit.sum() == pytest.approx(rate, rel=1e-2)
 
 
 @pytest.mark.slow

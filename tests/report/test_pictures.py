@@ -92,7 +92,7 @@ def test_the_contact_set_of_a_membrane_is_where_it_touches() -> None:
 def test_a_least_angle_holds_the_nodes_of_its_element() -> None:
     problem = replace(membrane(), motion=Motion(None))
     angle = np.eye(problem.mesh.t.shape[1])[0]
-    pulls = SimpleNamespace(area=0 * angle, angle=angle, box=np.zeros(problem.mesh.p.shape[1]))
+    pulls = SimpleNamespace(area=0 * angle, angle=angle, limit=np.zeros(problem.mesh.p.shape[1]))
     found = limits(SimpleNamespace(problem=problem, multipliers=pulls))
     free = found != Limit.PINNED
     assert set(np.flatnonzero(found == Limit.AREA)) == set(problem.triangles[:, 0]) & set(
@@ -101,7 +101,7 @@ def test_a_least_angle_holds_the_nodes_of_its_element() -> None:
 
 
 @pytest.mark.slow
-def test_limits_name_boxes_and_areas() -> None:
+def test_limits_name_move_limits_and_areas() -> None:
     problem = membrane()
     tight = limits(joint.solve(replace(problem, motion=Motion(Relative(0.02)))))
     assert np.sum(tight == Limit.MOVE_LIMIT) > np.sum(tight == Limit.AREA)

@@ -84,7 +84,7 @@ def test_ctrl_c_in_a_callback_keeps_the_best_mesh(problem: ContactProblem) -> No
 
 def test_of_all_moves_that_were_reported_the_lowest_are_kept(problem: ContactProblem) -> None:
     outer = Outer(problem)
-    slope = outer.energy(outer.moves()).gradient
+    slope = outer.energy(outer.variables()).gradient
     ways = [-part * slope / np.max(np.abs(slope)) for part in (0.0, 0.3, 0.1, -0.3)]
 
     def end(outer: Outer, _: Array, monitor: Monitor) -> Outcome:
@@ -122,7 +122,7 @@ def test_moves_are_shown_of_the_given_mesh_only(problem: ContactProblem) -> None
     other = Outer(EXAMPLES["6.2"]((2, 2)))
 
     def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        monitor.track(other).exact(0, other.moves())
+        monitor.track(other).exact(0, other.variables())
         monitor.track(outer).exact(1, q)
         return Outcome(outer, q, Status.CONVERGED)
 

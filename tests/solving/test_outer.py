@@ -32,31 +32,31 @@ def outer(problem: ContactProblem) -> Outer:
 
 class TestStart:
     def test_without_a_seed_nothing_moves(self, outer: Outer) -> None:
-        np.testing.assert_array_equal(outer.moves(), np.zeros(outer.relocation.n_q))
+        np.testing.assert_array_equal(outer.variables(), np.zeros(outer.relocation.n_q))
 
     @pytest.mark.parametrize("seed", [0, 3])
     def test_a_seed_draws_uniformly_from_the_move_limits(self, outer: Outer, seed: int) -> None:
         drawn = np.random.default_rng(seed).uniform(-1, 1, outer.relocation.n_q)
-        np.testing.assert_array_equal(outer.moves(seed=seed), drawn)
+        np.testing.assert_array_equal(outer.variables(seed=seed), drawn)
 
     def test_positions_are_cut_to_the_move_limits(self, problem: ContactProblem, outer: Outer) -> None:
         free = outer.relocation.mesh_map
         q = np.random.default_rng(1).uniform(-1.5, 1.5, free.n)
-        start = outer.moves(free.positions.values(q), 7)  # a seed has then no effect
+        start = outer.variables(free.positions.values(q), 7)  # a seed has then no effect
         np.testing.assert_allclose(start, np.clip(q, -1, 1), atol=1e-12)
         np.testing.assert_allclose(free.bound, 1)
 
     def test_moves_that_invert_elements_are_shortened(self) -> None:
         wide = Outer(ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(2.0)))
         drawn = np.random.default_rng(5).uniform(-1, 1, wide.relocation.n_q)
-        start = wide.moves(seed=5)
+        start = wide.variables(seed=5)
         factor = np.max(np.abs(start)) / np.max(np.abs(drawn))
         np.testing.assert_allclose(start, factor * drawn)
         assert np.log2(factor) == round(np.log2(factor)) < 0
         assert wide.is_valid(start)
         assert not wide.is_valid(2 * start)
         free = wide.relocation.mesh_map
-        nearer = wide.moves(free.positions.values(drawn))
+        nearer = wide.variables(free.positions.values(drawn))
         part = np.max(np.abs(nearer)) / np.max(np.abs(drawn))
         assert wide.is_valid(nearer)
         assert not wide.is_valid(nearer / 0.95)
@@ -189,7 +189,7 @@ def test_a_distortion_counts_in_what_has_improved(
     """Moves that lower the energy distort the elements: whether that is better depends on the weight."""
     lower = joint.solve(problem)
     outer = Outer(problem, f"energy + {weight}*quality")
-    found = ended(outer, outer.moves(lower.mesh.p))
+    found = ended(outer, outer.variables(lower.mesh.p))
     assert found.measured is not None
     assert found.measured.gain_audited > 0
     assert found.success == improved

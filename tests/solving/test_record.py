@@ -46,8 +46,8 @@ class TestRecord:
         assert rows["iterations, contact solves"] == f"{made.iterations}, {made.contact_solves}"
         motion = np.linalg.norm(made.mesh.p - made.problem.mesh.p, axis=0).max()
         assert float(rows["largest motion"]) == pytest.approx(motion, rel=1e-3)
-        boxes = np.sum(solution.multipliers.box > 0)
-        assert rows["limited by move limits"].startswith(f"{boxes} nodes, largest ")
+        limited = np.sum(solution.multipliers.limit > 0)
+        assert rows["limited by move limits"].startswith(f"{limited} nodes, largest ")
         areas = np.sum(solution.multipliers.area > 0)
         assert rows["limited by areas"].startswith(f"{areas} elements")
         assert "limited by move limits" not in dict(replace(made, multipliers=None).summary())

@@ -78,7 +78,7 @@ class TestMultiStart:
         script, found, outer = self.made(problem)
         np.testing.assert_array_equal(found.q, script.ends[2].q)
         for (_, begun), seed in zip(script.begun, (None, 1, 2, 3), strict=True):
-            np.testing.assert_array_equal(begun, outer.moves(seed=seed))
+            np.testing.assert_array_equal(begun, outer.variables(seed=seed))
         energies = [continuous_energy(end) for end in script.ends]
         assert entries(*found.details) == {
             "own": 2,
@@ -107,7 +107,7 @@ class TestMultiStart:
         there = outer.assessor.initial
         sick = replace(there, state=replace(there.state, status=Status.CYCLED))
         outer.assessor.solve = lambda *_: sick
-        assert np.isnan(continuous_energy(Outcome(outer, outer.moves(), Status.CONVERGED)))
+        assert np.isnan(continuous_energy(Outcome(outer, outer.variables(), Status.CONVERGED)))
 
     def test_an_interrupted_start_is_the_last_and_is_said(self, problem: ContactProblem) -> None:
         script = Script(0.3, 0.1, 0.1, stop=2)
@@ -270,7 +270,7 @@ class TestFlips:
 
     def test_the_gain_is_that_of_all_rounds(self, ends: Any) -> None:
         first, there = ends[0], ends[1]()
-        found = assess(first, Outcome(there, there.moves(), Status.CONVERGED))
+        found = assess(first, Outcome(there, there.variables(), Status.CONVERGED))
         gain = first.given.energy - there.given.energy
         assert found.measured is not None
         assert found.measured.gain == pytest.approx(gain, rel=1e-9)
@@ -286,19 +286,19 @@ class TestFlips:
         raised = first.assessor.initial.energy + (1e-3 if higher else -1e-6)
         after = replace(there.assessor.initial, energy=raised)
         there.assessor.solve = lambda *_: after
-        found = assess(first, Outcome(there, there.moves(), Status.STALLED))
+        found = assess(first, Outcome(there, there.variables(), Status.STALLED))
         assert (found.status is Status.EXPLOITED) == higher
 
     def test_faults_of_the_last_mesh_stay_faults(self, ends: Any) -> None:
         first, there = ends[0], ends[1]()
         rough = replace(there.given, u=1.01 * there.given.u)
-        found = assess(first, Outcome(there, there.moves(), Status.CONVERGED, own=rough, decides=True))
+        found = assess(first, Outcome(there, there.variables(), Status.CONVERGED, own=rough, decides=True))
         assert (found.status, found.valid) == (Status.INACCURATE, False)
         lower = Outer(first.problem)
         lower.given = replace(lower.given, energy=-5.0)
         lower.energy.knows(lower.given)
         lower.assessor.__dict__["initial"] = replace(lower.assessor.initial, energy=-5.0)
-        found = assess(lower, Outcome(there, there.moves(), Status.CONVERGED))
+        found = assess(lower, Outcome(there, there.variables(), Status.CONVERGED))
         assert (found.status, found.valid, found.improved) == (Status.WORSE, True, False)
 
     def test_move_limits_are_refused(self, problem: ContactProblem) -> None:
