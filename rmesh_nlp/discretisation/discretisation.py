@@ -21,7 +21,7 @@ from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import friction_terms, gap_field, gap_terms, slip_field, slip_terms
 from rmesh_nlp.fem.energy import displacement_field, load_terms, strain_terms
 from rmesh_nlp.fem.fields import ElementGroup, ElementTerm, Field
-from rmesh_nlp.fem.objective import Objective, scaled_group
+from rmesh_nlp.fem.objective import Fields, Objective, scaled_group
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.mapping.mesh_map import MeshMap, VertexParameters
 from rmesh_nlp.mapping.validity import Validity, validity
@@ -175,12 +175,10 @@ class Discretisation:
         self, objective: Objective, positions: Field, displacement: Field, slip: Field
     ) -> list[ElementGroup]:
         """An outer objective on these fields; its energy is made of the same terms."""
+        fields = Fields(self.problem, positions, displacement, slip)
         groups = []
         for weight, term in objective.terms:
-            if term.name == "energy":
-                found = self.energy(positions, displacement, slip)
-            else:
-                found = term.groups(self.problem, positions, displacement, slip)
+            found = self.energy(*fields[1:]) if term.name == "energy" else term.groups(fields)
             groups += [scaled_group(group, weight) for group in found]
         return groups
 

@@ -4,18 +4,70 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.fem.element import local_symbols
+from rmesh_nlp.fem.element import affine, corners, line_rule, local_symbols
+from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.fem.fields import ElementGroup, Field, objective_group
-from rmesh_nlp.fem.space import Index
+from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem
 
-Groups = Callable[[ContactProblem, Field, Field, Field], list[ElementGroup]]
-"""``(problem, positions, displacement, slip) -> element groups`` whose sum is the value of a term."""
+Density = Callable[[Any, Any, Any, Any], Any]
+"""``(x, y, u, more) -> value`` at a point: ``more`` is the gradient of u (components, 2) in triangles, and on
+edges the outward unit normal (2,)."""
+
+
+class Fields(NamedTuple):
+    """What a term is a function of."""
+
+    problem: ContactProblem
+    positions: Field
+    displacement: Field
+    slip: Field
+
+    @property
+    def space(self) -> DisplacementSpace:
+        """That of the displacement."""
+        return self.displacement.space or DisplacementSpace.of(self.problem)
+
+    def group(self, name: str, X: Any, u: Any, value: Any, cells: Index) -> ElementGroup:
+        """The sum over cells of a value of X (2, k) and u (components, k); ``cells`` are vertices (k, n)."""
+        function = ca.Function(name, [ca.vec(X), ca.vec(u)], [value, type(value)(0, 1)])
+        return objective_group(function, (self.positions.at(cells), self.displacement.on(cells)))
+
+    def integral(
+        self,
+        name: str,
+        cells: Index,
+        degree: int,
+        density: Density,
+        *,
+        kind: Any = ca.SX,
+        factor: float = 1.0,
+    ) -> ElementGroup:
+        """``factor`` times the integral over triangles (3, n), or over outward edges (2, n)."""
+        X, u = corners(len(cells), self.problem.components, kind)
+        if len(cells) == 3:
+            det, scaled = affine(X, u)
+            size, more, factor = det, scaled / det, factor / 2
+            points, weights = triangle_rule(degree)
+        else:
+            tangent = X[:, 1] - X[:, 0]
+            size = ca.norm_2(tangent)
+            more = ca.vertcat(tangent[1], -tangent[0]) / size
+            points, weights = line_rule(degree)
+        total = kind(0)
+        for point, weight in zip(points.T, weights, strict=True):
+            x, y = ca.vertsplit(X @ point)
+            total += weight * density(x, y, u @ point, more)
+        return self.group(name, X, u, total * size * factor, cells)
+
+
+Groups = Callable[[Fields], list[ElementGroup]]
+"""Element groups whose sum is the value of a term; a ValueError where the term does not suit the problem."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +79,7 @@ class Term:
     name : str
         For records and messages.
     groups : function
-        See ``Groups``. It raises ValueError where the term does not suit the problem.
+        See ``Groups``.
     needs_exact : bool
         Whether it compares with the exact or reference solution of the problem.
     of_positions : bool
@@ -88,20 +140,17 @@ class Objective:
         """Whether a term compares with an exact or reference solution."""
         return any(term.needs_exact for _, term in self.terms)
 
-    def groups(
-        self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
-    ) -> list[ElementGroup]:
-        """Element groups of the sum."""
-        return [
-            scaled_group(group, weight)
-            for weight, term in self.terms
-            for group in term.groups(problem, positions, displacement, slip)
-        ]
-
     @property
     def in_positions(self) -> Objective:
         """Its terms in the positions alone."""
         return Objective(tuple((weight, term) for weight, term in self.terms if term.of_positions))
+
+    def groups(
+        self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
+    ) -> list[ElementGroup]:
+        """Element groups of the sum."""
+        fields = Fields(problem, positions, displacement, slip)
+        return [scaled_group(group, weight) for weight, term in self.terms for group in term.groups(fields)]
 
     def __add__(self, other: Objective) -> Objective:
         return Objective((*self.terms, *other.terms)) if isinstance(other, Objective) else NotImplemented
@@ -129,11 +178,3 @@ def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
     symbols = local_symbols(group.function)
     f, g = group.function(*symbols)
     return replace(group, function=ca.Function(group.function.name(), symbols, [weight * f, g]))
-
-
-def cell_group(
-    name: str, X: Any, u: Any, value: Any, cells: Index, positions: Field, displacement: Field
-) -> ElementGroup:
-    """The sum over cells of a value of X (2, k) and u (components, k); ``cells`` are vertices (k, n)."""
-    function = ca.Function(name, [ca.vec(X), ca.vec(u)], [value, type(value)(0, 1)])
-    return objective_group(function, (positions.at(cells), displacement.on(cells)))

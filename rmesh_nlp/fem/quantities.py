@@ -20,10 +20,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.fem.element import affine, corners, line_rule, plain
-from rmesh_nlp.fem.energy import load_energy, strain_energy, triangle_rule
-from rmesh_nlp.fem.fields import ElementGroup, Field
-from rmesh_nlp.fem.objective import Groups, Objective, Term, cell_group
+from rmesh_nlp.fem.element import corners, plain
+from rmesh_nlp.fem.energy import load_energy, strain_energy
+from rmesh_nlp.fem.fields import ElementGroup
+from rmesh_nlp.fem.objective import Density, Fields, Groups, Objective, Term
 from rmesh_nlp.fem.space import Index, contact_edges, outward_edges
 from rmesh_nlp.problem import ContactProblem, Law, Obstacle
 from rmesh_nlp.problem.coefficients import is_nonzero
@@ -37,6 +37,15 @@ DEGREE = 8
 def _quantity(name: str) -> Callable[[Groups], Objective]:
     """Makes an objective of the element groups of one term."""
     return lambda groups: Objective(((1.0, Term(name, groups)),))
+
+
+def _integral(
+    on: Fields, name: str, cells: Index, degree: int, density: Density, factor: float = 1.0
+) -> list[ElementGroup]:
+    def scalar(*arguments: Any) -> Any:
+        return _scalar(density(*arguments), name)
+
+    return [on.integral("quantity", cells, degree, scalar, factor=factor)]
 
 
 def body_integral(
@@ -60,21 +69,11 @@ def body_integral(
     """
 
     @_quantity(name)
-    def quantity(
-        problem: ContactProblem, positions: Field, displacement: Field, _: Field
-    ) -> list[ElementGroup]:
-        triangles = problem.triangles
+    def quantity(on: Fields) -> list[ElementGroup]:
+        triangles = on.problem.triangles
         if subdomain is not None:
-            triangles = triangles[:, _named(problem, "subdomain", subdomain)]
-        X, u = corners(3, problem.components)
-        det, scaled = affine(X, u)
-        slope = scaled / det
-        barycentric, weights = triangle_rule(degree)
-        total = ca.SX(0)
-        for point, weight in zip(barycentric.T, weights, strict=True):
-            x, y = ca.vertsplit(X @ point)
-            total += weight * _scalar(density(x, y, u @ point, slope), name)
-        return [cell_group("quantity", X, u, total * det / 2, triangles, positions, displacement)]
+            triangles = triangles[:, _named(on.problem, "subdomain", subdomain)]
+        return _integral(on, name, triangles, degree, density)
 
     return quantity
 
@@ -102,23 +101,11 @@ def boundary_integral(
     """
 
     @_quantity(name)
-    def quantity(
-        problem: ContactProblem, positions: Field, displacement: Field, _: Field
-    ) -> list[ElementGroup]:
-        if np.any(problem.mesh.f2t[1, _named(problem, "boundary", boundary)] >= 0):
+    def quantity(on: Fields) -> list[ElementGroup]:
+        if np.any(on.problem.mesh.f2t[1, _named(on.problem, "boundary", boundary)] >= 0):
             raise ValueError(f"{boundary!r} is an interface inside the body, not a boundary")
-        edges = outward_edges(problem, boundary)
-        X, u = corners(2, problem.components)
-        tangent = X[:, 1] - X[:, 0]
-        length = ca.norm_2(tangent)
-        normal = ca.vertcat(tangent[1], -tangent[0]) / length
-        total = ca.SX(0)
-        points, weights = line_rule(degree)
-        for point, weight in zip(points.T, weights, strict=True):
-            x, y = ca.vertsplit(X @ point)
-            total += weight * _scalar(density(x, y, u @ point, normal), name)
-        share = 1 / _length(problem, edges) if mean else 1.0
-        return [cell_group("quantity", X, u, share * length * total, edges, positions, displacement)]
+        edges = outward_edges(on.problem, boundary)
+        return _integral(on, name, edges, degree, density, 1 / _length(on.problem, edges) if mean else 1.0)
 
     return quantity
 
@@ -141,15 +128,12 @@ def nodal(
     chosen = np.asarray(nodes, dtype=np.int64).reshape(-1, 1)
 
     @_quantity(name)
-    def quantity(
-        problem: ContactProblem, positions: Field, displacement: Field, _: Field
-    ) -> list[ElementGroup]:
-        n = problem.mesh.p.shape[1]
+    def quantity(on: Fields) -> list[ElementGroup]:
+        n = on.problem.mesh.p.shape[1]
         if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
             raise ValueError(f"{name}: node numbers must lie between 0 and {n - 1}, got {list(nodes)}")
-        X, u = corners(chosen.size, problem.components)
-        value = _scalar(function(X, u), name)
-        return [cell_group("quantity", X, u, value, chosen, positions, displacement)]
+        X, u = corners(chosen.size, on.problem.components)
+        return [on.group("quantity", X, u, _scalar(function(X, u), name), chosen)]
 
     return quantity
 
@@ -180,17 +164,15 @@ def at_point(
     """
 
     @_quantity(name)
-    def quantity(
-        problem: ContactProblem, positions: Field, displacement: Field, slip: Field
-    ) -> list[ElementGroup]:
-        p = problem.mesh.p
+    def quantity(on: Fields) -> list[ElementGroup]:
+        p = on.problem.mesh.p
         distance = np.linalg.norm(p - np.array(point)[:, None], axis=0)
         node = int(np.argmin(distance))
         if not distance[node] <= tolerance * float(np.max(np.ptp(p, axis=1))):
             near = tuple(float(c) for c in p[:, node])
             raise ValueError(f"{name}: no node at {tuple(point)}; the nearest is node {node} at {near}")
         one = nodal([node], lambda X, u: function(X[0, 0], X[1, 0], u[:, 0]), name=name)
-        return one.groups(problem, positions, displacement, slip)
+        return one.groups(*on)
 
     return quantity
 
@@ -225,9 +207,8 @@ def peak_pressure(
         raise ValueError(f"{name}: the exponent must be at least 3, got {exponent}")
 
     @_quantity(name)
-    def quantity(
-        problem: ContactProblem, positions: Field, displacement: Field, _: Field
-    ) -> list[ElementGroup]:
+    def quantity(on: Fields) -> list[ElementGroup]:
+        problem = on.problem
         obstacle, contact = _contact_on(problem, boundary)
         forces = [_force(law, problem.rule) for law, _ in problem.regions]
         edges = contact_edges(problem, obstacle)
@@ -243,7 +224,7 @@ def peak_pressure(
             share = sum(ca.norm_2(X[:, n - 1 - k] - X[:, 0]) for k in range(ends)) / 2
             pressure = ca.fmax(ca.dot(obstacle.direction(X[0, 0], X[1, 0]), force) / share, 0)
             value = share / length * (pressure / reference) ** exponent
-            result.append(cell_group("peak_pressure", X, u, value, nodes, positions, displacement))
+            result.append(on.group("peak_pressure", X, u, value, nodes))
         return result
 
     return quantity
