@@ -24,52 +24,10 @@ class SeesMultipliers(Protocol):
         """Take the multipliers (n_g,) of the iterate that comes next, with CasADi's signs."""
 
 
-class SignalWatch:
-    """Raises KeyboardInterrupt when the solver that was interrupted by Ctrl-C has returned.
-
-    CasADi swallows the KeyboardInterrupt that Python raises inside it: the solver stops, and
-    reports an ordinary failure. Where there is a callback the signal asks it to stop the
-    solver at the next iteration instead, because an exception inside a Python function that
-    is being evaluated would only be a failed evaluation.
-    """
-
-    def __init__(self, callback: IterationCallback | None) -> None:
-        self._callback = callback
-        self._interrupted = False
-        self._before: Any = None
-
-    def __enter__(self) -> None:
-        if threading.current_thread() is threading.main_thread():  # only there may handlers be set
-            self._before = signal.getsignal(signal.SIGINT)
-            if callable(self._before):
-                signal.signal(signal.SIGINT, self._handle)
-
-    def __exit__(self, *exception: object) -> None:
-        if callable(self._before):
-            signal.signal(signal.SIGINT, self._before)
-        inside = self._callback is not None and self._callback.interrupted
-        if self._callback is not None:
-            self._callback.stop = self._callback.interrupted = False  # it may serve another solve
-        if self._interrupted or inside:
-            raise KeyboardInterrupt from None
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        self._interrupted = True
-        if self._callback is None:
-            self._before(number, frame)
-        else:
-            self._callback.stop = True
-
-
 class PythonFunction(ca.Callback):
     """A CasADi Function in Python; its subclass has a method ``eval``, or ``eval_buffer``.
 
     CasADi does not own Python callbacks: they must live as long as what is made of them.
-
-    Parameters
-    ----------
-    name : str
-    inputs, outputs : sequence of casadi.Sparsity
     """
 
     def __init__(self, name: str, inputs: Sequence[ca.Sparsity], outputs: Sequence[ca.Sparsity]) -> None:
@@ -99,8 +57,7 @@ class IterationCallback(PythonFunction):
 
     def __init__(self, n_x: int, n_g: int, n_p: int, monitor: Monitor) -> None:
         sizes = {"x": n_x, "f": 1, "g": n_g, "lam_x": n_x, "lam_g": n_g, "lam_p": n_p}
-        self._monitor = monitor
-        self._iteration = 0
+        self._monitor, self._iteration = monitor, 0
         self.stop = self.interrupted = False
         inputs = [ca.Sparsity.dense(sizes[name]) for name in ca.nlpsol_out()]
         super().__init__("monitor", inputs, [ca.Sparsity.dense(1)])
@@ -116,3 +73,39 @@ class IterationCallback(PythonFunction):
         self._iteration += 1
         self.stop = self.stop or bool(enough)
         return [int(self.stop)]
+
+
+class SignalWatch:
+    """Raises KeyboardInterrupt when the solver that was interrupted by Ctrl-C has returned.
+
+    CasADi swallows the KeyboardInterrupt that Python raises inside it: the solver stops, and reports an
+    ordinary failure. Where there is a callback the signal asks it to stop the solver at the next iteration
+    instead, because an exception inside a Python function would only be a failed evaluation.
+    """
+
+    def __init__(self, callback: IterationCallback | None) -> None:
+        self._callback, self._interrupted = callback, False
+        self._before: Any = None
+
+    def __enter__(self) -> None:
+        if threading.current_thread() is threading.main_thread():  # only there may handlers be set
+            self._before = signal.getsignal(signal.SIGINT)
+            if callable(self._before):
+                signal.signal(signal.SIGINT, self._handle)
+
+    def __exit__(self, *exception: object) -> None:
+        if callable(self._before):
+            signal.signal(signal.SIGINT, self._before)
+        interrupted, callback = self._interrupted, self._callback
+        if callback is not None:
+            interrupted = interrupted or callback.interrupted
+            callback.stop = callback.interrupted = False  # it may serve another solve
+        if interrupted:
+            raise KeyboardInterrupt from None
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self._interrupted = True
+        if self._callback is None:
+            self._before(number, frame)
+        else:
+            self._callback.stop = True

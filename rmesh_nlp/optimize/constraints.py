@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -45,13 +45,8 @@ part of the slope of the dual that an accepted one gives (Armijo's rule)."""
 class Linearised:
     """The constraints at a point.
 
-    Attributes
-    ----------
-    slack : (rows,) array
-        Their values c, not negative.
-    floor : (rows,) array
-        Least value that a step from this point may leave; at most the slack.
-    jacobian : (rows, n) sparse array, by rows
+    ``slack`` (rows,) has their values c, not negative, and ``floor`` the least ones that a step from this
+    point may leave, at most the slack.
     """
 
     slack: Array
@@ -61,8 +56,7 @@ class Linearised:
     def fitted(self, gradient: Array, inside: NDArray[np.bool_]) -> Array:
         """Multipliers of active rows: non-negative least squares for ``gradient = jacobian^T multipliers``.
 
-        Only the variables that are ``inside`` their bounds count; the others have multipliers of
-        their own. Rows that are not active have zero.
+        Only the variables ``inside`` their bounds count: the others have multipliers of their own.
         """
         multipliers = np.zeros(self.slack.size)
         active = np.flatnonzero(self.slack < ROW_WITH_MULTIPLIER)
@@ -81,14 +75,14 @@ class Constraints(Protocol):
         """The Hessian of ``multipliers . c``."""
 
     def back(self, x: Array, rows: Linearised, lower: Array, upper: Array, scale: Array) -> Array | None:
-        """A point of the box near ``x`` that obeys the rows, in the norm of ``scale``; None if none is found.
+        """A point of the box near ``x`` in the norm of ``scale`` that obeys the rows; None if none is found.
 
-        ``rows`` is where the step to ``x`` began: violated rows come back to its floor.
+        Violated rows come back to the floor of ``rows``, those where the step to ``x`` began.
         """
 
 
-def nonnegative_fit(matrix: Any, right: Array) -> Array:
-    """Least squares ``matrix @ x = right`` with x >= 0, for a sparse matrix."""
+def nonnegative_fit(matrix: sp.sparray, right: Array) -> Array:
+    """Least squares ``matrix @ x = right`` with x >= 0."""
     if matrix.shape[0] * matrix.shape[1] <= LARGEST_DENSE:
         return np.asarray(nnls(matrix.toarray(), right, maxiter=30 * matrix.shape[1])[0])
     return np.asarray(lsq_linear(matrix, right, bounds=(0, np.inf)).x)
@@ -98,12 +92,8 @@ def nonnegative_fit(matrix: Any, right: Array) -> Array:
 class Face:
     """A face of the polyhedron: some rows are active, some variables are at their bounds.
 
-    Attributes
-    ----------
-    precondition : callable
-        ``r / scale`` less what leads out of the face.
-    multipliers : callable
-        Those of the rows for a gradient r, by least squares.
+    At a gradient r, ``precondition`` is ``r / scale`` less what leads out of the face, ``multipliers`` those
+    of the rows by least squares.
     """
 
     precondition: Callable[[Array], Array]
@@ -112,16 +102,7 @@ class Face:
 
 @dataclass(frozen=True)
 class Polyhedron:
-    """The steps d with ``lower <= d <= upper`` and ``slack + jacobian d >= 0``.
-
-    Attributes
-    ----------
-    lower, upper : (n,) arrays
-    slack : (rows,) array
-    jacobian : (rows, n) sparse array, by rows
-    scale : (n,) array
-        The positive diagonal of the norm.
-    """
+    """Steps d with ``lower <= d <= upper`` and ``slack + jacobian d >= 0``, in the norm ``d . scale d``."""
 
     lower: Array
     upper: Array

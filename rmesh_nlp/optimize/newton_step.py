@@ -74,15 +74,8 @@ class Scaled:
 class BoxStep:
     """Minimises ``g . s + 1/2 s . H s`` approximately over a box that contains s = 0.
 
-    Parameters
-    ----------
-    model : Model
-    g : (n,) array
-    preconditioner : callable, optional
-        Of the conjugate gradients; by default the inverse diagonal of the model. On a face its principal part
-        is taken, which is positive definite again.
-    max_products : int
-        Largest number of Hessian products.
+    The conjugate gradients are preconditioned by the inverse diagonal of the model, or by what is given: on a
+    face its principal part is taken, which is positive definite again.
     """
 
     def __init__(
@@ -93,9 +86,7 @@ class BoxStep:
         max_products: int = MAX_PRODUCTS,
     ) -> None:
         self._model, self._g, self._preconditioner = model, g, preconditioner
-        self.max_products = max_products
-        self.scale = model.diagonal()
-        self.products = 0
+        self.scale, self.products, self.max_products = model.diagonal(), 0, max_products
         self._free: NDArray[np.bool_] | slice = slice(None)
 
     def within(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
@@ -233,16 +224,8 @@ class ConstrainedStep(BoxStep):
 class Shifted:
     """A factorised symmetric matrix, made positive definite by a multiple of the identity on a part of it.
 
-    Attributes
-    ----------
-    factor : SuperLU
-        Of ``matrix + shift I`` on the first ``n`` unknowns.
-    n : int
-        The part that is shifted.
-    shift : float
-        In units of the mean size of the diagonal of that part.
-    factorisations : int
-        That it took to find the shift.
+    ``factor`` is that of ``matrix + shift I``, I on the first ``n`` unknowns, ``shift`` in units of the mean
+    size of their diagonal; ``factorisations`` is how many it took to find the shift.
     """
 
     factor: Any

@@ -120,12 +120,8 @@ class NLP:
         lbx, ubx, lbg, ubg : bounds of the appended unknowns and rows
         """
         kind = type(self.x)
-        new_x = kind(0, 1) if x is None else x
-        new_p = kind(0, 1) if p is None else p
-        new_g = kind(0, 1) if g is None else g
+        new_x, new_p, new_g = (kind(0, 1) if new is None else new for new in (x, p, g))
         all_x, all_p = ca.vertcat(self.x, new_x), ca.vertcat(self.p, new_p)
-        all_g = ca.vertcat(self.g, new_g)
-        all_f = self.f + f
         derivatives = None
         if self.derivatives is not None:
             derivatives = _extend_derivatives(self, self.derivatives, new_x, all_x, all_p, kind(f), new_g)
@@ -133,8 +129,8 @@ class NLP:
             self,
             x=all_x,
             p=all_p,
-            f=all_f,
-            g=all_g,
+            f=self.f + f,
+            g=ca.vertcat(self.g, new_g),
             lbx=np.append(self.lbx, lbx),
             ubx=np.append(self.ubx, ubx),
             lbg=np.append(self.lbg, lbg),
@@ -156,24 +152,19 @@ def _extend_derivatives(
     kind, n_new = type(nlp.x), int(new_x.shape[0])
     f_old, gradient = base.grad_f(nlp.x, nlp.p)
     g_old, jacobian = base.jac_g(nlp.x, nlp.p)
-    lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", nlp.n_g + int(g.shape[0]))
-    lam_old, lam_new = ca.vertsplit(lam_g, [0, nlp.n_g, lam_g.shape[0]])
+    slope = ca.vertcat(gradient, kind(n_new, 1)) + ca.densify(ca.gradient(f, x))
+    rows = ca.vertcat(ca.horzcat(jacobian, kind(nlp.n_g, n_new)), ca.jacobian(g, x))
     hess_lag = None
     if base.hess_lag is not None:
+        lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", nlp.n_g + int(g.shape[0]))
+        lam_old, lam_new = ca.vertsplit(lam_g, [0, nlp.n_g, lam_g.shape[0]])
         hessian = ca.diagcat(base.hess_lag(nlp.x, nlp.p, lam_f, lam_old), kind(n_new, n_new))
         # the appended part is small or sparse: CasADi colours it well
         hessian_new = ca.triu(ca.hessian(lam_f * f + ca.dot(lam_new, g), x)[0])
         hess_lag = ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian + hessian_new])
-    jacobian_old = ca.horzcat(jacobian, kind(nlp.n_g, n_new))
     return Derivatives(
-        grad_f=ca.Function(
-            "nlp_grad_f",
-            [x, p],
-            [f_old + f, ca.vertcat(gradient, kind(n_new, 1)) + ca.densify(ca.gradient(f, x))],
-        ),
-        jac_g=ca.Function(
-            "nlp_jac_g", [x, p], [ca.vertcat(g_old, g), ca.vertcat(jacobian_old, ca.jacobian(g, x))]
-        ),
+        grad_f=ca.Function("nlp_grad_f", [x, p], [f_old + f, slope]),
+        jac_g=ca.Function("nlp_jac_g", [x, p], [ca.vertcat(g_old, g), rows]),
         hess_lag=hess_lag,
         kernels=base.kernels,
     )

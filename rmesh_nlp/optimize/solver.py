@@ -34,31 +34,20 @@ def refused_option(plugin: str, options: Mapping[str, Any], error: RuntimeError)
 
     Each option is tried by itself on an NLP of one unknown.
     """
-    solver = plugin.capitalize()
+    solver, x = plugin.capitalize(), ca.SX.sym("x")
+    quiet = {"print_level": 0, "sb": "yes"} if plugin == "ipopt" else {}
     for name, value in options.items():
-        refusal = _refusal(plugin, name, value)
-        if refusal is None:
-            continue
-        if re.search(r"[Nn]o such \w+ option", refusal):
+        own = {"print_time": False, plugin: {**quiet, name: value}}
+        try:
+            with redirect_stdout(StringIO()):  # Ipopt prints the description of the option
+                ca.nlpsol("probe", plugin, {"x": x, "f": x**2}, own)
+        except (RuntimeError, NotImplementedError) as refusal:
+            if not re.search(r"[Nn]o such \w+ option", str(refusal)):
+                return ValueError(f"{solver} refuses {name} = {value!r}")
             near = difflib.get_close_matches(name, COMMON, n=1)
             hint = f", did you mean {near[0]!r}?" if near else ""
             return ValueError(f"{solver} has no option {name!r}{hint}")
-        return ValueError(f"{solver} refuses {name} = {value!r}")
     return error
-
-
-def _refusal(plugin: str, name: str, value: Any) -> str | None:
-    """What the solver says to one option; None if it takes it."""
-    x = ca.SX.sym("x")
-    quiet = {"print_level": 0, "sb": "yes"} if plugin == "ipopt" else {}
-    try:
-        with redirect_stdout(StringIO()):  # Ipopt prints the description of the option
-            ca.nlpsol(
-                "probe", plugin, {"x": x, "f": x**2}, {"print_time": False, plugin: {**quiet, name: value}}
-            )
-    except (RuntimeError, NotImplementedError) as error:
-        return str(error)
-    return None
 
 
 _IPOPT_STATUS = {
@@ -91,15 +80,7 @@ IPOPT_OPTIONS: Mapping[str, Any] = {
 class NLPResult:
     """What a solver returned: a point, multipliers in CasADi's signs, status and counts.
 
-    Attributes
-    ----------
-    x, g, lam_x, lam_g : arrays
-    f : float
-    status : Status
-    iterations : int
-    history : dict of str to list of float
-        Per iteration: ``obj``, ``inf_pr``, ``inf_du``, ``mu``, ... as the solver gives them.
-    seconds : float
+    ``history`` has ``obj``, ``inf_pr``, ``inf_du``, ``mu``, ... of each iteration, as the solver gives them.
     """
 
     x: Array
@@ -129,9 +110,7 @@ class Solver:
     options : mapping
         Solver options without the plugin prefix; they add to and override ``IPOPT_OPTIONS``.
     monitor : callable, optional
-        Called after each iteration.
-    every : int
-        Call the monitor at each of so many iterations only.
+        Called after each iteration, or after each ``every`` ones.
 
     Raises
     ------
@@ -151,26 +130,23 @@ class Solver:
         every: int = 1,
     ) -> None:
         self.nlp = nlp
+        own = {**(IPOPT_OPTIONS if plugin == "ipopt" else {}), **(options or {})}
         settings: dict[str, Any] = {
             "print_time": False,
             "error_on_fail": False,
             "no_nlp_grad": True,
             "calc_lam_p": False,
             "show_eval_warnings": False,
+            plugin: own,
         }
-        base = IPOPT_OPTIONS if plugin == "ipopt" else {}
-        settings[plugin] = {**base, **(options or {})}
         if nlp.derivatives is not None:
-            settings["grad_f"] = nlp.derivatives.grad_f
-            settings["jac_g"] = nlp.derivatives.jac_g
-            if settings[plugin].get("hessian_approximation", "exact") == "exact":
+            settings |= {"grad_f": nlp.derivatives.grad_f, "jac_g": nlp.derivatives.jac_g}
+            if own.get("hessian_approximation", "exact") == "exact":
                 settings["hess_lag"] = nlp.derivatives.hess_lag
-        n_p = int(nlp.p.shape[0])
-        # CasADi does not own its callbacks: the reference must be kept alive
-        self._callback = None if monitor is None else IterationCallback(nlp.n_x, nlp.n_g, n_p, monitor)
-        if self._callback is not None:
-            settings["iteration_callback"] = self._callback
-            settings["iteration_callback_step"] = every
+        self._callback: IterationCallback | None = None
+        if monitor is not None:  # CasADi does not own its callbacks: the reference must be kept alive
+            self._callback = IterationCallback(nlp.n_x, nlp.n_g, int(nlp.p.shape[0]), monitor)
+            settings |= {"iteration_callback": self._callback, "iteration_callback_step": every}
         problem = {"x": nlp.x, "p": nlp.p, "f": nlp.f, "g": nlp.g}
         try:
             with redirect_stdout(StringIO()):  # Ipopt prints the description of an option it refuses
@@ -178,48 +154,25 @@ class Solver:
         except RuntimeError as error:
             raise refused_option(plugin, options or {}, error) from None
 
-    def __call__(
-        self,
-        x0: ArrayLike,
-        *,
-        p: ArrayLike = (),
-        lbx: ArrayLike | None = None,
-        ubx: ArrayLike | None = None,
-        lbg: ArrayLike | None = None,
-        ubg: ArrayLike | None = None,
-        lam_x0: ArrayLike = 0.0,
-        lam_g0: ArrayLike = 0.0,
-    ) -> NLPResult:
-        """Solve; bounds that are not given are the NLP's own."""
+    def __call__(self, x0: ArrayLike, *, p: ArrayLike = (), **others: ArrayLike) -> NLPResult:
+        """Solve; ``others`` are bounds that replace the NLP's own, and multipliers ``lam_x0``, ``lam_g0``."""
         nlp = self.nlp
         start = np.asarray(x0, dtype=float).ravel()
         if start.size != nlp.n_x:
             raise ValueError(f"x0 has length {start.size}, the problem has {nlp.n_x} unknowns")
         if not np.all(np.isfinite(start)):
             raise ValueError(f"x0[{int(np.flatnonzero(~np.isfinite(start))[0])}] is not finite")
+        bounds = {"lbx": nlp.lbx, "ubx": nlp.ubx, "lbg": nlp.lbg, "ubg": nlp.ubg}
         began = time.perf_counter()
         with SignalWatch(self._callback):
-            solution = self._function(
-                x0=start,
-                p=p,
-                lbx=nlp.lbx if lbx is None else lbx,
-                ubx=nlp.ubx if ubx is None else ubx,
-                lbg=nlp.lbg if lbg is None else lbg,
-                ubg=nlp.ubg if ubg is None else ubg,
-                lam_x0=lam_x0,
-                lam_g0=lam_g0,
-            )
+            solution = self._function(x0=start, p=p, **{**bounds, **others})
         seconds = time.perf_counter() - began
         stats = self._function.stats()
         word = str(stats["return_status"])
-        status = _IPOPT_STATUS.get(word, Status.CONVERGED if stats["success"] else Status.FAILED)
         return NLPResult(
-            x=flat(solution["x"]),
+            **{name: flat(solution[name]) for name in ("x", "g", "lam_x", "lam_g")},
             f=float(solution["f"]),
-            g=flat(solution["g"]),
-            lam_x=flat(solution["lam_x"]),
-            lam_g=flat(solution["lam_g"]),
-            status=status,
+            status=_IPOPT_STATUS.get(word, Status.CONVERGED if stats["success"] else Status.FAILED),
             iterations=int(stats.get("iter_count", 0)),
             history={key: list(values) for key, values in stats.get("iterations", {}).items()},
             seconds=seconds,

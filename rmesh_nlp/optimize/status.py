@@ -8,49 +8,41 @@ from enum import Enum
 class Status(str, Enum):
     """How a solve ended. The value is a word for tables, ``message`` a sentence for people."""
 
-    CONVERGED = "converged"
-    ACCEPTABLE = "acceptable"
-    ITERATION_LIMIT = "iteration_limit"
-    TIME_LIMIT = "time_limit"
-    INTERRUPTED = "interrupted"
-    INFEASIBLE = "infeasible"
-    UNBOUNDED = "unbounded"
-    STALLED = "stalled"
-    CYCLED = "cycled"
-    INACCURATE = "inaccurate"
-    NOT_STATIONARY = "not_stationary"
-    WORSE = "worse"
-    EXPLOITED = "exploited"
-    INVALID_MESH = "invalid_mesh"
-    TOO_FEW_FREEDOMS = "too_few_freedoms"
-    EVALUATION_ERROR = "evaluation_error"
-    FAILED = "failed"
+    message: str
 
-    @property
-    def message(self) -> str:
-        """One sentence that says what the status means."""
-        return _MESSAGES[self]
+    def __new__(cls, word: str, message: str) -> Status:
+        """A member whose value is the word alone."""
+        one = str.__new__(cls, word)
+        one._value_, one.message = word, message
+        return one
 
+    CONVERGED = "converged", "Converged to the tolerance."
+    ACCEPTABLE = "acceptable", "Converged to the looser, acceptable tolerance only."
+    ITERATION_LIMIT = "iteration_limit", "Stopped at the iteration limit."
+    TIME_LIMIT = "time_limit", "Stopped at the time limit."
+    INTERRUPTED = "interrupted", "Stopped by the user; the best valid point so far is kept."
+    INFEASIBLE = "infeasible", "Converged to a point of local infeasibility."
+    UNBOUNDED = "unbounded", "The iterates diverge: the problem may be unbounded."
+    STALLED = "stalled", "No further progress was possible before the tolerance was met."
+    CYCLED = "cycled", "The active set repeated itself without a solution."
+    INACCURATE = (
+        "inaccurate",
+        "A residual of the problem is above its tolerance, or the solver's energy is wrong.",
+    )
+    NOT_STATIONARY = (
+        "not_stationary",
+        "The solver met its own test, but not the tolerance of the first-order residual.",
+    )
+    WORSE = "worse", "The minimised objective, measured accurately, is above its value on the given mesh."
+    EXPLOITED = (
+        "exploited",
+        "Only an error of the discretisation lowered the energy: the continuous one rose.",
+    )
+    INVALID_MESH = "invalid_mesh", "An element is inverted or smaller than allowed."
+    TOO_FEW_FREEDOMS = "too_few_freedoms", "There are more equations than free unknowns."
+    EVALUATION_ERROR = "evaluation_error", "A function returned NaN or infinity."
+    FAILED = "failed", "The solver failed."
 
-_MESSAGES = {
-    Status.CONVERGED: "Converged to the tolerance.",
-    Status.ACCEPTABLE: "Converged to the looser, acceptable tolerance only.",
-    Status.ITERATION_LIMIT: "Stopped at the iteration limit.",
-    Status.TIME_LIMIT: "Stopped at the time limit.",
-    Status.INTERRUPTED: "Stopped by the user; the best valid point so far is kept.",
-    Status.INFEASIBLE: "Converged to a point of local infeasibility.",
-    Status.UNBOUNDED: "The iterates diverge: the problem may be unbounded.",
-    Status.STALLED: "No further progress was possible before the tolerance was met.",
-    Status.CYCLED: "The active set repeated itself without a solution.",
-    Status.INACCURATE: "A residual of the problem is above its tolerance, or the solver's energy is wrong.",
-    Status.NOT_STATIONARY: "The solver met its own test, but not the tolerance of the first-order residual.",
-    Status.WORSE: "The minimised objective, measured accurately, is above its value on the given mesh.",
-    Status.EXPLOITED: "Only an error of the discretisation lowered the energy: the continuous one rose.",
-    Status.INVALID_MESH: "An element is inverted or smaller than allowed.",
-    Status.TOO_FEW_FREEDOMS: "There are more equations than free unknowns.",
-    Status.EVALUATION_ERROR: "A function returned NaN or infinity.",
-    Status.FAILED: "The solver failed.",
-}
 
 NOT_STATIONARY_YET = "valid and not worse than the given mesh, but not stationary to the tolerance"
 """What a success is that did not converge."""

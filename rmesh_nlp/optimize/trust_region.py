@@ -1,24 +1,20 @@
 """Projected Newton-CG with a trust region, for a smooth function in a box and within smooth constraints.
 
 In the manner of TRON (C.-J. Lin, J. J. Moré, Newton's method for large bound-constrained optimization
-problems, SIAM J. Optim. 9 (1999) 1100-1127): a Cauchy point, then conjugate gradients over the free
-variables, with a projected search that lets many bounds become active at once, again and again on the same
-quadratic model (:mod:`rmesh_nlp.optimize.newton_step`).
+problems, SIAM J. Optim. 9 (1999) 1100-1127), by the steps of :mod:`rmesh_nlp.optimize.newton_step`.
 
-- The trust region is a box too. TRON's ball stops a step where the conjugate gradients leave it or meet
-  negative curvature; the projection then shortens that step, so that the ball never grows although the model
-  is right. In a box the step ends in a corner of the trusted part instead, and the same model is used until
-  it has nothing left to give: of the functions here, a derivative costs as much as dozens of Hessian
-  products.
+- The trust region is a box too. TRON's ball stops a step where the conjugate gradients leave it, and the
+  projection then shortens that step, so that the ball never grows although the model is right. In a box the
+  same model is used until it has nothing left to give: of the functions here, a derivative costs as much as
+  dozens of Hessian products.
 - Constraints that cost nothing beside the function are handled in the manner of feasible sequential quadratic
   programming (E. R. Panier, A. L. Tits, On combining feasibility, descent and superlinear convergence in
   inequality constrained optimization, Math. Programming 59 (1993) 261-276): a step obeys their linearisation,
   the model has the Hessian of the Lagrangian, and what curvature leaves of a violation is taken back before
-  the function is evaluated. The function itself is the merit; there is no penalty or barrier.
-- A function that is its own barrier may have :class:`LocalRadii`: each variable is trusted within a width of
-  its own. A uniform radius is held back everywhere by the smallest element; with widths one radius of order
-  one suits all variables. A step that leaves the domain of the function is cut at a part of its way to the
-  boundary, as interior points do, and not refused: the cut costs no evaluation.
+  the function, which is the merit, is evaluated.
+- A function that is its own barrier may have :class:`LocalRadii`: a uniform radius is held back everywhere by
+  the smallest element. A step that leaves its domain is cut at a part of its way to the boundary, as interior
+  points do, and not refused: the cut costs no evaluation.
 """
 
 from __future__ import annotations
@@ -128,10 +124,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class NewtonResult:
-    """Where the method stopped.
-
-    ``crowded`` says that too many constraints were active in a step; the status is then STALLED.
-    """
+    """Where the method stopped; STALLED and ``crowded`` where too many constraints were active in a step."""
 
     x: Array
     value: float
@@ -145,15 +138,10 @@ class NewtonResult:
 class LocalRadii:
     """A trust region of its own for each variable.
 
-    Attributes
-    ----------
-    widths : callable
-        Positive widths (n,) of the trust region at a point, for radius 1.
-    longest : callable
-        ``(x, step) -> part`` of the step, at most 1, that stays well within the domain of the function.
-    preconditioner : callable, optional
-        ``(model, widths) -> preconditioner`` of the conjugate gradients, in units of the widths; where it is
-        None, or returns None, the diagonal of the model.
+    ``widths`` has the positive widths (n,) of the trust region at a point, for radius 1. ``longest`` takes a
+    point and a step to the part of the step, at most 1, that stays well within the domain of the function.
+    ``preconditioner`` makes that of the conjugate gradients, in units of the widths, from model and widths;
+    where it is None, or returns None, the diagonal of the model serves.
     """
 
     widths: Callable[[Array], Array]
@@ -185,25 +173,17 @@ def minimise(
     Parameters
     ----------
     evaluate : callable
-        Value, gradient and model at a point of the box; None where the function is not
-        defined, which makes the trust region shrink.
-    start, lower, upper : (n,) arrays
+        Value, gradient and model at a point of the box; None where the function is not defined.
     tolerance : float
-        Stationary: ``max |x - proj(x - r / unit)|`` is at most this, r the gradient of the Lagrangian.
+        Stationary: ``max |x - proj(x - r / unit)|`` is at most this, r the gradient of the Lagrangian and
+        ``unit`` by default the size of the function.
     gain_tolerance : float
-        No decrease: the model predicts less than this fraction of the decrease so far.
-    reference : float, optional
-        The value that decrease counts from; by default that at the start.
-    unit : float, optional
-        What the gradient is measured in; by default the size of the function.
-    max_iterations : int
+        No decrease: the model predicts less than this fraction of the decrease so far, which counts from
+        ``reference``, by default the value at the start.
     constraints : Constraints, optional
         Obeyed by ``start``; not together with ``local``.
-    local : LocalRadii, optional
     on_step : callable, optional
         Called with the iteration, the point and its evaluation; the descent stops if it returns True.
-    settings : NewtonSettings, optional
-        By default ``LOCAL`` with local radii.
     """
     domain: _Box
     if local is not None:
@@ -340,18 +320,14 @@ class _LocalBox(_Box):
 
 
 class _ConstrainedBox(_Box):
-    """The same within constraints; keeps their multipliers from one step to the next.
-
-    Steps take account of constraints from when one is first met.
-    """
+    """The same within constraints, of which steps take account from when one is first met."""
 
     def __init__(
         self, lower: Array, upper: Array, settings: NewtonSettings, constraints: Constraints
     ) -> None:
         super().__init__(lower, upper, settings)
-        self._constraints = constraints
+        self._constraints, self._met = constraints, False
         self._multipliers: Array | None = None  # of the last step that took account of constraints
-        self._met = False
 
     def arrive(self, x: Array, here: Evaluation) -> None:
         super().arrive(x, here)

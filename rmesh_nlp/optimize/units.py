@@ -16,15 +16,7 @@ from rmesh_nlp.optimize.solver import NLPResult
 
 @dataclass(frozen=True)
 class Units:
-    """Units in which a solver with absolute tolerances sees an NLP.
-
-    Attributes
-    ----------
-    x : (n_x,) array
-        Units of the unknowns, positive.
-    g : (n_g,) array
-        Units of the rows, positive.
-    """
+    """Positive units of unknowns (n_x,) and rows (n_g,), for a solver with absolute tolerances."""
 
     x: Array
     g: Array
@@ -33,19 +25,18 @@ class Units:
         """The NLP in ``x / self.x`` with rows ``g / self.g``; its derivatives must be assembled."""
         if nlp.derivatives is None:
             raise ValueError("an NLP without assembled derivatives cannot be put in other units")
-        base, x = nlp.derivatives, ca.MX.sym("x", nlp.n_x)
-        values = ca.Function("values", [nlp.x, nlp.p], [nlp.f, nlp.g])
+        base, p, x = nlp.derivatives, nlp.p, ca.MX.sym("x", nlp.n_x)
         own, lam_f, lam_g = self.x * x, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nlp.n_g)
-        f, g = values(own, nlp.p)
-        value, gradient = base.grad_f(own, nlp.p)
-        rows, jacobian = base.jac_g(own, nlp.p)
+        f, g = ca.Function("values", [nlp.x, p], [nlp.f, nlp.g])(own, p)
+        value, gradient = base.grad_f(own, p)
+        rows, jacobian = base.jac_g(own, p)
         hess_lag = None
         if base.hess_lag is not None:
-            hessian = base.hess_lag(own, nlp.p, lam_f, lam_g / self.g)
-            hess_lag = ca.Function("nlp_hess_l", [x, nlp.p, lam_f, lam_g], [_scaled(hessian, self.x, self.x)])
+            hessian = base.hess_lag(own, p, lam_f, lam_g / self.g)
+            hess_lag = ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [_scaled(hessian, self.x, self.x)])
         return NLP(
             x=x,
-            p=nlp.p,
+            p=p,
             f=f,
             g=g / self.g,
             lbx=nlp.lbx / self.x,
@@ -53,8 +44,8 @@ class Units:
             lbg=nlp.lbg / self.g,
             ubg=nlp.ubg / self.g,
             derivatives=Derivatives(
-                ca.Function("nlp_grad_f", [x, nlp.p], [value, self.x * gradient]),
-                ca.Function("nlp_jac_g", [x, nlp.p], [rows / self.g, _scaled(jacobian, 1 / self.g, self.x)]),
+                ca.Function("nlp_grad_f", [x, p], [value, self.x * gradient]),
+                ca.Function("nlp_jac_g", [x, p], [rows / self.g, _scaled(jacobian, 1 / self.g, self.x)]),
                 hess_lag,
                 (*base.kernels, base.grad_f, base.jac_g),
             ),
@@ -75,13 +66,7 @@ class Units:
 class Seen:
     """A monitor of the original NLP, shown the iterates of that in other units.
 
-    Attributes
-    ----------
-    units : Units
-    step : callable
-        ``(iteration, x, f) ->`` whether to stop.
-    multipliers : callable
-        Takes the multipliers of the rows of each iterate.
+    ``step`` says at ``(iteration, x, f)`` whether to stop; ``multipliers`` takes those of the rows before.
     """
 
     units: Units
