@@ -20,15 +20,13 @@ from rmesh_nlp.assessment.tightening import tightened
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import Directions
 from rmesh_nlp.contact.system import LARGE, ActiveSet, ContactSystem, Equilibrium, elimination_order
+from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.energy import displacement_field
-from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import locally_refined
-from rmesh_nlp.problem.rigid import rigid_motions
 
 REPEATS = 12
 """Contact solves with larger stand-offs, where normals vary along an edge."""
@@ -46,13 +44,14 @@ class Admissible:
 
     Attributes
     ----------
-    problem : ContactProblem
+    parts : Discretisation
         On the mesh of the displacement: locally refined where given displacements left no room.
     body : Body
     system : ContactSystem
         With the stand-offs, and friction bounded from above.
     state : Equilibrium
     displacement : (components, nodes) array
+        At the nodes of the displacement space.
     standoff : (gaps,) array
         How far contact nodes keep off, in units of the gap.
     energy : float
@@ -65,7 +64,7 @@ class Admissible:
         What is left of penetration; positive only if the repeats did not suffice.
     """
 
-    problem: ContactProblem
+    parts: Discretisation
     body: Body
     system: ContactSystem
     state: Equilibrium
@@ -77,6 +76,11 @@ class Admissible:
     friction: float
     doubt: float
     penetration: float
+
+    @property
+    def problem(self) -> ContactProblem:
+        """That of the discretisation."""
+        return self.parts.problem
 
     @property
     def status(self) -> Status:
@@ -91,38 +95,40 @@ class Continuous:
 
     Parameters
     ----------
-    problem : ContactProblem
-    nodes : (2, nodes) array, optional
-        Positions of the nodes; those of the mesh by default.
+    problem : ContactProblem or Discretisation
+    nodes : (2, vertices) array, optional
+        Positions of the vertices; those of the mesh by default.
     """
 
-    def __init__(self, problem: ContactProblem, nodes: Array | None = None) -> None:
-        here = problem.mesh.p if nodes is None else nodes
-        self.problem = problem
-        self.body = Body(problem, here)
-        space = DisplacementSpace.of(problem)
-        self.field, self.n_u = displacement_field(space)
-        self.stiffness = stiffness(self.body)
-        self.load, self._load_doubt = load_vector(self.body)
-        self.given = self.field.values(np.zeros(self.n_u))  # (components, nodes)
-        self.directions = Directions(space, self.field, self.n_u)
-        self.cells = [cell for part in problem.contact_sets for cell in cells_of(self.body, part)]
+    def __init__(self, problem: ContactProblem | Discretisation, nodes: Array | None = None) -> None:
+        self.parts = parts = discretise(problem)
+        self.problem = parts.problem
+        self.body = Body(self.problem, self.problem.mesh.p if nodes is None else nodes)
+        self.space, self.field = parts.space, parts.displacement
+        self.stiffness = stiffness(self.body, self.space)
+        self.load, self._load_doubt = load_vector(self.body, self.space)
+        self.given = self.field.values(np.zeros(parts.n_u))  # (components, nodes)
+        self.directions = Directions(self.space, self.field, parts.n_u)
+        self.cells = [
+            cell for part in self.space.contact_sets for cell in cells_of(self.body, self.space, part)
+        ]
 
     def system(self, standoff: Array) -> ContactSystem:
         """The quadratic program with gaps shortened by a stand-off (gaps,)."""
         free, given = np.flatnonzero(self.field.index.T.ravel() >= 0), self.given.T.ravel()
         pull = self.stiffness @ given
-        nodes, sets = self.body.nodes, self.problem.contact_sets
+        nodes, space = self.body.nodes, self.space
+        points = space.points(nodes)
         normals, tangents = self.directions.rows(nodes)
-        gaps = [part.obstacle.distances(nodes[:, part.nodes]) for part in sets]
-        along = np.sum(self.directions.normals(nodes) * self.given[:, self.problem.contact_nodes], axis=0)
+        gaps = [part.obstacle.distances(points[:, part.nodes]) for part in space.contact_sets]
+        along = np.sum(self.directions.normals(nodes) * self.given[:, space.contact_nodes], axis=0)
         offset = np.concatenate([np.zeros(0), *gaps]) + along
         frictional = np.zeros(offset.size, dtype=bool)
         frictional[self.problem.friction_rows] = True
-        rigid = rigid_motions(self.problem, nodes)
+        rigid = self.parts.rigid_motions(nodes)
         order = None
-        if nodes.shape[1] > LARGE:
-            order = elimination_order(nodes, np.asarray(self.problem.mesh.facets), self.field.index)
+        if space.n_nodes > LARGE:
+            order = elimination_order(points, space.nodes_of(self.problem.mesh.facets), self.field.index)
         return ContactSystem(
             stiffness=sp.csc_array(self.stiffness[free][:, free]),
             load=(self.load - pull)[free],
@@ -132,7 +138,7 @@ class Continuous:
             offset=offset - standoff,
             slip_bound=self._bounds(),
             frictional=frictional,
-            rigid=rigid.transpose(2, 1, 0).reshape(-1, rigid.shape[0])[free] if rigid.size else None,
+            rigid=rigid if rigid.size else None,
             order=order,
         )
 
@@ -172,15 +178,16 @@ class Continuous:
         displacement = self.field.values(state.u)
         u = displacement.T.ravel()
         strain, work = 0.5 * float(u @ (self.stiffness @ u)), float(self.load @ u)
-        frictions = [
-            friction_energy(self.body.edges(str(part.obstacle.boundary)), part.obstacle, displacement)
-            for part in self.problem.contact_sets
-            if part.obstacle.frictional
-        ]
+        frictions = []
+        for part in self.space.contact_sets:
+            if part.obstacle.frictional:
+                edges = self.body.edges(str(part.obstacle.boundary))
+                ends = displacement[:, self.space.nodes_of(edges.ends)]
+                frictions.append(friction_energy(edges, part.obstacle, ends))
         friction = float(sum(np.sum(values) for values, _ in frictions))
         doubt = float(self._load_doubt @ np.abs(u)) + float(sum(np.sum(wrong) for _, wrong in frictions))
         parts = strain - work + friction, strain, work, friction, doubt
-        return Admissible(self.problem, self.body, system, state, displacement, standoff, *parts, left)
+        return Admissible(self.parts, self.body, system, state, displacement, standoff, *parts, left)
 
     @property
     def _is_curved(self) -> bool:
@@ -189,7 +196,7 @@ class Continuous:
 
     def _gaps(self, u: Array) -> Array:
         """(gaps,) gaps at the nodes, without stand-offs."""
-        bare = self.system(np.zeros(self.problem.contact_nodes.size))
+        bare = self.system(np.zeros(self.space.contact_nodes.size))
         return np.asarray(bare.normals @ u + bare.offset)
 
     def _bounds(self) -> Array:
@@ -197,17 +204,19 @@ class Continuous:
         if not self.problem.frictional:
             return np.zeros(0)
         bounds = []
-        for part in self.problem.contact_sets:
-            here = np.zeros(self.body.nodes.shape[1])
+        for part in self.space.contact_sets:
+            here = np.zeros(self.space.n_nodes)
             if part.obstacle.frictional:
                 edges = self.body.edges(str(part.obstacle.boundary))
-                np.add.at(here, edges.ends, hat_integrals(edges.at, edges.size, part.obstacle.friction)[0])
+                shares = hat_integrals(edges.at, edges.size, part.obstacle.friction)[0]
+                np.add.at(here, self.space.nodes_of(edges.ends), shares)
             bounds.append(here[part.nodes])
         return np.concatenate(bounds)
 
     def given_along(self, cells: Cells) -> Array:
         """(nodes,) given displacement along the normal of the foundation of some cells."""
-        return np.asarray(np.sum(cells.contact.obstacle.normals(self.body.nodes) * self.given, axis=0))
+        normals = cells.contact.obstacle.normals(self.space.points(self.body.nodes))
+        return np.asarray(np.sum(normals * self.given, axis=0))
 
     def _first_standoff(self) -> Array:
         found = []
@@ -222,7 +231,7 @@ class Continuous:
 
     def _raised(self, off: Sequence[Array]) -> Array:
         """(gaps,) the largest ``off`` (m,) of the cells at each free node."""
-        standoff = np.zeros(self.problem.contact_nodes.size)
+        standoff = np.zeros(self.space.contact_nodes.size)
         for cells, one in zip(self.cells, off, strict=True):
             for rows in cells.rows:
                 np.maximum.at(standoff, rows[rows >= 0], one[rows >= 0])
@@ -230,15 +239,15 @@ class Continuous:
 
 
 def admissible(
-    problem: ContactProblem, nodes: Array | None = None, start: ActiveSet | None = None
+    problem: ContactProblem | Discretisation, nodes: Array | None = None, start: ActiveSet | None = None
 ) -> Admissible:
     """The energy of the continuous problem on a mesh, by an admissible displacement.
 
     Parameters
     ----------
-    problem : ContactProblem
-    nodes : (2, nodes) array, optional
-        Positions of the nodes; those of the mesh by default.
+    problem : ContactProblem or Discretisation
+    nodes : (2, vertices) array, optional
+        Positions of the vertices; those of the mesh by default.
     start : ActiveSet, optional
         Contact to begin with.
     """
@@ -249,7 +258,9 @@ def admissible(
         elements = np.concatenate([np.zeros(0, dtype=np.int64), *cut])
         if elements.size == 0:
             break
-        moved = problem if nodes is None else replace(problem, mesh=relocated_mesh(problem.mesh, nodes))
+        moved = here.problem
+        if nodes is not None:
+            moved = replace(moved, mesh=relocated_mesh(moved.mesh, nodes))
         problem, nodes, start = locally_refined(moved, elements), None, None
     return here.solve(start)
 

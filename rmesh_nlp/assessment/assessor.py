@@ -16,9 +16,8 @@ from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.contact_terms import nodal_weights
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.mapping.validity import least_area_ratio
-from rmesh_nlp.problem import ContactProblem
 
 TOLERANCE = 1e-6
 """Largest scaled residual of a solution that may be called a success."""
@@ -69,7 +68,7 @@ class Assessor:
     @cached_property
     def initial(self) -> Admissible:
         """The admissible displacement on the mesh as given."""
-        return admissible(self.problem, start=self._given.active)
+        return admissible(self.model.discretisation, start=self._given.active)
 
     @cached_property
     def initial_corrections(self) -> Mapping[str, float]:
@@ -80,7 +79,7 @@ class Assessor:
         """The admissible displacement at node positions (2, nodes)."""
         if np.array_equal(nodes, self.problem.mesh.p):
             return self.initial
-        return admissible(self.problem, nodes, start)
+        return admissible(self.model.discretisation, nodes, start)
 
     def audit(self, nodes: Array, found: Equilibrium, exact: Admissible, ratio: float | None = None) -> Audit:
         """Residuals of a solution on a mesh; ``exact`` is that of :meth:`solve`.
@@ -89,12 +88,13 @@ class Assessor:
         """
         system = self.model.system(nodes)
         state = found.u, found.normal_force, found.tangential_force
+        at_nodes = self.model.displacement.values(found.u)
         return Audit(
             energy_audited=exact.energy,
             equilibrium_residual=equilibrium_residual(system, *state),
             complementarity_residual=law_residual(system, *state),
             min_area_ratio=least_area_ratio(self.problem, nodes) if ratio is None else ratio,
-            penetration=penetration(self.problem, nodes, self.model.displacement.values(found.u)),
+            penetration=penetration(self.problem, nodes, at_nodes[:, self.model.discretisation.space.number]),
         )
 
     def corrections(self, nodes: Array, found: Equilibrium, exact: Admissible) -> dict[str, float]:
@@ -173,14 +173,14 @@ class Quantities:
 
 
 def quantities(
-    problem: ContactProblem, nodes: Array, system: ContactSystem, state: Equilibrium
+    space: DisplacementSpace, nodes: Array, system: ContactSystem, state: Equilibrium
 ) -> Quantities | None:
-    """The quantities of a contact solution at node positions (2, nodes); None without contact."""
+    """The quantities of a contact solution at vertex positions (2, vertices); None without contact."""
     force = state.normal_force
     if not force.size:
         return None
-    weights = nodal_weights(problem, nodes)
-    normals = np.hstack([part.obstacle.normals(nodes[:, part.nodes]) for part in problem.contact_sets])
+    weights, points = space.weights(nodes), space.points(nodes)
+    normals = np.hstack([part.obstacle.normals(points[:, part.nodes]) for part in space.contact_sets])
     total = normals @ force
     if state.tangential_force.size:
         total = total + np.stack([normals[1], -normals[0]]) @ state.tangential_force

@@ -12,6 +12,7 @@ import scipy.sparse as sp
 
 from rmesh_nlp.assessment.integrals import EdgePoints, over_edges, over_triangles
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.body import Body, Edges, Index, gradients
 from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points, polynomial_degree
 from rmesh_nlp.problem.laws import Laplace, Law
@@ -21,10 +22,10 @@ STIFFNESS_POINTS = 6
 """Gauss points per direction of a blended triangle."""
 
 
-def stiffness(body: Body) -> sp.csc_array:
+def stiffness(body: Body, space: DisplacementSpace) -> sp.csc_array:
     """The matrix K of ``1/2 u K u``, the strain energy."""
     problem = body.problem
-    n = problem.components * body.nodes.shape[1]
+    n = problem.components * space.n_nodes
     matrix = sp.csc_array((n, n))
     for law, region in problem.regions:
         curved = body.is_curved[region]
@@ -36,7 +37,7 @@ def stiffness(body: Body) -> sp.csc_array:
 
             if elements.size:
                 local = over_triangles(body, elements, integrand, points)[0]
-                nodes = problem.components * body.triangles[:, None, elements]
+                nodes = problem.components * space.elements[:, None, elements]
                 dofs = (nodes + np.arange(problem.components)[:, None]).reshape(-1, elements.size)
                 place = np.repeat(dofs, len(dofs), axis=0).ravel(), np.tile(dofs, (len(dofs), 1)).ravel()
                 matrix += sp.csc_array(sp.coo_array((local.ravel(), place), shape=(n, n)))
@@ -56,26 +57,26 @@ def _density(law: Law, gradient: Array) -> Array:
     return full.reshape(6, 6, *gradient.shape[2:])
 
 
-def load_vector(body: Body) -> tuple[Array, Array]:
+def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
     """F of the work ``F u`` of all loads: sources or body forces, tractions, point loads; and its doubt."""
     problem = body.problem
-    load, doubt = np.zeros((2, body.nodes.shape[1], problem.components))
+    load, doubt = np.zeros((2, space.n_nodes, problem.components))
     for law, elements in problem.regions:
         for i, coefficient in enumerate(law.load):
             if is_nonzero(coefficient) and elements.size:
                 for target, shares in zip(
                     (load, doubt), _body_load(body, coefficient, elements), strict=True
                 ):
-                    np.add.at(target[:, i], body.triangles[:, elements], shares)
+                    np.add.at(target[:, i], space.elements[:, elements], shares)
     for traction in problem.tractions:
         edges = body.edges(traction.boundary)
         for i, coefficient in enumerate(traction.value):
             if is_nonzero(coefficient):
                 found = hat_integrals(edges.at, edges.size, coefficient)
                 for target, shares in zip((load, doubt), found, strict=True):
-                    np.add.at(target[:, i], edges.ends, shares)
+                    np.add.at(target[:, i], space.nodes_of(edges.ends), shares)
     for point in problem.point_loads:
-        load[point.node] += point.force
+        load[space.number[point.node]] += point.force
     return load.ravel(), doubt.ravel()
 
 
@@ -108,12 +109,11 @@ STEPS = 3
 """Steps to the point of an edge at which the slip changes sign; one is exact on a straight foundation."""
 
 
-def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tuple[Array, Array]:
+def friction_energy(edges: Edges, obstacle: Obstacle, ends: Array) -> tuple[Array, Array]:
     """(edges,) integrals of the friction bound times the size of the slip, and what they may be wrong by.
 
-    Edges are split where the slip changes sign.
+    The displacement has the values ``ends`` (2, 2 ends, edges). Edges are split where the slip changes sign.
     """
-    ends = displacement[:, edges.ends]
 
     def slip(rows: Index, s: Array, where: Array) -> Array:
         normals = obstacle.normals(where.reshape(2, -1)).reshape(where.shape)

@@ -14,16 +14,16 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.assessment.assessor import Quantities, quantities
 from rmesh_nlp.contact.system import ActiveSet
+from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import figure
 from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
 
 FEW = 100
@@ -117,7 +117,7 @@ def error_reduction(
         bounds, finest = _bounds(after)
     refined_quantities = None
     if finest is not None:
-        refined_quantities = quantities(finest.problem, finest.body.nodes, finest.system, finest.state)
+        refined_quantities = quantities(finest.parts.space, finest.body.nodes, finest.system, finest.state)
     if bounds is None or not fall > 0:
         return None, refined_quantities
     low, high = bounds
@@ -152,30 +152,25 @@ def _on_refined(last: Admissible) -> Admissible:
     """The admissible displacement on the uniform refinement, beginning with the contact of ``last``."""
     problem = last.problem
     coarse = replace(problem, mesh=relocated_mesh(problem.mesh, last.body.nodes), reference=None)
-    fine = refined(coarse)
-    return admissible(fine, start=_refined_set(coarse, last.state.active, fine))
+    fine = discretise(refined(coarse))
+    return admissible(fine, start=_refined_set(last.parts.space, last.state.active, fine.space))
 
 
-def _refined_set(coarse: ContactProblem, active: ActiveSet, fine: ContactProblem) -> ActiveSet:
+def _refined_set(coarse: DisplacementSpace, active: ActiveSet, fine: DisplacementSpace) -> ActiveSet:
     """Contact on a uniform refinement: a new node touches or slides where both ends of its edge do."""
-    n = coarse.mesh.p.shape[1]
-    none = np.zeros(0, dtype=np.int64)
-    touching, sliding = [none], [none]
+    touching = np.zeros(fine.contact_nodes.size, dtype=bool)
+    sliding = np.zeros(touching.size if active.sliding.size else 0, dtype=np.int8)
+    facets = coarse.problem.mesh.facets
     for one, two in zip(coarse.contact_sets, fine.contact_sets, strict=True):
-        touching.append(_carried(coarse, one.nodes, active.touching[one.rows], two.nodes, n))
-        if active.sliding.size:
-            sliding.append(_carried(coarse, one.nodes, active.sliding[one.rows], two.nodes, n))
-    return ActiveSet(np.concatenate(touching).astype(bool), np.concatenate(sliding).astype(np.int8))
-
-
-def _carried(
-    coarse: ContactProblem, old: NDArray, values: NDArray, new: NDArray, n: int
-) -> NDArray[np.int64]:
-    at_nodes = np.zeros(n, dtype=np.int64)
-    at_nodes[old] = values
-    one, two = at_nodes[coarse.mesh.facets]
-    everywhere = np.append(at_nodes, np.where(one == two, one, 0))
-    return np.asarray(everywhere[new])
+        for old, new in ((active.touching, touching), (active.sliding, sliding)):
+            if old.size:
+                at_nodes = np.zeros(coarse.n_nodes, dtype=old.dtype)
+                at_nodes[one.nodes] = old[one.rows]
+                at_vertices = at_nodes[coarse.number]
+                a, b = at_vertices[facets]
+                finer = np.append(at_vertices, np.where(a == b, a, 0))
+                new[two.rows] = fine.of_linear(finer[None])[0, two.nodes]
+    return ActiveSet(touching, sliding)
 
 
 def by_certificate(

@@ -15,6 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.body import Body, Edges, Index
 from rmesh_nlp.problem.data import ContactSet
@@ -46,7 +47,7 @@ class Cells:
     number : (m,) int array
         Of the edge among those of the boundary, or of the triangle.
     nodes : (v, m) int array
-        Ends of edges, or vertices of triangles.
+        Nodes of the displacement on edges, or on triangles.
     rows : (v, m) int array
         Row of the gap of each node; -1 where its displacement is given.
     shares : (v, k) array
@@ -124,17 +125,18 @@ class Cells:
         return np.asarray(np.max(ratio, axis=0, initial=-np.inf))
 
 
-def cells_of(body: Body, contact: ContactSet) -> Iterator[Cells]:
-    """The cells of a contact set, in parts of moderate size."""
-    row = np.full(body.nodes.shape[1], -1)
+def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Iterator[Cells]:
+    """The cells of a contact set of the space, in parts of moderate size."""
+    row = np.full(space.n_nodes, -1)
     row[contact.nodes] = contact.rows
     if contact.obstacle.boundary is Place.INTERIOR:
-        edges, nodes = None, body.triangles
+        edges, nodes = None, space.elements
         fits = [n for n in LATTICES if n * n / 2 * nodes.shape[1] <= POINTS]
         shares, bends = _lattice(fits[0] if fits else LATTICES[-1])
     else:
         edges = body.edges(str(contact.obstacle.boundary))
-        nodes, shares, bends = edges.ends, np.stack([1 - _ALONG, _ALONG]), _EDGE_BENDS
+        nodes, bends = space.nodes_of(edges.ends), _EDGE_BENDS
+        shares = np.stack([1 - _ALONG, _ALONG])
     step, triples = max(1, 400_000 // shares.shape[1]), _triples_of(bends, shares.shape[1])
     for first in range(0, nodes.shape[1], step):
         part = np.arange(first, min(first + step, nodes.shape[1]))

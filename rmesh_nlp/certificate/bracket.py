@@ -119,7 +119,7 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
         raise NotCertifiableError("only contact holds the body")
     if problem.point_loads:
         raise NotCertifiableError("the energy under a point load has no lower bound")
-    skeleton = skeleton_of(problem, nodes)
+    guess, skeleton = guess.at_vertices(), skeleton_of(problem, nodes)
     conditions, load, u = conditions_of(problem, skeleton), loads(problem, skeleton), guess.displacement
     build = equilibrated_flux if problem.components == 1 else equilibrated_stress
     effort = PRODUCTS[problem.components] if products is None else products
@@ -213,7 +213,7 @@ def refined_bracket(
         return plain if plain.guaranteed_lower else found
     if refinements == 0:
         return bracket(problem, nodes, guess)
-    mesh = relocated_mesh(problem.mesh, nodes)
+    mesh, guess = relocated_mesh(problem.mesh, nodes), guess.at_vertices()
     for _ in range(refinements):
         guess, mesh = _prolonged(guess, mesh), mesh.refined(1)
     finer = replace(problem, mesh=mesh, motion=Motion(None))
@@ -232,4 +232,4 @@ def _prolonged(guess: Guess, mesh: MeshTri) -> Guess:
     def prolong(values: Array) -> Array:
         return np.concatenate([values, values[..., mesh.facets].mean(axis=-2)], axis=-1)
 
-    return Guess(*(prolong(values) for values in (guess.displacement, guess.pressure, guess.friction)))
+    return Guess(prolong(guess.displacement), prolong(guess.pressure), prolong(guess.friction))

@@ -56,7 +56,8 @@ def potential(
         straight = replace(problem, motion=Motion(None)) if problem.motion.curves else problem
         body = Body(straight, skeleton.nodes)
         for part in conditions.parts:
-            friction[part.place] = friction_energy(Edges(body, part.edges), part.obstacle, u)[0]
+            at_ends = ends[:, :, part.edges]
+            friction[part.place] = friction_energy(Edges(body, part.edges), part.obstacle, at_ends)[0]
     return Potential(
         strain - load.work(u, skeleton) - traction + float(np.sum(friction)),
         float(np.sqrt(2 * strain)),

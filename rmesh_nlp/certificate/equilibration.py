@@ -25,6 +25,7 @@ from rmesh_nlp.certificate.hybrid import Hybrid, contact_start
 from rmesh_nlp.contact.active_set import DualEnergy, solve
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.newton_step import BoxStep
 
 SOFTER = 10.0
@@ -47,11 +48,21 @@ class Guess:
     displacement : (components, nodes) array
     pressure, friction : (nodes,) arrays
         Contact pressure and friction at the nodes.
+    space : DisplacementSpace, optional
+        Whose nodes these are; by default they are the vertices.
     """
 
     displacement: Array
     pressure: Array
     friction: Array
+    space: DisplacementSpace | None = None
+
+    def at_vertices(self) -> Guess:
+        """The same with values at the vertices, of which the equilibration is made."""
+        if self.space is None:
+            return self
+        node = self.space.number
+        return Guess(self.displacement[:, node], self.pressure[node], self.friction[node])
 
 
 @dataclass(frozen=True)

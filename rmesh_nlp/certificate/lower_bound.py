@@ -41,6 +41,7 @@ from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import triangle_rule
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.coefficients import Coefficient, at
 from rmesh_nlp.problem.laws import Laplace
@@ -90,6 +91,8 @@ class LowerBound:
     Parameters
     ----------
     problem : ContactProblem
+    space : DisplacementSpace, optional
+        Of the displacements it is called with; by default their nodes are the vertices.
 
     Raises
     ------
@@ -103,7 +106,7 @@ class LowerBound:
         Number of equilibrations so far.
     """
 
-    def __init__(self, problem: ContactProblem) -> None:
+    def __init__(self, problem: ContactProblem, space: DisplacementSpace | None = None) -> None:
         if problem.components != 1:
             raise ValueError("the objective 'certificate' is for scalar problems, and this one is elastic")
         if rigid_motions(problem).size > 0:
@@ -112,6 +115,7 @@ class LowerBound:
         if len(inside) > 1:
             raise ValueError("the objective 'certificate' takes one obstacle in the interior")
         self.problem, self.solves = problem, 0
+        self._node = (space or DisplacementSpace.of(problem)).number
         self._inside = inside[0] if inside else None
         offset = self._inside.offset if self._inside else None
         self._groups = [
@@ -131,7 +135,7 @@ class LowerBound:
 
         The displacement (1, nodes) is where the equilibration begins; it has no influence on the result.
         """
-        state = self._equilibrated(nodes, displacement, self._variation)
+        state = self._equilibrated(nodes, displacement[:, self._node], self._variation)
         return state.value, self._gradient(state)
 
     @cached_property

@@ -260,8 +260,8 @@ class ReducedCertificate:
     def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
         self.energy, self.objective = energy, objective
         problem = energy.relocation.problem
-        self._lower = LowerBound(problem)
         self.upper = ReducedEnergy(relocation(replace(problem, quadrature=DEGREE)))
+        self._lower = LowerBound(problem, self.upper.relocation.discretisation.space)
         self.weight = sum(weight for weight, term in objective.terms if term.name == CERTIFICATE)
         others = tuple((weight, term) for weight, term in objective.terms if term.name != CERTIFICATE)
         self._others = ReducedObjective(energy, Objective(others)) if others else None

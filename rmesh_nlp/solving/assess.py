@@ -222,8 +222,8 @@ def _warnings(outer: Outer, initial: Equilibrium, nodes: Array, state: Equilibri
 
 def _quantities(begin: Outer, outer: Outer, nodes: Array, found: Equilibrium) -> ContactQuantities | None:
     given = np.asarray(begin.problem.mesh.p)
-    before = quantities(begin.problem, given, begin.contact.system(given), begin.given)
-    after = quantities(outer.problem, nodes, outer.contact.system(nodes), found)
+    before = quantities(begin.contact.discretisation.space, given, begin.contact.system(given), begin.given)
+    after = quantities(outer.contact.discretisation.space, nodes, outer.contact.system(nodes), found)
     return None if before is None or after is None else ContactQuantities(before, after)
 
 

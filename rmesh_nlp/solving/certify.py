@@ -13,7 +13,6 @@ from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.parts import Certificate
 from rmesh_nlp.solving.solution import Assessment
@@ -68,13 +67,13 @@ def certify(solution: Assessment, *, refinements: int | None = None) -> Certific
 
 def contact_solution(model: ContactSolver, nodes: Array) -> Guess:
     """The contact solution on a mesh with its nodes at ``nodes`` (2, nodes)."""
-    problem, found = model.problem, model.solve(nodes)
-    pressure, friction = np.zeros((2, nodes.shape[1]))
-    weights = nodal_weights(problem, nodes)
+    space, found = model.discretisation.space, model.solve(nodes)
+    pressure, friction = np.zeros((2, space.n_nodes))
+    weights = space.weights(nodes)
     pressure[model.contact_nodes] = found.normal_force / weights
     if found.tangential_force.size:
         friction[model.contact_nodes] = found.tangential_force / weights
-    return Guess(model.displacement.values(found.u), pressure, friction)
+    return Guess(model.displacement.values(found.u), pressure, friction, space)
 
 
 def _with_upper(one: Bracket, found: Admissible) -> Bracket:

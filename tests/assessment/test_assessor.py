@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,13 +19,25 @@ from rmesh_nlp.assessment.assessor import (
     quantities,
     worse,
 )
+from rmesh_nlp.assessment.error_reduction import error_reduction
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Laplace,
+    Motion,
+    Obstacle,
+    PlaneStrain,
+    PointLoad,
+    Traction,
+)
+from support.contact_geometry import block_between_two_foundations
 from support.curved import HOLE, plate
+from support.problems import renumbered, sloped_block
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)
 
@@ -42,11 +55,29 @@ def waves() -> ContactProblem:
     return ContactProblem(rectangle(12, 3, x=(0, 2)), LAW, ("left",), foundation, tractions=loads)
 
 
+def hill(top: tuple[float, float], width: float) -> Obstacle:
+    x0, y0 = top
+    return Obstacle.interior(lambda x, y: -0.02 + 0.1 * np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / width))
+
+
+SIDES = ("left", "right", "top", "bottom")
 CAUSES: dict[str, Callable[[], ContactProblem]] = {
     "quadrature": lambda: EXAMPLES["6.1"](4),
     "penetration": waves,
     "friction": sliding_block,
     "geometry": lambda: plate({"hole": HOLE}),
+}
+
+
+RENUMBERED = {
+    **CAUSES,
+    "elastic": sloped_block,
+    "two foundations": block_between_two_foundations,
+    "bump": lambda: ContactProblem(rectangle(4, 4), Laplace(-1.0), SIDES, hill((0.5, 0.5), 0.0009)),
+    "cut": lambda: ContactProblem(
+        rectangle(2, 2, diagonal="falling"), Laplace(0.0), SIDES, hill((0.15, 0.15), 0.002)
+    ),
+    "point load": lambda: replace(sloped_block(), point_loads=(PointLoad(20, (3.0, -2.0)),)),
 }
 
 
@@ -77,10 +108,40 @@ def test_each_cause_is_named_on_a_problem_made_for_it(name: str) -> None:
         assert found[name] < 0
 
 
+@pytest.mark.parametrize("name", RENUMBERED)
+def test_another_numbering_of_the_displacement_has_the_same_assessment(name: str) -> None:
+    problem = RENUMBERED[name]()
+    given = np.asarray(problem.mesh.p)
+    moved = given.copy()
+    moved[:, problem.mesh.interior_nodes()] += 0.01
+    measured = []
+    for parts in (problem, renumbered(problem)):
+        model = ContactSolver(parts)
+        own, there = model.solve(given), model.solve(moved)
+        assessor = Assessor(model, own)
+        ends = assessor.initial, assessor.solve(moved, there.active)
+        audit = assessor.audit(moved, there, ends[1])
+        low, high = sorted(ends, key=lambda end: end.energy)
+        reduction, refined = error_reduction(high, low, 1)
+        space = model.discretisation.space
+        measured.append(
+            {
+                **{field: getattr(ends[1], field) for field in ("strain", "work", "friction", "energy")},
+                "initial": ends[0].energy,
+                "standoff": np.sum(ends[1].standoff),
+                "penetration": audit.penetration,
+                "equilibrium": audit.equilibrium_residual,
+                **assessor.corrections(moved, there, ends[1]),
+                **vars(quantities(space, moved, model.system(moved), there) or Quantities(0, 0, 0)),
+                **{f"{key}_refined": value for key, value in vars(refined or Quantities(0, 0, 0)).items()},
+                "factor": reduction.factor if reduction else 0.0,
+            }
+        )
+    assert measured[1] == pytest.approx(measured[0], rel=1e-7, abs=1e-9)
+
+
 def test_on_a_mesh_that_had_to_be_cut_all_counts_as_penetration() -> None:
-    hill = Obstacle.interior(lambda x, y: -0.02 + 0.1 * np.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / 0.002))
-    sides = ("left", "right", "top", "bottom")
-    problem = ContactProblem(rectangle(2, 2, diagonal="falling"), Laplace(0.0), sides, hill)
+    problem = RENUMBERED["cut"]()
     model = ContactSolver(problem)
     own = model.solve(problem.mesh.p)
     assessor = Assessor(model, own)
@@ -131,7 +192,7 @@ def standing(pressure: float) -> ContactProblem:
 
 def test_quantities_of_a_block_that_stands_on_a_line() -> None:
     found = admissible(standing(3.0))
-    values = quantities(found.problem, found.body.nodes, found.system, found.state)
+    values = quantities(found.parts.space, found.body.nodes, found.system, found.state)
     assert values is not None
     assert values.entries("_initial") == pytest.approx(
         {"peak_pressure_initial": 3.0, "resultant_initial": 6.0, "contact_length_initial": 2.0}
@@ -147,18 +208,18 @@ def test_quantities_count_nodes_that_press_and_friction_in_the_resultant() -> No
     normal[order], tangential[order] = force, sideways
     active = ActiveSet(normal > 0, np.zeros(5, dtype=np.int8))
     state = Equilibrium(found.state.u, 0.0, normal, tangential, active, Status.CONVERGED, 1)
-    values = quantities(problem, problem.mesh.p, found.system, state)
+    values = quantities(found.parts.space, problem.mesh.p, found.system, state)
     assert values is not None
     assert vars(values) == pytest.approx({"peak_pressure": 12.0, "resultant": 15.0, "contact_length": 1.0})
     free = ContactProblem(problem.mesh, LAW, ("left",))
     alone = admissible(free)
-    assert quantities(free, free.mesh.p, alone.system, alone.state) is None
+    assert quantities(alone.parts.space, free.mesh.p, alone.system, alone.state) is None
 
 
 @pytest.mark.parametrize(("example", "n"), [("6.3", (6, 4)), ("6.2", (6, 4))])
 def test_the_resultant_is_what_holds_the_body_friction_included(example: str, n: tuple[int, int]) -> None:
     found = admissible(EXAMPLES[example](n))
-    values = quantities(found.problem, found.body.nodes, found.system, found.state)
+    values = quantities(found.parts.space, found.body.nodes, found.system, found.state)
     held = found.system.stiffness @ found.state.u - found.system.load  # the foundation is the rest
     pressed, rubbed = (float(np.sum(rows @ held)) for rows in (found.system.normals, found.system.tangents))
     assert values is not None

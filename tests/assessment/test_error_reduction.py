@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +12,14 @@ from rmesh_nlp.assessment import error_reduction as module
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.assessment.error_reduction import by_certificate, error_reduction
 from rmesh_nlp.contact.system import ActiveSet
+from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, PlaneStrain
 from rmesh_nlp.problem.contact_problem import refined
+from support.problems import renumbered
 
 
 def graded(problem: ContactProblem, power: float) -> np.ndarray:
@@ -153,7 +156,8 @@ def test_meshes_of_up_to_a_hundred_nodes_are_refined_twice(
     assert len(refinement.falls) == 2 - times
 
 
-def test_new_nodes_touch_where_both_ends_of_their_edge_do() -> None:
+@pytest.mark.parametrize("discretised", [discretise, renumbered])
+def test_new_nodes_touch_where_both_ends_of_their_edge_do(discretised: Callable) -> None:
     coarse = ContactProblem(
         rectangle(4, 1, x=(0, 4)),
         PlaneStrain(1.0, 1.0),
@@ -169,6 +173,6 @@ def test_new_nodes_touch_where_both_ends_of_their_edge_do() -> None:
 
     old = set_of(coarse, {0, 1, 3}, {0: 1, 1: 1, 2: 1, 3: -1, 4: -1})
     wanted = set_of(fine, {0, 0.5, 1, 3}, {0: 1, 0.5: 1, 1: 1, 1.5: 1, 2: 1, 3: -1, 3.5: -1, 4: -1})
-    found = module._refined_set(coarse, old, fine)
+    found = module._refined_set(discretised(coarse).space, old, discretised(fine).space)
     np.testing.assert_array_equal(found.touching, wanted.touching)
     np.testing.assert_array_equal(found.sliding, wanted.sliding)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.assessment.standoff import SAMPLES, Cells, cells_of
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain
 from rmesh_nlp.problem.body import Body
@@ -15,6 +16,11 @@ from rmesh_nlp.problem.body import Body
 S = np.linspace(0, 1, 4001)[1:]
 RIDGE = (SAMPLES / 2 + 0.5) / SAMPLES
 """Halfway between two samples."""
+
+
+def cells_on(problem: ContactProblem) -> list[Cells]:
+    space = DisplacementSpace.of(problem)
+    return list(cells_of(Body(problem, problem.mesh.p), space, space.contact_sets[0]))
 
 
 def edge(height: Callable, held: tuple[str, ...] = ("top",), length: float = 2.0) -> Cells:
@@ -25,7 +31,7 @@ def edge(height: Callable, held: tuple[str, ...] = ("top",), length: float = 2.0
         tuple(Dirichlet(name, (0.0, 0.25)) for name in held),
         Obstacle.graph("bottom", lambda x, y: -1 + height(x / length)),
     )
-    (cells,) = cells_of(Body(problem, problem.mesh.p), problem.contact_sets[0])
+    (cells,) = cells_on(problem)
     return cells
 
 
@@ -78,7 +84,7 @@ def test_triangles_all_of_whose_nodes_are_held_are_found_where_the_foundation_ri
     hill = Obstacle.interior(lambda x, y: -0.02 + 0.1 * np.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / 0.002))
     problem = ContactProblem(rectangle(2, 2, diagonal="falling"), Laplace(0.0), sides, hill)
     body = Body(problem, problem.mesh.p)
-    (cells,) = cells_of(body, problem.contact_sets[0])
+    (cells,) = cells_on(problem)
     inside = np.all(body.nodes[:, body.triangles].sum(axis=0) <= 0.5 + 1e-12, axis=0)
     np.testing.assert_array_equal(cells.unreachable(np.zeros(9)), np.flatnonzero(inside))
     assert cells.unreachable(np.full(9, 0.0801)).size == 0  # the hill is 0.08 high
@@ -90,7 +96,7 @@ def test_in_triangles_a_paraboloid_is_looked_at_between_samples_too() -> None:
     middle = np.array([0.31, 0.27])
     hill = Obstacle.interior(lambda x, y: -1 - (x - middle[0]) ** 2 - (y - middle[1]) ** 2)
     problem = ContactProblem(rectangle(1, 1, diagonal="falling"), Laplace(0.0), ("right",), hill)
-    (cells,) = cells_of(Body(problem, problem.mesh.p), problem.contact_sets[0])
+    (cells,) = cells_on(problem)
     corner = 0 if np.all(np.min(cells.points[:, 0], axis=1) < 0.01) else 1  # the triangle at the origin
     gaps = cells.gaps(np.zeros((1, 4)))[corner]
     exact = 1 + np.sum((cells.points[:, corner] - middle[:, None]) ** 2, axis=0)

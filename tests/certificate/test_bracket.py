@@ -18,6 +18,7 @@ from rmesh_nlp.certificate.johnson_mercier import equilibrated_stress
 from rmesh_nlp.certificate.lower_bound import LowerBound
 from rmesh_nlp.certificate.oscillation import korn
 from rmesh_nlp.certificate.skeleton import skeleton_of
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import EXACT_ENERGY_61
 from rmesh_nlp.examples.random_problems import Frame, random_problem
@@ -31,9 +32,10 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     Traction,
 )
-from rmesh_nlp.solving.certify import certify
+from rmesh_nlp.solving.certify import certify, contact_solution
 from support.certificates import distorted, guess_on
 from support.formulations import fixed, joint
+from support.problems import renumbered
 
 TURNED = Frame(np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, -2.0]))
 
@@ -146,6 +148,18 @@ def test_bounds_meet_where_a_linear_displacement_slides_or_sticks(turn: float, s
         assert rough.lower < energy - 1e-3
         assert rough.upper == pytest.approx(energy, rel=1e-10)
         assert np.sum(rough.local) == pytest.approx(rough.upper - rough.lower, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["scalar", "membrane", "elastic"])
+def test_another_numbering_of_the_displacement_has_the_same_bounds(kind: str) -> None:
+    problem = random_problem(3, kind=kind)
+    nodes, guess = problem.mesh.p, guess_on(problem)
+    other = contact_solution(ContactSolver(renumbered(problem)), nodes)
+    assert not np.allclose(other.displacement, guess.displacement)
+    for refinements in (0, 1):
+        one, two = (refined_bracket(problem, nodes, given, refinements) for given in (guess, other))
+        assert (two.lower, two.upper, two.norm) == pytest.approx((one.lower, one.upper, one.norm), rel=1e-8)
+        np.testing.assert_allclose(two.local, one.local, rtol=1e-4, atol=1e-6 * np.max(one.local))
 
 
 @pytest.mark.parametrize("n", [4, pytest.param(8, marks=pytest.mark.slow)])

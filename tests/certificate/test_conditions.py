@@ -246,3 +246,21 @@ def test_the_domain_is_the_same_unless_its_boundary_moves() -> None:
     slid, top = inside.copy(), problem.mesh.facets[:, problem.mesh.boundaries["top"]]
     slid[0, np.setdiff1d(np.unique(top), np.flatnonzero(np.isin(inside[0], (0.0, 2.0))))] += 0.01
     assert same_domain(problem, slid)
+
+
+@pytest.mark.parametrize("role", ["obstacle", "dirichlet", "tractions", "no role"])
+def test_parts_of_the_boundary_may_not_slide_where_they_are_in_use(role: str) -> None:
+    """The end of a named part slides along a straight side, whose shape and the area stay."""
+    mesh = rectangle(4, 2, x=(0, 2))
+    mesh = mesh.with_boundaries({"half": lambda x: np.isclose(x[1], 0) & (x[0] < 1)})
+    kinds = {"obstacle": Obstacle, "dirichlet": Dirichlet, "tractions": Traction}
+    given = {"obstacle": (0.0, 1.0), "dirichlet": (0.0, 0.0), "tractions": (1.0, 0.0)}
+    uses = {"obstacle": [], "dirichlet": [Dirichlet("left", (0.0, 0.0))], "tractions": []}
+    if role in uses:
+        uses[role].append(kinds[role]("half", given[role]))
+    if role != "obstacle":  # another one is no replacement
+        uses["obstacle"].append(Obstacle("right", (-1.0, 0.0)))
+    problem = plate(mesh=mesh, **{name: tuple(parts) for name, parts in uses.items()})
+    nodes = mesh.p.copy()
+    nodes[0, np.all(nodes == [[1.0], [0.0]], axis=0)] += 0.05
+    assert same_domain(problem, nodes) is (role == "no role")

@@ -16,6 +16,7 @@ from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, Place, PlaneStrain, Traction
 from support.certificates import distorted, guess_on
+from support.problems import renumbered
 
 
 def plate(**changes) -> ContactProblem:
@@ -64,6 +65,17 @@ def test_taylor_remainder_is_of_second_order(name):
     ]
     assert np.log2(remainders[-2] / remainders[-1]) > 1.9
     assert remainders[-1] < 1e-2 * abs(steps[-1] * np.sum(gradient * direction))
+
+
+def test_another_numbering_of_the_displacement_has_the_same_bound(monkeypatch) -> None:
+    """The base has no influence on the value, so what it is has to be looked at."""
+    problem, parts, bases = plate(), renumbered(plate()), []
+    nodes, u = problem.mesh.p, guess_on(problem).displacement
+    solve = LowerBound._equilibrated
+    monkeypatch.setattr(LowerBound, "_equilibrated", lambda *given: bases.append(given[2]) or solve(*given))
+    value, _ = LowerBound(problem)(nodes, u)
+    assert LowerBound(problem, parts.space)(nodes, parts.space.of_linear(u))[0] == pytest.approx(value)
+    np.testing.assert_array_equal(bases[-1], u)
 
 
 @pytest.mark.slow

@@ -8,7 +8,9 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PiecewiseLinear, PlaneStrain, Traction
 
 
@@ -34,6 +36,12 @@ def sloped_block(friction: float = 60.0) -> ContactProblem:
         tractions=(Traction("top", (-20.0, lambda x, y: -30 * x)),),
         name="sloped",
     )
+
+
+def renumbered(problem: ContactProblem, seed: int = 7) -> Discretisation:
+    """The same with the nodes of the displacement in another order than the vertices."""
+    order = np.random.default_rng(seed).permutation(problem.mesh.p.shape[1])
+    return Discretisation(problem, displacement_space=DisplacementSpace(problem, order))
 
 
 def signorini(n: int = 8) -> ContactProblem:
