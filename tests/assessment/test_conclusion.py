@@ -228,7 +228,7 @@ def test_ctrl_c_hides_no_fault_and_no_fault_hides_it(
     def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         to = q + 0.5 * sign * np.sign(outer.energy(q).gradient) * outer.bound
         if when == "during":
-            monitor.stop(KeyboardInterrupt())
+            monitor.attempt(pressed)
         else:
             assess = driver.assess
             monkeypatch.setattr(driver, "assess", lambda *a, **k: pressed() or assess(*a, **k))
