@@ -42,12 +42,9 @@ def safe_name(text: str) -> str:
 
 @contextmanager
 def folder_lock(folder: Path) -> Iterator[None]:
-    """Hold the right to write in an existing folder; the operating system gives it back if the process dies.
+    """Hold the right to write in an existing folder, or raise a BadInputError if somebody else holds it.
 
-    Raises
-    ------
-    BadInputError
-        If another process, or another lock of this one, holds it.
+    The operating system gives it back if the process dies.
     """
     path = folder / LOCK
     lock = FileLock(path, blocking=False)
@@ -83,45 +80,37 @@ def folder_aside(folder: Path) -> Iterator[Path]:
 
 def remove_leftovers(folder: Path) -> None:
     """Remove what killed writers left aside in a folder and in those inside; a living writer's files stay."""
-    inside = [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
-    for path in [left for place in (folder, *inside) for left in place.glob(f"{TEMPORARY}*")]:
+    inside = [path for path in folder.glob(f"*/{TEMPORARY}*") if not path.parent.is_symlink()]
+    for path in (*folder.glob(f"{TEMPORARY}*"), *inside):
         if path.is_dir() and not path.is_symlink():
             with suppress(OSError), FileLock(path / LOCK, blocking=False):
                 shutil.rmtree(path, ignore_errors=True)
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+def write_whole(
+    path: Path, write: Callable[[Path], object], put: Callable[[Path, Path], object] = os.replace
+) -> None:
     """Let ``write`` fill a file aside, force it to the disk, then put it in place at once.
 
     The file is filled in a new folder that only this user can enter, with a name that cannot be
     foreseen: nobody can put a link in its way. A link at ``path`` itself is replaced, not followed.
     """
-    _write(path, write, os.replace)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file whole."""
-    _write(path, lambda aside: aside.write_text(text, encoding="utf-8"), os.replace)
-
-
-def write_new(path: Path, text: str) -> None:
-    """Write a text file whole where there is none yet.
-
-    Raises
-    ------
-    FileExistsError
-        If something has this name; it is not touched.
-    """
-    _write(path, lambda aside: aside.write_text(text, encoding="utf-8"), _put_new)
-
-
-def _write(path: Path, write: Callable[[Path], object], put: Callable[[Path, Path], object]) -> None:
     with folder_aside(path.parent) as folder:
         aside = folder / path.name
         write(aside)
         with aside.open("rb") as file:
             os.fsync(file.fileno())  # a renamed file that is not yet on the disk is empty after a power cut
         put(aside, path)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole."""
+    write_whole(path, lambda aside: aside.write_text(text, encoding="utf-8"))
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a text file whole; a FileExistsError is raised if something has this name, which stays."""
+    write_whole(path, lambda aside: aside.write_text(text, encoding="utf-8"), _put_new)
 
 
 def _put_new(aside: Path, path: Path) -> None:
@@ -136,15 +125,10 @@ def _put_new(aside: Path, path: Path) -> None:
 
 
 def append_whole(path: Path, text: str) -> None:
-    """Append a text and force it to the disk; if that fails the file is as it was before.
+    """Append a text and force it to the disk; if that raises an OSError the file is as it was before.
 
     A full disk takes a part of what it is given without an error. The rest is offered
     again, and the error that then comes removes the part. Only one process may append at a time.
-
-    Raises
-    ------
-    OSError
-        If not everything could be written.
     """
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
     descriptor = os.open(path, flags, 0o644)
@@ -163,13 +147,7 @@ def append_whole(path: Path, text: str) -> None:
 
 
 def read_text(path: Path) -> str:
-    """The text of a file.
-
-    Raises
-    ------
-    BadInputError
-        If it cannot be read or is not UTF-8.
-    """
+    """The text of a file; a BadInputError if it cannot be read or is not UTF-8."""
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -29,17 +29,7 @@ MESH = "given-mesh"
 
 @dataclass(frozen=True)
 class KeptSolution:
-    """What figures of a relocation need, read back from a folder.
-
-    Attributes
-    ----------
-    problem : ContactProblem
-    mesh : skfem.MeshTri
-        Relocated.
-    displacement : (components, nodes) array
-    pressure : (nodes,) array
-    multipliers : Multipliers or None
-    """
+    """What figures of a relocation need, read back from a folder; ``mesh`` is the relocated one."""
 
     problem: ContactProblem
     mesh: MeshTri
@@ -65,11 +55,6 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
 
     None if no problem file is kept there, or the solution is one on another mesh: of flipped edges, of
     refined elements.
-
-    Raises
-    ------
-    BadInputError
-        If a file is damaged or missing.
     """
     path = folder / PROBLEM
     if not path.exists():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from contextlib import suppress
+from itertools import count
 from pathlib import Path, PurePosixPath
 
 from rmesh_nlp.errors import BadInputError
@@ -21,10 +22,6 @@ class Manifest:
 
     A name is noted before its file is written: a list that names too much is harmless, and one
     that names too little would make an own file look like a user's.
-
-    Parameters
-    ----------
-    folder : Path
     """
 
     def __init__(self, folder: Path) -> None:
@@ -62,16 +59,10 @@ class Manifest:
             return False
 
     def check(self, names: Iterable[str]) -> None:
-        """Refuse names that are taken by something which is not this package's.
-
-        Raises
-        ------
-        BadInputError
-            If one is, or a folder of its path is a link or a file.
-        """
+        """Raise a BadInputError if a name, or a folder of its path, is taken by something else."""
         own = set(self.names())
         for name in names:
-            for parent in list(PurePosixPath(name).parents)[:-1]:
+            for parent in _folders(name):
                 above = self.folder / parent
                 if above.is_symlink():
                     raise BadInputError(f"{above} is a link: results are written in their own folder only")
@@ -84,19 +75,11 @@ class Manifest:
                 )
 
     def claim(self, *names: str) -> None:
-        """Check names and note them as this package's own; their files are then written.
-
-        Raises
-        ------
-        BadInputError
-            See :meth:`check`.
-        """
+        """Check names and note them as this package's own; their files are then written."""
         self.check(names)
         own = set(self.names())
-        fresh = [name for name in names if name not in own]
-        if fresh:
-            head = "" if self.exists else HEAD
-            append_whole(self.path, head + "".join(f"{name}\n" for name in fresh))
+        if fresh := [name for name in names if name not in own]:
+            append_whole(self.path, ("" if self.exists else HEAD) + "".join(f"{name}\n" for name in fresh))
 
     def adopt(self, names: Iterable[str]) -> None:
         """Note existing files as this package's own where there is no list."""
@@ -129,17 +112,20 @@ class Manifest:
         self._remove_empty(present)
 
     def _remove_empty(self, names: Iterable[str]) -> None:
-        above = {parent for name in names for parent in list(PurePosixPath(name).parents)[:-1]}
+        above = {parent for name in names for parent in _folders(name)}
         for parent in sorted(above, key=lambda path: -len(path.parts)):
             with suppress(OSError):  # not empty: something of the user's is there
                 (self.folder / parent).rmdir()
 
     def _new_previous(self) -> Path:
-        number = 1
-        while True:
+        for number in count(1):
             target = self.folder / (PREVIOUS if number == 1 else f"{PREVIOUS}-{number}")
-            try:
+            with suppress(FileExistsError):  # an older run, or a file or link of the user's
                 target.mkdir()
-                return target
-            except FileExistsError:  # an older run, or a file or link of the user's
-                number += 1
+                break
+        return target
+
+
+def _folders(name: str) -> list[PurePosixPath]:
+    """The folders on the way to a file, the innermost first."""
+    return list(PurePosixPath(name).parents)[:-1]

@@ -18,19 +18,18 @@ from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.expressions import value_of
-from rmesh_nlp.io.problem_messages import (
-    ProblemFileError,
-    at_key,
-    contact_key,
-    deepest_line,
-    error_at,
-    nearest,
-    one_line,
-    schema_errors,
-    shown,
-    unquoted,
+from rmesh_nlp.io import problem_messages as messages
+from rmesh_nlp.io.problem_messages import ProblemFileError, nearest, one_line
+from rmesh_nlp.io.problem_schema import (
+    SYMMETRY,
+    ContactTable,
+    CurveTable,
+    MaterialTable,
+    MotionTable,
+    PointLoadTable,
+    ProblemTable,
+    Table,
 )
-from rmesh_nlp.io.problem_schema import SYMMETRY, ContactTable, CurveTable, MotionTable, ProblemTable, Table
 from rmesh_nlp.meshes import named, read_mesh, shapes
 from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline, fitted_circle, spline_through
 from rmesh_nlp.problem import (
@@ -76,11 +75,8 @@ SHAPES: dict[str, tuple[Callable[..., MeshTri], tuple[str, ...], tuple[str, ...]
 }
 """Function, needed keys and further keys of every shape."""
 
-LAW_KEYS = {
-    "laplace": ("source", "conductivity"),
-    "plane-strain": ("young", "poisson", "lame_lambda", "lame_mu", "body_force"),
-    "plane-stress": ("young", "poisson", "lame_lambda", "lame_mu", "body_force"),
-}
+ELASTIC = ("young", "poisson", "lame_lambda", "lame_mu", "body_force")
+LAW_KEYS = {"laplace": ("source", "conductivity"), "plane-strain": ELASTIC, "plane-stress": ELASTIC}
 """Keys that a material of each law may have."""
 
 FOUNDATIONS = ("interior", "height", "offset", "points", "line", "circle", "curve")
@@ -117,17 +113,11 @@ def read_table(path: str | Path) -> ProblemTable:
     try:
         return ProblemTable.model_validate(data)
     except ValidationError as error:
-        raise schema_errors(path, error, data, ProblemTable) from error
+        raise messages.schema_errors(path, error, data, ProblemTable) from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file as they stand there.
-
-    Raises
-    ------
-    ProblemFileError
-        If the file cannot be read, is too large, too deep or no TOML; an expression without quotes is named.
-    """
+    """The tables of a TOML file as they stand there; an expression without quotes is named in the error."""
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -139,10 +129,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         if _depth(data) > DEEPEST:
             raise RecursionError
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        hint = unquoted(raw, str(error))
+        hint = messages.unquoted(raw, str(error))
         raise ProblemFileError([f"{path}: {hint or f'is not valid TOML: {one_line(error)}'}"]) from error
     except RecursionError as error:
-        said = f"line {deepest_line(raw)}: tables and lists are nested more than {DEEPEST} deep"
+        said = f"line {messages.deepest_line(raw)}: tables and lists are nested more than {DEEPEST} deep"
         raise ProblemFileError([f"{path}: {said}"]) from error
     return data
 
@@ -168,36 +158,42 @@ class _Builder:
     table: ProblemTable
     path: Path
 
-    def at(self, key: str) -> AbstractContextManager[None]:
-        return at_key(self.path, key, self.table)
+    def at(self, key: str, value: Any) -> AbstractContextManager[None]:
+        return messages.at_key(self.path, key, value)
 
-    def wrong(self, key: str, expected: str) -> ProblemFileError:
-        return error_at(self.path, key, shown(self.table, key), expected)
+    def wrong(self, key: str, value: Any, expected: str) -> ProblemFileError:
+        return messages.error_at(self.path, key, value, expected)
+
+    @cached_property
+    def contacts(self) -> dict[str, ContactTable]:
+        """By the keys that messages name; several are counted from 1."""
+        contacts = self.table.contact
+        return {
+            "contact" if len(contacts) == 1 else f"contact[{k}]": one for k, one in enumerate(contacts, 1)
+        }
 
     def problem(self) -> ContactProblem:
         table, mesh = self.table, self.mesh()
-        laws = {name: self.law(f"materials.{name}") for name in table.materials}
-        law: Any = laws or self.law("material")
+        laws = {name: self.law(f"materials.{name}", one) for name, one in table.materials.items()}
+        law = laws or self.law("material", table.material)
         self.check_names(mesh)
-        n = next(iter(laws.values())).components if laws else law.components
+        n = next(iter(law.values())).components if isinstance(law, dict) else law.components
         for section, entries in (("dirichlet", table.dirichlet), ("tractions", table.tractions)):
             for name, value in entries.items():
                 if value != SYMMETRY and len(value) != n:
-                    raise self.wrong(f"{section}.{name}", f"expected {n} value{'s' * (n > 1)}")
-        obstacles = []
-        for number, contact in enumerate(table.contact):
-            with self.at(contact_key(table, number)):
+                    raise self.wrong(f"{section}.{name}", value, f"expected {n} value{'s' * (n > 1)}")
+        obstacles, supports, curves = [], [], {}
+        for key, contact in self.contacts.items():
+            with self.at(key, contact):
                 obstacles.append(replace(_obstacle(contact, n), gap=contact.gap))
-        loads = tuple(self.point_load(number, mesh, n) for number in range(len(table.point_loads)))
-        supports = []
+        loads = [self.point_load(k, load, mesh, n) for k, load in enumerate(table.point_loads, 1)]
         for name, value in table.dirichlet.items():
-            with self.at(f"dirichlet.{name}"):
+            with self.at(f"dirichlet.{name}", value):
                 supports.append(symmetric(mesh, name, n) if value == SYMMETRY else Dirichlet(name, value))
-        curves = {}
         for name, curve in table.curves.items():
-            with self.at(f"curves.{name}"):
+            with self.at(f"curves.{name}", curve):
                 curves[name] = _curve(curve, mesh, name)
-        with self.at("motion"):
+        with self.at("motion", table.motion):
             motion = replace(_motion(table.motion), curves=curves)
         try:
             problem = ContactProblem(
@@ -210,51 +206,59 @@ class _Builder:
                 quadrature=table.quadrature,
                 name=table.name or self.path.stem,
                 size=f"{mesh.t.shape[1]} triangles",
-                point_loads=loads,
+                point_loads=tuple(loads),
                 units=Units(table.units.length, table.units.force),
             )
         except ProblemError as error:
-            raise self.wrong(self.fault(error), one_line(error)) from error
-        with self.at("motion"):
+            raise self.wrong(*self.fault(error), one_line(error)) from error
+        with self.at("motion", table.motion):
             _ = discretise(problem).validity  # the rules of the motion can be obeyed
         return problem
 
-    def fault(self, error: ProblemError) -> str:
-        """Key that an error of the problem speaks of."""
+    def fault(self, error: ProblemError) -> tuple[str, Any]:
+        """Key that an error of the problem speaks of, and what stands there."""
         table, part, name = self.table, error.part, error.name
         if part == "law":
-            key = "material" if table.material else "materials"
+            key, law = "material", table.material
+            if law is None:
+                if name is None:
+                    return "materials", table.materials
+                key, law = f"materials.{name}", table.materials[str(name)]
             if name is None:
-                return key
-            law = table.material or table.materials[str(name)]
-            key = key if table.material else f"{key}.{name}"
-            return f"{key}.{'source' if law.law == 'laplace' else 'body_force'}"
-        if part in ("obstacle", "friction") and name is not None:
-            given = table.contact[int(name)].given(*(("friction",) if part == "friction" else FOUNDATIONS))
-            return f"{contact_key(table, int(name))}.{given[0] if given else 'boundary'}"
-        key = {"obstacle": "contact", "friction": "contact.friction"}.get(part, part)
-        return f"{key}.{name}" if part in ("tractions", "dirichlet") and name is not None else key
+                return key, law
+            source = "source" if law.law == "laplace" else "body_force"
+            return f"{key}.{source}", getattr(law, source)
+        if part in ("obstacle", "friction"):
+            key, contact = list(self.contacts.items())[int(name or 0)]
+            if name is None:
+                return ("contact", contact) if part == "obstacle" else ("contact.friction", contact.friction)
+            given = contact.given(*(("friction",) if part == "friction" else FOUNDATIONS))
+            return f"{key}.{(place := [*given, 'boundary'][0])}", getattr(contact, place)
+        value: Any = getattr(table, part, None)
+        if part in ("tractions", "dirichlet") and name is not None:
+            return f"{part}.{name}", value[name]
+        return part, value
 
     def mesh(self) -> MeshTri:
         spec = self.table.mesh
         if spec.file is not None:
             self.refuse_others("mesh", spec, ("file",), "a mesh from a file")
-            with self.at("mesh.file"):
+            with self.at("mesh.file", spec.file):
                 mesh = read_mesh(self.path.parent / spec.file)
         else:
             function, needed, further = SHAPES[str(spec.shape)]
             what = f"the shape {spec.shape!r}"
             self.refuse_others("mesh", spec, (*needed, *further), what, besides="shape")
-            given = spec.given(*needed, *further)
+            given = {key: getattr(spec, key) for key in spec.given(*needed, *further)}
             for key in needed:
                 if key not in given:
-                    raise self.wrong(f"mesh.{key}", f"{what} needs it")
-            with self.at("mesh"):
-                mesh = function(**{key: getattr(spec, key) for key in given})
+                    raise self.wrong(f"mesh.{key}", None, f"{what} needs it")
+            with self.at("mesh", spec):
+                mesh = function(**given)
         groups = {"boundaries": self.table.boundaries, "subdomains": self.table.subdomains}
         for kind, conditions in groups.items():
             for name, condition in conditions.items():
-                with self.at(f"{kind}.{name}"):
+                with self.at(f"{kind}.{name}", condition):
                     mesh = named(mesh, **{kind: {name: lambda p, c=condition: c.on(p) > 0.5}})
         return mesh
 
@@ -264,60 +268,62 @@ class _Builder:
         """Refuse keys of a table that do not go with its shape or law."""
         for key in type(spec).model_fields:
             if key in spec.model_fields_set and key not in (*known, besides):
-                raise self.wrong(f"{place}.{key}", f"{what} takes {', '.join(known)}")
+                raise self.wrong(f"{place}.{key}", getattr(spec, key), f"{what} takes {', '.join(known)}")
 
-    def law(self, key: str) -> Law:
-        spec: Any = self.table.material or self.table.materials[key.removeprefix("materials.")]
+    def law(self, key: str, spec: MaterialTable | None) -> Law:
+        assert spec is not None
         self.refuse_others(key, spec, LAW_KEYS[spec.law], f"the law {spec.law!r}", besides="law")
-        with self.at(key):
+        values: dict[str, Any] = {name: getattr(spec, name) for name in spec.given(*LAW_KEYS[spec.law])}
+        with self.at(key, spec):
             if spec.law == "laplace":
-                return Laplace(**{name: getattr(spec, name) for name in spec.given(*LAW_KEYS["laplace"])})
+                return Laplace(**values)
             kind = PlaneStrain if spec.law == "plane-strain" else PlaneStress
-            force = spec.body_force or (0.0, 0.0)
-            given = spec.given("young", "poisson", "lame_lambda", "lame_mu")
-            if given == ["lame_lambda", "lame_mu"]:
-                return kind(spec.lame_lambda, spec.lame_mu, force)
-            if given == ["young", "poisson"]:
-                return kind.from_young(spec.young, spec.poisson, force)
+            force = values.pop("body_force", None) or (0.0, 0.0)
+            if values.keys() == {"lame_lambda", "lame_mu"}:
+                return kind(**values, body_force=force)
+            if values.keys() == {"young", "poisson"}:
+                return kind.from_young(**values, body_force=force)
             raise ValueError("expected either young and poisson, or lame_lambda and lame_mu")
 
-    def point_load(self, number: int, mesh: MeshTri, components: int) -> PointLoad:
+    def point_load(self, number: int, load: PointLoadTable, mesh: MeshTri, components: int) -> PointLoad:
         """The load at the node that is where the file says."""
-        load, key = self.table.point_loads[number], f"point_loads[{number + 1}]"
-        distance = np.linalg.norm(mesh.p - np.array(load.at)[:, None], axis=0)
+        key, distance = f"point_loads[{number}]", np.linalg.norm(mesh.p - np.array(load.at)[:, None], axis=0)
         node = int(np.argmin(distance))
         if distance[node] > SAME_PLACE * float(np.max(np.ptp(mesh.p, axis=1))):
             x, y = mesh.p[:, node]
-            raise self.wrong(f"{key}.at", f"no node is there; the nearest is at [{x:.6g}, {y:.6g}]")
+            raise self.wrong(f"{key}.at", load.at, f"no node is there; the nearest is at [{x:.6g}, {y:.6g}]")
         if len(load.force) != components or any(callable(value) for value in load.force):
-            raise self.wrong(f"{key}.force", f"expected {components} numbers")
+            raise self.wrong(f"{key}.force", load.force, f"expected {components} numbers")
         return PointLoad(node, tuple(load.force))
 
     def check_names(self, mesh: MeshTri) -> None:
         """Names of boundaries and subdomains, with the nearest known one in the message."""
-        table, boundaries = self.table, sorted(mesh.boundaries or {})
+        table, boundaries, subdomains = (
+            self.table,
+            sorted(mesh.boundaries or {}),
+            sorted(mesh.subdomains or {}),
+        )
         used = [
-            (f"{section}.{name}", name)
+            (f"{section}.{name}", name, value)
             for section in ("dirichlet", "tractions", "curves")
-            for name in getattr(table, section)
+            for name, value in getattr(table, section).items()
         ]
         for rule in ("pinned", "slides", "free"):
             places = getattr(table.motion, rule)
-            used += [(f"motion.{rule}", name) for name in places if isinstance(name, str)]
-        for number, contact in enumerate(table.contact):
+            used += [(f"motion.{rule}", name, places) for name in places if isinstance(name, str)]
+        for key, contact in self.contacts.items():
             if contact.boundary is not None:
-                used.append((f"{contact_key(table, number)}.boundary", contact.boundary))
-        for key, name in used:
+                used.append((f"{key}.boundary", contact.boundary, contact.boundary))
+        for key, name, value in used:
             if name not in boundaries:
                 expected = f"expected a boundary of the mesh{nearest(name, boundaries)}"
                 if table.mesh.file and not set(boundaries) - set(table.boundaries):
                     expected += f"; {UNNAMED}"
-                raise self.wrong(key, expected)
-        subdomains = sorted(mesh.subdomains or {})
-        for name in table.materials:
+                raise self.wrong(key, value, expected)
+        for name, law in table.materials.items():
             if name not in subdomains:
                 expected = f"expected a subdomain of the mesh{nearest(name, subdomains)}"
-                raise self.wrong(f"materials.{name}", expected)
+                raise self.wrong(f"materials.{name}", law, expected)
 
 
 def _obstacle(table: ContactTable, components: int) -> Obstacle:
@@ -325,34 +331,27 @@ def _obstacle(table: ContactTable, components: int) -> Obstacle:
         if table.friction is not None:
             raise ValueError("friction needs contact on a boundary")
         return Obstacle.interior(table.interior)
-    friction = 0.0 if table.friction is None else table.friction
-    boundary = str(table.boundary)
+    boundary, friction = str(table.boundary), 0.0 if table.friction is None else table.friction
     if components == 1 and table.given("circle", "curve"):
         raise ValueError("a circle or a curve needs an elastic body")
-    if table.circle is not None:
-        circle = table.circle
-        return Obstacle.circle(
-            boundary, circle.centre, circle.radius, inside=circle.inside, friction=friction
-        )
+    if (circle := table.circle) is not None:
+        inside = circle.inside
+        return Obstacle.circle(boundary, circle.centre, circle.radius, inside=inside, friction=friction)
     if table.curve is not None:
         if not callable(table.curve):
             raise ValueError("expected an expression of x and y that is zero on the curve")
         return Obstacle.curve(boundary, table.curve, friction)
     if table.line is not None:
         return Obstacle.line(boundary, table.line.point, table.line.normal, friction)
+    if table.points is not None:
+        return Obstacle.graph(boundary, PiecewiseLinear(*zip(*table.points, strict=True)), friction)
     if table.height is not None:
         return Obstacle.graph(boundary, table.height, friction)
-    if table.points is not None:
-        x, y = zip(*table.points, strict=True)
-        return Obstacle.graph(boundary, PiecewiseLinear(x, y), friction)
-    offset = 0.0 if table.offset is None else table.offset
-    if components == 1:
-        return Obstacle(boundary, (1.0,), offset, friction)
-    normal = table.normal or (0.0, 1.0)
-    length = float(np.hypot(*normal))
+    normal = np.array((1.0,) if components == 1 else table.normal or (0.0, 1.0))
+    length = float(np.hypot(*normal)) if components == 2 else 1.0
     if length == 0:
         raise ValueError("expected a normal that is not zero")
-    return Obstacle(boundary, (normal[0] / length, normal[1] / length), offset, friction)
+    return Obstacle(boundary, tuple((normal / length).tolist()), table.offset or 0.0, friction)
 
 
 def _motion(table: MotionTable) -> Motion:

@@ -12,7 +12,6 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.problem_schema import ProblemTable
 
 LISTS = ("contact", "point_loads")
 """Tables of which a file may have several."""
@@ -30,44 +29,19 @@ class ProblemFileError(BadInputError):
 
 
 @contextmanager
-def at_key(path: Path, key: str, table: ProblemTable) -> Iterator[None]:
+def at_key(path: Path, key: str, value: Any) -> Iterator[None]:
     """Name file, key and value in any ValueError that is not yet one of a problem file."""
     try:
         yield
     except ProblemFileError:
         raise
     except ValueError as error:
-        raise error_at(path, key, shown(table, key), one_line(error)) from error
+        raise error_at(path, key, value, one_line(error)) from error
 
 
-def error_at(path: Path, key: str, value: str, expected: str) -> ProblemFileError:
-    """The error of one key."""
-    return ProblemFileError([f"{path}: {key} = {value}: {expected}"])
-
-
-def value_at(table: ProblemTable, key: str) -> Any:
-    """What stands at a dotted key; ``contact`` is the only contact, ``contact[1]`` the first of several."""
-    head, _, rest = key.partition(".")
-    name, bracket, number = head.partition("[")
-    value: Any = getattr(table, name, None)
-    if isinstance(value, tuple) and name in LISTS:
-        value = value[int(number.rstrip("]")) - 1 if bracket else 0]
-    if isinstance(value, dict) and rest and rest not in value:  # names may have dots, fields have none
-        name, _, rest = rest.rpartition(".")
-        value = value.get(name)
-    if not rest:
-        return value
-    return value.get(rest) if isinstance(value, dict) else getattr(value, rest, None)
-
-
-def contact_key(table: ProblemTable, number: int) -> str:
-    """Key of one contact, counted from 0, for messages."""
-    return "contact" if len(table.contact) == 1 else f"contact[{number + 1}]"
-
-
-def shown(table: ProblemTable, key: str) -> str:
-    """What stands at a key, as text."""
-    return as_text(value_at(table, key))
+def error_at(path: Path, key: str, value: Any, expected: str) -> ProblemFileError:
+    """The error of one key, with what stands there."""
+    return ProblemFileError([f"{path}: {key} = {as_text(value)}: {expected}"])
 
 
 def as_text(value: Any) -> str:
@@ -97,28 +71,29 @@ def schema_errors(
 ) -> ProblemFileError:
     """All of pydantic's errors, one line each; ``file`` is the model of a whole file."""
     tables = {"": file, **dict(_tables(file))}
-    return ProblemFileError([_line(path, item, data, tables) for item in error.errors()])
+    return ProblemFileError([f"{path}: {_line(item, data, tables)}" for item in error.errors()])
 
 
-def _line(path: Path, item: Any, data: dict[str, Any], tables: Mapping[str, type[BaseModel]]) -> str:
+def _line(item: Any, data: dict[str, Any], tables: Mapping[str, type[BaseModel]]) -> str:
     place, value = [str(part) for part in item["loc"]], as_text(item["input"])
     if len(place) > 1 and place[0] in LISTS and place[1].isdigit():
-        number = int(place.pop(1))
-        if isinstance(data[place[0]], list):
-            place[0] = f"{place[0]}[{number + 1}]"
+        number = int(place.pop(1)) + 1
+        place[0] += f"[{number}]" if isinstance(data[place[0]], list) else ""
     key = ".".join(place)
     message = one_line(item["msg"]).removeprefix("Value error, ")
     if not place:
-        return f"{path}: {message}"
+        return message
     if item["type"] == "extra_forbidden":
-        message = f"unknown key{_home(place[-1], tables) or nearest(place[-1], _known(place[:-1], tables))}"
+        table = "materials" if place[0] == "materials" else re.sub(r"\[\d+\]", "", ".".join(place[:-1]))
+        known = list(tables.get(table, tables[""]).model_fields)
+        message = f"unknown key{_home(place[-1], tables) or nearest(place[-1], known)}"
     elif item["type"] == "missing":
         value, message = "nothing", "expected, but it is missing"
     elif item["type"] == "literal_error":
         message = f"expected {item['ctx']['expected']}"
     elif item["type"] in ("model_type", "dict_type", "tuple_type", "model_attributes_type"):
         message = f"expected a table [{key}]"
-    return f"{path}: {key} = {value}: {message}"
+    return f"{key} = {value}: {message}"
 
 
 def _tables(model: type[BaseModel], head: str = "") -> Iterator[tuple[str, type[BaseModel]]]:
@@ -134,12 +109,6 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield annotation
     for part in get_args(annotation):
         yield from _models(part)
-
-
-def _known(location: list[str], tables: Mapping[str, type[BaseModel]]) -> list[str]:
-    """Keys that the table at this place may have."""
-    place = "materials" if location[:1] == ["materials"] else re.sub(r"\[\d+\]", "", ".".join(location))
-    return list(tables.get(place, tables[""]).model_fields)
 
 
 def _home(name: str, tables: Mapping[str, type[BaseModel]]) -> str:
@@ -165,11 +134,9 @@ def unquoted(raw: bytes, error: str) -> str:
     number = int(place.group(1)) if place else len(lines)
     line = lines[number - 1] if 0 < number <= len(lines) else ""
     entry = re.match(r"\s*([\w.-]+)\s*=\s*([^#\"\']+)", line)
-    if entry is None:
+    if entry is None or not re.search(r"[xy]\b|\*|\(|[0-9]\s*[-+/^]", entry.group(2).strip()):
         return ""
     key, value = entry.group(1), entry.group(2).strip()
-    if not re.search(r"[xy]\b|\*|\(|[0-9]\s*[-+/^]", value):
-        return ""
     return f"{key} = {value}: expressions need quotes (line {number}), as in {key} = {_in_quotes(value)}"
 
 

@@ -42,23 +42,26 @@ def _need(condition: bool) -> None:
 
 def _number(value: Any, low: float = -LARGEST, high: float = LARGEST) -> float:
     """A number between bounds that it does not reach."""
-    _need(isinstance(value, (int, float)) and not isinstance(value, bool) and low < value < high)
+    _need(type(value) in (int, float) and low < value < high)
     return float(value)
 
 
 def _whole(value: Any, low: int, high: float = float("inf")) -> int:
-    _need(isinstance(value, int) and not isinstance(value, bool) and low <= value <= high)
+    _need(type(value) is int and low <= value <= high)
     return int(value)
 
 
+def _list(value: Any, least: int, most: float = float("inf")) -> list[Any]:
+    _need(isinstance(value, list) and least <= len(value) <= most)
+    return list(value)
+
+
 def _numbers(value: Any, count: int, low: float = -LARGEST) -> tuple[float, ...]:
-    _need(isinstance(value, list) and len(value) == count)
-    return tuple(_number(item, low) for item in value)
+    return tuple(_number(item, low) for item in _list(value, count, count))
 
 
 def _points(value: Any) -> list[tuple[float, ...]]:
-    _need(isinstance(value, list) and len(value) >= 2)
-    return [_numbers(point, 2) for point in value]
+    return [_numbers(point, 2) for point in _list(value, 2)]
 
 
 def _circle(value: Any) -> tuple[float, ...]:
@@ -86,18 +89,14 @@ def _condition(value: Any) -> Expression:
     return Expression(value)
 
 
-def _vector(value: Any) -> tuple[float | Expression, ...]:
-    items = value if isinstance(value, list) else [value]
-    _need(1 <= len(items) <= 2)
-    return tuple(_coefficient(item) for item in items)
+def _vector(value: Any, *words: str) -> tuple[float | Expression | None, ...]:
+    """One or two components; a word stands for one that is not given."""
+    items = _list(value if isinstance(value, list) else [value], 1, 2)
+    return tuple(None if item in words else _coefficient(item) for item in items)
 
 
 def _given(value: Any) -> str | tuple[float | Expression | None, ...]:
-    if value == SYMMETRY:
-        return SYMMETRY
-    items = value if isinstance(value, list) else [value]
-    _need(1 <= len(items) <= 2)
-    return tuple(None if item == FREE else _coefficient(item) for item in items)
+    return SYMMETRY if value == SYMMETRY else _vector(value, FREE)
 
 
 def _flag(value: Any) -> bool:
@@ -124,23 +123,24 @@ def _delta(value: Any) -> Any:
 
 
 def _places(value: Any) -> tuple[str | int, ...]:
-    _need(isinstance(value, list) and all(type(place) in (str, int) for place in value))
-    return tuple(value)
+    places = tuple(_list(value, 0))
+    _need(all(type(place) in (str, int) for place in places))
+    return places
 
 
-def _ties(value: Any) -> tuple[tuple[int, int], ...]:
-    _need(isinstance(value, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in value))
-    _need(all(type(node) is int for pair in value for node in pair))
-    return tuple((node, leader) for node, leader in value)
+def _ties(value: Any) -> tuple[tuple[int, ...], ...]:
+    pairs = [tuple(_list(pair, 2, 2)) for pair in _list(value, 0)]
+    _need(all(type(node) is int for pair in pairs for node in pair))
+    return tuple(pairs)
 
 
 def _angle(value: Any) -> float:
-    return 0.0 if value == 0 and not isinstance(value, bool) else _number(value, 0, 60)
+    return 0.0 if type(value) in (int, float) and value == 0 else _number(value, 0, 60)
 
 
 def _weights(value: Any) -> tuple[float, ...]:
-    found = tuple(_number(item) for item in (value if isinstance(value, list) else [value]))
-    _need(bool(found) and min(found) >= 0 and 0 not in found[:-1])
+    found = tuple(_number(item) for item in _list(value if isinstance(value, list) else [value], 1))
+    _need(min(found) >= 0 and 0 not in found[:-1])
     return found
 
 

@@ -9,15 +9,7 @@ import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import safe_name
@@ -43,35 +35,34 @@ class DamagedRecordsWarning(UserWarning):
     """A record that was not written to its end is passed over."""
 
 
-def _is_number(value: Any) -> bool:
-    return not isinstance(value, bool) and isinstance(value, (int, float))
-
-
 def _delta(value: Any) -> Any:
-    good = value is None
-    if isinstance(value, list):
-        good = len(value) == 2 and all(map(_is_number, value))
-    elif isinstance(value, dict):
-        good = _is_number(value.get("relative"))
-    if not good:
+    numbers = [value.get("relative")] if isinstance(value, dict) else value
+    known = value is None or isinstance(value, dict) or (isinstance(value, list) and len(value) == 2)
+    if not known or any(type(number) not in (int, float) for number in numbers or ()):
         raise ValueError("expected two half-widths, {relative = number} or null")
     return value
 
 
-def _file_name(value: str) -> str:
-    if value != safe_name(value):
+def _file_name(value: Any) -> Any:
+    if isinstance(value, str) and value != safe_name(value):
         raise ValueError("expected the name of a file")
     return value
 
 
 def _rule(value: Any) -> Any:
-    if isinstance(value, bool) or not isinstance(value, (str, int)):
+    if type(value) not in (str, int):
         raise ValueError("expected 'midpoint' or a degree")
     return value
 
 
+IN_A_SUCCESS = "a number in every row of a success"
+"""Mark of an entry, which elsewhere may be null."""
+
 Number = float | None
 Seconds = Annotated[float | None, Field(ge=0)]
+Measured = Annotated[Number, IN_A_SUCCESS]
+MeasuredCount = Annotated[int | None, IN_A_SUCCESS]
+MeasuredSeconds = Annotated[Seconds, IN_A_SUCCESS]
 
 
 class RecordModel(BaseModel):
@@ -90,28 +81,28 @@ class RecordModel(BaseModel):
     delta: Annotated[Any, BeforeValidator(_delta)]
     status: str
     success: bool
-    energy_initial: Number
-    energy: Number
-    energy_audited: Number
-    gain: Number
-    u_min: Number
-    u_max: Number
-    min_area_ratio: Number
-    iterations: int | None
-    contact_solves: int | None
-    wall_time_s: Seconds
-    equilibrium_residual: Number
-    complementarity_residual: Number
+    energy_initial: Measured
+    energy: Measured
+    energy_audited: Measured
+    gain: Measured
+    u_min: Measured
+    u_max: Measured
+    min_area_ratio: Measured
+    iterations: MeasuredCount
+    contact_solves: MeasuredCount
+    wall_time_s: MeasuredSeconds
+    equilibrium_residual: Measured
+    complementarity_residual: Measured
     stationarity: str | None
     versions: Any
     seed: int | None
 
-    key: Annotated[str, AfterValidator(_file_name)] = ""
+    key: Annotated[str, BeforeValidator(_file_name)] = ""
     quadrature: Annotated[Any, BeforeValidator(_rule)] = "midpoint"
     message: str | None = None
     relaxation: str | None = None
     start: str | None = None
-    contact_time_s: Seconds = None
+    contact_time_s: MeasuredSeconds = None
     build_time_s: Seconds = None
     solve_time_s: Seconds = None
     audit_time_s: Seconds = None
@@ -147,32 +138,12 @@ class RecordModel(BaseModel):
 REQUIRED = tuple(name for name, field in RecordModel.model_fields.items() if field.is_required())
 """Entries that every record has."""
 
-MEASURED = (
-    "energy_initial",
-    "energy",
-    "energy_audited",
-    "gain",
-    "u_min",
-    "u_max",
-    "min_area_ratio",
-    "iterations",
-    "contact_solves",
-    "wall_time_s",
-    "contact_time_s",
-    "equilibrium_residual",
-    "complementarity_residual",
-)
+MEASURED = tuple(name for name, field in RecordModel.model_fields.items() if IN_A_SUCCESS in field.metadata)
 """Entries that are numbers in every row of a success; elsewhere they may be null."""
 
 
 def read_record(text: str, where: str) -> Record:
-    """A record from JSON, with the entries of old records by their present names.
-
-    Raises
-    ------
-    BadInputError
-        Naming ``where`` it was read and what is wrong.
-    """
+    """A record from JSON, old entries by their present names; errors name ``where`` it was read."""
     record = parse_json(text, where)
     if not isinstance(record, dict):
         raise BadInputError(f"{where} is not a record: it holds {type(record).__name__}")
@@ -198,28 +169,23 @@ def _first(error: ValidationError) -> str:
 
 
 def parse_json(text: str, where: str) -> Any:
-    """Strict JSON of moderate depth, with numbers that are finite and text that can be written.
-
-    Raises
-    ------
-    BadInputError
-        Naming ``where`` it was read and what is wrong.
-    """
+    """Strict JSON of moderate depth, with numbers that are finite and text that can be written."""
     try:
         if len(text) > LONGEST_LINE:
             raise ValueError(f"it has {len(text)} characters")
         value = json.loads(text, parse_int=_whole, parse_float=_finite, parse_constant=_no_constant)
         text.encode()  # what was not UTF-8
         json.dumps(value, ensure_ascii=False).encode()  # escaped surrogates
+        return value
     except json.JSONDecodeError as error:
         raise BadInputError(f"{where} is not JSON: {error.msg} at character {error.pos}") from error
     except RecursionError:
-        raise BadInputError(f"{where} is not JSON that can be read: it is nested too deeply") from None
+        reason = "it is nested too deeply"
     except UnicodeEncodeError:
-        raise BadInputError(f"{where} is not JSON that can be read: it has an unpaired surrogate") from None
+        reason = "it has an unpaired surrogate"
     except ValueError as error:
-        raise BadInputError(f"{where} is not JSON that can be read: {error}") from None
-    return value
+        reason = str(error)
+    raise BadInputError(f"{where} is not JSON that can be read: {reason}")
 
 
 def _whole(digits: str) -> int:

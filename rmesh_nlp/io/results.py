@@ -29,17 +29,8 @@ ROWS = "rows"
 TABLES = ("table.md", "table.tex", "table.csv")
 FIGURES = "figures"
 HISTORY_FIELDS = (
-    "iteration",
-    "energy",
-    "objective",
-    "t",
-    "product",
-    "biactive",
-    "primal_residual",
-    "dual_residual",
-    "contact_solves",
-    "seconds",
-    "stationarity",
+    *("iteration", "energy", "objective", "t", "product", "biactive", "primal_residual", "dual_residual"),
+    *("contact_solves", "seconds", "stationarity"),
 )
 
 LATER_FIELDS = ("stationarity",)
@@ -55,13 +46,7 @@ class Result:
     history: Path
 
     def steps(self) -> list[dict[str, float]]:
-        """The history; values that are not known are NaN.
-
-        Raises
-        ------
-        BadInputError
-            If the file is there and is no history.
-        """
+        """The history, none if there is no file; values that are not known are NaN."""
         if not self.history.exists():
             return []
         try:
@@ -85,12 +70,7 @@ def _number(text: Any) -> float:
 
 @dataclass(frozen=True)
 class Results:
-    """The folder of a comparison: ``records.jsonl`` and, per record, a VTU file and a history.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """The folder of a comparison: ``records.jsonl`` and, per record, a VTU file and a history."""
 
     folder: Path
 
@@ -98,10 +78,8 @@ class Results:
     def manifest(self) -> Manifest:
         """Own files of the package here; without a list they are recognised by their content."""
         manifest = Manifest(self.folder)
-        if not manifest.exists and self.folder.is_dir():
-            names = _unlisted(self.folder)
-            if names:
-                manifest.adopt(names)
+        if not manifest.exists and self.folder.is_dir() and (names := _unlisted(self.folder)):
+            manifest.adopt(names)
         return manifest
 
     def locked(self) -> AbstractContextManager[None]:
@@ -145,16 +123,7 @@ class Results:
                 os.fsync(file.fileno())
 
     def read(self) -> list[Record]:
-        """The records, oldest first; none if the file is empty or missing.
-
-        A damaged last line, left by a full disk or a power cut, is passed over with a
-        :class:`rmesh_nlp.io.records.DamagedRecordsWarning`.
-
-        Raises
-        ------
-        BadInputError
-            If a line is not a record.
-        """
+        """The records, oldest first; none if the file is empty or missing; see :func:`read_lines`."""
         return read_lines(self.folder / RECORDS)
 
     def is_intact(self, record: Record) -> bool:
@@ -204,10 +173,7 @@ def read_rows(folder: Path) -> list[Record]:
 def read_results(folder: Path) -> list[Result]:
     """The results of a comparison, of a study, or the one result of a single solve (``record.json``).
 
-    Raises
-    ------
-    BadInputError
-        If the folder holds none of them, not even a comparison whose first solve has not ended.
+    A comparison whose first solve has not ended has none; of anything else a BadInputError is raised.
     """
     if not folder.is_dir():
         raise BadInputError(f"{str(folder)!r} is not a folder")
@@ -227,13 +193,7 @@ def single_result(folder: Path, record: Record) -> Result:
 
 
 def write_single(folder: Path, record: Record, save: Callable[[Result], object]) -> None:
-    """Put the files of a single solve in place; its record comes last, when what it names is there.
-
-    Parameters
-    ----------
-    save : callable
-        Writes fields and history to the places that it is given.
-    """
+    """Let ``save`` write fields and history to their places, then write the record that names them."""
     save(single_result(folder, record))
     write_text(folder / RECORD, to_json(record, indent=2) + "\n")
 
@@ -248,23 +208,22 @@ def write_history(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 
 def _unlisted(folder: Path) -> list[str]:
     """Own files of a folder without a list, by what records name and by their first words."""
+
+    def text(name: str) -> str:
+        return (folder / name).read_text(errors="replace") if (folder / name).is_file() else ""
+
     names: list[str] = []
-    rows = [row for line in _text(folder / RECORDS).split("\n") if (row := _record(line))]
-    if rows:
+    if rows := [row for line in text(RECORDS).split("\n") if (row := _record(line))]:
         keys = [str(row["key"]) for row in rows if row.get("key")]
         names += [RECORDS, *(name for key in keys for name in Results(folder).names(key))]
         names += [f"{FIGURES}/{key}-grid.{kind}" for key in keys for kind in ("png", "pdf")]
-    if _record(_text(folder / RECORD)):
+    if _record(text(RECORD)):
         names += [RECORD, "solution.vtu", "history.csv"]
-    if _text(folder / "table.md").startswith(("# Comparison of formulations", "# Comparison of strategies")):
+    if text("table.md").startswith(("# Comparison of formulations", "# Comparison of strategies")):
         names += ["table.md", "table.csv"]
-    if _text(folder / "table.tex").startswith("% made by rmesh"):
+    if text("table.tex").startswith("% made by rmesh"):
         names.append("table.tex")
     return names
-
-
-def _text(path: Path) -> str:
-    return path.read_text(errors="replace") if path.is_file() else ""
 
 
 def _record(text: str) -> Record | None:
