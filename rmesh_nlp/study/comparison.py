@@ -68,11 +68,6 @@ def plan_comparison(
     An option goes to those formulations that take it; of ``objective`` and ``seed`` there may be several, as
     lists. A formulation may have options of its own, see :func:`formulation_options`. The problem of a file,
     whose name ends with ``.toml``, is solved on uniform refinements of its mesh as well, without motion.
-
-    Raises
-    ------
-    BadInputError
-        If a name is unknown, a setting does not suit an example, or no formulation takes an option.
     """
     options = dict(options or {})
     _check_options(options)
@@ -110,13 +105,7 @@ def plan_comparison(
 
 
 def formulation_options(text: str) -> tuple[str, dict[str, Any]]:
-    """A formulation with options of its own, ``mpcc:start=joint`` or ``nested:outer=ipopt:seed=3``.
-
-    Raises
-    ------
-    BadInputError
-        If an option has no value or a wrong one, or the formulation does not take it.
-    """
+    """A formulation with options of its own, ``mpcc:start=joint`` or ``nested:outer=ipopt:seed=3``."""
     name, *parts = text.split(":")
     find(name)
     found: dict[str, Any] = {}
@@ -179,25 +168,9 @@ def run(
     before. With ``resume`` it stays, and what succeeded there is not solved again, unless
     its fields or history are missing or damaged.
 
-    Parameters
-    ----------
-    plan : sequence of PlannedSolve
-    results : Results
-    resume : bool
-    locked : bool
-        The caller holds the lock of the folder; else it is taken here.
-    jobs : int
-        Processes of a local cluster; 1 solves one after the other in this process.
-    on_start, on_step : callable, optional
-        Called before each solve of this process, and after each of its iterations.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        After the row of a solve that was interrupted: the next one does not begin.
-    BadInputError
-        If two solves have one key, the rows to be resumed were solved with other settings, another
-        process writes in the folder, or a file of the user's is in the way.
+    The lock of the folder is taken unless the caller holds it (``locked``). One job solves in this process,
+    with ``on_start`` called before each solve and ``on_step`` after each of its iterations; more are processes
+    of a local cluster. After the row of a solve that was interrupted a KeyboardInterrupt is raised.
     """
     keys = [solve.key for solve in plan]
     for key in keys:

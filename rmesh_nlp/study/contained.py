@@ -42,12 +42,9 @@ ATTEMPTS = 2
 
 
 class Contained:
-    """Runs planned solves one after the other in a process of their own, started anew where need be.
+    """Runs planned solves one after the other in a process of their own on the given cores.
 
-    Parameters
-    ----------
-    cores : collection of int, optional
-        Where the process may run.
+    It is started anew where need be.
     """
 
     def __init__(self, cores: Collection[int] | None = None) -> None:
@@ -70,19 +67,17 @@ class Contained:
             line, why = self._answer(process, solve.time_s * GRACE + GRACE_S, solve.memory_mb)
             seconds = time.monotonic() - began
             if line is not None:
-                if (_megabytes(process.pid) or 0.0) > 0.5 * solve.memory_mb:
+                if _megabytes(process.pid) > 0.5 * solve.memory_mb:
                     self.close()  # what a leak has left is not charged to the next solve
                 row: Record = json.loads(line)
                 return row
-            code = self.close()
-            if why == "time":
-                message = f"killed after {seconds:.1f} s: the limit is {solve.time_s:g} s"
-                return failure(solve, "time_limit", message, seconds)
-            if why == "memory":
-                message = f"killed with more memory than the limit of {solve.memory_mb:g} MB"
-                return failure(solve, "memory_limit", message, seconds)
-            if attempt == ATTEMPTS:
-                return failure(solve, "died", f"its process ended twice, at last with code {code}", seconds)
+            message = {
+                "time_limit": f"killed after {seconds:.1f} s: the limit is {solve.time_s:g} s",
+                "memory_limit": f"killed with more memory than the limit of {solve.memory_mb:g} MB",
+                "died": f"its process ended twice, at last with code {self.close()}",
+            }
+            if why != "died" or attempt == ATTEMPTS:
+                return failure(solve, why, message[why], seconds)
         return failure(solve, "died", "its process could not be given the problem")
 
     def close(self) -> int | None:
@@ -121,30 +116,27 @@ class Contained:
     def _answer(
         self, process: subprocess.Popen[bytes], seconds: float, megabytes: float = math.inf
     ) -> tuple[bytes | None, str]:
-        """A line of the process; None with the reason (time, memory, died) if there is none."""
+        """A line of the process; None with the status of its solve if there is none."""
         assert process.stdout is not None
         end = time.monotonic() + seconds
         while not select.select([process.stdout], [], [], POLL_S)[0]:
             if time.monotonic() > end:
-                return None, "time"
-            if megabytes < (_megabytes(process.pid) or 0.0):
-                return None, "memory"
+                return None, "time_limit"
+            if megabytes < _megabytes(process.pid):
+                return None, "memory_limit"
         line = process.stdout.readline()
         return (line, "") if line.endswith(b"\n") else (None, "died")
 
 
-def _megabytes(pid: int) -> float | None:
-    """Memory that a process holds; None where the system does not tell (other than Linux without psutil)."""
-    try:
+def _megabytes(pid: int) -> float:
+    """Memory that a process holds; 0 where the system does not tell (other than Linux without psutil)."""
+    with suppress(OSError, IndexError, ValueError):
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-    except (OSError, IndexError, ValueError):
-        pass
-    try:
+    with suppress(Exception):
         psutil: Any = __import__("psutil")
         return float(psutil.Process(pid).memory_info().rss / 1e6)
-    except Exception:
-        return None
+    return 0.0
 
 
 def main() -> None:

@@ -49,7 +49,8 @@ def run(
 ) -> Iterator[Record]:
     """Perform what has no row yet; yields each row in short as it is written, in any order.
 
-    Call it again after any end: it goes on. The caller holds the lock of the folder.
+    Call it again after any end: it goes on. The caller holds the lock of the folder. A BadInputError says that
+    there is no cluster, that it is lost, or that workers of an earlier client are still at work.
 
     Parameters
     ----------
@@ -62,12 +63,6 @@ def run(
         under the same path. Whoever reaches one at a ``tcp://`` address can run code as its owner.
     retry_failed : bool
         Do solves again whose row is a failure; that row is moved to ``rows/failed.jsonl``.
-
-    Raises
-    ------
-    BadInputError
-        If dask.distributed is needed and not installed, the cluster cannot be reached or is lost, or
-        workers of an earlier client are still at work.
     """
     wait_for_workers(folder, WAIT_S)
     if retry_failed:

@@ -138,10 +138,7 @@ def planned(
 def build(solve: PlannedSolve) -> ContactProblem:
     """The problem of a planned solve, with a reference solution if its objective needs one.
 
-    Raises
-    ------
-    ValueError
-        If it cannot be built here, say because its file is not on this machine.
+    A ValueError is raised if it cannot be built here, say because its file is not on this machine.
     """
     problem = _problem(solve.problem) if solve.built is None else solve.built
     objective = solve.options.get("objective", "energy")
@@ -162,13 +159,7 @@ def _problem(stated: Mapping[str, Any]) -> ContactProblem:
 
 
 def build_example(example: str, quadrature: str | int = "midpoint", **given: Any) -> ContactProblem:
-    """An example by name with ``n`` and ``delta``, lists for pairs; by default of the paper's size.
-
-    Raises
-    ------
-    BadInputError
-        If the name is unknown or the example refuses the size or the delta.
-    """
+    """An example by name with ``n`` and ``delta``, lists for pairs; by default of the paper's size."""
     if example not in EXAMPLES:
         raise unknown("example", example, EXAMPLES)
     given = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
@@ -185,12 +176,7 @@ def options_of(formulation: str, own: Mapping[str, Any], common: Mapping[str, An
 
 
 def check_objective(text: str) -> None:
-    """Refuse a text that is no objective.
-
-    Raises
-    ------
-    BadInputError
-    """
+    """Raise a BadInputError for a text that is no objective."""
     try:
         parse_objective(text)
     except ValueError as error:
@@ -200,12 +186,8 @@ def check_objective(text: str) -> None:
 def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     """All solves of a study, in the order: problem, variant, objective, seed, repetition.
 
-    A formulation that takes no seed or no objective is solved once, not once for each.
-
-    Raises
-    ------
-    BadInputError
-        If a name is unknown, a problem file is broken, or a formulation does not take an option.
+    A formulation that takes no seed or no objective is solved once, not once for each. A BadInputError names
+    what is unknown or broken, or the option that a formulation does not take.
     """
     for text in study.objectives:
         try:

@@ -33,14 +33,8 @@ EVERY = 100
 class SolvesProgress:
     """Shows what is being solved; as a context it starts the live line and removes it at the end.
 
-    Parameters
-    ----------
-    total, done : int
-        Planned solves, and those of them that have a row.
-    quiet : bool
-        Show nothing.
-    each : bool
-        A line for each solve that ended; else for those that failed, and for every ``EVERY`` of them.
+    ``done`` of the ``total`` solves have a row. With ``each`` every solve that ended has a line, else those
+    that failed, and every ``EVERY`` of them.
     """
 
     def __init__(self, total: int, done: int = 0, *, quiet: bool = False, each: bool = True) -> None:
@@ -123,11 +117,6 @@ class Pace:
 
     The time left is an estimate: that of the formulation, if it has one, else the residual falls on in time
     as it did over the last steps, on a logarithmic scale. Where neither is known the time limit is shown.
-
-    Parameters
-    ----------
-    limit : float, optional
-        Seconds after which the formulation stops.
     """
 
     def __init__(self, limit: float = math.inf) -> None:

@@ -31,13 +31,7 @@ FAILED = "failed.jsonl"
 
 
 class RowsFile:
-    """The rows of one worker process; nobody else writes there.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the study.
-    """
+    """The rows of one worker process in the folder of a study; nobody else writes there."""
 
     def __init__(self, folder: Path) -> None:
         self.name = f"{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
@@ -65,12 +59,7 @@ class RowsFile:
 
 
 class Keys:
-    """Keys of all rows in a folder; only what came since the last look is read.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """Keys of all rows in a folder; only what came since the last look is read."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -102,10 +91,9 @@ def _row(line: bytes) -> Record:
 
 
 def set_failures_aside(folder: Path, keys: Collection[str]) -> None:
-    """Move the rows of failures among these solves to ``rows/failed.jsonl``.
+    """Move the rows of failures among these solves to ``rows/failed.jsonl``, to be solved again.
 
-    Resuming then does these solves again. No worker may be at work, see :func:`wait_for_workers`. What a
-    formulation refused is no failure.
+    No worker may be at work, see :func:`wait_for_workers`. What a formulation refused is no failure.
     """
     for path in row_files(folder):
         kept: list[str] = []
@@ -120,13 +108,7 @@ def set_failures_aside(folder: Path, keys: Collection[str]) -> None:
 
 
 def wait_for_workers(folder: Path, seconds: float) -> None:
-    """Wait until no worker of an earlier client is solving.
-
-    Raises
-    ------
-    BadInputError
-        If one still is after so many seconds.
-    """
+    """Wait until no worker of an earlier client is solving; a BadInputError if that takes too long."""
     if fcntl is None:
         return
     end = time.monotonic() + seconds

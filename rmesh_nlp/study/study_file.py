@@ -130,18 +130,7 @@ OLD = "strategies"
 
 
 def read_study(path: str | Path) -> StudyTable:
-    """The checked tables of a study file.
-
-    Raises
-    ------
-    ProblemFileError
-        With one line per error.
-
-    Warns
-    -----
-    DeprecationWarning
-        If formulations are called strategies.
-    """
+    """The checked tables of a study file; a ProblemFileError has one line per error."""
     path = Path(path)
     data = read_toml(path)
     if OLD in data and "formulations" not in data:

@@ -24,15 +24,10 @@ SHORT = ("key", "example", "variant", "status", "success", "wall_time_s", "messa
 
 
 class Worker:
-    """Performs planned solves of one study in this process; as a context it is closed at the end.
+    """Performs planned solves of the study in a folder in this process; as a context it is closed at the end.
 
     If there is one, it takes a core for itself, on which its solves are pinned; rows of solves that had
     no core alone carry ``shared = true``.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the study.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -46,7 +41,11 @@ class Worker:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        """End the process of the solves and give the core back."""
+        self._contained.close()
+        if self._core is not None:
+            self._core[1].close()
+            self._core = None
 
     def perform(self, solve: PlannedSolve) -> Record:
         """Solve, write the row, return it in short; a solve that has a row already is not done again."""
@@ -66,13 +65,6 @@ class Worker:
         wall, cpu = row.get("task_time_s"), row.get("cpu_time_s")
         busy = bool(wall and cpu is not None and cpu < ALONE * wall)
         return {**row, "shared": self._core is None or busy, "worker": self._rows.name}
-
-    def close(self) -> None:
-        """End the process of the solves and give the core back."""
-        self._contained.close()
-        if self._core is not None:
-            self._core[1].close()
-            self._core = None
 
 
 @functools.lru_cache(maxsize=1)
@@ -101,9 +93,7 @@ def _own_core() -> tuple[int, socket.socket] | None:
     Of a name in the abstract namespace there is one socket on a machine, whatever the study, and the
     system takes it back when its process ends, also by ``kill -9``.
     """
-    if sys.platform != "linux":
-        return None
-    for core in sorted(os.sched_getaffinity(0)):
+    for core in sorted(os.sched_getaffinity(0)) if sys.platform == "linux" else ():
         holder = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             holder.bind(f"\0rmesh-nlp-core-{core}")
