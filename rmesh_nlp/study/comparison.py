@@ -169,8 +169,8 @@ def run(
     its fields or history are missing or damaged.
 
     The lock of the folder is taken unless the caller holds it (``locked``). One job solves in this process,
-    with ``on_start`` called before each solve and ``on_step`` after each of its iterations; more are processes
-    of a local cluster. After the row of a solve that was interrupted a KeyboardInterrupt is raised.
+    with ``on_start`` called before each solve and ``on_step`` after each of its iterations; several are
+    processes of a local cluster. After the row of an interrupted solve a KeyboardInterrupt is raised.
     """
     keys = [solve.key for solve in plan]
     for key in keys:

@@ -49,8 +49,8 @@ def run(
 ) -> Iterator[Record]:
     """Perform what has no row yet; yields each row in short as it is written, in any order.
 
-    Call it again after any end: it goes on. The caller holds the lock of the folder. A BadInputError says that
-    there is no cluster, that it is lost, or that workers of an earlier client are still at work.
+    Call it again after any end: it goes on. The caller holds the lock of the folder. A BadInputError says
+    that there is no cluster, that it is lost, or that workers of an earlier client are still at work.
 
     Parameters
     ----------
