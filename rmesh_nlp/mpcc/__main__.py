@@ -57,7 +57,7 @@ def _solve(path: Path, given: argparse.Namespace, settings: Options) -> int:
     """Solve one file and print status, label, residuals."""
     problem = read(path)
     result = solve(problem.mpcc, problem.x0, p=problem.p0, options=settings, progress=given.log)
-    f, seconds = problem.sign * result.f, result.seconds["total"]
+    mpcc, f, seconds = problem.mpcc, problem.sign * result.f, result.seconds["total"]
     iterations, solves = result.counts["ipopt_iterations"], result.counts["nlp_solves"]
     if given.json:
         words = {
@@ -65,17 +65,16 @@ def _solve(path: Path, given: argparse.Namespace, settings: Options) -> int:
             "constraint_violation": result.constraint_violation, "complementarity": result.complementarity,
             "stationarity": result.stationarity, "n_biactive": result.n_biactive,
             "b_stationary": result.b_stationary, "iterations": iterations, "seconds": seconds,
-            "x": result.x[: problem.mpcc.n_own].tolist(),
+            "x": result.x[: mpcc.n_own].tolist(),
         }  # fmt: skip
         print(json.dumps(words))
     else:
-        mpcc = problem.mpcc
+        violation, complementarity = result.constraint_violation, result.complementarity
         print(f"{problem.name}: {mpcc.n_own} unknowns, {mpcc.n_g} rows, {mpcc.n_pairs} pairs")
         print(f"  status           {result.status.value}: {result.message}")
         print(f"  objective        {f:.12g}")
         print(f"  stationarity     {result.label}")
-        print(f"  residuals        violation {result.constraint_violation:.1e}, "
-              f"min(G, H) {result.complementarity:.1e}")  # fmt: skip
+        print(f"  residuals        violation {violation:.1e}, min(G, H) {complementarity:.1e}")
         print(f"  cost             {iterations} iterations in {solves} steps, {seconds:.2f} s")
     return 0 if result.success else 1
 

@@ -35,20 +35,9 @@ _NEAR_BIACTIVE = 3e-5  # pairs closer to the corner than this are tried on both 
 
 @dataclass(frozen=True, eq=False)
 class Finish:
-    """End of the exact finish.
+    """End of the exact finish: a lifted point, its weighted objective, and its label if it is exact.
 
-    Attributes
-    ----------
-    z : array
-        Lifted point.
-    f : float
-        Weighted objective.
-    status : Status
-        CONVERGED: S- or B-stationary; ACCEPTABLE: a label, B undecided; otherwise why it stopped.
-    stationarity : Stationarity or None
-        None unless the point is exact.
-    lin : Linearisation or None
-    pivots, lpecs : int
+    ``status`` is CONVERGED: S- or B-stationary; ACCEPTABLE: a label, B undecided; otherwise why it stopped.
     """
 
     z: Array
@@ -81,10 +70,9 @@ def finish(
 ) -> Finish:
     """Make the pairs of a relaxed point exact and descend to a stationary branch.
 
-    ``warm`` holds multipliers of the lifted problem at ``z``; with them Newton's method is tried
-    before the interior point, or the interior point begins with them. ``search`` looks for another branch
-    if the one next to the point is infeasible. An exact point above ``ceiling`` is neither labelled nor
-    improved: its status is WORSE.
+    From the multipliers ``warm`` of the lifted problem Newton's method is tried before the interior point, or
+    the interior point begins with them. ``search`` looks for another branch if the one next to the point is
+    infeasible. An exact point above ``ceiling`` is neither labelled nor improved: its status is WORSE.
     """
     fix_G = run.lifted.on_first(z)
     if warm is not None and run.options.newton_finish:
@@ -116,10 +104,9 @@ def polished(
 ) -> Finish | None:
     """The exact point next to a relaxed one by Newton's method, labelled; None if there is none.
 
-    ``warm`` holds multipliers of the lifted problem. Pairs with both members below ``corner`` are put into it
-    if the branch itself gives no stationary point: at a biactive pair that is not S-stationary the relaxed
-    solution stays at the distance sqrt(t), and the relaxations become ever harder to solve. Points above
-    ``ceiling`` are not labelled.
+    Pairs with both members below ``corner`` are put into it if the branch itself gives no stationary point:
+    at a biactive pair that is not S-stationary the relaxed solution stays at the distance sqrt(t), and the
+    relaxations become ever harder to solve. A point above ``ceiling`` is none.
     """
     on_G = run.lifted.on_first(z)
     found = _polished(run, z, warm, on_G, ~on_G, ceiling)
@@ -136,19 +123,23 @@ def _polished(
     found = polish(run, z, fix_G, warm.lam_g, warm.lam_x, fix_H)
     if found is None or found.f > ceiling:
         return None
-    run.polished(found.z)
+    run.record("polished", 0.0, found.z)
     return _labelled(run, found.z, found.f, (found.lam_rows, found.lam_z))
 
 
 def _faithful(run: Run, near: Finish, z: Array) -> bool:
     """Whether Newton's method has not gone to another, worse branch than the relaxed point belongs to."""
-    f = float(run.lifted.value(z, run.p)[0][0])
+    f = run.objective(z)
     return near.f - f <= _FAITHFUL * max(abs(near.f), abs(f)) + _FAITHFUL**2
+
+
+def _linearised(run: Run, z: Array) -> Linearisation:
+    return linearise(run.lifted, z, run.p, run.options.activity, run.options.corner)
 
 
 def _labelled(run: Run, z: Array, f: float, offered: tuple[Array, Array] | None) -> Finish:
     """Label an exact point; ``offered`` multipliers of an NLP may prove S."""
-    lin = linearise(run.lifted, z, run.p, run.options.activity, run.options.corner)
+    lin = _linearised(run, z)
     found = stationarity(run.lifted, lin, run.options.stationarity, offered, run.seconds_left)
     return Finish(z, f, found.status, found, lin, 0, int(found.label != "S"))
 
@@ -182,7 +173,7 @@ def _descend(run: Run, here: Finish, direction: Direction) -> NLPResult | None:
 
 
 def _projected(run: Run, z: Array, end: Finish) -> Finish:
-    """The relaxed point itself, put onto its branch: what is left where the interior point fails.
+    """The relaxed point itself, put onto its branch, if that is better than ``end``.
 
     A branch with more equations than free unknowns (discretised dynamics) has hardly any freedom: the
     relaxed point is right, and solving for it again only loses it.
@@ -190,8 +181,8 @@ def _projected(run: Run, z: Array, end: Finish) -> Finish:
     near = project(run, z, run.lifted.on_first(z))
     if near is None:
         return end
-    run.polished(near)
-    here = _labelled(run, near, float(run.lifted.value(near, run.p)[0][0]), None)
+    run.record("polished", 0.0, near)
+    here = _labelled(run, near, run.objective(near), None)
     return here if here.rank > end.rank else end
 
 
@@ -226,10 +217,9 @@ def _follow_signs(run: Run, z: Array, fix_G: BoolArray) -> tuple[NLPResult, Bool
         z = result.x
         G, H = run.lifted.members(z)
         free = np.where(fix_G, H, G)
-        wrong, lowest = free < -run.options.complementarity, -float(np.min(free, initial=0.0))
-        if not result.converged or lowest > worst:
+        wrong, before, worst = free < -run.options.complementarity, worst, -float(np.min(free, initial=0.0))
+        if not result.converged or worst > before:
             return None
-        worst = lowest
         if not np.any(wrong):
             result = run.branch(z, fix_G)
             return (result, fix_G) if run.exact(result.x) else None
@@ -255,11 +245,11 @@ def _tighten(run: Run, result: NLPResult, fix_G: BoolArray) -> NLPResult:
 def _can_close(run: Run, z: Array, fix_G: BoolArray, near: BoolArray) -> bool:
     """Whether a small step closes the near pairs to first order: spares a hopeless, slow NLP.
 
-    The least-norm step that keeps the active rows and the zero members and closes the near pairs, from one
-    regularised KKT system; inconsistent demands leave a residual.
+    It is the least-norm step that keeps the active rows and the zero members, from one regularised KKT
+    system; inconsistent demands leave a residual.
     """
     lifted = run.lifted
-    lin = linearise(lifted, z, run.p, run.options.activity, run.options.corner)
+    lin = _linearised(run, z)
     eye = sp.identity(z.size, format="csr")
     places = np.unique(np.append(lifted.first[fix_G | near], lifted.second[~fix_G | near]))
     A = sp.vstack([lin.jacobian[np.flatnonzero(lin.row_lower | lin.row_upper)], eye[places]], format="csr")

@@ -33,14 +33,8 @@ _SAME = 1e-4  # relaxed solutions that are not lower than this, relative, end no
 class Path:
     """One homotopy as far as it has come, also if a limit stops it.
 
-    Attributes
-    ----------
-    finish : Finish or None
-        The best so far.
-    relaxed : NLPResult or None
-        The last relaxed solution, or the failed one if there is none.
-    failure : Status or None
-        Why the last step failed, if it did.
+    ``finish`` is the best so far, ``relaxed`` the last relaxed solution, or the failed one if there is none,
+    and ``failure`` says why the last step failed, if it did.
     """
 
     finish: Finish | None = None
@@ -71,16 +65,15 @@ def follow(
 ) -> None:
     """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep all in ``path``.
 
-    A step that fails is retried cold (from ``z0``) unless it ran long; if that fails too, t retreats half of
-    the way (in its logarithm) and goes down by a smaller factor from there, ``patience`` times; a step that
-    is locally infeasible from both sides counts twice. A penalty whose products do not fall any more has
-    ended at a violation. ``first`` holds multipliers of the lifted problem for the first step.
+    If a step fails, t retreats half of the way (in its logarithm) and goes down by a smaller factor from
+    there, ``patience`` times; a step that is locally infeasible counts twice. A penalty whose products do not
+    fall any more has ended at a violation. ``first`` holds multipliers of the lifted problem for the first
+    step.
     """
     options = run.options
-    t, factor, retreats, stuck, product = t0, options.factor, 0, 0, np.inf
+    t, factor, retreats, stuck, product, corner = t0, options.factor, 0, 0, np.inf, 0.0
     last: NLPResult | None = None
     warm: NLPResult | None = None
-    corner = 0.0
     sides: BoolArray | None = None
     while True:
         result = _step(run, relaxation, z0, last, t, first)
@@ -120,7 +113,7 @@ def follow(
 def _step(
     run: Run, relaxation: str, z0: Array, last: NLPResult | None, t: float, first: NLPResult | None
 ) -> NLPResult:
-    """Solve the relaxation at ``t`` from the last solution, and from the start if that fails."""
+    """Solve a relaxation from the last solution; if that fails, from ``z0`` unless it ran long."""
     if last is None:
         warm = None if first is None else run.nlps.padded(relaxation, first)
         return run.relaxed(relaxation, z0, t, warm, first=True)
@@ -155,8 +148,7 @@ def _next(t: float, factor: float, product: float, t_final: float) -> float:
 def _outlook(run: Run, warm: NLPResult) -> float:
     """First-order change of the objective as the smaller members of the pairs go to zero.
 
-    With multipliers nu of the members in the sign of ``f + nu a``, closing a member from a to 0 changes f by
-    nu a.
+    With a multiplier nu in the sign of ``f + nu a``, closing a member from a to 0 changes f by nu a.
     """
     lifted, z = run.lifted, warm.x
     on_G = lifted.on_first(z)
@@ -176,16 +168,8 @@ def _settled(before: BoolArray, sides: BoolArray) -> bool:
 def second_path(run: Run, path: Path, x0: Array, first: Finish | None) -> None:
     """Follow Scholtes' relaxation from ``x0`` to ``crossover`` and finish exactly, all kept in ``path``.
 
-    Parameters
-    ----------
-    run : Run
-    path : Path
-    x0 : array
-        Start of the source problem.
-    first : Finish or None
-        End of the first trajectory. Where this one cannot end lower, or ends in the same branch, it is
-        left at once. Its exact point counts only if it is not further above the known end than the relaxed
-        one is below.
+    Where it cannot end lower than the ``first`` trajectory, or ends in the same branch, it is left at once.
+    Its exact point counts only if it is not further above the known end than the relaxed one is below.
     """
     options = run.options
     known = first if first is not None and first.solved else None
@@ -196,8 +180,7 @@ def second_path(run: Run, path: Path, x0: Array, first: Finish | None) -> None:
         path.relaxed = result if result.converged else path.relaxed or result
         if path.failure not in (None, Status.STALLED) or not np.all(np.isfinite(result.x)):
             return
-        # the weighted objective, as in a Finish; Ipopt's own belongs to the unlifted NLP
-        f = float(run.lifted.value(result.x, run.p)[0][0])
+        f = run.objective(result.x)  # Ipopt's own belongs to the unlifted NLP
         # a feasible set that only shrinks gives no lower end
         if known is not None and result.converged and f >= known.f - _SAME * (1 + abs(known.f)):
             return

@@ -28,19 +28,15 @@ from rmesh_nlp.mpcc.solver import MPCCSolver
 
 _KEYS = ("x", "f", "g", "G", "H", "p")
 _ANSWERS = ("x", "f", "g", "G", "H", "lam_x", "lam_g", "lam_G", "lam_H")
+_STATS = (
+    "success", "message", "stationarity", "b_stationary", "n_biactive", "constraint_violation",
+    "complementarity",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class MultiStart:
-    """Results of all starts.
-
-    Attributes
-    ----------
-    results : tuple of MPCCResult
-        In the order of the starts; the first is from the given start.
-    starts : tuple of arrays
-    seed : int
-    """
+    """Results of all starts, in their order; the first is from the given start."""
 
     results: tuple[MPCCResult, ...]
     starts: tuple[Array, ...]
@@ -57,14 +53,12 @@ class MultiStart:
     @property
     def spread(self) -> tuple[float, float]:
         """Lowest and highest objective of the successful results (NaN if there are none)."""
-        values = [r.f for r in self.results if r.success]
-        return (min(values), max(values)) if values else (float("nan"), float("nan"))
+        values = [r.f for r in self.results if r.success] or [float("nan")]
+        return min(values), max(values)
 
     def __str__(self) -> str:
-        (low, high), n = self.spread, sum(r.success for r in self.results)
-        return (
-            f"{n} of {len(self.results)} starts succeeded, f from {low:.8g} to {high:.8g}; best: {self.best}"
-        )
+        (low, high), n = self.spread, f"{sum(r.success for r in self.results)} of {len(self.results)}"
+        return f"{n} starts succeeded, f from {low:.8g} to {high:.8g}; best: {self.best}"
 
 
 def multistart(
@@ -89,15 +83,15 @@ def multistart(
     solver = MPCCSolver(mpcc, options, **changes)
     centre = mpcc.start(x0)
     lower, upper, unit = np.asarray(mpcc.lbx), np.asarray(mpcc.ubx), 1 + np.abs(centre)
-    boxed = (upper - lower) <= 20 * unit
+    near = (upper - lower) <= 20 * unit
     random = np.random.default_rng(seed)
     starts = [centre]
     for _ in range(n - 1):
         share = random.uniform(size=centre.size)
         spread = 10.0 ** random.uniform(-1, 1.5)
         around = np.clip(centre + spread * unit * random.normal(size=centre.size), lower, upper)
-        inside = np.where(boxed, lower, 0.0) + share * np.where(boxed, upper - lower, 0.0)
-        starts.append(np.where(boxed, inside, around))
+        inside = np.where(near, lower, 0.0) + share * np.where(near, upper - lower, 0.0)
+        starts.append(np.where(near, inside, around))
     return MultiStart(tuple(solver(start, p=p, progress=progress) for start in starts), tuple(starts), seed)
 
 
@@ -134,12 +128,9 @@ class MPCCFunction:
         if self._result is None:
             raise RuntimeError(f"{self.name} has not been called yet")
         r = self._result
-        return {
-            "success": r.success, "return_status": r.status.value, "message": r.message,
-            "stationarity": r.stationarity, "b_stationary": r.b_stationary, "n_biactive": r.n_biactive,
-            "constraint_violation": r.constraint_violation, "complementarity": r.complementarity,
-            "iter_count": r.counts["ipopt_iterations"], "n_nlp": r.counts["nlp_solves"],
-            "t_wall_total": r.seconds["total"],
+        return {name: getattr(r, name) for name in _STATS} | {
+            "return_status": r.status.value, "iter_count": r.counts["ipopt_iterations"],
+            "n_nlp": r.counts["nlp_solves"], "t_wall_total": r.seconds["total"],
         }  # fmt: skip
 
     def _solver(self, **bounds: ArrayLike) -> MPCCSolver:

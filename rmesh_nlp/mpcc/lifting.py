@@ -37,11 +37,10 @@ class Lifted:
     ----------
     source : MPCC
     nlp : NLP
-        Unknowns ``z``; constraint rows without any complementarity; ``z >= 0`` for members. The last
-        parameter is the weight of the objective.
+        Unknowns ``z``; rows without any complementarity; ``z >= 0`` for members. The last parameter is the
+        weight of the objective.
     first, second : int arrays
-        Pair i is ``z[first[i]] _|_ z[second[i]]``. An unknown may be in several pairs, also in both
-        places of one.
+        Pair i is ``z[first[i]] _|_ z[second[i]]``. An unknown may be in several pairs, also twice in one.
     rows : int array
         Row of ``vertcat(g, G, H)`` behind each constraint row; the first ``n_g`` are ``g``.
     base : Derivatives
@@ -94,17 +93,15 @@ class Lifted:
     def weight(self, x0: Array, p: Array) -> float:
         """Weight that brings the gradient of a small objective up to 1; 1 for others, and for a constant.
 
-        The largest entry of the gradient at the start and at two random points near it counts: at the start
-        alone it may vanish. Where an objective is of size 1e-6 all multipliers would be lost among
-        tolerances.
+        The gradient is that at the start, where it may vanish, and at two random points near it. Multipliers
+        of an objective of size 1e-6 would be lost among tolerances.
         """
         random = np.random.default_rng(0)
         near = [x0 + random.uniform(-0.5, 0.5, x0.size) * (1 + np.abs(x0)) for _ in range(2)]
-        largest = 0.0
-        for x in [x0, *(np.clip(x, self.source.lbx, self.source.ubx) for x in near)]:
-            z = np.append(x, np.zeros(self.nlp.n_x - x.size))
-            slope = float(np.max(np.abs(self.value(z, np.append(p, 1.0))[1]), initial=0.0))
-            largest = max(largest, slope if np.isfinite(slope) else 0.0)
+        points = [x0, *(np.clip(x, self.source.lbx, self.source.ubx) for x in near)]
+        p, slack = np.append(p, 1.0), np.zeros(self.nlp.n_x - x0.size)
+        slopes = [np.max(np.abs(self.value(np.append(x, slack), p)[1]), initial=0.0) for x in points]
+        largest = float(np.max(slopes, where=np.isfinite(slopes), initial=0.0))
         return 1.0 / largest if 0.0 < largest < 1.0 else 1.0
 
     def start(self, x0: Array, p: Array) -> Array:
@@ -181,11 +178,9 @@ def automatic_derivatives(x: Any, p: Any, f: Any, g: Any) -> Derivatives:
     gradient = ca.densify(ca.gradient(f, x))
     jacobian = _constant_jacobian(g, x, p)
     linear = jacobian is not None
-    hessian = _constant_jacobian(gradient, x, p) if linear else None
-    if hessian is not None:
-        hessian = lam_f * kind(hessian)
-    else:
-        hessian = ca.hessian(lam_f * f + (0 if linear else ca.dot(lam_g, g)), x)[0]
+    constant = _constant_jacobian(gradient, x, p) if linear else None
+    lagrangian = lam_f * f + (0 if linear else ca.dot(lam_g, g))
+    hessian = ca.hessian(lagrangian, x)[0] if constant is None else lam_f * kind(constant)
     return Derivatives(
         grad_f=ca.Function("nlp_grad_f", [x, p], [f, gradient]),
         jac_g=ca.Function("nlp_jac_g", [x, p], [g, jacobian if linear else ca.jacobian(g, x)]),
@@ -200,14 +195,12 @@ def _constant_jacobian(rows: Any, x: Any, p: Any) -> ca.DM | None:
     """
     if rows.is_empty() or x.is_empty() or not p.is_empty() or any(ca.which_depends(rows, x, 2, True)):
         return None
-    function = ca.Function("rows", [x], [rows])
-    sparsity = function.jac_sparsity(0, 0)
+    function, n = ca.Function("rows", [x], [rows]), x.shape[0]
+    sparsity, origin = function.jac_sparsity(0, 0), ca.DM.zeros(n)
     if sparsity.density() < _DENSE:
         return None
-    n, origin = x.shape[0], ca.DM.zeros(x.shape[0])
-    columns = function.forward(1).map(n)(
-        ca.repmat(origin, 1, n), ca.repmat(function(origin), 1, n), ca.DM.eye(n)
-    )
+    at = (ca.repmat(point, 1, n) for point in (origin, function(origin)))
+    columns = function.forward(1).map(n)(*at, ca.DM.eye(n))
     return ca.project(columns, sparsity) if columns.is_regular() else None
 
 

@@ -30,16 +30,9 @@ _NODES, _LEAST_NODES, _WORK = 5_000, 50, 1_000_000  # branch and bound is given 
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """First-order data of the lifted problem at a point, with its active sets.
+    """First-order data of the lifted problem at a point, with its active bounds of rows and unknowns.
 
-    Attributes
-    ----------
-    gradient : array
-    jacobian : csr_matrix
-    row_lower, row_upper, z_lower, z_upper : bool arrays
-        Which bounds of rows and unknowns are active; the zero bound of a member is left to its pair.
-    G_zero, H_zero : bool arrays
-        Which members are at zero. Biactive: both.
+    The zero bound of a member is left to its pair: ``G_zero`` and ``H_zero``. Biactive: both.
     """
 
     gradient: Array
@@ -65,8 +58,8 @@ class Linearisation:
 def linearise(lifted: Lifted, z: Array, p: Array, tolerance: float, corner: float) -> Linearisation:
     """Derivatives and active sets at ``z``.
 
-    A row or bound is active within ``tolerance (1 + |bound|)``, a member is zero below ``corner``. A row with
-    a steep gradient is measured in units of it: what counts is how far away in the unknowns the bound is.
+    A row or bound is active within ``tolerance (1 + |bound|)``, a member is zero below ``corner``. A row is
+    measured in units of its steepness: what counts is how far away in the unknowns its bound is.
     """
     _, gradient, rows, jacobian = lifted.linearise(z, p)
     steep, nlp = steepness(jacobian), lifted.nlp
@@ -86,13 +79,12 @@ def steepness(jacobian: sp.csr_matrix) -> Array:
     """Largest entry of each row, at least 1."""
     if jacobian.shape[1] == 0:
         return np.ones(jacobian.shape[0])
-    largest: Array = abs(jacobian).max(axis=1).toarray().ravel()
-    return np.maximum(1.0, largest)
+    return np.asarray(np.maximum(1.0, abs(jacobian).max(axis=1).toarray().ravel()))
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """Answer of an LPEC: the best decrease (0 or negative), the step, and the side each pair takes.
+    """Answer of an LPEC: the best decrease (0 or negative), whether it is proven best, and the step.
 
     ``G_fixed[i]``: pair i keeps ``G = 0`` (False: ``H = 0``) along the step.
     """
@@ -100,14 +92,11 @@ class Direction:
     decrease: float
     step: Array
     G_fixed: BoolArray
+    proven: bool = True
 
 
 def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Direction | None:
-    """Solve the LPEC at a feasible point; None if it could not be solved within its limit of nodes.
-
-    ``seconds`` is what a user's time limit leaves.
-    """
-    n = lifted.nlp.n_x
+    """Solve the LPEC at a feasible point; None if it could not be solved within its limits."""
     lower, upper = np.where(lin.z_lower, 0.0, -1.0), np.where(lin.z_upper, 0.0, 1.0)
     lower[np.append(lifted.first[lin.G_zero], lifted.second[lin.H_zero])] = 0.0
     upper[lifted.first[lin.G_zero & ~lin.H_zero]] = 0.0
@@ -118,22 +107,21 @@ def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Dire
         np.where(lin.row_lower[active], 0.0, -np.inf),
         np.where(lin.row_upper[active], 0.0, np.inf),
     )
-    pairs, members = lin.biactive, np.zeros(n)
+    pairs, members = lin.biactive, np.zeros(lifted.nlp.n_x)
     if pairs.size > _ENUMERATE:
-        found = _milp(lin.gradient, rows, lower, upper, lifted, pairs, members, seconds)
+        found = _milp(lin.gradient, rows, lower, upper, lifted, lin.G_zero, pairs, members, seconds)
         # that no descent was found is an answer only if all branches were searched
-        if found is None or (not found.proven and found.value >= 0):
-            return None
-        return Direction(found.value, found.step, _sides(lin.G_zero, pairs, found.first_zero))
+        return None if found is None or (not found.proven and found.decrease >= 0) else found
     best: Direction | None = None
     for sides in itertools.product((True, False), repeat=pairs.size):
-        on_G, here = np.array(sides, dtype=bool), upper.copy()
-        here[np.append(lifted.first[pairs[on_G]], lifted.second[pairs[~on_G]])] = 0.0
-        found = _milp(lin.gradient, rows, lower, here, lifted, pairs[:0], members, seconds=np.inf)
+        on_G, here = lin.G_zero.copy(), upper.copy()
+        on_G[pairs] = sides
+        here[np.append(lifted.first[pairs[on_G[pairs]]], lifted.second[pairs[~on_G[pairs]]])] = 0.0
+        found = _milp(lin.gradient, rows, lower, here, lifted, on_G, pairs[:0], members, np.inf)
         if found is None or not found.proven:
             return None
-        if best is None or found.value < best.decrease:
-            best = Direction(found.value, found.step, _sides(lin.G_zero, pairs, on_G))
+        if best is None or found.decrease < best.decrease:
+            best = found
     return best
 
 
@@ -166,27 +154,9 @@ def nearest_branch(
     elastic, pairs = np.zeros(2 * m), np.flatnonzero(is_open).astype(np.int64)
     found = _milp(
         np.append(gradient, elastic + weight), rows, np.append(lower, elastic),
-        np.append(upper, elastic + np.inf), lifted, pairs, members, seconds,
+        np.append(upper, elastic + np.inf), lifted, fix_G, pairs, members, seconds,
     )  # fmt: skip
-    if found is None:
-        return None
-    return z + radius * found.step, _sides(fix_G, pairs, found.first_zero)
-
-
-def _sides(of_all: BoolArray, pairs: IntArray, of_pairs: BoolArray) -> BoolArray:
-    sides = of_all.copy()
-    sides[pairs] = of_pairs
-    return sides
-
-
-@dataclass(frozen=True, eq=False)
-class _Answer:
-    """Step, sides of the pairs, value, and whether the value is proven best."""
-
-    step: Array
-    first_zero: BoolArray
-    value: float
-    proven: bool
+    return None if found is None else (z + radius * found.step, found.G_fixed)
 
 
 def _milp(
@@ -195,14 +165,15 @@ def _milp(
     lower: Array,
     upper: Array,
     lifted: Lifted,
+    sides: BoolArray,
     pairs: IntArray,
     members: Array,
     seconds: float,
-) -> _Answer | None:
+) -> Direction | None:
     """One binary y per pair: ``m_G + d_G <= (m_G + 1) y`` and ``m_H + d_H <= (m_H + 1) (1 - y)``.
 
     ``members`` are the values m of the unknowns; ``d <= 1`` makes ``m + 1`` a valid big M. ``cost`` may be
-    longer than the unknowns (elastic columns after them).
+    longer than the unknowns (elastic columns after them). ``sides`` are those of the other pairs.
     """
     n, k = cost.size, pairs.size
     first, second = lifted.first[pairs], lifted.second[pairs]
@@ -229,4 +200,6 @@ def _milp(
     )
     if answer.x is None:
         return None
-    return _Answer(answer.x[: lifted.nlp.n_x], answer.x[n:] < 0.5, float(answer.fun), answer.status == 0)
+    G_fixed = sides.copy()
+    G_fixed[pairs] = answer.x[n:] < 0.5
+    return Direction(float(answer.fun), answer.x[: lifted.nlp.n_x], G_fixed, answer.status == 0)

@@ -13,11 +13,21 @@ It becomes ``G = up - down`` with two new unknowns, ``0 <= up _|_ H - lbH >= 0``
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
 import numpy as np
+
+Member = tuple[Any, float, float]
+"""An expression with its bounds."""
+
+
+def sides(pairs: Iterable[tuple[Member, Member]]) -> dict[str, list[Any]]:
+    """The pairs as keywords of ``MPCC.mixed``: G, H, and their bounds."""
+    names, columns = ("G", "lbG", "ubG", "H", "lbH", "ubH"), [(*a, *b) for a, b in pairs]
+    return {name: [column[k] for column in columns] for k, name in enumerate(names)}
 
 
 @dataclass
@@ -35,9 +45,9 @@ class PlainPairs:
         """Rewrite pair i; raises ValueError if its bounds make no complementarity."""
         match tuple(int(np.isfinite(bound)) for bound in (lg, ug, lh, uh)):
             case (0, 0, 1, 1):
-                self._boxed(lh, b, uh, a)
+                self._bounded(lh, b, uh, a)
             case (1, 1, 0, 0):
-                self._boxed(lg, a, ug, b)
+                self._bounded(lg, a, ug, b)
             case (0, 0, 0, 0):
                 self.rows.append(a)
             case (g_low, g_high, h_low, h_high) if g_low + g_high == 1 and h_low + h_high == 1:
@@ -52,7 +62,7 @@ class PlainPairs:
         self.G.append(a)
         self.H.append(b)
 
-    def _boxed(self, lower: float, value: Any, upper: float, partner: Any) -> None:
+    def _bounded(self, lower: float, value: Any, upper: float, partner: Any) -> None:
         """Add ``lower <= value <= upper _|_ partner``."""
         if lower == upper:
             self.rows.append(value - lower)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -27,16 +28,8 @@ class CompiledNLPs:
 
     Nothing is rebuilt between solves: t is a parameter, a pair is fixed by a bound. Ipopt's options are
     fixed when it is made ready, so warm starts, and starts that are watched, have instances of their own.
-
-    Attributes
-    ----------
-    watch : Watch
-        Holds the monitor of the solve that is running.
-    dependent : bool
-        Whether to reckon with equations that follow from each other.
-    only_clock : bool
-        Whether the monitor looks at nothing but the clock.
-    build_seconds : float
+    ``dependent`` says to reckon with equations that follow from each other, ``only_clock`` that the monitor
+    looks at nothing but the clock.
     """
 
     def __init__(self, mpcc: MPCC, options: Options) -> None:
@@ -46,10 +39,13 @@ class CompiledNLPs:
         relaxation(options.relaxation)  # an unknown name is an error now, not at the first solve
         self._relaxations: dict[str, tuple[NLP, Evaluator]] = {}
         self._solvers: dict[tuple[Any, ...], _AnySize] = {}
-        self._unlifted: NLP | None = None
         self.watch = Watch()
         self.dependent = self.only_clock = False
         self.build_seconds = time.perf_counter() - began
+
+    @cached_property
+    def _unlifted(self) -> NLP:
+        return unlifted_nlp(self.lifted.source, self.lifted.base)
 
     def _relaxed(self, name: str) -> tuple[NLP, Evaluator]:
         if name not in self._relaxations:
@@ -71,7 +67,7 @@ class CompiledNLPs:
     def relaxed(
         self, name: str, z: Array, p: Array, t: float, warm: NLPResult | None = None, first: bool = False
     ) -> NLPResult:
-        """Solve the relaxation ``name`` at ``t`` from ``z``; ``warm`` gives multipliers to start from.
+        """Solve the relaxation ``name`` at ``t`` from ``z``, and from the multipliers of ``warm``.
 
         ``first`` says that ``z`` is a user's start and not another relaxed solution.
         """
@@ -87,8 +83,6 @@ class CompiledNLPs:
         The point and the multipliers are given as those of the lifted NLP.
         """
         source, lifted = self.lifted.source, self.lifted
-        if self._unlifted is None:
-            self._unlifted = unlifted_nlp(source, lifted.base)
         solver = self._solver(("unlifted",), self._unlifted, self.options.unlifted(source.n_x))
         result = solver(x, p=np.append(p, t))
         ends = np.cumsum([source.n_g, source.n_pairs, source.n_pairs])
@@ -109,10 +103,9 @@ class CompiledNLPs:
         free_signs: bool = False,
         warm: NLPResult | None = None,
     ) -> NLPResult:
-        """Solve the NLP in which the given members are zero, from ``z``.
+        """Solve the NLP in which the given members are zero, from ``z``, within ``radius`` of it.
 
-        ``radius`` keeps the unknowns near ``z``; ``free_signs`` lets the other members be negative; ``warm``
-        gives multipliers of the lifted NLP, see :meth:`without_relaxation`.
+        ``free_signs`` lets the other members be negative; ``warm`` has multipliers of the lifted NLP.
         """
         lifted = self.lifted
         lower, upper = lifted.nlp.lbx.copy(), lifted.nlp.ubx.copy()
@@ -127,10 +120,7 @@ class CompiledNLPs:
         return solver(np.clip(z, lower, upper), p=p, lbx=lower, ubx=upper, **_multipliers(warm))
 
     def without_relaxation(self, name: str, result: NLPResult, t: float) -> NLPResult:
-        """The same point with multipliers of the lifted NLP.
-
-        What the relaxation's rows and penalty exert on a member becomes the multiplier of its bound.
-        """
+        """The same point; what the relaxation exerts on a member becomes the multiplier of its bound."""
         lifted, n_rows = self.lifted, self.lifted.nlp.n_g
         _, pull = self._relaxed(name)
         pulls = pull(*lifted.members(result.x), t, result.lam_g[n_rows:])
@@ -156,8 +146,7 @@ class CompiledNLPs:
     def excess(self, z: Array, p: Array) -> float:
         """Largest residual of the source problem in units of its tolerance: at most 1 is a solution.
 
-        A row is allowed its tolerance times its largest term ``|J_ij z_j|`` (at least 1): rounding is
-        relative to that.
+        A row is allowed its tolerance times its largest term ``|J_ij z_j|`` (at least 1), as rounding is.
         """
         lifted, options, source = self.lifted, self.options, self.lifted.source
         x = z[: source.n_x]
@@ -194,8 +183,7 @@ def _multipliers(warm: NLPResult | None) -> dict[str, Array]:
 def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, Evaluator]:
     """The lifted NLP with the rows and the penalty of a relaxation, t the last parameter; and its pull.
 
-    The pull is ``(a, b, t, multipliers of the rows) -> (force on a, force on b)``: the gradients in the
-    members of the penalty and of the rows times their multipliers.
+    The pull is ``(a, b, t, lam) -> (force on a, force on b)``, the gradient of ``penalty + lam^T rows``.
     """
     nlp, relax = lifted.nlp, relaxation(name)
     t = ca.MX.sym("t")
@@ -220,8 +208,8 @@ def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, Evaluator]:
 def unlifted_nlp(mpcc: MPCC, base: Derivatives) -> NLP:
     """Scholtes' relaxation as one writes it first: rows ``g``, ``G >= 0``, ``H >= 0``, ``G H <= t``.
 
-    Parameters after those of the source problem: weight of the objective, and t. Derivatives are composed
-    of those of the source: symbolic ones of the products take CasADi long where pairs are dense.
+    The last parameters are the weight of the objective and t. Derivatives are composed of those of the
+    source: symbolic ones of the products take CasADi long where pairs are dense.
     """
     n, n_g, n_p = mpcc.n_pairs, mpcc.n_g, mpcc.p.shape[0]
     x, parameters = ca.MX.sym("x", mpcc.n_x), ca.MX.sym("p", n_p + 2)

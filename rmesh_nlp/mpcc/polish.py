@@ -99,13 +99,8 @@ class _Branch:
         A = jacobian[on].tocsc()
         right = np.append(-(slope + hessian @ step)[free], gap[on] - A @ step)
         inner = A[:, free]
-        system = sp.bmat(
-            [
-                [hessian[free][:, free] + proximal * sp.identity(free.size), inner.T],
-                [inner, -_DUAL * sp.identity(on.size)],
-            ],
-            format="csc",
-        )
+        top = hessian[free][:, free] + proximal * sp.identity(free.size)
+        system = sp.bmat([[top, inner.T], [inner, -_DUAL * sp.identity(on.size)]], format="csc")
         if not np.all(np.isfinite(system.data)) or not np.all(np.isfinite(right)):
             return None
         try:

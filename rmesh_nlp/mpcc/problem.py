@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.mixed import PlainPairs
+from rmesh_nlp.mpcc.mixed import Member, PlainPairs, sides
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
 
@@ -84,8 +84,8 @@ class MPCC:
         kind = type(x)
         if kind not in (ca.SX, ca.MX) or not x.is_valid_input():
             raise ValueError(f"x must be a column of CasADi SX or MX symbols, got {self.x!r}"[:300])
-        columns = {name: _column(name, getattr(self, name), kind) for name in ("f", "g", "G", "H", "p")}
-        columns["x"] = x
+        names = ("f", "g", "G", "H", "p")
+        columns = {"x": x, **{name: _column(name, getattr(self, name), kind) for name in names}}
         if columns["f"].shape != (1, 1):
             raise ValueError(f"f must be a scalar expression, its shape is {columns['f'].shape}")
         if not columns["p"].is_valid_input():
@@ -97,9 +97,7 @@ class MPCC:
         for name, value in columns.items():
             object.__setattr__(self, name, value)
         for name, n in (("x", self.n_x), ("g", self.n_g)):
-            lower = _values(f"lb{name}", getattr(self, f"lb{name}"), n)
-            upper = _values(f"ub{name}", getattr(self, f"ub{name}"), n)
-            _refuse_crossing(name, lower, upper)
+            lower, upper = _bounds(name, getattr(self, f"lb{name}"), getattr(self, f"ub{name}"), n)
             object.__setattr__(self, f"lb{name}", lower)
             object.__setattr__(self, f"ub{name}", upper)
         if self.derivatives is not None:
@@ -219,10 +217,7 @@ class MPCC:
             As the constructor, or if the bounds of a pair make no complementarity.
         """
         plain = cls(x, f, g, G, H, lbx, ubx, lbg, ubg, p)
-        named = (("lbG", lbG), ("ubG", ubG), ("lbH", lbH), ("ubH", ubH))
-        bounds = [_values(name, value, plain.n_pairs) for name, value in named]
-        _refuse_crossing("G", *bounds[:2])
-        _refuse_crossing("H", *bounds[2:])
+        bounds = *_bounds("G", lbG, ubG, plain.n_pairs), *_bounds("H", lbH, ubH, plain.n_pairs)
         pairs = PlainPairs(type(plain.x))
         for i in range(plain.n_pairs):
             pairs.add(i, plain.G[i], plain.H[i], *(float(bound[i]) for bound in bounds))
@@ -264,25 +259,24 @@ class MPCC:
         if set(nlp) - {"x", "f", "g", "p"} or "x" not in nlp or "f" not in nlp:
             raise ValueError(f"nlp has the keys {sorted(nlp)}: x and f are needed, g and p may be given")
         plain = cls(nlp["x"], nlp["f"], nlp.get("g"), None, None, lbx, ubx, lbg, ubg, nlp.get("p"))
-        columns = {"x": (plain.x, plain.lbx, plain.ubx), "g": (plain.g, plain.lbg, plain.ubg)}
-        sides: list[list[tuple[Any, float, float]]] = [[], []]
+        lbg, ubg = np.asarray(plain.lbg), np.asarray(plain.ubg)
+        columns = {"x": (plain.x, np.asarray(plain.lbx), np.asarray(plain.ubx)), "g": (plain.g, lbg, ubg)}
         taken: set[int] = set()
-        for k, pair in enumerate(pairs):
-            for side, (kind, i) in zip(sides, pair, strict=True):
-                if kind not in columns or not 0 <= i < columns[kind][0].shape[0]:
-                    raise ValueError(f"pair {k}: there is no {kind}[{i}]")
-                if kind == "g" and i in taken:
-                    raise ValueError(f"pair {k}: row g[{i}] is already in a pair")
-                taken |= {i} if kind == "g" else set()
-                column, lower, upper = columns[kind]
-                side.append((column[i], float(np.asarray(lower)[i]), float(np.asarray(upper)[i])))
+
+        def member(k: int, kind: str, i: int) -> Member:
+            if kind not in columns or not 0 <= i < columns[kind][0].shape[0]:
+                raise ValueError(f"pair {k}: there is no {kind}[{i}]")
+            if kind == "g" and i in taken:
+                raise ValueError(f"pair {k}: row g[{i}] is already in a pair")
+            taken.update([i] if kind == "g" else [])
+            column, lower, upper = columns[kind]
+            return column[i], float(lower[i]), float(upper[i])
+
+        mixed = sides((member(k, *a), member(k, *b)) for k, (a, b) in enumerate(pairs))
         kept = [i for i in range(plain.n_g) if i not in taken]
-        (G, lbG, ubG), (H, lbH, ubH) = ([list(part) for part in zip(*side, strict=True)] or [[]] * 3
-                                        for side in sides)  # fmt: skip
         return cls.mixed(
-            plain.x, plain.f, plain.g[kept] if kept else None, G, H, lbG=lbG, ubG=ubG, lbH=lbH, ubH=ubH,
-            lbx=plain.lbx, ubx=plain.ubx, lbg=np.asarray(plain.lbg)[kept], ubg=np.asarray(plain.ubg)[kept],
-            p=plain.p,
+            plain.x, plain.f, plain.g[kept] if kept else None, lbx=plain.lbx, ubx=plain.ubx,
+            lbg=lbg[kept], ubg=ubg[kept], p=plain.p, **mixed,
         )  # fmt: skip
 
 
@@ -352,8 +346,9 @@ def _column(name: str, value: Any, kind: Any) -> Any:
     return column if name == "x" else ca.densify(column)
 
 
-def _refuse_crossing(name: str, lower: Array, upper: Array) -> None:
-    """Raise a ValueError for bounds between which there is no number."""
+def _bounds(name: str, lower: ArrayLike, upper: ArrayLike, n: int) -> tuple[Array, Array]:
+    """Bounds as arrays of length n; raises a ValueError if there is no number between them."""
+    lower, upper = _values(f"lb{name}", lower, n), _values(f"ub{name}", upper, n)
     wrong = np.flatnonzero((lower > upper) | (lower == np.inf) | (upper == -np.inf))
     if wrong.size:
         i = int(wrong[0])
@@ -361,6 +356,7 @@ def _refuse_crossing(name: str, lower: Array, upper: Array) -> None:
             f"lb{name}[{i}] = {lower[i]} and ub{name}[{i}] = {upper[i]} leave no value: "
             "the lower bound must not lie above the upper, and both cannot be the same infinity"
         )
+    return lower, upper
 
 
 def _refuse_free_symbols(columns: dict[str, Any]) -> None:

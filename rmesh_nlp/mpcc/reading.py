@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.mixed import Member, sides
 from rmesh_nlp.mpcc.nl import Rows, read_rows
 from rmesh_nlp.mpcc.problem import MPCC
 
@@ -76,26 +77,18 @@ def read(source: str | PathLike[str] | Any) -> Problem:
             return read_pyomo(source)
         raise ValueError(f"expected a path or a Pyomo model, got {type(source).__name__}")
     path = Path(source)
-    try:
-        reader = READERS[path.suffix.lower()]
-    except KeyError:
-        raise ValueError(f"{path}: unknown format {path.suffix!r}; there are {', '.join(READERS)}") from None
-    return reader(path)
-
-
-Member = tuple[Any, float, float]
-"""A member of a mixed pair with its bounds."""
+    if path.suffix.lower() not in READERS:
+        raise ValueError(f"{path}: unknown format {path.suffix!r}; there are {', '.join(READERS)}")
+    return READERS[path.suffix.lower()](path)
 
 
 def _of_rows(name: str, rows: Rows, pairs: list[tuple[Member, Member]], paired: set[int]) -> Problem:
     """The rows of a file as an MPCC: pairs, and the rows that are in none; a maximum changes its sign."""
     kept = [i for i in range(len(rows.bodies)) if i not in paired]
     sign = -1.0 if rows.maximise else 1.0
-    G, lbG, ubG, H, lbH, ubH = ([(*pair[0], *pair[1])[k] for pair in pairs] for k in range(6))
     mpcc = MPCC.mixed(
-        rows.x, sign * rows.f, [rows.bodies[i] for i in kept] or None, G, H,
-        lbG=lbG, ubG=ubG, lbH=lbH, ubH=ubH, lbx=rows.lbx, ubx=rows.ubx,
-        lbg=rows.lower[kept], ubg=rows.upper[kept],
+        rows.x, sign * rows.f, [rows.bodies[i] for i in kept] or None, lbx=rows.lbx, ubx=rows.ubx,
+        lbg=rows.lower[kept], ubg=rows.upper[kept], **sides(pairs),
     )  # fmt: skip
     return Problem(name, mpcc, rows.x0, sign=sign)
 
@@ -133,29 +126,24 @@ def read_pyomo(model: Any) -> Problem:
     copy = model.clone()
     block = pe.Block(concrete=True)
     copy.add_component(_BLOCK, block)
-    n_pairs = 0
-    for condition in list(copy.component_data_objects(Complementarity, active=True, descend_into=True)):
+    conditions = list(copy.component_data_objects(Complementarity, active=True, descend_into=True))
+    for k, condition in enumerate(conditions):
         members = getattr(condition, "_args", None)
         if members is None or len(members) != 2:
             raise ValueError(f"the condition {condition.name} is not a pair")
         for side, member in enumerate(members):
-            name = f"pair{n_pairs}_{side}"
+            name = f"pair{k}_{side}"
             if isinstance(member, RelationalExpression):
                 block.add_component(name, pe.Constraint(expr=member))
             else:  # a bare expression: free, and equal to a new variable
                 free = pe.Var(initialize=0.0)
                 block.add_component(f"{name}_value", free)
                 block.add_component(f"{name}_is", pe.Constraint(expr=free == member))
-        n_pairs += 1
         condition.deactivate()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.nl"
-        options = {
-            "symbolic_solver_labels": True,
-            "linear_presolve": False,
-            "skip_trivial_constraints": False,
-        }
-        copy.write(str(path), format="nl", io_options=options)
+        presolve = {"linear_presolve": False, "skip_trivial_constraints": False}
+        copy.write(str(path), format="nl", io_options={"symbolic_solver_labels": True, **presolve})
         rows = read_rows(path)
         row, column = (
             {name: i for i, name in enumerate(path.with_suffix(ending).read_text().split("\n"))}
@@ -168,7 +156,7 @@ def read_pyomo(model: Any) -> Problem:
             return rows.bodies[i], float(rows.lower[i]), float(rows.upper[i])
         return rows.x[column[f"{name}_value"]], -np.inf, np.inf
 
-    names = [(f"{_BLOCK}.pair{k}_0", f"{_BLOCK}.pair{k}_1") for k in range(n_pairs)]
+    names = [(f"{_BLOCK}.pair{k}_0", f"{_BLOCK}.pair{k}_1") for k in range(len(conditions))]
     paired = {row[name] for pair in names for name in pair if name in row}
     return _of_rows(str(model.name), rows, [(member_of(a), member_of(b)) for a, b in names], paired)
 
@@ -193,10 +181,9 @@ def read_nosbench(path: Path) -> Problem:
             columns[key] = function.call([w, p][: function.n_in()])[0]
         except RuntimeError as error:
             raise ValueError(f"{path}: {names[key]} does not take w of length {x0.size}: {error}") from error
-    bounds: dict[str, Any] = {
-        ours: _numbers(path, data, theirs, np.array(default)) for ours, (theirs, default) in _BOUNDS.items()
-    }
-    return Problem(path.stem, MPCC(x=w, p=p, **columns, **bounds), x0, p0)
+    for ours, (theirs, default) in _BOUNDS.items():
+        columns[ours] = _numbers(path, data, theirs, np.array(default))
+    return Problem(path.stem, MPCC(x=w, p=p, **columns), x0, p0)
 
 
 def _function(path: Path, data: dict[str, Any], name: str) -> ca.Function:

@@ -55,9 +55,9 @@ class Step(Measured):
         Largest multiplier of the relaxation's rows: positive where a relaxation with rows acts.
     """
 
-    iterations: int
-    status: Status
-    seconds: float
+    iterations: int = 0
+    status: Status = Status.CONVERGED
+    seconds: float = 0.0
     multiplier: float = 0.0
 
     HEADER = (
@@ -90,7 +90,7 @@ class Iterate(Measured):
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Residuals of the source problem at a point: nothing that a solver said enters here."""
+    """Residuals of the source problem at a point, measured and not taken from a solver."""
 
     constraint_violation: float
     complementarity: float

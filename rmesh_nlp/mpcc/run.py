@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.result import Iterate, Step
+from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
@@ -29,16 +31,6 @@ class LimitReachedError(Exception):
 
 class Run:
     """The NLPs of one solve: their table, their limits, and the best point so far.
-
-    Parameters
-    ----------
-    nlps : CompiledNLPs
-    p : array
-        Parameters of the source problem.
-    weight : float
-        Of the objective.
-    progress, on_step, on_iteration : callable, optional
-        Receive a line of text and the ``Step`` of each NLP, and the ``Iterate`` after each iteration.
 
     Attributes
     ----------
@@ -75,38 +67,61 @@ class Run:
     def relaxed(
         self, name: str, z: Array, t: float, warm: NLPResult | None = None, *, first: bool = False
     ) -> NLPResult:
-        """Solve the relaxation ``name`` at ``t`` from ``z``; ``warm`` gives multipliers to start from.
-
-        ``first`` says that ``z`` is a user's start.
-        """
-        self._begin("relaxed", t)
-        return self._ended("relaxed", t, self.nlps.relaxed(name, z, self.p, t, warm, first))
+        """Solve the relaxation ``name`` at ``t``, see :meth:`CompiledNLPs.relaxed`."""
+        return self.solved("relaxed", t, lambda: self.nlps.relaxed(name, z, self.p, t, warm, first))
 
     def unlifted(self, x: Array, t: float) -> NLPResult:
         """Solve Scholtes' relaxation in the source problem's own unknowns; the result is a lifted one."""
-        self._begin("second", t)
-        return self._ended("second", t, self.nlps.unlifted(x, self.p, t))
+        return self.solved("second", t, lambda: self.nlps.unlifted(x, self.p, t))
 
     def branch(
-        self,
-        z: Array,
-        fix_G: BoolArray,
-        fix_H: BoolArray | None = None,
-        *,
-        phase: str = "branch",
-        radius: Array | None = None,
-        free_signs: bool = False,
-        warm: NLPResult | None = None,
+        self, z: Array, fix_G: BoolArray, fix_H: BoolArray | None = None, *, phase: str = "branch", **how: Any
     ) -> NLPResult:
-        """Solve the NLP in which G is zero where ``fix_G``, and H where ``fix_H`` (None: elsewhere)."""
-        self._begin(phase, 0.0)
-        fix_H = ~fix_G if fix_H is None else fix_H
-        result = self.nlps.branch(z, self.p, fix_G, fix_H, radius=radius, free_signs=free_signs, warm=warm)
-        return self._ended(phase, 0.0, result)
+        """Solve the NLP in which G is zero where ``fix_G``, and H where ``fix_H`` (None: elsewhere).
 
-    def polished(self, z: Array) -> None:
-        """Log a point that was found without an NLP."""
-        self._log(self._step("polished", 0.0, z))
+        ``how`` are the keywords of :meth:`CompiledNLPs.branch`.
+        """
+        fix_H = ~fix_G if fix_H is None else fix_H
+        return self.solved(phase, 0.0, lambda: self.nlps.branch(z, self.p, fix_G, fix_H, **how))
+
+    def solved(self, phase: str, t: float, solve: Callable[[], NLPResult]) -> NLPResult:
+        """Solve an NLP within the limits, watched and recorded."""
+        self.check()
+        self.nlps.watch.monitor = self._monitor(phase, t)
+        result = solve()
+        self.iterations += result.iterations
+        self.record(phase, t, result.x, result)
+        self.check()
+        return result
+
+    def record(self, phase: str, t: float, z: Array, result: NLPResult | None = None) -> None:
+        """Measure a point on the source problem and show it; without ``result`` no NLP led to it."""
+        measured = self._measured(phase, t, z)
+        self.keep(z, measured["objective"])
+        step = Step(**measured)
+        if result is not None:
+            multiplier = np.max(result.lam_g[self.lifted.nlp.n_g :], initial=0.0) if t > 0 else 0.0
+            step = replace(
+                step, iterations=result.iterations, status=result.status, seconds=result.seconds,
+                multiplier=float(multiplier),
+            )  # fmt: skip
+        self.steps.append(step)
+        if self._progress is not None:
+            self._progress(step.line())
+        if self._on_step is not None:
+            self._on_step(step)
+
+    def keep(self, z: Array, f: float) -> None:
+        """Remember a point if it is better than the one remembered."""
+        excess = self.nlps.excess(z, self.p)
+        if np.isfinite(excess) and (
+            self.nearest is None or (max(excess, 1.0), f) < (max(self.nearest[2], 1.0), self.nearest[1])
+        ):
+            self.nearest = (z, f, excess)
+
+    def objective(self, z: Array) -> float:
+        """Weighted objective at a lifted point, as in a ``Finish``."""
+        return float(self.lifted.value(z, self.p)[0][0])
 
     def exact(self, z: Array) -> bool:
         """Whether the source problem is feasible and complementary at ``z``, within the scaled tolerances."""
@@ -124,12 +139,10 @@ class Run:
         """Time left of the user's limit; infinite without one."""
         return max(self._deadline - time.monotonic(), 1e-3)
 
-    def _begin(self, phase: str, t: float) -> None:
-        """Check the limits and set what the NLP calls after each iteration; nothing if nobody asks."""
-        self.check()
-        self.nlps.watch.monitor = None
+    def _monitor(self, phase: str, t: float) -> Monitor | None:
+        """What the NLP calls after each iteration; nothing if nobody asks."""
         if self._on_iteration is None and self._most is None and not np.isfinite(self._deadline):
-            return
+            return None
         # of the whole solve: the callback's own count goes on between NLPs
         count, n_z, n_x = itertools.count(self.iterations), self.lifted.nlp.n_x, self.lifted.source.n_x
 
@@ -139,43 +152,10 @@ class Run:
                 self._on_iteration(Iterate(iteration=spent, x=z[:n_x], **self._measured(phase, t, z[:n_z])))
             return time.monotonic() > self._deadline or (self._most is not None and spent >= self._most)
 
-        self.nlps.watch.monitor = after
+        return after
 
     def _measured(self, phase: str, t: float, z: Array) -> dict[str, Any]:
         f, res, (_, G, H) = self.nlps.measure(z, self.p)
         near = max(self.options.corner, 2 * np.sqrt(t))  # the corner of every relaxation is at sqrt(t)
         biactive = int(np.count_nonzero(np.maximum(np.abs(G), np.abs(H)) <= near))
         return {"phase": phase, "t": t, "objective": f, "biactive": biactive, **vars(res)}
-
-    def _step(self, phase: str, t: float, z: Array, result: NLPResult | None = None) -> Step:
-        """Measure a point on the source problem, and keep it if it is the best."""
-        measured = self._measured(phase, t, z)
-        self.keep(z, measured["objective"])
-        if result is None:
-            return Step(**measured, iterations=0, status=Status.CONVERGED, seconds=0.0)
-        multiplier = np.max(result.lam_g[self.lifted.nlp.n_g :], initial=0.0) if t > 0 else 0.0
-        return Step(
-            **measured, iterations=result.iterations, status=result.status, seconds=result.seconds,
-            multiplier=float(multiplier),
-        )  # fmt: skip
-
-    def _ended(self, phase: str, t: float, result: NLPResult) -> NLPResult:
-        self.iterations += result.iterations
-        self._log(self._step(phase, t, result.x, result))
-        self.check()
-        return result
-
-    def _log(self, step: Step) -> None:
-        self.steps.append(step)
-        if self._progress is not None:
-            self._progress(step.line())
-        if self._on_step is not None:
-            self._on_step(step)
-
-    def keep(self, z: Array, f: float) -> None:
-        """Remember a point if it is better than the one remembered."""
-        excess = self.nlps.excess(z, self.p)
-        if np.isfinite(excess) and (
-            self.nearest is None or (max(excess, 1.0), f) < (max(self.nearest[2], 1.0), self.nearest[1])
-        ):
-            self.nearest = (z, f, excess)

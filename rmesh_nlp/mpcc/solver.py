@@ -93,7 +93,7 @@ class MPCCSolver:
     def _attempts(self) -> list[tuple[str, float]]:
         """The homotopy asked for, then the rescues; a rescue by the same relaxation and t is left out."""
         first = (self.options.relaxation, self.options.t0)
-        return [first, *(attempt for attempt in self.options.rescues if attempt != first)]
+        return [first, *(rescue for rescue in self.options.rescues if rescue != first)]
 
 
 def solve(
@@ -159,9 +159,9 @@ def _end(run: Run, paths: Sequence[Path], z0: Array, limit: Status | None) -> Fi
     z, f, excess = run.nearest or (z0, np.nan, np.inf)
     if limit is not None:
         return Finish(z, f, limit)
-    tried = [z, *(path.relaxed.x for path in paths if path.relaxed is not None)]
+    tried = [path.relaxed.x for path in paths if path.relaxed is not None]
     tried += [path.finish.z for path in paths if path.finish is not None]
-    for point in tried:
+    for point in [z, *tried]:
         f = run.nlps.measure(point, run.p)[0]
         if f < -_HUGE or (np.all(np.isfinite(point)) and np.max(np.abs(point), initial=0.0) > _HUGE):
             return Finish(point, f, Status.UNBOUNDED)
@@ -211,9 +211,8 @@ def _result(run: Run, end: Finish, build: float, total: float, rescues: int) -> 
         column /= run.p[-1]
         lam_x = own.z[: mpcc.n_x] / run.p[-1]
     lam_g, lam_G, lam_H = np.split(column, [mpcc.n_g, mpcc.n_g + mpcc.n_pairs])
-    history = tuple(run.steps)
     phases = {"homotopy": 0.0, "finish": 0.0}
-    for step in history:
+    for step in run.steps:
         phases["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
     return MPCCResult(
         x=end.z[: mpcc.n_x], f=f, status=end.status, success=end.solved, message=end.status.message,
@@ -222,9 +221,9 @@ def _result(run: Run, end: Finish, build: float, total: float, rescues: int) -> 
         b_stationary=None if found is None else found.b_stationary,
         lam_x=lam_x, lam_g=lam_g, lam_G=lam_G, lam_H=lam_H, g=g, G=G, H=H,
         biactive=np.zeros(0, dtype=np.int64) if end.lin is None else end.lin.biactive,
-        history=history,
+        history=tuple(run.steps),
         counts={
-            "nlp_solves": len(history), "ipopt_iterations": sum(step.iterations for step in history),
+            "nlp_solves": len(run.steps), "ipopt_iterations": run.iterations,
             "pivots": end.pivots, "lpecs": end.lpecs, "rescues": rescues,
         },
         seconds={"build": build, **phases, "total": total},

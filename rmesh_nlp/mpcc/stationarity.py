@@ -51,19 +51,10 @@ class Multipliers:
 
 @dataclass(frozen=True, eq=False)
 class Stationarity:
-    """What is known of the stationarity of a point.
+    """The label of a point, the multipliers that prove it, and a direction of descent where there is one.
 
-    Attributes
-    ----------
-    label : str
-        The strongest of S, M, C, W for which multipliers exist; ``"none"`` if there are none at all, empty
-        if nothing was decided.
-    multipliers : Multipliers or None
-        Those that prove the label.
-    b_stationary : bool or None
-        None if the LPEC could not be decided within its limits.
-    direction : Direction or None
-        A linearised descent direction, where there is one.
+    ``label`` is ``"none"`` if there are no multipliers at all and empty if nothing was decided;
+    ``b_stationary`` is None if the LPEC could not be decided within its limits.
     """
 
     label: str
@@ -92,16 +83,8 @@ def stationarity(
 ) -> Stationarity:
     """Label a linearised point and look for descent over its branches.
 
-    Parameters
-    ----------
-    lifted : Lifted
-    lin : Linearisation
-    tolerance : float
-        Of the Lagrangian gradient and of descent, in units of ``max(1, |gradient f|)``.
-    offered : (rows, z), optional
-        Multipliers of an NLP, which may save the linear programs.
-    seconds : float
-        What a user's time limit leaves; without one nothing here depends on the clock.
+    ``tolerance`` is that of the Lagrangian gradient and of descent, in units of ``max(1, |gradient f|)``;
+    ``offered`` multipliers of an NLP (of rows and of z) may save the linear programs.
     """
     proved = None if offered is None else proof_of_s(lifted, lin, *offered, tolerance)
     label, multipliers = strongest(lifted, lin, tolerance, seconds) if proved is None else ("S", proved)
@@ -110,9 +93,8 @@ def stationarity(
     direction = descent(lifted, lin, seconds)
     if direction is None:
         return Stationarity(label, multipliers)
-    if direction.decrease >= -tolerance * lin.scale:
-        return Stationarity(label, multipliers, True)
-    return Stationarity(label, multipliers, False, direction)
+    flat = direction.decrease >= -tolerance * lin.scale
+    return Stationarity(label, multipliers, flat, None if flat else direction)
 
 
 def proof_of_s(
@@ -166,37 +148,28 @@ class _MultiplierLP:
     """
 
     def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, seconds: float) -> None:
-        self.lifted = lifted
-        self.decided = True
+        self.lifted, self.decided = lifted, True
         self.limit = {"time_limit": seconds} if np.isfinite(seconds) else {}
-        self.rows = np.flatnonzero(lin.row_lower | lin.row_upper)
-        self.bounds = np.flatnonzero(lin.z_lower | lin.z_upper)
-        self.G, self.H = np.flatnonzero(lin.G_zero), np.flatnonzero(lin.H_zero)
-        self.pairs = lin.biactive
-        eye = sp.identity(lifted.nlp.n_x, format="csc")
-        columns = [
-            lin.jacobian.T.tocsc()[:, self.rows],
-            eye[:, self.bounds],
-            eye[:, lifted.first[self.G]],
-            eye[:, lifted.second[self.H]],
-            eye[:, lifted.first[self.pairs]],
-            eye[:, lifted.second[self.pairs]],
-        ]
-        self.sizes = np.cumsum([part.shape[1] for part in columns])
+        rows = np.flatnonzero(lin.row_lower | lin.row_upper)
+        bounds = np.flatnonzero(lin.z_lower | lin.z_upper)
+        self.G, self.H, self.pairs = np.flatnonzero(lin.G_zero), np.flatnonzero(lin.H_zero), lin.biactive
+        self.places = (rows, bounds, self.G, self.H, self.pairs, self.pairs)
+        self.ends = np.cumsum([place.size for place in self.places])
+        eye, (first, second) = sp.identity(lifted.nlp.n_x, format="csc"), (lifted.first, lifted.second)
+        unknowns = (bounds, first[self.G], second[self.H], first[self.pairs], second[self.pairs])
+        columns = [lin.jacobian.T.tocsc()[:, rows], *(eye[:, place] for place in unknowns)]
         # Each coordinate of the Lagrangian gradient in units of its own terms would hide errors of badly
         # scaled problems; the unit is that of the whole objective gradient.
         matrix = sp.hstack(columns, format="csc")
         slack = tolerance * lin.scale
         self.matrix = sp.vstack([matrix, -matrix], format="csc")
         self.right = np.concatenate([slack - lin.gradient, slack + lin.gradient])
-        copies = np.zeros(2 * self.pairs.size)
-        signs = [(lin.row_lower[self.rows], lin.row_upper[self.rows])]
-        signs += [(lin.z_lower[self.bounds], lin.z_upper[self.bounds])]
-        signs += [(np.ones(at.size, bool), ~np.isin(at, self.pairs)) for at in (self.G, self.H)]
-        below, above = (np.concatenate(part) for part in zip(*signs, strict=True))
-        self.lower = np.append(np.where(below, -np.inf, 0.0), copies)
-        self.upper = np.append(np.where(above, np.inf, 0.0), copies + np.inf)
-        self.cost = np.append(np.zeros(below.size), copies + 1.0)
+        members, copies = np.ones(self.G.size + self.H.size, bool), np.ones(2 * self.pairs.size, bool)
+        free = [~np.isin(zero, self.pairs) for zero in (self.G, self.H)]
+        below = np.concatenate([lin.row_lower[rows], lin.z_lower[bounds], members, ~copies])
+        above = np.concatenate([lin.row_upper[rows], lin.z_upper[bounds], *free, copies])
+        self.lower, self.upper = np.where(below, -np.inf, 0.0), np.where(above, np.inf, 0.0)
+        self.cost = np.append(np.zeros(below.size - copies.size), copies)
 
     def solve(self, pieces: dict[int, tuple[int, int]]) -> tuple[Multipliers, float] | None:
         """Multipliers whose signs on the biactive pairs follow ``pieces``, or None if there are none.
@@ -207,9 +180,9 @@ class _MultiplierLP:
         for k, signs in pieces.items():
             for side, (sign, zero) in enumerate(zip(signs, (self.G, self.H), strict=True)):
                 if sign in (0, 1):
-                    lower[self.sizes[1 + side] + int(np.searchsorted(zero, self.pairs[k]))] = 0.0
+                    lower[self.ends[1 + side] + int(np.searchsorted(zero, self.pairs[k]))] = 0.0
                 if sign in (-1, 0):
-                    upper[self.sizes[3 + side] + k] = 0.0
+                    upper[self.ends[3 + side] + k] = 0.0
         if lower.size == 0:
             return (self._multipliers(lower), 0.0) if np.all(self.right >= 0) else None
         answer = linprog(
@@ -222,10 +195,8 @@ class _MultiplierLP:
     def _multipliers(self, values: Array) -> Multipliers:
         nlp, n_pairs = self.lifted.nlp, self.lifted.first.size
         found = Multipliers(*(np.zeros(n) for n in (nlp.n_g, nlp.n_x, n_pairs, n_pairs)))
-        parts = np.split(values, self.sizes[:-1])
-        places = (self.rows, self.bounds, self.G, self.H, self.pairs, self.pairs)
         into = (found.rows, found.z, found.G, found.H, found.G, found.H)
-        for array, place, part in zip(into, places, parts, strict=True):
+        for array, place, part in zip(into, self.places, np.split(values, self.ends[:-1]), strict=True):
             array[place] += part
         return found
 

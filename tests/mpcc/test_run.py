@@ -73,10 +73,10 @@ def test_step_measures_pairs_near_the_corner_and_multipliers_of_the_relaxation()
     run = Run(CompiledNLPs(MPCC(v, ca.sumsqr(v), None, v[:2], v[2:]), Options()), np.zeros(0))
     for z, t, near in (((0.01, 0.3, 0.1, 0.5), 0.01, 1), ((0.01, 0.3, 0.1, 0.5), 0.1, 2),
                        ((0, 0.3, 1e-6, 0.5), 0.0, 1), ((0, 0.3, 1.1e-6, 0.5), 0.0, 0)):  # fmt: skip
-        run._ended("relaxed", t, ended(z, lam_g=np.array([0.2, 0.7])))
+        run.solved("relaxed", t, lambda z=z: ended(z, lam_g=np.array([0.2, 0.7])))
         assert (run.steps[-1].biactive, run.steps[-1].multiplier) == (near, 0.7 if t else 0.0)
     assert (run.iterations, run.steps[0].product) == (12, pytest.approx(0.15))
-    run.polished(np.zeros(4))
+    run.record("polished", 0.0, np.zeros(4))
     last = run.steps[-1]
     assert (last.phase, last.iterations, last.seconds, last.status) == ("polished", 0, 0.0, Status.CONVERGED)
 
@@ -136,18 +136,23 @@ def test_limits_are_checked_between_nlps_and_after_iterations(limits, iterations
     run.iterations = iterations
     assert run.seconds_left > 0
     if status is None:
-        run._begin("relaxed", 1.0)
-        stops = [run.nlps.watch.monitor(0, np.zeros(2), 0.0) for _ in range(2)]
+        stops = []
+
+        def solve_():
+            stops.extend(run.nlps.watch.monitor(0, np.zeros(2), 0.0) for _ in range(2))
+            return replace(ended([0.5, 0.5]), iterations=0)
+
+        run.solved("relaxed", 1.0, solve_)
         assert stops == [False, "max_iterations" in limits]
     else:
         with pytest.raises(LimitReachedError) as error:
-            run._begin("relaxed", 1.0)
+            run.solved("relaxed", 1.0, lambda: pytest.fail("an NLP begins"))
         assert error.value.status is status
 
 
 def test_without_limits_and_observers_nothing_is_watched():
     run = Run(CompiledNLPs(two_minima(), Options()), np.zeros(0))
-    run._begin("relaxed", 1.0)
+    run.solved("relaxed", 1.0, lambda: ended([0.5, 0.5]))
     assert run.nlps.watch.monitor is None
     assert run.seconds_left == np.inf
 
