@@ -1,8 +1,4 @@
-"""One drawing of a mesh, of a field, of a rigid foundation and of boundaries, for all figures.
-
-Meshes of more than ``FINE`` triangles, and all smooth fields, are rasterised: vectors of 100,000 triangles
-would be files of tens of megabytes.
-"""
+"""Bodies over rigid foundations: how far displacements are magnified, and where the foundation then is."""
 
 from __future__ import annotations
 
@@ -14,35 +10,23 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.ticker import MaxNLocator
-from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import contact_edges
 from rmesh_nlp.io.vtu import Fields
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.report.style import FOUNDATION, GRID_LINE, MAP
+from rmesh_nlp.report.style import FOUNDATION
+from rmesh_nlp.solving.plotting import draw_mesh
 
-FINE = 10_000
-"""Triangles above which the lines of a mesh are rasterised."""
+POINTS = 9  # of a foundation below one contact edge
 
-FAR = 1.0
-"""Part of the extent of the body beyond which a foundation is not drawn."""
-
-POINTS = 9
-"""Points of a foundation below one contact edge."""
-
-LARGEST_DEFORMATION = 0.08
-"""Displacements are magnified up to this part of the body's extent."""
-
-SEEN = 0.003
-"""Part of the body's extent that is about as wide as a line of a picture."""
-
-ROOM = 0.15
-"""A foundation is drawn up to this part of the extent outside the body."""
-
-MARGIN = 0.02
-"""Part of the extent that stays free around everything."""
+# parts of the extent of the body
+FAR = 1.0  # a foundation farther away than this is not drawn
+LARGEST_DEFORMATION = 0.08  # displacements are magnified up to this
+SEEN = 0.003  # about the width of a line
+ROOM = 0.15  # a foundation is drawn up to this far outside the body
+MARGIN = 0.02  # stays free around everything
 
 
 @dataclass(frozen=True)
@@ -50,8 +34,7 @@ class Foundation:
     """What one contact boundary may meet.
 
     ``nodes`` (2, contact nodes) would meet ``feet`` after ``gaps``, negative where the foundation overlaps
-    the body; points ``starts`` (2, edges, points) of the contact edges would meet ``lines``. One that
-    ``is_far`` is not drawn.
+    the body; points ``starts`` (2, edges, points) of the contact edges would meet ``lines``.
     """
 
     name: str
@@ -64,16 +47,19 @@ class Foundation:
 
     def displaced(self, factor: float) -> Array:
         """The foundation (2, edges, points) beside a body whose displacement is drawn ``factor`` times."""
-        shift = (self.lines - self.starts).reshape(2, -1).mean(axis=1)
-        return self.lines + (factor - 1) * shift[:, None, None]
+        return self.lines + (factor - 1) * self.ways.mean(axis=1)[:, None, None]
+
+    @property
+    def ways(self) -> Array:
+        """(2, points) from the contact boundary to the foundation."""
+        return (self.lines - self.starts).reshape(2, -1)
 
 
 @dataclass(frozen=True)
 class Body:
-    """A body on one mesh.
+    """A body on one mesh; scalar problems have no foundations.
 
-    Nodes (2, nodes), triangles (3, elements), displacement (components, nodes); scalar problems have no
-    foundations.
+    Nodes (2, nodes), triangles (3, elements), displacement (components, nodes).
     """
 
     nodes: Array
@@ -87,11 +73,6 @@ class Body:
         return self.displacement.shape[0] == 2
 
     @property
-    def size_of_displacement(self) -> Array:
-        """u, or its length."""
-        return np.linalg.norm(self.displacement, axis=0) if self.elastic else self.displacement[0]
-
-    @property
     def near(self) -> list[Foundation]:
         """The foundations that are drawn."""
         return [one for one in self.foundations if not one.is_far]
@@ -101,28 +82,26 @@ class Body:
         return self.nodes + factor * self.displacement if self.elastic else self.nodes
 
 
-def foundations(problem: ContactProblem, nodes: Array) -> tuple[Foundation, ...]:
-    """The foundations for node positions (2, nodes); none for scalar problems."""
-    if problem.components == 1:
-        return ()
+def foundations(problem: ContactProblem, X: Array) -> tuple[Foundation, ...]:
+    """The foundations for vertices at ``X`` (2, vertices); none for scalar problems."""
     found = []
     t = np.linspace(0, 1, POINTS)
-    for part in problem.contact_sets:
-        edges, here = contact_edges(problem, part.obstacle), nodes[:, part.nodes]
-        starts = np.einsum("cve,vk->cek", nodes[:, edges], np.stack([1 - t, t]))
+    for part in problem.contact_sets if problem.components == 2 else ():
+        edges, here = contact_edges(problem, part.obstacle), X[:, part.nodes]
+        starts = np.einsum("cve,vk->cek", X[:, edges], np.stack([1 - t, t]))
         lines = part.obstacle.feet(starts.reshape(2, -1)).reshape(starts.shape)
         gaps, feet = part.obstacle.distances(here), part.obstacle.feet(here)
-        far = _is_far(gaps, nodes)
-        found.append(Foundation(str(part.obstacle.boundary), gaps, here, feet, starts, lines, far))
+        name, far = str(part.obstacle.boundary), _is_far(gaps, X)
+        found.append(Foundation(name, gaps, here, feet, starts, lines, far))
     return tuple(found)
 
 
 def body_of(fields: Fields) -> Body:
     """The body that a file holds: its foundations are joined in one, known at the contact nodes."""
     nodes, feet = (points[:, fields.contact] for points in (fields.nodes, fields.foundation))
-    gaps = np.linalg.norm(feet - nodes, axis=0)
     known: tuple[Foundation, ...] = ()
-    if fields.displacement.shape[0] == 2 and gaps.size:
+    if fields.displacement.shape[0] == 2 and nodes.size:
+        gaps = np.linalg.norm(feet - nodes, axis=0)
         pairs = np.hstack([fields.triangles[[i, j]] for i, j in ((0, 1), (1, 2), (2, 0))])
         edges, times = np.unique(np.sort(pairs, axis=0), axis=1, return_counts=True)
         edges = edges[:, (times == 1) & np.all(fields.contact[edges], axis=0)].T
@@ -146,53 +125,16 @@ def magnification(bodies: Sequence[Body]) -> float:
     """
     extent = float(np.max(np.ptp(bodies[0].nodes, axis=1)))
     largest = max(float(np.max(np.abs(body.displacement))) for body in bodies)
-    ways = [(one.lines - one.starts).reshape(2, -1).T for body in bodies for one in body.near]
-    varies = max((float(np.max(np.abs(way - way.mean(axis=0)))) for way in ways if way.size), default=0.0)
-    factor = 1.0
-    for wanted in (step * 10.0**decade for decade in range(12) for step in (1, 2, 5)):
-        if largest == 0 or wanted * largest > LARGEST_DEFORMATION * extent:
-            break
-        if (wanted - 1) * varies > SEEN * extent:
-            break
-        factor = wanted
-    return factor
-
-
-def is_fine(triangles: NDArray[Any]) -> bool:
-    """Whether a mesh (3, elements) is too fine for vectors."""
-    return bool(triangles.shape[1] > FINE)
-
-
-def triangulation(nodes: Array, triangles: NDArray[Any]) -> Triangulation:
-    """Matplotlib's mesh."""
-    return Triangulation(nodes[0], nodes[1], triangles.T)
-
-
-def draw_mesh(
-    axis: Axes, nodes: Array, triangles: NDArray[Any], color: str = GRID_LINE, thin: float = 1.0
-) -> None:
-    """The edges of a mesh, with thinner lines on finer meshes."""
-    width = thin * float(np.clip(8 / np.sqrt(triangles.shape[1]), 0.08, 0.5))
-    axis.triplot(triangulation(nodes, triangles), color=color, linewidth=width, rasterized=is_fine(triangles))
-
-
-def draw_field(axis: Axes, nodes: Array, triangles: NDArray[Any], values: Array, **options: Any) -> Any:
-    """A field of nodes, smooth, or of elements, constant on each; returned for its colour bar."""
-    mesh = triangulation(nodes, triangles)
-    options = {"cmap": MAP, "rasterized": True, **options}
-    if values.size == nodes.shape[1]:
-        return axis.tripcolor(mesh, values, shading="gouraud", **options)
-    return axis.tripcolor(mesh, facecolors=values, **options)
+    ways = [one.ways.T for body in bodies for one in body.near if one.lines.size]
+    varies = max((float(np.max(np.abs(way - way.mean(axis=0)))) for way in ways), default=0.0)
+    wanted = (step * 10.0**decade for decade in range(12 if largest else 0) for step in (1, 2, 5))
+    shown = (f for f in wanted if f * largest <= LARGEST_DEFORMATION * extent)
+    return max((f for f in shown if (f - 1) * varies <= SEEN * extent), default=1.0)
 
 
 def draw_lines(axis: Axes, points: Array, **options: Any) -> None:
     """Lines through points (2, lines, points)."""
     axis.add_collection(LineCollection(list(points.transpose(1, 2, 0)), **options))
-
-
-def draw_edges(axis: Axes, nodes: Array, edges: NDArray[Any], **options: Any) -> None:
-    """Edges (2, edges) between nodes."""
-    draw_lines(axis, nodes[:, edges.T], **options)
 
 
 def draw_foundations(axis: Axes, body: Body, factor: float = 1.0, **options: Any) -> None:
@@ -214,11 +156,10 @@ def window(bodies: Sequence[Body], factor: float = 0.0) -> Array:
     points = np.hstack([body.moved(f) for body in bodies for f in {0.0, factor}])
     low, high = points.min(axis=1), points.max(axis=1)
     room = ROOM * float(np.max(high - low))
-    if factor:
-        for one in (one for body in bodies for one in body.near):
-            lines = one.displaced(factor).reshape(2, -1)
-            low = np.minimum(low, np.maximum(lines.min(axis=1), low - room))
-            high = np.maximum(high, np.minimum(lines.max(axis=1), high + room))
+    for one in (one for body in bodies for one in body.near if factor):
+        lines = one.displaced(factor).reshape(2, -1)
+        low = np.minimum(low, np.maximum(lines.min(axis=1), low - room))
+        high = np.maximum(high, np.minimum(lines.max(axis=1), high + room))
     extra = MARGIN * float(np.max(high - low))
     return np.stack([low - extra, high + extra], axis=1)
 

@@ -22,23 +22,11 @@ from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.units import NO_UNITS, Units, bracketed, units_of
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, label
-from rmesh_nlp.report.drawing import (
-    body_of,
-    draw_deformed,
-    draw_field,
-    draw_mesh,
-    frame,
-    is_fine,
-    magnification,
-    triangulation,
-    window,
-)
+from rmesh_nlp.report.drawing import body_of, draw_deformed, frame, magnification, window
 from rmesh_nlp.report.histories import Curve, curve
 from rmesh_nlp.report.study_summary import Chart, charts, is_study
 from rmesh_nlp.report.style import (
     FORMATS,
-    GRID_LINE,
-    MAP,
     SETTINGS,
     TWO_COLUMNS,
     Look,
@@ -48,42 +36,41 @@ from rmesh_nlp.report.style import (
     new_figure,
     save,
 )
+from rmesh_nlp.solving.plotting import (
+    GRID_LINE,
+    MAP,
+    direction,
+    draw_along,
+    draw_elements,
+    draw_mesh,
+    is_fine,
+    size_of,
+    triangulation,
+)
 
-GIVEN = "given grid"
-
-LEVELS = 16
-"""Contours of a solution."""
-
-DECADES = 3
-"""Powers of ten that the colours of an error map span."""
-
-FLOOR = 1e-8
-"""Distances to the best energy are drawn no lower than this part of it: below is the solvers' tolerance."""
-
-MARKERS = 15
-"""About as many markers are put on a curve."""
-
-FEW = 100
-"""Axes that span a smaller factor are labelled with numbers in place of powers."""
+LEVELS = 16  # contours of a solution
+DECADES = 3  # powers of ten that the colours of an error map span
+FLOOR = 1e-8  # part of the best energy down to which distances are drawn: the solvers' tolerance
+MARKERS = 15  # about as many markers on a curve
+FEW = 100  # axes that span a smaller factor are labelled with numbers in place of powers
 
 
 def write_figures(results: Sequence[Result], folder: Path, manifest: Manifest | None = None) -> list[Path]:
     """Draw everything that the results hold and return the files.
 
-    Figures are noted in the ``manifest`` of the folder above, and no file is replaced that is not.
-
-    Raises
-    ------
-    BadInputError
-        If the fields of a solution cannot be read, or a file of the user's is in the way.
+    Figures are noted in the ``manifest`` of the folder above, and no file is replaced that is not. Raises
+    BadInputError if the fields of a solution cannot be read, or a file of the user's is in the way.
     """
     paths: list[Path] = []
     with rc_context(SETTINGS):
         for name, figure in _all_figures(results):
-            stem = _unused(safe_name(name), paths)
+            stem, number = safe_name(name), 1
+            while stem in {path.stem for path in paths}:  # numbered if an earlier figure has the name
+                number += 1
+                stem = f"{safe_name(name)}-{number}"
             if manifest is not None:
                 manifest.claim(*(f"{folder.name}/{stem}.{kind}" for kind in FORMATS))
-            paths += save(figure, folder / stem, FORMATS)
+            paths += save(figure, folder / stem)
     return paths
 
 
@@ -96,7 +83,8 @@ def _all_figures(results: Sequence[Result]) -> Iterator[tuple[str, Figure]]:
     by_record = {id(result.record): result for result in results}
     for block in blocks(records):
         yield from block_figures(block, [by_record[id(record)] for record in block.records])
-    certified = [record for record in records if _is_certified(record) and record.get("nodes")]
+    bounds = ("energy_lower_bound", "energy_upper_bound")
+    certified = [r for r in records if r.get("nodes") and all(r.get(name) is not None for name in bounds)]
     for example in dict.fromkeys(record["example"] for record in certified):
         rows = [record for record in certified if record["example"] == example]
         if len({record["nodes"] for record in rows}) > 1:
@@ -109,29 +97,29 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
     Formulations are compared with the solution of ``fixed``; without it, what would show the
     given grid is left out.
     """
-    drawn = [
-        (result.record, read_vtu(result.vtu)) for result in results if result.record["energy"] is not None
-    ]
+    drawn = [(one.record, read_vtu(one.vtu)) for one in results if one.record["energy"] is not None]
     units = units_of(block.records[0].get("units"))
     stem = f"{block.example}-{block.records[0]['n']}"
-    fixed = [field for record, field in drawn if record["formulation"] == RELOCATING_NOTHING]
-    given = {GIVEN: fixed[0]} if fixed else {}
     moved = [(record, field) for record, field in drawn if record["formulation"] != RELOCATING_NOTHING]
+    fixed = [field for record, field in drawn if record["formulation"] == RELOCATING_NOTHING]
+    given = {"given grid": fixed[0]} if fixed else {}
     with rc_context(SETTINGS):
         for record, field in moved:
-            panels = {**given, f"relocated by {label(record)}": field}
-            yield f"{record.get('key', stem)}-grid", grid_figure(panels, units)
+            key = record.get("key", stem)
+            yield f"{key}-grid", grid_figure({**given, f"relocated by {label(record)}": field}, units)
             if field.error_bound is not None and field.error_bound_initial is not None:
-                bounds = (field.error_bound_initial, field.error_bound)
-                yield f"{record.get('key', stem)}-error", error_figure(field, bounds, record)
+                yield (
+                    f"{key}-error",
+                    error_figure(field, (field.error_bound_initial, field.error_bound), record),
+                )
         if given and not moved:
             yield f"{stem}-grid", grid_figure(given, units)
         for objective in block.objectives:
-            named = {label(r): field for r, field in moved if r["objective"] == objective}
+            named = {label(record): field for record, field in moved if record["objective"] == objective}
             if drawn and drawn[0][1].contact.any() and (named or not moved):
                 yield f"{stem}{_suffix(objective)}-stress", stress_figure({**given, **named}, units)
         if drawn and drawn[0][1].displacement.shape[0] == 1:
-            best = {f"relocated by {label(r)}": f for r, f in moved if r is block.best}
+            best = {f"relocated by {label(record)}": field for record, field in moved if record is block.best}
             every = {label(record): field for record, field in moved}
             yield f"{stem}-surface", surface_figure({**given, **best} or every)
         for objective, records in block.objectives.items():
@@ -147,34 +135,27 @@ def _suffix(objective: str) -> str:
     return "" if objective == "energy" else f"-{objective}"
 
 
-def _unused(name: str, paths: Sequence[Path]) -> str:
-    """The name, numbered if an earlier figure has it."""
-    taken = {path.stem for path in paths}
-    candidates = [name, *(f"{name}-{number}" for number in range(2, len(paths) + 3))]
-    return next(candidate for candidate in candidates if candidate not in taken)
-
-
 def grid_figure(panels: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure:
     """Grids by title with contours of the solution; below them, if elastic, the deformed grids."""
     bodies = [body_of(field) for field in panels.values()]
     elastic, factor = bodies[0].elastic, magnification(bodies)
     windows = [window(bodies), *([window(bodies, factor)] if elastic else [])]
     figure, axes = Page().panels(len(bodies), windows, below=0.3 if elastic else 0.15, beside=1.0)
-    values = [body.size_of_displacement for body in bodies]
+    values = [size_of(body.displacement) for body in bodies]
     levels = MaxNLocator(LEVELS).tick_values(min(map(np.min, values)), max(map(np.max, values)))
     for column, title, body, value in zip(axes.T, panels, bodies, values, strict=True):
         mesh = triangulation(body.nodes, body.triangles)
         filled = column[0].tricontourf(mesh, value, levels=levels, cmap=MAP)
-        draw_mesh(column[0], body.nodes, body.triangles, "white")
+        draw_mesh(column[0], body.nodes, body.triangles, color="white")
         column[0].set_title(title)
         if elastic:
             draw_deformed(column[1], body, factor)
         for axis, limits in zip(column, windows, strict=True):
             frame(axis, limits, bracketed(units.length))
-    bar = figure.colorbar(filled, ax=axes[0, :].tolist(), aspect=10 if elastic else 25, pad=0.02)
+    name = f"|u|{bracketed(units.length)}" if elastic else "u"
+    bar = figure.colorbar(filled, ax=axes[0].tolist(), aspect=10 if elastic else 25, pad=0.02, label=name)
     bar.locator = MaxNLocator(5 if elastic else 8)
     bar.update_ticks()
-    bar.set_label(f"|u|{bracketed(units.length)}" if elastic else "u")
     add_legend(figure, [axes[-1, 0]], "outside lower center")
     return figure
 
@@ -206,12 +187,10 @@ def stress_figure(curves: Mapping[str, Fields], units: Units = NO_UNITS) -> Figu
     frictional = any(np.any(field.friction_bound > 0) for field in fields)
     figure = new_figure(TWO_COLUMNS, 4.6 if frictional else 2.6)
     axes = figure.subplots(2 if frictional else 1, 1, sharex=True, squeeze=False)[:, 0]
-    along = int(np.argmax(np.ptp(fields[0].nodes[:, fields[0].contact], axis=1)))
+    along = direction(fields[0].nodes[:, fields[0].contact])
 
     def draw(axis: Axes, field: Fields, values: Array, **pen: Any) -> None:
-        where = np.flatnonzero(field.contact)
-        where = where[np.argsort(field.nodes[along, where])]
-        axis.plot(field.nodes[along, where], values[where], **pen)
+        draw_along(axis, field.nodes, np.flatnonzero(field.contact), values, along, **pen)
 
     for position, (name, field) in enumerate(curves.items()):
         for axis, values in zip(axes, (field.pressure, field.tangential_stress), strict=False):
@@ -238,23 +217,19 @@ def error_figure(field: Fields, bounds: tuple[Array, Array], record: Record) -> 
         np.sqrt(2 * np.maximum(local, 0) / np.abs(signed_areas(nodes, field.triangles)))
         for nodes, local in zip(meshes, bounds, strict=True)
     ]
-    high = max(float(np.max(values)) for values in density)
+    high = float(np.max(density))
     norm = LogNorm(max(high, 1e-300) / 10**DECADES, max(high, 1e-299))
     limits = window([body_of(field)])
     figure, axes = Page().panels(2, [limits], below=0.15, beside=1.0)
-    titles = [f"given, {_percent(record, '_initial')}", f"relocated, {_percent(record, '')}"]
-    for axis, title, nodes, values in zip(axes[0], titles, meshes, density, strict=True):
-        drawn = draw_field(axis, nodes, field.triangles, np.maximum(values, norm.vmin or 0), norm=norm)
+    guaranteed = all(record.get(f"guaranteed_{side}") for side in ("lower", "upper", "initial"))
+    for axis, when, nodes, values in zip(axes[0], ("given", "relocated"), meshes, density, strict=True):
+        drawn = draw_elements(axis, nodes, field.triangles, np.maximum(values, norm.vmin or 0), norm=norm)
         frame(axis, limits, "")
-        axis.set_title(title)
+        error = record.get("relative_error_bound_initial" if when == "given" else "relative_error_bound")
+        words = "at most" if guaranteed else "estimated at"
+        axis.set_title(f"{when}, " + ("" if error is None else f"error {words} {100 * error:.3g} %"))
     figure.colorbar(drawn, ax=axes[0].tolist(), label="error bound\nper root of area", aspect=20)
     return figure
-
-
-def _percent(record: Record, when: str) -> str:
-    guaranteed = all(record.get(f"guaranteed_{side}") for side in ("lower", "upper", "initial"))
-    value = record.get(f"relative_error_bound{when}")
-    return "" if value is None else f"error {'at most' if guaranteed else 'estimated at'} {100 * value:.3g} %"
 
 
 def bracket_figure(records: Sequence[Record]) -> Figure:
@@ -267,16 +242,12 @@ def bracket_figure(records: Sequence[Record]) -> Figure:
         low, high = ([row[f"energy_{side}_bound"] for row in rows] for side in ("lower", "upper"))
         style = look(position)
         axis.fill_between(nodes, low, high, color=style.color, alpha=0.15, linewidth=0)
-        axis.plot(nodes, high, color=style.color, marker=style.marker, markersize=4, label=name)
-        axis.plot(nodes, low, color=style.color, marker=style.marker, markersize=4, linestyle="--")
+        pen: dict[str, Any] = {"color": style.color, "marker": style.marker, "markersize": 4}
+        axis.plot(nodes, high, **pen, label=name)
+        axis.plot(nodes, low, **pen, linestyle="--")
     axis.set(xscale="log", xlabel="nodes", ylabel="bounds of the least energy")
     axis.legend()
     return figure
-
-
-def _is_certified(record: Record) -> bool:
-    """Whether a record holds both bounds of the energy."""
-    return record.get("energy_lower_bound") is not None and record.get("energy_upper_bound") is not None
 
 
 def convergence_figure(
@@ -302,14 +273,11 @@ def convergence_figure(
         for axis, where in zip(axes[::-1], (one.cost, one.iteration), strict=False):
             _draw(axis, where, np.maximum(gap, floor), one, style)
     least = f"{reference:.6g}".replace("-", "−")
-    axes[0].set_yscale("log")
-    axes[0].set_ylabel(f"|{symbol} − {symbol}*|{unit}")
     drawn_to = f"{symbol}* = {least}, drawn down to $10^{{{round(np.log10(FLOOR))}}}$ |{symbol}*|"
     if not all(one.feasible.all() for one in curves):
         drawn_to += "\nopen markers: constraints not yet met"
-    axes[0].set_xlabel(f"iteration\n{drawn_to}")
-    axes[-1].set_xscale("log")
-    axes[-1].set_xlabel("cost: time of build and solve\nover that of one contact solve")
+    axes[0].set(yscale="log", ylabel=f"|{symbol} − {symbol}*|{unit}", xlabel=f"iteration\n{drawn_to}")
+    axes[-1].set(xscale="log", xlabel="cost: time of build and solve\nover that of one contact solve")
     if len(axes) == 1:
         axes[0].set_xlabel(f"cost [contact solves]\n{drawn_to}")
     for axis in axes:

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.contact.active_set import solve, touching_set
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.contact_terms import nodal_weights
-from rmesh_nlp.fem.stress import stresses, von_mises
+from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.io.kept_problem import KeptSolution
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.problem import ContactProblem, Place
@@ -29,14 +28,10 @@ from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.drawing import (
     Body,
     draw_deformed,
-    draw_edges,
-    draw_field,
     draw_foundations,
     draw_lines,
-    draw_mesh,
     foundations,
     frame,
-    is_fine,
     magnification,
     window,
 )
@@ -52,30 +47,43 @@ from rmesh_nlp.report.style import (
     new_figure,
     save,
 )
+from rmesh_nlp.solving.plotting import (
+    direction,
+    draw_along,
+    draw_elements,
+    draw_mesh,
+    draw_nodal,
+    is_fine,
+    size_of,
+    size_of_stress,
+)
 from rmesh_nlp.solving.solution import Solution
 
 Drawable = Solution | KeptSolution
-"""What pictures of a relocation are drawn from: a solution, or one that was read back."""
-
 PICTURES = ("mesh", "displacement", "stress", "flux", "pressure", "motion", "limits")
-"""Names of all pictures that there may be."""
-
 TITLES = ("given mesh", "relocated mesh")
-
-CLOSED = 1e-9
-"""A gap below this part of the largest displacement is closed."""
-
-SMALL = 1e-6
-"""A multiplier below this part of the largest of its kind is not active."""
+CLOSED = 1e-9  # a gap below this part of the largest displacement is closed
+SMALL = 1e-6  # a multiplier below this part of the largest of its kind is not active
 
 
 @dataclass(frozen=True)
 class State(Body):
-    """A solution on one mesh: pressure (nodes,), von Mises stress (elements,) or the length of the flux."""
+    """A solution on one mesh: nodes and triangles of its displacement space, vertices ``X`` (2, vertices).
+
+    Pressure is (nodes,); stress, von Mises' or the length of the flux, is (elements,).
+    """
 
     problem: ContactProblem
+    X: Array
     pressure: Array
     stress: Array
+
+    @staticmethod
+    def of(problem: ContactProblem, X: Array, u: Array, pressure: Array) -> State:
+        """The state of displacement ``u`` (components, nodes)."""
+        space, stress = DisplacementSpace.of(problem), size_of_stress(problem, X, u)
+        known = foundations(problem, X)
+        return State(space.points(X), space.elements, u, known, problem, X, pressure, stress)
 
     @property
     def closed(self) -> NDArray[np.bool_]:
@@ -90,40 +98,24 @@ class State(Body):
 
 
 def before(problem: ContactProblem, pressure: Array | None = None) -> State:
-    """The contact solution on the mesh as given, by one contact solve.
-
-    A contact ``pressure`` (nodes,) on a similar mesh saves it the search for the nodes that touch.
-    """
-    model = ContactSolver(problem)
-    nodes = np.asarray(problem.mesh.p)
-    system = model.system(nodes)
+    """The contact solution on the mesh as given; ``pressure`` (nodes,) of a similar mesh says who touches."""
+    model, X = ContactSolver(problem), np.asarray(problem.mesh.p)
+    system, space = model.system(X), DisplacementSpace.of(problem)
     start = None if pressure is None else touching_set(system, pressure[model.contact_nodes] > 0)
     state = solve(system, start)
-    pressure = np.zeros(nodes.shape[1])
-    if state.normal_force.size:
-        np.add.at(pressure, model.contact_nodes, state.normal_force / nodal_weights(problem, nodes))
-    return _state(problem, nodes, model.displacement.values(state.u), pressure)
+    pressure = np.zeros(space.n_nodes)
+    np.add.at(pressure, model.contact_nodes, state.normal_force / space.weights(X))
+    return State.of(problem, X, model.displacement.values(state.u), pressure)
 
 
 def after(solution: Drawable) -> State:
     """The solution itself."""
-    nodes, pressure = np.asarray(solution.mesh.p), np.asarray(solution.pressure)
-    return _state(solution.problem, nodes, solution.displacement, pressure)
-
-
-def _state(problem: ContactProblem, nodes: Array, displacement: Array, pressure: Array) -> State:
-    stress = stresses(problem, nodes, displacement)
-    size = np.linalg.norm(stress, axis=0) if problem.components == 1 else von_mises(stress)
-    known = foundations(problem, nodes)
-    return State(nodes, problem.triangles, displacement, known, problem, pressure, size)
+    X, pressure = np.asarray(solution.mesh.p), np.asarray(solution.pressure)
+    return State.of(solution.problem, X, solution.displacement, pressure)
 
 
 def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> list[Path]:  # noqa: B008
-    """Draw everything there is to see about a solution; nothing that would be all zero.
-
-    Returns the files, PNG and PDF: ``mesh``, ``displacement``, ``stress`` or ``flux``, ``pressure``,
-    ``motion``, ``limits``.
-    """
+    """Draw all there is to see about a solution to PNG and PDF files, nothing that would be all zero."""
     paths: list[Path] = []
     with rc_context(page.settings):
         for name, figure in pictures(solution, page):
@@ -134,7 +126,7 @@ def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> lis
 def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
     """Names and figures, made one by one."""
     states = [before(solution.problem, np.asarray(solution.pressure)), after(solution)]
-    moved = bool(np.any(states[0].nodes != states[1].nodes))
+    moved = bool(np.any(states[0].X != states[1].X))
     if not moved:
         states = states[1:]
     titles = TITLES if moved else ("given mesh, nothing moved",)
@@ -142,11 +134,11 @@ def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
     units, elastic = solution.problem.units, states[0].elastic
     if any(np.any(state.displacement) for state in states):
         label = f"|u|{bracketed(units.length)}" if elastic else "u"
-        values = [state.size_of_displacement for state in states]
-        yield "displacement", _coloured(states, titles, values, label, page)
+        values = [size_of(state.displacement) for state in states]
+        yield "displacement", _coloured(states, titles, values, draw_nodal, label, page)
         label = f"von Mises stress{bracketed(units.stress)}" if elastic else "|flux|"
-        stress = _coloured(states, titles, [state.stress for state in states], label, page)
-        yield "stress" if elastic else "flux", stress
+        values = [state.stress for state in states]
+        yield "stress" if elastic else "flux", _coloured(states, titles, values, draw_elements, label, page)
     if any(np.any(state.pressure) for state in states) and not np.any(states[-1].closed):
         yield "pressure", _pressures(states, titles, page)
     if moved:
@@ -165,14 +157,13 @@ def _meshes(states: Sequence[State], titles: Sequence[str], page: Page) -> Figur
     windows = [window(states, 1.0), window(states, factor)] if deforms else [window(states)]
     figure, axes = page.panels(len(states), windows, below=0.3)
     for column, title, state in zip(axes.T, titles, states, strict=True):
-        draw_mesh(column[0], state.nodes, state.triangles)
+        draw_mesh(column[0], state.X, state.problem.triangles)
         _contact_set(column[0], state)
-        boundaries = state.problem.mesh.boundaries or {}
         for part in state.problem.contact_sets:
             if isinstance(part.obstacle.boundary, str):
-                edges = state.problem.mesh.facets[:, boundaries[part.obstacle.boundary]]
+                edges = contact_edges(state.problem, part.obstacle).T
                 pen = {"color": CONTACT, "linewidth": 1.5, "label": "may come in contact"}
-                draw_edges(column[0], state.nodes, edges, zorder=3, **pen)  # over the foundation
+                draw_lines(column[0], state.X[:, edges], zorder=3, **pen)  # over the foundation
         column[0].set_title(title)
         if deforms:
             draw_foundations(column[0], state, linewidth=4.0)  # a boundary may lie on it
@@ -190,50 +181,48 @@ def _finish(axes: NDArray[Any], states: Sequence[State], windows: Sequence[Array
 
 
 def _coloured(
-    states: Sequence[State], titles: Sequence[str], values: list[Array], label: str, page: Page
+    states: Sequence[State], titles: Sequence[str], values: list[Array], draw: Any, label: str, page: Page
 ) -> Figure:
-    """Fields of nodes or elements as colours of one scale."""
+    """Fields as colours of one scale, by the function that draws nodal fields or those of elements."""
     scale = {"vmin": min(map(np.min, values)), "vmax": max(map(np.max, values))}
     windows = [window(states)]
     figure, axes = page.panels(len(states), windows, below=0.75)
     for axis, title, state, value in zip(axes[0], titles, states, values, strict=True):
-        painted = draw_field(axis, state.nodes, state.triangles, value, **scale)
+        painted = draw(axis, state.nodes, state.triangles, value, **scale)
         if not is_fine(state.triangles):  # the lines would hide the colours
-            draw_mesh(axis, state.nodes, state.triangles, "white", thin=0.4)
+            draw_mesh(axis, state.X, state.problem.triangles, thin=0.4, color="white")
         _contact_set(axis, state, filled=False)
         axis.set_title(title)
     _finish(axes, states, windows)
-    _bar(figure, painted, axes.ravel().tolist(), label, MaxNLocator(5), aspect=40, shrink=0.8)
+    _bar(figure, painted, axes.ravel().tolist(), label, 5, aspect=40, shrink=0.8)
     return figure
 
 
-def _bar(
-    figure: Figure, painted: Any, axes: list[Axes], label: str, ticks: MaxNLocator, **options: Any
-) -> None:
+def _bar(figure: Figure, painted: Any, axes: list[Axes], label: str, ticks: int, **options: Any) -> None:
     """A colour bar below the axes."""
-    bar = figure.colorbar(painted, ax=axes, location="bottom", **options)
-    bar.set_label(label)
-    bar.locator = ticks
+    bar = figure.colorbar(painted, ax=axes, location="bottom", label=label, **options)
+    bar.locator = MaxNLocator(ticks)
     bar.update_ticks()
 
 
 def _pressures(states: Sequence[State], titles: Sequence[str], page: Page) -> Figure:
     """Contact pressure along each contact boundary, one panel per boundary that is touched."""
-    problem = states[0].problem
+    problem, units = states[0].problem, states[0].problem.units
     sets = [
-        part for part in problem.contact_sets if any(np.any(state.pressure[part.nodes]) for state in states)
+        part
+        for part in DisplacementSpace.of(problem).contact_sets
+        if any(np.any(state.pressure[part.nodes]) for state in states)
     ]
     figure = new_figure(page.width, 0.3 + page.line_height * len(sets))
     axes = figure.subplots(len(sets), 1, squeeze=False)[:, 0]
-    elastic = states[0].elastic
+    name = f"contact pressure{bracketed(units.stress)}" if states[0].elastic else "contact stress"
     for axis, part in zip(axes, sets, strict=True):
-        along = int(np.argmax(np.ptp(problem.mesh.p[:, part.nodes], axis=1)))
+        along = direction(states[0].nodes[:, part.nodes])
         for position, (title, state) in enumerate(zip(titles, states, strict=True)):
-            order = part.nodes[np.argsort(state.nodes[along, part.nodes])]
             pen = {**look(position).line(scale=0.6), "markeredgewidth": 0.6, "label": title}
-            axis.plot(state.nodes[along, order], state.pressure[order], **pen)
-        axis.set(xlabel=f"$x_{along + 1}${bracketed(problem.units.length)} on {part.obstacle.boundary}")
-        axis.set(ylabel=f"contact pressure{bracketed(problem.units.stress)}" if elastic else "contact stress")
+            draw_along(axis, state.nodes, part.nodes, state.pressure, along, **pen)
+        where = f"$x_{along + 1}${bracketed(units.length)} on {part.obstacle.boundary}"
+        axis.set(xlabel=where, ylabel=name)
     add_legend(figure, [axes[0]])
     return figure
 
@@ -244,13 +233,17 @@ def _contact_set(axis: Axes, state: State, *, filled: bool = True) -> None:
     if not np.any(closed):
         return
     if filled:
-        corners = list(state.nodes[:, state.triangles[:, closed]].transpose(2, 1, 0))
-        axis.add_collection(
-            PolyCollection(corners, facecolor=IN_CONTACT, alpha=0.25, edgecolor="none", label="in contact")
-        )
+        corners = list(state.X[:, state.problem.triangles[:, closed]].transpose(2, 1, 0))
+        look: dict[str, Any] = {
+            "facecolor": IN_CONTACT,
+            "alpha": 0.25,
+            "edgecolor": "none",
+            "label": "in contact",
+        }
+        axis.add_collection(PolyCollection(corners, **look))
     left, right = mesh.f2t
-    inside = closed[left].astype(int) + np.where(right >= 0, closed[right], False)
-    draw_edges(axis, state.nodes, mesh.facets[:, inside == 1], color=IN_CONTACT, linewidth=1.2)
+    rim = closed[left] != ((right >= 0) & closed[right])
+    draw_lines(axis, state.X[:, mesh.facets[:, rim].T], color=IN_CONTACT, linewidth=1.2)
 
 
 class Limit(Enum):
@@ -263,7 +256,7 @@ class Limit(Enum):
 
 
 def limits(solution: Drawable) -> NDArray[np.object_]:
-    """The :class:`Limit` of each node; move limits before areas where both act."""
+    """The :class:`Limit` of each vertex; move limits before areas where both act."""
     problem = solution.problem
     mobility = MeshMap.of(problem).mobility
     result = np.full(mobility.size, Limit.NOTHING, dtype=object)
@@ -278,22 +271,20 @@ def limits(solution: Drawable) -> NDArray[np.object_]:
 
 
 def _draw_limits(figure: Figure, axis: Axes, solution: Drawable) -> None:
-    """Every node with the colour of its limit."""
-    nodes, triangles = np.asarray(solution.mesh.p), solution.problem.triangles
+    """Every vertex with the colour of its limit."""
+    X, triangles = np.asarray(solution.mesh.p), solution.problem.triangles
     fine = is_fine(triangles)
     if not fine:
-        draw_mesh(axis, nodes, triangles, "0.85")
+        draw_mesh(axis, X, triangles, color="0.85")
     kinds = limits(solution)
-    used = np.zeros(nodes.shape[1], dtype=bool)
-    used[np.unique(solution.mesh.t)] = True
-    size = float(np.clip(1500 / max(nodes.shape[1], 1), 0.6, 6.0))
+    used = np.isin(np.arange(X.shape[1]), solution.mesh.t)
+    size = float(np.clip(1500 / max(X.shape[1], 1), 0.6, 6.0))
     for limit in Limit:
+        label, colour, marker = limit.value
         here = used & (kinds == limit)
         if np.any(here):
-            label, colour, marker = limit.value
-            x, y = nodes[:, here]
             pen: dict[str, Any] = {"marker": marker, "linewidths": 0, "label": label, "rasterized": fine}
-            axis.scatter(x, y, s=size, c=colour, zorder=2, **pen)
+            axis.scatter(X[0, here], X[1, here], s=size, c=colour, zorder=2, **pen)
     axis.set_title("what limits each node")
     legend = figure.legend(loc="outside lower center", handletextpad=0.2, borderpad=0.1, labelspacing=0.25)
     for handle in legend.legend_handles:
@@ -301,21 +292,19 @@ def _draw_limits(figure: Figure, axis: Axes, solution: Drawable) -> None:
 
 
 def _draw_motion(figure: Figure, axis: Axes, solution: Drawable) -> None:
-    """The way of each node over the colours of its length."""
+    """The way of each vertex over the colours of its length."""
     old, new = np.asarray(solution.problem.mesh.p), np.asarray(solution.mesh.p)
     length = np.linalg.norm(new - old, axis=0)
     triangles = solution.problem.triangles
-    painted = draw_field(axis, new, triangles, length, vmin=0.0)
+    painted = draw_nodal(axis, new, triangles, length, vmin=0.0)
     if not is_fine(triangles):  # the ways would hide the colours
         draw_lines(axis, np.stack([old, new], axis=2)[:, length > 0], color="white", linewidth=0.6)
     label = f"motion{bracketed(solution.problem.units.length)}"
-    _bar(figure, painted, [axis], label, MaxNLocator(4), aspect=25, shrink=0.9, pad=0.03)
+    _bar(figure, painted, [axis], label, 4, aspect=25, shrink=0.9, pad=0.03)
     axis.set_title("motion from the given place")
 
 
-WIDTH = 8.0
-"""Inches of the picture of a problem; its height follows the extent of the mesh."""
-
+WIDTH = 8.0  # inches of the picture of a problem; its height follows the extent of the mesh
 MARKERS = {
     Mobility.PINNED: ("s", "pinned"),
     Mobility.SLIDING: ("|", "slides along"),
@@ -327,24 +316,24 @@ MARKERS = {
 def draw_problem(problem: ContactProblem, path: Path) -> None:
     """Draw a problem before it is solved to a file (PNG, PDF, SVG by suffix).
 
-    Boundaries that are fixed, loaded or in contact have their own colours and a legend; each node
+    Boundaries that are fixed, loaded or in contact have their own colours and a legend; each vertex
     has a marker for its mobility, and sliding ones a short line along which they slide. Foundations are
     drawn with the initial gap of every contact node, in red where they overlap the body.
     """
-    mesh, free = problem.mesh, MeshMap.of(problem)
-    known = foundations(problem, mesh.p)
-    body = Body(mesh.p, problem.triangles, np.zeros((problem.components, mesh.p.shape[1])), known)
+    mesh, free, triangles = problem.mesh, MeshMap.of(problem), problem.triangles
+    body = Body(mesh.p, triangles, np.zeros((problem.components, 0)), foundations(problem, mesh.p))
     extent = np.ptp(np.hstack([mesh.p, *(one.feet for one in body.near)]), axis=1)
     with rc_context(SETTINGS):
         figure = new_figure(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0))
         axis = figure.add_subplot()
         # one zone has one colour, the lightest
         zone = element_zones(problem).astype(float)
-        draw_field(axis, mesh.p, problem.triangles, zone, cmap="Pastel2", vmin=0, vmax=8)
-        draw_mesh(axis, mesh.p, problem.triangles, "0.6")
-        for position, (label, facets) in enumerate(_roles(problem)):
+        draw_elements(axis, mesh.p, triangles, zone, cmap="Pastel2", vmin=0, vmax=8)
+        draw_mesh(axis, mesh.p, triangles, color="0.6")
+        for position, (label, boundary) in enumerate(_roles(problem)):
             colour = LOOKS[1:][position % (len(LOOKS) - 1)].color
-            draw_edges(axis, mesh.p, mesh.facets[:, facets], color=colour, linewidth=3, label=label)
+            edges = mesh.facets[:, mesh.boundaries[boundary]].T
+            draw_lines(axis, mesh.p[:, edges], color=colour, linewidth=3, label=f"{label}: {boundary}")
         _draw_mobility(axis, problem, free)
         # so wide that they are seen on both sides of a boundary that lies on them
         draw_foundations(axis, body, linewidth=8, capstyle="butt", zorder=0.5)
@@ -352,13 +341,10 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
         axis.autoscale_view()
         unit = bracketed(problem.units.length)
         axis.set(aspect="equal", xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
-        far = [
-            f"the foundation of {one.name} is {one.gaps.min():.3g} away, not drawn"
-            for one in known
-            if one.is_far
-        ]
         heading = f"{problem.name}: {mesh.p.shape[1]} nodes, {free.n} outer variables"
-        axis.set_title("\n".join([heading, *far]))
+        for one in (one for one in body.foundations if one.is_far):
+            heading += f"\nthe foundation of {one.name} is {one.gaps.min():.3g} away, not drawn"
+        axis.set_title(heading)
         add_legend(figure, [axis], "outside lower center")
         figure.savefig(path, dpi=150, bbox_inches="tight")
 
@@ -368,38 +354,32 @@ def _draw_mobility(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:
     edges = p[:, problem.mesh.facets]
     length = 0.2 * float(np.min(np.linalg.norm(edges[:, 0] - edges[:, 1], axis=0)))  # boundaries stay seen
     for kind, (marker, label) in MARKERS.items():
-        nodes = free.mobility == kind
-        if np.any(nodes) and kind is Mobility.SLIDING:
-            step = free.positions.slopes(np.zeros(free.n))[:, nodes]
+        here = p[:, free.mobility == kind]
+        if here.size and kind is Mobility.SLIDING:
+            step = free.positions.slopes(np.zeros(free.n))[:, free.mobility == kind]
             step *= np.minimum(1.0, length / np.maximum(np.linalg.norm(step, axis=0), 1e-300))
-            ends = np.stack([p[:, nodes] - step, p[:, nodes] + step], axis=2)
+            ends = np.stack([here - step, here + step], axis=2)
             draw_lines(axis, ends, color="black", linewidth=1.5, label=label)
-        elif np.any(nodes):
-            axis.scatter(
-                p[0, nodes], p[1, nodes], s=size, marker=marker, color="black", label=label, zorder=3
-            )
+        elif here.size:
+            axis.scatter(here[0], here[1], s=size, marker=marker, color="black", label=label, zorder=3)
 
 
 def _draw_gaps(axis: Axes, body: Body) -> None:
     """The initial gap of every contact node; overlaps are red."""
     for one in body.near:
+        ends = np.stack([one.nodes, one.feet], axis=2)
         overlaps = one.gaps < -1e-9 * np.ptp(body.nodes)
         for chosen, colour, width, label in (
             (one.gaps > 0, "0.5", 0.8, "initial gap"),
             (overlaps, "red", 2.0, "initial overlap"),
         ):
             if np.any(chosen):
-                ends = np.stack([one.nodes[:, chosen], one.feet[:, chosen]], axis=2)
-                draw_lines(axis, ends, color=colour, linewidth=width, label=label)
+                draw_lines(axis, ends[:, chosen], color=colour, linewidth=width, label=label)
         axis.update_datalim(one.feet.T)
 
 
-def _roles(problem: ContactProblem) -> list[tuple[str, NDArray[np.int64]]]:
-    """Label and facets of every boundary that has a role."""
-    boundaries = problem.mesh.boundaries or {}
-    roles = [(f"given: {d.boundary}", boundaries[d.boundary]) for d in problem.supports]
-    roles += [(f"load: {t.boundary}", boundaries[t.boundary]) for t in problem.tractions]
-    for obstacle in problem.obstacles:
-        if isinstance(obstacle.boundary, str):
-            roles.append((f"contact: {obstacle.boundary}", boundaries[obstacle.boundary]))
-    return roles
+def _roles(problem: ContactProblem) -> list[tuple[str, str]]:
+    """Label and name of every boundary that has a role."""
+    roles = [("given", one.boundary) for one in problem.supports]
+    roles += [("load", one.boundary) for one in problem.tractions]
+    return roles + [("contact", one.boundary) for one in problem.obstacles if isinstance(one.boundary, str)]

@@ -20,29 +20,14 @@ from numpy.typing import NDArray
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.files import write_whole
 
-ONE_COLUMN, TWO_COLUMNS = 3.35, 7.0
-"""Widths in inches of one of two columns of a printed page, and of both."""
-
-SMALLEST = 7.0
-"""Points of the smallest letters, those of figures of one column."""
-
-LABELS, ABOVE = 0.75, 0.62
-"""Inches that the labels of a panel take of its width, and title and labels of its height."""
-
-FLAT = 0.6
-"""Height over width of a body below which two of them stand one below the other on one column."""
-
-TALLEST = 2.0
-"""Height of a panel over its width, at most."""
-
-LETTERS, KEY = 13.0, 8
-"""Letters of a legend to the inch, and those that the line before a name takes."""
-
+ONE_COLUMN, TWO_COLUMNS = 3.35, 7.0  # inches of one of two columns of a printed page, and of both
+SMALLEST = 7.0  # points of the smallest letters, those of figures of one column
+LABELS, ABOVE = 0.75, 0.62  # inches that labels take of a panel's width, title and labels of its height
+FLAT = 0.6  # height over width of a body below which two of them stand one below the other on one column
+TALLEST = 2.0  # height of a panel over its width, at most
+LETTERS, KEY = 13.0, 8  # letters of a legend to the inch, and those that the line before a name takes
 FORMATS = ("png", "pdf")
-MAP = "viridis"
-GRID_LINE = "0.25"
 FOUNDATION = "0.45"
-
 SETTINGS: Any = {
     "font.size": 9,
     "axes.titlesize": 9,
@@ -86,8 +71,7 @@ LOOKS = (
     Look("#E69F00", "--", "P", 5),
     Look("#56B4E9", "-", "X", 5),
 )
-CONTACT, IN_CONTACT, NEUTRAL = "#009E73", "#D55E00", "#56B4E9"
-"""Of the same palette: contact boundaries, what touches, and nodes that nothing limits."""
+CONTACT, IN_CONTACT, NEUTRAL = "#009E73", "#D55E00", "#56B4E9"  # of the same palette
 
 
 def look(position: int) -> Look:
@@ -119,9 +103,10 @@ class Page:
     def settings(self) -> Any:
         """Matplotlib's settings."""
         if self.columns == 2:
-            return dict(SETTINGS)
-        small = ("font.size", "axes.titlesize", "axes.labelsize", "xtick.labelsize", "ytick.labelsize")
-        return {**SETTINGS, **dict.fromkeys((*small, "legend.fontsize"), SMALLEST), "savefig.dpi": 300}
+            return SETTINGS
+        return {name: SMALLEST if "size" in name else value for name, value in SETTINGS.items()} | {
+            "savefig.dpi": 300
+        }
 
     def panels(
         self, count: int, windows: Sequence[Array], below: float = 0.0, beside: float = 0.0
@@ -135,12 +120,11 @@ class Page:
         stacked = self.columns == 1 and count > 1 and max(shape) < FLAT
         across = 1 if stacked else count
         width = (self.width - LABELS - beside) / (1 if stacked else max(across, self.columns))
-        heights = [width * min(ratio, TALLEST) for ratio in shape]
-        rows = [height for height in heights for _ in range(count if stacked else 1)]
+        heights = [width * min(ratio, TALLEST) for ratio in shape for _ in range(count if stacked else 1)]
         whole = self.width if across > 1 or self.columns == 1 else LABELS + beside + width
-        figure = new_figure(whole, sum(rows) + ABOVE * len(rows) + below)
+        figure = new_figure(whole, sum(heights) + ABOVE * len(heights) + below)
         axes: NDArray[Any] = figure.subplots(
-            len(rows), across, squeeze=False, sharex="col", sharey=False, height_ratios=rows
+            len(heights), across, squeeze=False, sharex="col", height_ratios=heights
         )
         return figure, axes.reshape(len(windows), count)
 
@@ -166,13 +150,12 @@ def add_legend(figure: Figure, axes: Sequence[Axes], place: Any = "outside upper
         figure.legend(list(shown.values()), names, loc=place, ncols=columns)
 
 
-def save(figure: Figure, stem: Path, formats: Sequence[str] = FORMATS, settings: Any = None) -> list[Path]:
+def save(figure: Figure, stem: Path, settings: Any = SETTINGS) -> list[Path]:
     """Write the figure in each format and return the paths."""
-    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
-    with rc_context(SETTINGS if settings is None else settings):
-        if len(formats) > 1:  # the layout is found once, not for each format
-            figure.draw_without_rendering()
-            figure.set_layout_engine("none")
-        for path, kind in zip(paths, formats, strict=True):
+    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in FORMATS]
+    with rc_context(settings):
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # the layout is found once, not for each format
+        for path, kind in zip(paths, FORMATS, strict=True):
             write_whole(path, partial(figure.savefig, format=kind))
     return paths

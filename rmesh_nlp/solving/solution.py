@@ -270,7 +270,8 @@ class Solution(Assessment):
         """
         from rmesh_nlp.solving import plotting  # matplotlib takes a while to load
 
-        return plotting.plot(self, what, axes, **style)
+        X = np.asarray(self.mesh.p)
+        return plotting.plot(self.problem, X, self.displacement, self.pressure, what, axes, **style)
 
     def summary(self) -> Rows:
         """Status, energies and measured residuals, as (label, value) rows for people."""

@@ -13,10 +13,11 @@ from matplotlib.axes import Axes
 from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
-from rmesh_nlp.report.drawing import Body, Foundation, draw_field, draw_mesh, magnification
+from rmesh_nlp.report.drawing import Body, Foundation, magnification
 from rmesh_nlp.report.figures import grid_figure
 from rmesh_nlp.report.pictures import pictures
 from rmesh_nlp.report.style import Page, new_figure
+from rmesh_nlp.solving.plotting import draw_elements, draw_mesh, draw_nodal
 from rmesh_nlp.solving.solution import Solution
 from support.formulations import fixed
 
@@ -86,12 +87,15 @@ def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:
 def test_lines_of_fine_meshes_are_rasterised_and_fields_always(
     fine: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rmesh_nlp.report.drawing.FINE", 1 if fine else 100)
+    monkeypatch.setattr("rmesh_nlp.solving.plotting.FINE", 1 if fine else 100)
     mesh, axis = rectangle(3, 2), new_figure(2, 2).subplots()
     draw_mesh(axis, mesh.p, mesh.t)
     assert all(line.get_rasterized() is fine for line in axis.lines)
-    smooth = draw_field(axis, mesh.p, mesh.t, 2 * mesh.p[0])
-    constant = draw_field(axis, mesh.p, mesh.t, np.arange(mesh.t.shape[1]))
+    assert mesh.p.shape == (2, 12)
+    assert mesh.t.shape == (3, 12)  # so that the number of values does not tell what they belong to
+    smooth = draw_nodal(axis, mesh.p, mesh.t, 2 * mesh.p[0])
+    constant = draw_elements(axis, mesh.p, mesh.t, np.arange(mesh.t.shape[1]))
+    assert (type(smooth).__name__, type(constant).__name__) == ("TriMesh", "PolyCollection")
     assert smooth.get_rasterized()
     assert constant.get_rasterized()
     np.testing.assert_array_equal(smooth.get_array(), 2 * mesh.p[0])
