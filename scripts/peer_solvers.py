@@ -13,6 +13,7 @@ from scipy.optimize import Bounds, minimize
 
 import rmesh_nlp as rm
 from formulations import joint
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.models.energy_nlp import relocation
@@ -172,7 +173,7 @@ def scipy_minimize(method: str) -> Callable[[Case], Finish]:
 
     def run(case: Case) -> Finish:
         began = time.process_time()
-        reduced = ReducedEnergy(relocation(case.problem))
+        reduced = ReducedEnergy.of(ContactSolver(case.problem))
         bound = reduced.relocation.mesh_map.bound
         best, lowest = np.zeros(bound.size), np.inf
         unit = abs(reduced(best).value) or 1.0

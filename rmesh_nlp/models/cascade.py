@@ -30,7 +30,6 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.levels import accepted, coarsened, prolonged
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised, weights
@@ -134,19 +133,10 @@ IsLate = Callable[[], bool]
 class Level:
     """What was done on one mesh of the cascade.
 
-    Attributes
-    ----------
-    nodes, triangles : int
-    weight : float
-        Final weight of the distortion, absolute.
-    prolonged, energy : float
-        Energy (without the distortion) of the prolonged map, NaN on the coarsest mesh, and at the end.
-    taken : float
-        Part of the prolonged map that was taken, see :func:`rmesh_nlp.models.levels.accepted`; NaN on
-        the coarsest mesh.
-    iterations, products, contact_solves : int
-    seconds, build_seconds : float
-        Processor time of the descents, and of building the models and making the map.
+    ``weight`` is the final one of the distortion, absolute. Energies are without the distortion: that of the
+    prolonged map, and at the end. ``taken`` is the part of the prolonged map that was taken, see
+    :func:`rmesh_nlp.models.levels.accepted`; it and ``prolonged`` are NaN on the coarsest mesh. ``seconds``
+    of processor time went to descents, ``build_seconds`` to building the models and making the map.
     """
 
     nodes: int
@@ -164,23 +154,10 @@ class Level:
 
 @dataclass(frozen=True)
 class CascadeResult:
-    """Where the cascade ended.
+    """Where the cascade ended: outer variables of the finest mesh, whose ``problem`` was given.
 
-    Attributes
-    ----------
-    q : (n,) array
-        Outer variables of the finest mesh.
-    problem : ContactProblem
-        On the finest mesh.
-    objective : Objective
-        The energy of the finest mesh with the distortion.
-    gain_estimate : float
-        Estimated error of the energy of the finest mesh as given.
-    status : Status
-    levels : tuple of Level
-        Coarsest first.
-    built : ReducedEnergy, optional
-        The objective as a function of q; None if the time was up before it was built.
+    ``objective`` is the energy of the finest mesh with the distortion, ``gain_estimate`` the estimated error
+    of its energy as given. ``levels`` begin with the coarsest. ``built`` is None if the time was up before.
     """
 
     q: Array
@@ -194,7 +171,7 @@ class CascadeResult:
     @cached_property
     def energy(self) -> ReducedEnergy:
         """The objective as a function of q."""
-        return self.built or ReducedEnergy(relocation(self.problem, self.objective))
+        return self.built or ReducedEnergy.of(ContactSolver(self.problem), self.objective)
 
     def record(self) -> list[dict[str, Any]]:
         """The levels as plain values."""
@@ -228,47 +205,35 @@ def cascade(
     chosen = settings or CascadeSettings()
     problems = _hierarchy(problem, chosen.coarsest, is_late)
     _check_time(is_late)
-    began = time.process_time()
-    error, sizes = gain_estimate(problems[0]).value, [one.mesh.p.shape[1] for one in problems]
-    move, levels, run = np.zeros((2, 0)), [], _Descents(chosen, on_move, is_late)
-    built: ReducedEnergy | None = None
+    run = _Descents(chosen, on_move, is_late)
+    sizes = [one.mesh.p.shape[1] for one in problems]
+    whole_error = gain_estimate(problems[0]).value * sizes[0]
+    shift, levels, built = np.zeros((2, 0)), [], None
     for number, here in enumerate(problems):
-        share = error * sizes[0] / sizes[number]  # the error falls like the number of nodes
+        run.error = whole_error / sizes[number]  # the error falls like the number of nodes
         before = taken = float("nan")
         if number == 0:
             _check_time(is_late)
-            energy, q, status = run.searched(here, share, chosen.starts(sizes[0], sizes[-1]))
+            energy, q, status = run.searched(here, chosen.starts(sizes[0], sizes[-1]))
         else:
             coarse = problems[number - 1]
-            energy = run.energy(here, share, chosen.regularisation)
-            whole = prolonged(coarse.mesh.p, coarse.triangles, move, energy.relocation)
-            q, taken = accepted(energy, whole)
-            before = energy(whole).equilibrium.energy
+            energy = run.energy(ContactSolver(here), chosen.regularisation)
+            prolonged_q = prolonged(coarse.mesh.p, coarse.triangles, shift, energy.relocation)
+            q, taken = accepted(energy, prolonged_q)
+            before = energy(prolonged_q).equilibrium.energy
             above = len(problems) - 1 - number
             # what is not a correction of a map takes more than a few iterations
             brief = (above == 0 and taken == 1) or sizes[number] > chosen.thorough
             nested = here.mesh.t.shape[1] == 4 * coarse.mesh.t.shape[1]
-            q, status = run.descend(energy, q, share, chosen.end, chosen.limit(brief, nested, above))
-        move = energy.relocation.nodes(q) - here.mesh.p
-        levels.append(
-            Level(
-                nodes=sizes[number],
-                triangles=int(here.mesh.t.shape[1]),
-                weight=chosen.regularisation * share,
-                prolonged=before,
-                taken=taken,
-                energy=energy(q).equilibrium.energy,
-                build_seconds=time.process_time() - began - run.seconds,
-                **run.costs(),
-            )
-        )
-        began = time.process_time()
+            q, status = run.descend(energy, q, chosen.end, chosen.limit(brief, nested, above))
+        shift = energy.relocation.nodes(q) - here.mesh.p
+        levels.append(run.level(energy, q, before, taken))
         if number == len(problems) - 1:
             built = None if run.stopped else energy
         elif run.late():
-            q = prolonged(here.mesh.p, here.triangles, move, discretise(problem))
+            q = prolonged(here.mesh.p, here.triangles, shift, discretise(problem))
             break
-    final = error * sizes[0] / sizes[-1]
+    final = whole_error / sizes[-1]
     objective = regularised(final, chosen.regularisation, chosen.distortion)
     status = Status.INTERRUPTED if run.stopped else status
     return CascadeResult(q, problem, objective, final, status, tuple(levels), built)
@@ -281,19 +246,17 @@ def _hierarchy(problem: ContactProblem, coarsest: int, is_late: IsLate) -> list[
         _check_time(is_late)
         coarser = coarsened(levels[-1], coarsest)
         if coarser is None or not _is_fixed(coarser):
-            break
+            return levels[::-1]
         levels.append(coarser)
-    return levels[::-1]
 
 
 def _is_fixed(problem: ContactProblem) -> bool:
     """Whether no rigid-body mode is left: a coarse mesh may touch at one node where contact excludes it."""
-    if rigid_motions(problem).size == 0:
-        return True
-    try:
-        ContactSolver(problem)
-    except ProblemError:
-        return False
+    if rigid_motions(problem).size > 0:
+        try:
+            ContactSolver(problem)
+        except ProblemError:
+            return False
     return True
 
 
@@ -303,45 +266,52 @@ def _check_time(is_late: IsLate) -> None:
 
 
 class _Descents:
-    """Descents on the meshes of one cascade, and what they cost."""
+    """Descents on the meshes of one cascade, and what they cost on the present one.
+
+    ``error`` is the estimated error of the energy there.
+    """
 
     def __init__(self, settings: CascadeSettings, on_move: OnMove | None, is_late: IsLate) -> None:
         self._settings, self._on_move, self._is_late = settings, on_move, is_late
-        self._before, self.stopped = 0, False
+        self._reported, self.stopped, self.error = 0, False, float("nan")
         self._clear()
 
     def _clear(self) -> None:
         self._iterations = self._products = 0
         self._energies: list[ReducedEnergy] = []
-        self.seconds = 0.0
+        self._began, self._seconds = time.process_time(), 0.0
 
     def late(self) -> bool:
         """Whether the descents were stopped, or the time is up."""
         self.stopped = self.stopped or self._is_late()
         return self.stopped
 
-    def energy(
-        self, problem: ContactProblem, error: float, weight: float, solver: ContactSolver | None = None
-    ) -> ReducedEnergy:
+    def energy(self, solver: ContactSolver, weight: float) -> ReducedEnergy:
         """The energy of a mesh with the distortion."""
-        objective = regularised(error, weight, self._settings.distortion)
-        self._energies.append(ReducedEnergy(relocation(problem, objective), solver))
+        objective = regularised(self.error, weight, self._settings.distortion)
+        self._energies.append(ReducedEnergy.of(solver, objective))
         return self._energies[-1]
 
-    def costs(self) -> dict[str, Any]:
-        """Costs since the last call."""
-        found = {
-            "iterations": self._iterations,
-            "products": self._products,
-            "contact_solves": sum(energy.contact_solves for energy in self._energies),
-            "seconds": self.seconds,
-        }
+    def level(self, energy: ReducedEnergy, q: Array, before: float, taken: float) -> Level:
+        """The present mesh, where q was reached; the next one begins."""
+        mesh, reached = energy.relocation.problem.mesh, energy(q).equilibrium.energy
+        level = Level(
+            nodes=mesh.p.shape[1],
+            triangles=mesh.t.shape[1],
+            weight=self._settings.regularisation * self.error,
+            prolonged=before,
+            taken=taken,
+            energy=reached,
+            iterations=self._iterations,
+            products=self._products,
+            contact_solves=sum(energy.contact_solves for energy in self._energies),
+            seconds=self._seconds,
+            build_seconds=time.process_time() - self._began - self._seconds,
+        )
         self._clear()
-        return found
+        return level
 
-    def searched(
-        self, problem: ContactProblem, error: float, schedules: Schedules
-    ) -> tuple[ReducedEnergy, Array, Status]:
+    def searched(self, problem: ContactProblem, schedules: Schedules) -> tuple[ReducedEnergy, Array, Status]:
         """The best end of all schedules on the coarsest mesh; the first map that there is once it is late."""
         chosen, solver = self._settings, ContactSolver(problem)
         best: tuple[float, ReducedEnergy, Array, Status] | None = None
@@ -355,25 +325,23 @@ class _Descents:
                     continue
                 if reached is not None and self.late():
                     return best[1:] if best is not None else reached
-                energy, last = self.energy(problem, error, path[-1], solver), path == whole
+                energy, last = self.energy(solver, path[-1]), path == whole
                 start = ends[path[:-1]] if len(path) > 1 else np.zeros(energy.relocation.n_q)
                 # of several only the best one is followed to the end
                 end = chosen.end if last and len(schedules) == 1 else CONTINUED
-                q, status = self.descend(energy, start, error, end, chosen.iterations)
-                ends[path], reached = q, (energy, q, status)
-                if last and (best is None or energy(q).value < best[0]):
-                    best = energy(q).value, energy, q, status
+                ends[path], status = self.descend(energy, start, end, chosen.iterations)
+                reached = energy, ends[path], status
+                if last and (best is None or energy(ends[path]).value < best[0]):
+                    best = energy(ends[path]).value, *reached
         assert best is not None
         _, energy, q, status = best
         if len(schedules) > 1 and not self.late():
-            q, status = self.descend(energy, q, error, chosen.end, chosen.iterations)
+            q, status = self.descend(energy, q, chosen.end, chosen.iterations)
         return energy, q, status
 
-    def descend(
-        self, energy: ReducedEnergy, q: Array, error: float, end: float, limit: int
-    ) -> tuple[Array, Status]:
+    def descend(self, energy: ReducedEnergy, q: Array, end: float, limit: int) -> tuple[Array, Status]:
         """A descent that ends where the model predicts less than the part ``end`` of the error."""
-        before = self._before
+        before = self._reported
 
         def report(iteration: int, x: Array, value: float) -> bool:
             if self._on_move is not None and self._on_move(before + iteration, energy, x, value):
@@ -386,13 +354,13 @@ class _Descents:
             q,
             gain_tolerance=end,
             # relative to all there is to gain, so that a good start ends soon
-            reference=energy(q).value + error,
+            reference=energy(q).value + self.error,
             max_iterations=limit,
             approximate=True,
             on_step=report,
         )
-        self.seconds += time.process_time() - began
-        self._before += result.iterations
+        self._seconds += time.process_time() - began
+        self._reported += result.iterations
         self._iterations += result.iterations
         self._products += result.products
         return result.x, result.status

@@ -45,17 +45,10 @@ LEAST_ROUND = 2e-3
 
 @dataclass(frozen=True)
 class FlippedProblem:
-    """A problem on a mesh with other edges, and what the flips gained at frozen values.
+    """A problem on the same nodes with other edges; triangles keep their places in the list.
 
-    Attributes
-    ----------
-    problem : ContactProblem
-        On the same nodes in the same order; triangles keep their places in the list.
-    flips : int
-    changed : int
-        Triangles that are others than before.
-    gain : float
-        Decrease of the energy at the nodal values before, a lower bound of the decrease.
+    ``changed`` triangles are others than before. ``gain`` is the decrease of the energy at the nodal values
+    before, a lower bound of the decrease.
     """
 
     problem: ContactProblem
@@ -117,25 +110,23 @@ def mean_around(triangles: NDArray, values: Array, nodes: int) -> Array:
 def shapes_as_given(given: ContactProblem, triangles: NDArray) -> Array:
     """(2, 3, elements) triangles that those of a flipped mesh are compared with, on the mesh as given.
 
-    A triangle is compared with the one between the same nodes where they were. Where that one is flat or
-    inverted, it is an equilateral one, as large as the mean of the given ones around its nodes.
+    A triangle is compared with the one between the same nodes where they were; if that is flat or inverted,
+    with an equilateral one as large as the mean of the given ones around its nodes.
     """
-    p = np.asarray(given.mesh.p)
-    own = given.triangles
+    p, own = np.asarray(given.mesh.p), given.triangles
     around = mean_around(own, signed_areas(p, own), p.shape[1])[triangles].mean(axis=0)
-    shapes = np.array(p[:, triangles])
     known = {tuple(t) for t in np.sort(own, axis=0).T.tolist()}
     new = np.array([tuple(t) not in known for t in np.sort(triangles, axis=0).T.tolist()])
     poor = (shape_quality(p, triangles) < POOR) | (signed_areas(p, triangles) < POOR * around)
-    flat = new & poor
-    shapes[:, :, flat] = equilateral(around[flat])
-    return shapes
+    return mended(p, triangles, new & poor, around)
 
 
-def equilateral(areas: Array) -> Array:
-    """(2, 3, n) equilateral triangles of some areas (n,)."""
+def mended(nodes: Array, triangles: NDArray, poor: NDArray[np.bool_], areas: Array) -> Array:
+    """(2, 3, elements) triangles; in the places of poor ones equilateral ones of some areas (elements,)."""
+    shapes = np.array(nodes[:, triangles])
     corner = np.array([[0.0, 1.0, 0.5], [0.0, 0.0, np.sqrt(3) / 2]])
-    return np.asarray(corner[:, :, None] * np.sqrt(4 / np.sqrt(3) * areas))
+    shapes[:, :, poor] = corner[:, :, None] * np.sqrt(4 / np.sqrt(3) * areas[poor])
+    return shapes
 
 
 def with_triangles(problem: ContactProblem, triangles: NDArray) -> ContactProblem:
@@ -156,6 +147,11 @@ class Round:
     relocated: float
 
 
+def energy_of(problem: ContactProblem) -> float:
+    """The energy of a problem on its mesh."""
+    return ContactSolver(problem).solve(problem.mesh.p).energy
+
+
 def flips_and_moves(
     problem: ContactProblem,
     gain: float,
@@ -165,33 +161,21 @@ def flips_and_moves(
     rounds: int = 8,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[ContactProblem, tuple[Round, ...]]:
-    """Flip edges and relocate nodes in turn, until neither gains.
+    """Flip edges of a relocated mesh and relocate its nodes in turn, until neither gains or ``stop`` says so.
 
-    Parameters
-    ----------
-    problem : ContactProblem
-        On a relocated mesh.
-    gain : float
-        Error of the energy of the mesh as given: what there was to gain.
-    relocate : callable
-        Takes a problem to itself with its nodes moved.
-    given : ContactProblem
-        On the mesh as given, against which distortion is measured in every round.
-    rounds : int
-        At most.
-    stop : callable
-        Whether no other round may follow, for reasons of the caller.
+    ``relocate`` takes a problem to itself with its nodes moved. ``gain`` is the error of the energy of the
+    mesh as ``given``: what there was to gain. Distortion is measured against that mesh in every round.
     """
     done: list[Round] = []
-    energy = ContactSolver(problem).solve(problem.mesh.p).energy
+    energy = energy_of(problem)
     for _ in range(rounds):
         result = flip_edges(problem, gain)
         if result.flips == 0:
             break
-        flipped_energy = ContactSolver(result.problem).solve(result.problem.mesh.p).energy
+        flipped_energy = energy_of(result.problem)
         shapes = shapes_as_given(given, result.problem.triangles)
         moved = relocate(replace(result.problem, reference=shapes))
-        relocated = ContactSolver(moved).solve(moved.mesh.p).energy
+        relocated = energy_of(moved)
         kept = moved if relocated < flipped_energy else result.problem
         problem = replace(kept, reference=shapes)
         now = min(relocated, flipped_energy)
@@ -203,15 +187,9 @@ def flips_and_moves(
 
 
 class ElementEnergies:
-    """Energy of any triangle between the nodes of a mesh, the nodal values frozen.
+    """Energy of any triangle between nodes (2, n), displacements (components, n) frozen.
 
-    Parameters
-    ----------
-    problem : ContactProblem
-        Its laws; each triangle has that of the element in whose place it is.
-    nodes : (2, nodes) array
-    values : (components, nodes) array
-        Displacement.
+    Each triangle has the law of the element in whose place it is.
     """
 
     def __init__(self, problem: ContactProblem, nodes: Array, values: Array) -> None:
@@ -233,18 +211,16 @@ class ElementEnergies:
 
     def __call__(self, triangles: NDArray, elements: NDArray) -> Array:
         """Energies of ``triangles`` (3, n) in the places of ``elements`` (n,)."""
-        result = np.zeros(triangles.shape[1])
-        law = self._law[elements]
+        result, law = np.zeros(triangles.shape[1]), self._law[elements]
         for number, functions in enumerate(self._functions):
             here = np.flatnonzero(law == number)
             if here.size == 0:
                 continue
-            columns = [_local(self._nodes, triangles[:, here]), _local(self._values, triangles[:, here])]
+            # (3 * components, n) values of both fields, node by node
+            columns = [
+                np.moveaxis(field[:, triangles[:, here]], 0, 1).reshape(-1, here.size)
+                for field in (self._nodes, self._values)
+            ]
             for function in functions:
                 result[here] += columnwise(function, here.size)(columns)[0].ravel()
         return result
-
-
-def _local(field: Array, triangles: NDArray) -> Array:
-    """Values (components * 3, n) of a nodal field, node by node."""
-    return np.moveaxis(field[:, triangles], 0, 1).reshape(-1, triangles.shape[1])

@@ -14,8 +14,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.cascade import CascadeSettings, cascade
-from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.models.flips import POOR, equilateral, flip_edges, mean_around
+from rmesh_nlp.models.flips import POOR, energy_of, flip_edges, mean_around, mended
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import edge_gains, marked, regularised
 from rmesh_nlp.models.regularised_descent import descend
@@ -51,22 +50,8 @@ def hr(
 
     Over curved foundations gaps hold along edges (:mod:`rmesh_nlp.fem.edge_gaps`).
 
-    Parameters
-    ----------
-    problem : ContactProblem
-        Without move limits.
-    nodes : int, optional
-        Ends with the first mesh that has so many.
-    error : float, optional
-        Ends with the first mesh whose estimated error of the energy is at most this.
-    flips : bool
-    settings : CascadeSettings, optional
-    max_stages : int
-
-    Raises
-    ------
-    BadInputError
-        If neither ``nodes`` nor ``error`` is given, or there are move limits.
+    The problem is without move limits. It ends with the first mesh that has so many ``nodes``, or an
+    estimated ``error`` of the energy that is at most this; one of them must be given.
     """
     if nodes is None and error is None:
         raise BadInputError("hr needs a number of nodes or an error to end with")
@@ -108,16 +93,12 @@ def _with_new_nodes(given: Array, coarse: ContactProblem, fine: ContactProblem) 
 def reference_as_given(given: Array, triangles: NDArray) -> Array:
     """(2, 3, elements) what elements are compared with: their nodes where they were on the mesh as given.
 
-    If every stage were measured against the one before, elements would degenerate from stage to stage.
-    A triangle that flips have made and that is flat or inverted there is compared with an equilateral one of
-    the mean area around.
+    If every stage were measured against the one before, elements would degenerate from stage to stage. One
+    that is flat or inverted there is compared with an equilateral triangle of the mean area around.
     """
     areas = signed_areas(given, triangles)
     around = mean_around(triangles, np.maximum(areas, 0.0), given.shape[1])[triangles].mean(axis=0)
-    shapes = np.array(given[:, triangles])
-    flat = areas < POOR * around
-    shapes[:, :, flat] = equilateral(around[flat])
-    return shapes
+    return mended(given, triangles, areas < POOR * around, around)
 
 
 def _relocated(
@@ -125,7 +106,7 @@ def _relocated(
 ) -> tuple[ContactProblem, int]:
     problem = replace(problem, reference=reference_as_given(given, problem.triangles))
     objective = regularised(gain, settings.regularisation, settings.distortion)
-    energy = ReducedEnergy(relocation(problem, objective))
+    energy = ReducedEnergy.of(ContactSolver(problem), objective)
     q = np.zeros(energy.relocation.n_q)
     result = descend(
         energy,
@@ -138,11 +119,10 @@ def _relocated(
     return _at(problem, energy.relocation.nodes(result.x)), result.iterations
 
 
-def _at(problem: ContactProblem, positions: np.ndarray) -> ContactProblem:
+def _at(problem: ContactProblem, positions: Array) -> ContactProblem:
     return replace(problem, mesh=relocated_mesh(problem.mesh, positions))
 
 
 def _stage(problem: ContactProblem, iterations: int, flips: int) -> Stage:
-    energy = ContactSolver(problem).solve(problem.mesh.p).energy
     error = float(edge_gains(problem).sum()) / EFFECTIVITY
-    return Stage(replace(problem, reference=None), energy, error, iterations, flips)
+    return Stage(replace(problem, reference=None), energy_of(problem), error, iterations, flips)

@@ -29,6 +29,7 @@ from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import ElementConstraints, Relocation, SecondDerivatives, relocation
 
@@ -46,11 +47,7 @@ class ReducedPoint:
 
     @property
     def weak(self) -> NDArray[np.bool_]:
-        """Contact nodes where strict complementarity fails.
-
-        There the gradient of an objective other than the energy is only one element of a
-        generalised gradient.
-        """
+        """Contact nodes without strict complementarity: gradients other than the energy's are one of many."""
         return weakly_active(self.system, self.equilibrium)
 
 
@@ -64,35 +61,39 @@ class ReducedEnergy:
 
     Attributes
     ----------
-    contact_solves : int
-        Number of contact solves so far.
-    cold_solves : int
-        Those of them that had no active set to start from.
+    model : ContactSolver
+        Of the discretisation of ``relocation``.
+    contact_solves, cold_solves : int
+        Numbers of contact solves so far, and of those that had no active set to start from.
     factorisations : int
         Of the stiffness, one per active set that these solves tried.
     """
 
-    def __init__(self, relocation: Relocation, model: ContactSolver | None = None) -> None:
-        self.relocation = relocation
-        self.model = model or ContactSolver(relocation.discretisation)
+    def __init__(self, relocation: Relocation, model: ContactSolver) -> None:
+        self.relocation, self.model = relocation, model
         self.contact_solves = self.cold_solves = self.factorisations = 0
         self._active: ActiveSet | None = None
         self._given: Equilibrium | None = None
         self._is_given_counted = False
         self._last: ReducedPoint | None = None
-        x, none, assembled = relocation.x, ca.MX(0, 1), relocation.assembled
+        x, none, assembled, n_q = relocation.x, ca.MX(0, 1), relocation.assembled, relocation.n_q
         normal, tangential = (
             ca.MX.sym("normal", relocation.n_contact),
             ca.MX.sym("tangential", relocation.n_s),
         )
-        jacobian = assembled.jac_g(x, none)[1][:, : relocation.n_q]
-        gradient = assembled.grad_f(x, none)[1][: relocation.n_q, :]
+        jacobian = assembled.jac_g(x, none)[1][:, :n_q]
+        gradient = assembled.grad_f(x, none)[1][:n_q, :]
         gradient -= jacobian[relocation.gap_rows, :].T @ normal
         gradient -= jacobian[relocation.slip_rows, :].T @ tangential
         self._gradient = Evaluator(
             ca.Function("reduced_gradient", [x, normal, tangential], [ca.densify(gradient)])
         )
         self._position_terms = element_values(relocation.position_groups)
+
+    @classmethod
+    def of(cls, model: ContactSolver, objective: Objective = ENERGY) -> ReducedEnergy:
+        """The energy, and terms in the positions alone, of the problem that a contact solver solves."""
+        return cls(relocation(model.discretisation, objective), model)
 
     @property
     def energy(self) -> ReducedEnergy:
@@ -115,45 +116,28 @@ class ReducedEnergy:
         return float(sum(values.sum() for values in self._position_terms(x)))
 
     def is_defined(self, q: Array) -> bool:
-        """Whether the terms in the positions are defined.
+        """Whether the terms in the positions are; with a barrier no element is inverted or cut by its arc."""
+        return _has_upright(self.objective, self.relocation, q) and bool(np.isfinite(self.of_positions(q)))
 
-        Where one stands in the place of area constraints no element may be inverted or cut by its arc.
-        """
-        rel = self.relocation
-        if rel.objective.has_barrier and not is_upright(rel.problem, rel.nodes(q)):
-            return False
-        return bool(np.isfinite(self.of_positions(q)))
+    def knows(self, given: Equilibrium) -> None:
+        """Take over the contact solution on the mesh as given: a cold solve once it is first asked for."""
+        self._given = given
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at ``q``; the last point is remembered."""
         if self._last is not None and np.array_equal(self._last.q, q):
             return self._last
         system = self.model.system(self.relocation.nodes(q))
-        if self._given is not None and not np.any(q):
-            return self._at_given(q, system, self._given)
-        equilibrium = solve(system, self._active)
-        self.contact_solves += 1
-        self.cold_solves += self._active is None
-        self.factorisations += equilibrium.iterations
-        self._active = equilibrium.active
-        self._last = self.at(q, system, equilibrium)
-        return self._last
-
-    def knows(self, given: Equilibrium) -> None:
-        """Take over the contact solution on the mesh as given.
-
-        It counts as a cold solve when it is first asked for, and is not solved again.
-        """
-        self._given = given
-
-    def _at_given(self, q: Array, system: ContactSystem, given: Equilibrium) -> ReducedPoint:
-        if not self._is_given_counted:
-            self._is_given_counted = True
+        given = None if np.any(q) else self._given
+        equilibrium = solve(system, self._active) if given is None else given
+        if given is None or not self._is_given_counted:
             self.contact_solves += 1
-            self.cold_solves += 1
-            self.factorisations += given.iterations
-        self._active = self._active or given.active
-        self._last = self.at(q, system, given)
+            self.cold_solves += given is not None or self._active is None
+            self.factorisations += equilibrium.iterations
+            self._is_given_counted = self._is_given_counted or given is not None
+        if given is None or self._active is None:
+            self._active = equilibrium.active
+        self._last = self.at(q, system, equilibrium)
         return self._last
 
     def at(self, q: Array, system: ContactSystem, equilibrium: Equilibrium) -> ReducedPoint:
@@ -166,12 +150,7 @@ class ReducedEnergy:
     def gradient(self, x: Array, normal_force: Array, friction: Array) -> Array:
         """Derivative by q of the inner Lagrangian at unknowns ``x = (q, u, s)`` and contact forces.
 
-        Parameters
-        ----------
-        x : (n_q + n_u + n_s,) array
-        normal_force : (contact nodes,) array
-        friction : (n_s,) array
-            Tangential forces where friction may act.
+        ``friction`` (n_s,) has the tangential forces where friction may act.
         """
         return self._gradient(x, normal_force, friction)[0]
 
@@ -184,6 +163,11 @@ class ReducedEnergy:
         rows = self.relocation.friction_rows
         slip = self.model.slips(self.relocation.nodes(q), u)[rows] if rows.size else np.zeros(0)
         return np.concatenate([q, u, np.abs(slip)])
+
+
+def _has_upright(objective: Objective, relocation: Relocation, q: Array) -> bool:
+    """Whether no element is inverted where a distortion in the objective needs that."""
+    return not objective.has_barrier or is_upright(relocation.problem, relocation.nodes(q))
 
 
 class ReducedObjective:
@@ -207,8 +191,7 @@ class ReducedObjective:
 
     def is_defined(self, q: Array) -> bool:
         """Whether a distortion in the objective is defined: no element is inverted."""
-        rel = self.energy.relocation
-        return not self.objective.has_barrier or is_upright(rel.problem, rel.nodes(q))
+        return _has_upright(self.objective, self.energy.relocation, q)
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at ``q``."""
@@ -231,7 +214,7 @@ class ReducedObjective:
         if rel.n_s:
             total -= blocks.qs @ (state.active.sliding[rows] * (tangents @ p))
             total += blocks.slip.T @ (by_slip - friction[rows])
-        return ReducedPoint(np.array(q), float(value[0]), total, system, state, False)
+        return replace(inner, value=float(value[0]), gradient=total, is_energy=False)
 
 
 CERTIFICATE = "certificate"
@@ -239,29 +222,16 @@ CERTIFICATE = "certificate"
 
 
 class ReducedCertificate:
-    """An outer objective with the bound of the error among its terms.
+    """An outer objective with the bound of the error among its terms, times ``weight``.
 
-    Attributes
-    ----------
-    energy : ReducedEnergy
-        Of the problem with its own rule.
-    objective : Objective
-    upper : ReducedEnergy
-        By the rule of the assessment.
-    weight : float
-        Of the bound in the objective.
-
-    Raises
-    ------
-    ValueError
-        If the problem is not scalar, or is of a kind for which no certificate is known.
+    ``energy`` is that of the problem with its own rule, ``upper`` by the rule of the assessment. Raises a
+    ValueError if the problem is not scalar, or is of a kind for which no certificate is known.
     """
 
     def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
         self.energy, self.objective = energy, objective
-        problem = energy.relocation.problem
-        self.upper = ReducedEnergy(relocation(replace(problem, quadrature=DEGREE)))
-        self._lower = LowerBound(problem, self.upper.relocation.discretisation.space)
+        self.upper = ReducedEnergy.of(energy.model.with_rule(DEGREE))
+        self._lower = LowerBound(energy.relocation.problem, self.upper.relocation.discretisation.space)
         self.weight = sum(weight for weight, term in objective.terms if term.name == CERTIFICATE)
         others = tuple((weight, term) for weight, term in objective.terms if term.name != CERTIFICATE)
         self._others = ReducedObjective(energy, Objective(others)) if others else None
@@ -276,20 +246,19 @@ class ReducedCertificate:
 
     def of(self, inner: ReducedPoint) -> ReducedPoint:
         """The objective where the energy and its contact solution are known."""
-        upper = self.upper(inner.q)
-        rel = self.upper.relocation
-        displacement = rel.displacement.values(self.upper.point(inner.q, upper.equilibrium))
-        lower, slope = self._lower(rel.nodes(inner.q), displacement)
+        q, upper, rel = inner.q, self.upper(inner.q), self.upper.relocation
+        displacement = rel.displacement.values(self.upper.point(q, upper.equilibrium))
+        lower, slope = self._lower(rel.nodes(q), displacement)
         positions = rel.mesh_map.positions
         moving = positions.index != CONSTANT
         of_lower = np.bincount(
-            positions.index[moving], (slope * positions.slopes(inner.q))[moving], minlength=inner.q.size
+            positions.index[moving], (slope * positions.slopes(q))[moving], minlength=q.size
         )
         value, gradient = self.weight * (upper.value - lower), self.weight * (upper.gradient - of_lower)
         if self._others is not None:
             rest = self._others.of(inner)
             value, gradient = value + rest.value, gradient + rest.gradient
-        return ReducedPoint(inner.q, value, gradient, inner.system, inner.equilibrium, False)
+        return replace(inner, value=value, gradient=gradient, is_energy=False)
 
 
 Reduced = ReducedEnergy | ReducedObjective | ReducedCertificate

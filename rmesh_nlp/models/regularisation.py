@@ -46,63 +46,37 @@ def edge_gains(problem: ContactProblem) -> Array:
     An edge's gain is shared by its triangles. It is an error estimator of hierarchical kind: the energy is
     minimised over each new value by itself, contact not regarded.
     """
-    mesh, triangles = problem.mesh, problem.triangles
-    n, facets = mesh.p.shape[1], np.asarray(mesh.facets)
-    model = ContactSolver(problem)
+    mesh, triangles, model = problem.mesh, problem.triangles, ContactSolver(problem)
+    n, facets, n_facets = mesh.p.shape[1], mesh.facets, mesh.facets.shape[1]
     values = model.displacement.values(model.solve(mesh.p).u)
-    fixed = problem.held()[0]
-    both = fixed[:, facets[0]] & fixed[:, facets[1]]
+    nodes, field = (np.hstack([part, part[:, facets].mean(axis=1)]) for part in (mesh.p, values))
     # a facet of the outer boundary between two fixed nodes may be fixed; inside none is
-    outer = np.zeros(facets.shape[1], dtype=bool)
-    outer[mesh.boundary_facets()] = True
-    free = ~(both & outer)
-    nodes = np.hstack([mesh.p, mesh.p[:, facets].mean(axis=1)])
-    field = np.hstack([values, values[:, facets].mean(axis=1)])
+    outer = np.isin(np.arange(n_facets), mesh.boundary_facets())
+    free = ~(problem.held()[0][:, facets].all(axis=1) & outer)
+    # facet i of a triangle joins vertex i and the next; two vertices of a clockwise one were exchanged
+    facet_of = np.where(triangles[1] == mesh.t[1], mesh.t2f, mesh.t2f[::-1])
+    a, b, c = (np.roll(triangles, -k, axis=0).ravel() for k in range(3))
+    middle, elements = n + facet_of.ravel(), np.tile(np.arange(triangles.shape[1]), 3)
+    halves = np.stack([a, middle, c]), np.stack([middle, b, c])
     energies = ElementEnergies(problem, nodes, field)
-    gain = np.zeros(facets.shape[1])
     scale = float(np.max(np.abs(values), initial=0.0)) or 1.0
-    facet_of = _facet_numbers(facets, triangles, n)
-    elements = np.tile(np.arange(triangles.shape[1]), 3)
+
+    def energy(component: int, step: float) -> Array:
+        """Of each triangle cut in two at each of its edges, whose new values are moved by a step."""
+        moved = field.copy()
+        moved[component, n:] += step
+        return np.asarray(sum(energies.at(moved)(half, elements) for half in halves))
+
+    gain = np.zeros(n_facets)
     for i in range(problem.components):
-        slope, curvature = np.zeros((2, facets.shape[1]))
-        plus, here, minus = (
-            _halves(energies.at(_shifted(field, i, n, step)), triangles, facet_of, n, elements)
-            for step in (scale, 0.0, -scale)
-        )
+        plus, here, minus = (energy(i, step) for step in (scale, 0.0, -scale))
         # the energy is quadratic in each value
-        np.add.at(slope, facet_of.ravel(), (plus - minus) / (2 * scale))
-        np.add.at(curvature, facet_of.ravel(), (plus - 2 * here + minus) / scale**2)
+        rates = (plus - minus) / (2 * scale), (plus - 2 * here + minus) / scale**2
+        slope, curvature = (np.bincount(facet_of.ravel(), rate, n_facets) for rate in rates)
         part = np.where(curvature > 0, slope**2 / (2 * np.maximum(curvature, 1e-300)), 0.0)
         gain += np.where(free[i], part, 0.0)
-    sides = np.bincount(facet_of.ravel(), minlength=facets.shape[1])
+    sides = np.bincount(facet_of.ravel(), minlength=n_facets)
     return np.asarray((gain / np.maximum(sides, 1))[facet_of].sum(axis=0))
-
-
-def _shifted(field: Array, component: int, first: int, step: float) -> Array:
-    """A field with one component of the nodes from ``first`` on moved by ``step``."""
-    moved = field.copy()
-    moved[component, first:] += step
-    return moved
-
-
-def _facet_numbers(facets: NDArray, triangles: NDArray, n: int) -> NDArray[np.int64]:
-    """(3, elements) numbers of the facets of each triangle, edge i from vertex i to the next."""
-    key = np.sort(facets, axis=0)
-    key = key[0].astype(np.int64) * n + key[1]
-    order = np.argsort(key)
-    ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=0)]), axis=0).astype(np.int64)
-    return order[np.searchsorted(key[order], ends[0] * n + ends[1])]
-
-
-def _halves(
-    energies: ElementEnergies, triangles: NDArray, facet_of: NDArray, n: int, elements: NDArray
-) -> Array:
-    """Energy of each triangle cut in two at the middle of each of its edges, edge by edge."""
-    a, b, c = triangles, np.roll(triangles, -1, axis=0), np.roll(triangles, -2, axis=0)
-    middle = n + facet_of
-    one = np.stack([a.ravel(), middle.ravel(), c.ravel()])
-    two = np.stack([middle.ravel(), b.ravel(), c.ravel()])
-    return energies(one, elements) + energies(two, elements)
 
 
 EXTRAPOLATION = 4 / 3
@@ -114,15 +88,7 @@ LEAST_GAIN = 1e-9
 
 @dataclass(frozen=True)
 class GainEstimate:
-    """What moving nodes can gain at most, by one uniform refinement.
-
-    Attributes
-    ----------
-    energy : float
-        Of the continuous problem on the mesh.
-    value : float
-        Estimated error of the energy of the mesh, positive.
-    """
+    """Energy of the continuous problem on a mesh, and its error: the most that relocation can gain."""
 
     energy: float
     value: float
@@ -142,8 +108,7 @@ def gain_estimate(problem: ContactProblem) -> GainEstimate:
     floor = LEAST_GAIN * max(abs(here.energy), 1e-300)
     if there is not None and there.status is Status.CONVERGED and there.energy < here.energy:
         return GainEstimate(here.energy, max(EXTRAPOLATION * (here.energy - there.energy), floor))
-    gain = float(edge_gains(problem).sum())
-    return GainEstimate(here.energy, max(gain, floor))
+    return GainEstimate(here.energy, max(float(edge_gains(problem).sum()), floor))
 
 
 def _refined(problem: ContactProblem) -> Admissible | None:
@@ -158,10 +123,7 @@ def weights(regularisation: float | str | Sequence[float], name: str = "regulari
 
     A text has its numbers separated by commas.
 
-    Raises
-    ------
-    BadInputError
-        If it is none.
+    A BadInputError says what is wrong with one.
     """
     text = regularisation.split(",") if isinstance(regularisation, str) else regularisation
     given = text if isinstance(text, Sequence) else (text,)
@@ -177,13 +139,7 @@ def weights(regularisation: float | str | Sequence[float], name: str = "regulari
 
 
 def regularised(gain: float, weight: float, distortion: str = "shape-size") -> Objective:
-    """``energy + weight * gain * distortion``; the energy alone if the weight is 0.
-
-    Raises
-    ------
-    BadInputError
-        If the distortion is unknown.
-    """
+    """``energy + weight * gain * distortion``; the energy alone if the weight is 0."""
     if distortion not in DISTORTIONS:
         raise BadInputError(f"unknown distortion {distortion!r}: choose from {', '.join(DISTORTIONS)}")
     if weight == 0:

@@ -37,17 +37,8 @@ a millionth of it would be rounding (near 1e-13 on the examples with up to 128 s
 class OuterResidual:
     """The first-order residual of one objective.
 
-    Parameters
-    ----------
-    energy : ReducedEnergy
-        Of the problem, for its move limits and elements.
-    given : ReducedPoint
-        The objective on the mesh as given.
-
-    Attributes
-    ----------
-    unit : float
-        What the gradient is measured in.
+    The energy is that of the problem, for its move limits and elements; ``given`` is the objective on the
+    mesh as given, and ``unit`` what gradients are measured in.
     """
 
     def __init__(self, energy: ReducedEnergy, given: ReducedPoint) -> None:
@@ -64,13 +55,7 @@ class OuterResidual:
         """The residual at an iterate of the energy NLP, whose multipliers are the contact forces.
 
         It costs no contact solve, and is that of :meth:`__call__` where equilibrium and contact law hold.
-
-        Parameters
-        ----------
-        x : (n_x,) array
-            Unknowns ``(q, u, s)``.
-        lam_g : (n_g,) array
-            Multipliers with CasADi's sign, negative at active lower bounds.
+        ``lam_g`` has CasADi's sign, negative at active lower bounds.
         """
         relocation = self._energy.relocation
         n, n_s, bound = relocation.n_contact, relocation.n_s, relocation.mesh_map.bound
@@ -79,16 +64,7 @@ class OuterResidual:
         return self.at(q, self._energy.gradient(x, normal, plus - minus))
 
     def of_state(self, q: Array, u: Array, normal_force: Array, friction: Array) -> float:
-        """The residual of the energy at q, displacements (n_u,) and contact forces of a solver's own.
-
-        It costs no contact solve, like :meth:`of_program`.
-
-        Parameters
-        ----------
-        normal_force : (contact nodes,) array
-        friction : (n_s,) array
-            Tangential forces where friction may act.
-        """
+        """The residual of the energy at q with a solver's own displacements and forces; no contact solve."""
         bound = self._energy.relocation.mesh_map.bound
         q = np.clip(q, -bound, bound)
         return self.at(q, self._energy.gradient(self._energy.unknowns(q, u), normal_force, friction))
@@ -125,14 +101,9 @@ def size_of(point: ReducedPoint) -> float:
 class Multipliers:
     """Rates at which the outer objective would fall if a bound were loosened. All are >= 0.
 
-    Attributes
-    ----------
-    limit : (nodes,) array
-        Per unit of length by which the node's move limits grow in all directions; zero where none is active.
-    area : (elements,) array
-        Per unit of the element's least relative area.
-    angle : (elements,) array
-        Sum over the vertices, per unit of the scaled angle rows; zero without a least angle.
+    ``limit`` (nodes,) is per unit of length by which the node's move limits grow in all directions, ``area``
+    (elements,) per unit of the element's least relative area, ``angle`` (elements,) the sum over the vertices
+    per unit of the scaled angle rows.
     """
 
     limit: Array

@@ -27,8 +27,8 @@ def with_angles() -> ContactProblem:
 def test_a_contact_solution_is_a_kkt_point_with_the_contact_forces_as_multipliers(make) -> None:
     rel = relocation(make())
     q = 0.2 * np.random.default_rng(0).uniform(-1, 1, rel.n_q)
-    point = ReducedEnergy(rel)(q)
-    x = ReducedEnergy(rel).point(q, point.equilibrium)
+    point = ReducedEnergy(rel, ContactSolver(rel.discretisation))(q)
+    x = ReducedEnergy(rel, ContactSolver(rel.discretisation)).point(q, point.equilibrium)
     nlp = rel.nlp
     value, gradient = (part.full().ravel() for part in nlp.derivatives.grad_f(x, []))
     g, jacobian = (part.full() for part in nlp.derivatives.jac_g(x, []))

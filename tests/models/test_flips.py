@@ -18,10 +18,10 @@ from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.geometry import shape_quality, signed_areas
 from rmesh_nlp.models.flips import (
     ElementEnergies,
-    equilateral,
     flip_edges,
     flips_and_moves,
     mean_around,
+    mended,
     shapes_as_given,
 )
 from rmesh_nlp.models.regularisation import gain_estimate
@@ -98,7 +98,10 @@ def test_flips_keep_the_least_angle_and_area_of_the_motion() -> None:
 def test_means_around_nodes_and_equilateral_triangles_by_hand() -> None:
     triangles = np.array([[0, 1], [1, 2], [2, 3]])
     np.testing.assert_allclose(mean_around(triangles, np.array([1.0, 3.0]), 5), [1, 2, 2, 3, 0])
-    corner = equilateral(np.array([2.0, 0.5]))
+    areas = np.array([2.0, 7.0, 0.5])
+    corner = mended(np.zeros((2, 5)), triangles[:, [0, 1, 1]], np.array([True, False, True]), areas)
+    assert not np.any(corner[:, :, 1])
+    corner = corner[:, :, [0, 2]]
     np.testing.assert_allclose(signed_areas(corner.reshape(2, -1), np.arange(6).reshape(3, 2)), [2.0, 0.5])
     sides = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=0)
     np.testing.assert_allclose(sides, np.broadcast_to(sides[0], sides.shape))

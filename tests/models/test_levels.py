@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.assessment.admissible import admissible
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
@@ -15,7 +16,6 @@ from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.levels import accepted, coarsened, interpolated, located, prolonged
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised
@@ -80,7 +80,7 @@ def test_a_map_that_would_invert_elements_of_the_finer_mesh_is_smoothed_or_dampe
 
 
 def energy_of(problem: ContactProblem) -> ReducedEnergy:
-    return ReducedEnergy(relocation(problem, regularised(gain_estimate(problem).value, 0.01)))
+    return ReducedEnergy.of(ContactSolver(problem), regularised(gain_estimate(problem).value, 0.01))
 
 
 def continuous(energy: ReducedEnergy, q: Array) -> float:
@@ -128,7 +128,7 @@ def test_a_map_that_gains_by_penetration_is_not_taken() -> None:
 
 def test_no_map_is_taken_where_an_arc_cuts_through_its_triangle() -> None:
     problem = plate({"hole": HOLE})
-    energy = ReducedEnergy(relocation(problem, parse_objective("energy + shape-size")))
+    energy = ReducedEnergy.of(ContactSolver(problem), parse_objective("energy + shape-size"))
     facet = int(problem.mesh.boundaries["hole"][0])
     ends, element = problem.mesh.facets[:, facet], problem.mesh.f2t[0, facet]
     inner = int(np.setdiff1d(problem.triangles[:, element], ends)[0])

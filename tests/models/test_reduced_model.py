@@ -163,7 +163,7 @@ def test_the_solution_on_the_given_mesh_is_counted_when_it_is_first_asked_for(sm
 
 def test_solves_are_counted_and_the_last_point_is_remembered(small: ContactProblem) -> None:
     outer = Outer(small)
-    reduced = ReducedEnergy(outer.relocation)
+    reduced = ReducedEnergy(outer.relocation, outer.contact)
     q = np.random.default_rng(0).uniform(-0.3, 0.3, outer.n)
     first = reduced(q)
     assert reduced(q.copy()) is first

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
@@ -33,12 +34,12 @@ PROBLEMS = {
 
 
 def with_distortion(problem: ContactProblem, weight: float = 0.01) -> ReducedEnergy:
-    return ReducedEnergy(relocation(problem, regularised(gain_estimate(problem).value, weight)))
+    return ReducedEnergy.of(ContactSolver(problem), regularised(gain_estimate(problem).value, weight))
 
 
 @pytest.mark.parametrize("distortion", DISTORTIONS)
 def test_a_distortion_grows_without_bound_and_ends_where_an_element_does(distortion: str) -> None:
-    energy = ReducedEnergy(relocation(PROBLEMS["6.1"](), parse_objective(f"energy + 1*{distortion}")))
+    energy = ReducedEnergy.of(ContactSolver(PROBLEMS["6.1"]()), parse_objective(f"energy + 1*{distortion}"))
     rel = energy.relocation
     index = rel.mesh_map.positions.index
     node = int(np.flatnonzero(np.all(index >= 0, axis=0))[0])
@@ -99,7 +100,7 @@ def test_steps_are_cut_where_an_element_would_lose_most_of_its_area(length: floa
 
 
 def test_elements_are_kept_by_a_distortion_or_not_at_all() -> None:
-    energy = ReducedEnergy(relocation(PROBLEMS["6.1"]()))
+    energy = ReducedEnergy.of(ContactSolver(PROBLEMS["6.1"]()))
     with pytest.raises(ValueError, match="distortion"):
         descend(energy, np.zeros(energy.relocation.n_q), gain_tolerance=0)
 
@@ -138,7 +139,7 @@ def test_models_are_exact_unless_they_are_asked_to_take_loads_by_a_lower_rule() 
 
 
 def test_steps_that_raise_the_residual_are_not_taken() -> None:
-    energy = ReducedEnergy(relocation(EXAMPLES["6.1"](n=3), parse_objective("energy + 0.01*quality")))
+    energy = ReducedEnergy.of(ContactSolver(EXAMPLES["6.1"](n=3)), parse_objective("energy + 0.01*quality"))
     given, here = np.zeros(energy.relocation.n_q), 1e-3
     q, residual, _ = module._polished(energy, given, lambda point: 2 * here, here, 1e-9)
     assert (list(q), residual) == (list(given), here)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models import second_derivatives
-from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, ReducedObjective
 from rmesh_nlp.models.second_derivatives import Curvature, ObjectiveCurvature, SecantCurvature, curvature_of
 from rmesh_nlp.problem import Motion
@@ -74,18 +74,18 @@ def test_the_schur_complement_of_the_sparse_matrix_is_the_second_derivative(name
 @pytest.mark.parametrize("distortion", DISTORTIONS)
 def test_distortions_are_part_of_both_derivatives(distortion: str) -> None:
     problem = replace(no_boxes(EXAMPLES["6.1"](4)), quadrature=4)
-    energy = ReducedEnergy(relocation(problem, parse_objective(f"energy + 0.1*{distortion}")))
+    energy = ReducedEnergy.of(ContactSolver(problem), parse_objective(f"energy + 0.1*{distortion}"))
     rng = np.random.default_rng(3)
     q, d = 0.1 * rng.uniform(-1, 1, (2, energy.relocation.n_q))
     product = Curvature(energy).at(energy(q))(d)
     assert difference_order(lambda x: energy(x).gradient, product, q, d, 4e-2) > 1.9
     # the part of the distortion is no small one
-    plain = ReducedEnergy(relocation(problem))
+    plain = ReducedEnergy.of(ContactSolver(problem))
     assert np.max(np.abs(product - Curvature(plain).at(plain(q))(d))) > 1e-2 * np.max(np.abs(product))
 
 
 def test_a_lower_rule_changes_the_model_a_little() -> None:
-    energy = ReducedEnergy(relocation(replace(EXAMPLES["6.1"](4), quadrature=8)))
+    energy = ReducedEnergy.of(ContactSolver(replace(EXAMPLES["6.1"](4), quadrature=8)))
     q, d = 0.3 * np.random.default_rng(1).uniform(-1, 1, (2, energy.relocation.n_q))
     exact, lower = (Curvature(energy, rule).at(energy(q))(d) for rule in (None, 3))
     size = np.max(np.abs(exact))
@@ -110,7 +110,7 @@ def test_products_of_objectives_are_derivatives_of_the_gradient(name: str, size:
 
 def test_secants_learn_what_the_upper_bound_does_not_know() -> None:
     problem = replace(random_problem(2, kind="scalar"), motion=Motion(delta=0.05))
-    energy = ReducedEnergy(relocation(problem))
+    energy = ReducedEnergy.of(ContactSolver(problem))
     function = ReducedCertificate(energy, parse_objective("2*certificate"))
     curvature, rng = curvature_of(function), np.random.default_rng(0)
     assert isinstance(curvature, SecantCurvature)
