@@ -27,7 +27,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from skfem import MeshTri
 
 from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError, conditions_of
 from rmesh_nlp.certificate.displacement import displacement_faults, potential
@@ -70,31 +69,18 @@ FINER_PRODUCTS = 40
 class Bracket:
     """Bounds of the least energy by one displacement on one mesh.
 
-    Attributes
-    ----------
-    lower, upper : float
-    guaranteed_lower, guaranteed_upper : bool
-    why : tuple of str
-        What stands in the way of a guarantee.
-    local : (elements,) array
-        What each element adds to upper - lower; not negative if the displacement is admissible.
-    field : (2 or 3, elements) array
-        Mean equilibrated flux, or stress xx, yy, xy.
-    norm : float
-        Energy norm of the displacement.
-    residual : float
-        Largest violation of equilibrium, relative to the largest force.
+    What the elements add to ``upper - lower`` is not negative if the displacement is admissible.
     """
 
     lower: float
     upper: float
     guaranteed_lower: bool
     guaranteed_upper: bool
-    why: tuple[str, ...]
-    local: Array
-    field: Array
-    norm: float
-    residual: float
+    why: tuple[str, ...]  # what stands in the way of a guarantee
+    local: Array  # (elements,), what each element adds to upper - lower
+    field: Array  # (2 or 3, elements), mean equilibrated flux, or stress xx, yy, xy
+    norm: float  # energy norm of the displacement
+    residual: float  # largest violation of equilibrium, relative to the largest force
 
 
 def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: int | None = None) -> Bracket:
@@ -190,20 +176,10 @@ def edge_residual(skeleton: Skeleton, conditions: Conditions, field: Equilibrate
 def refined_bracket(
     problem: ContactProblem, nodes: Array, guess: Guess, refinements: int | None = None
 ) -> Bracket:
-    """Bounds of the least energy, see :func:`rmesh_nlp.certificate.bracket.bracket`.
+    """Bounds as of :func:`bracket`, by an equilibration on a finer mesh; per element of the given mesh.
 
-    Parameters
-    ----------
-    problem, nodes, guess
-        As there.
-    refinements : int, optional
-        How often the mesh of the equilibration is refined, each time into four times as many triangles;
-        by default once on up to ``FEW`` triangles, else not.
-
-    Returns
-    -------
-    Bracket
-        Its arrays run over the elements of the given mesh.
+    Each of the ``refinements`` makes four triangles of one; by default there is one on up to ``FEW``
+    triangles, else none.
     """
     count = problem.mesh.t.shape[1]
     if refinements is None:
@@ -215,7 +191,7 @@ def refined_bracket(
         return bracket(problem, nodes, guess)
     mesh, guess = relocated_mesh(problem.mesh, nodes), guess.at_vertices()
     for _ in range(refinements):
-        guess, mesh = _prolonged(guess, mesh), mesh.refined(1)
+        guess, mesh = guess.on_refined(mesh), mesh.refined(1)
     finer = replace(problem, mesh=mesh, motion=Motion(None))
     found = bracket(finer, np.asarray(mesh.p), guess, products=FINER_PRODUCTS)
     children = 4**refinements
@@ -224,12 +200,3 @@ def refined_bracket(
         local=found.local.reshape(children, count).sum(axis=0),
         field=found.field.reshape(-1, children, count).mean(axis=1),
     )
-
-
-def _prolonged(guess: Guess, mesh: MeshTri) -> Guess:
-    """The same displacement and stresses on the mesh refined once, whose new nodes halve the edges."""
-
-    def prolong(values: Array) -> Array:
-        return np.concatenate([values, values[..., mesh.facets].mean(axis=-2)], axis=-1)
-
-    return Guess(prolong(guess.displacement), prolong(guess.pressure), prolong(guess.friction))

@@ -11,11 +11,12 @@ tangent t, and R the reaction in those components whose displacement is given.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.certificate.integrals import Integrals, integrals, values_at
+from rmesh_nlp.certificate.integrals import integrals, values_at
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
@@ -33,17 +34,8 @@ class NotCertifiableError(ValueError):
     """No certificate is known for this kind of problem; the message says which kind."""
 
 
-@dataclass(frozen=True)
-class ContactPart:
-    """The edges of one obstacle on the boundary.
-
-    Attributes
-    ----------
-    obstacle : Obstacle
-    edges : (edges of this part,) int array
-    place : slice
-        Where they stand among all contact edges.
-    """
+class ContactPart(NamedTuple):
+    """The edges of one obstacle on the boundary, and where they stand among all contact edges."""
 
     obstacle: Obstacle
     edges: NDArray[np.int64]
@@ -56,48 +48,21 @@ class Conditions:
 
     Arrays run over the edges in their last axis; 2 stands for the ends of an edge. Moments are
     integrals against the linear functions of the ends, divided by the length.
-
-    Attributes
-    ----------
-    held : (components, edges) bool array
-        Where the displacement is given.
-    given : (components, 2, edges) array
-        Moments of the given displacement.
-    given_doubt, given_error : float
-        Largest doubt of these by quadrature, and largest distance of the given displacement from its
-        linear interpolation, both relative to the largest moment.
-    traction : (components, 2, edges) array
-        Moments of the given traction.
-    traction_oscillation : (edges,) array
-        L2 norm over the edge of the traction less its best linear approximation.
-    traction_doubt : (components, 2, edges) array
-        Doubt of ``traction`` by quadrature.
-    contact : (edges,) int array
-        Numbers of the contact edges; the arrays below run over these.
-    offset : (2, contact edges) array
-        Moments of the initial gap.
-    offset_doubt : (2, contact edges) array
-    friction : (2, contact edges) array
-        Values at the ends of a linear function that nowhere exceeds the friction bound.
-    axes : (contact edges, components, components) array
-        Rows: the obstacle's tangent and normal, or the normal alone in a scalar problem.
-    parts : tuple of ContactPart
-        The contact edges obstacle by obstacle.
     """
 
-    held: Mask
-    given: Array
-    given_doubt: float
-    given_error: float
-    traction: Array
-    traction_oscillation: Array
-    traction_doubt: Array
-    contact: NDArray[np.int64]
-    offset: Array
-    offset_doubt: Array
-    friction: Array
-    axes: Array
-    parts: tuple[ContactPart, ...]
+    held: Mask  # (components, edges), where the displacement is given
+    given: Array  # (components, 2, edges), moments of the given displacement
+    given_doubt: float  # largest doubt of these by quadrature, relative to the largest moment
+    given_error: float  # largest distance from its linear interpolation, relative to the same
+    traction: Array  # (components, 2, edges), moments of the given traction
+    traction_oscillation: Array  # (edges,), L2 norm of the traction less its best linear approximation
+    traction_doubt: Array  # (components, 2, edges), of ``traction`` by quadrature
+    contact: NDArray[np.int64]  # (contact edges,), their numbers; the arrays below run over these
+    offset: Array  # (2, contact edges), moments of the initial gap
+    offset_doubt: Array  # (2, contact edges)
+    friction: Array  # (2, contact edges), ends of a linear function that nowhere exceeds the friction bound
+    axes: Array  # (contact edges, components, components), rows: the obstacle's tangent, if any, and normal
+    parts: tuple[ContactPart, ...]  # the contact edges obstacle by obstacle
 
 
 def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
@@ -119,8 +84,7 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
         gap = integrals(obstacle.offset, corners)
         offset[:, part.place], offset_doubt[:, part.place] = gap.moments, gap.doubt
         friction[:, part.place] = _linear_below(values_at(obstacle.friction, corners, SAMPLE_POINTS))
-        rows = (obstacle.tangent, obstacle.normal) if n == 2 else (obstacle.normal,)
-        axes[part.place] = np.array(rows)
+        axes[part.place] = np.array([obstacle.tangent, obstacle.normal] if n == 2 else [obstacle.normal])
     return Conditions(*supports, *loads, contact, offset, offset_doubt, friction, axes, parts)
 
 
@@ -151,21 +115,16 @@ def _tractions(problem: ContactProblem, skeleton: Skeleton) -> tuple[Array, Arra
     for load in problem.tractions:
         edges = np.unique(problem.mesh.boundaries[load.boundary])
         corners = skeleton.nodes[:, skeleton.ends[:, edges]]
-        square = np.zeros(edges.size)
+        square = np.zeros(edges.size)  # of the traction less its best linear approximation, in the mean
         for i, coefficient in enumerate(load.value):
             part = integrals(coefficient, corners)
             traction[i][:, edges] += part.moments
             doubt[i][:, edges] += part.doubt
             if callable(coefficient):
-                square += _remainder(part)
+                linear = np.sum(linear_values(part.moments) * part.moments, axis=0)
+                square += np.maximum(part.square - linear, 0.0)
         oscillation[edges] += np.sqrt(square * skeleton.lengths[edges])
     return traction, oscillation, doubt
-
-
-def _remainder(part: Integrals) -> Array:
-    """Mean square over each edge of a function less its best linear approximation."""
-    ends = linear_values(part.moments)
-    return np.asarray(np.maximum(part.square - np.sum(ends * part.moments, axis=0), 0.0))
 
 
 def linear_values(moments: Array) -> Array:
@@ -177,7 +136,6 @@ def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ..
     """Of each boundary with contact the edges on which the gap is not given beforehand."""
     parts: list[ContactPart] = []
     seen = np.zeros(held.shape[1], dtype=bool)
-    first = 0
     for obstacle in problem.obstacles:
         if isinstance(obstacle.boundary, Place):
             continue
@@ -192,9 +150,9 @@ def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ..
             raise NotCertifiableError(
                 "a displacement component is given on a contact edge whose contact normal is oblique"
             )
+        first = int(np.count_nonzero(seen))
         seen[edges] = True
         parts.append(ContactPart(obstacle, edges, slice(first, first + edges.size)))
-        first += edges.size
     return tuple(parts)
 
 

@@ -24,24 +24,12 @@ LATTICE = 4
 
 @dataclass(frozen=True)
 class Potential:
-    """J(u) of a piecewise linear displacement, and its parts.
+    """J(u) of a piecewise linear displacement, and its parts."""
 
-    Attributes
-    ----------
-    energy : float
-        J(u), friction included.
-    norm : float
-        Energy norm of u, the root of twice the strain energy.
-    friction : (contact edges,) array
-        Integrals of the friction bound times the slip.
-    traction_doubt : float
-        What quadrature of the tractions may have changed.
-    """
-
-    energy: float
-    norm: float
-    friction: Array
-    traction_doubt: float
+    energy: float  # J(u), friction included
+    norm: float  # energy norm of u, the root of twice the strain energy
+    friction: Array  # (contact edges,), integrals of the friction bound times the slip
+    traction_doubt: float  # what quadrature of the tractions may have changed
 
 
 def potential(
@@ -94,12 +82,12 @@ def penetration(
     found = [(o, skeleton.triangles, _LATTICE_POINTS) for o in inside]
     found += [(part.obstacle, skeleton.ends[:, part.edges], SAMPLE_POINTS) for part in conditions.parts]
     size = float(np.max(np.abs(displacement), initial=0.0))
-    depth = 0.0
+    depths = [0.0]
     for obstacle, cells, points in found:
-        along = np.einsum("c,cve->ve", obstacle.normal, displacement[:, cells])
         if cells.size:
-            depth = max(depth, _depth(obstacle.offset, skeleton.nodes[:, cells], along, points, size))
-    return depth
+            along = np.einsum("c,cve->ve", obstacle.normal, displacement[:, cells])
+            depths.append(_depth(obstacle.offset, skeleton.nodes[:, cells], along, points, size))
+    return max(depths)
 
 
 def _depth(offset: Coefficient, corners: Array, along: Array, points: Array, size: float) -> float:

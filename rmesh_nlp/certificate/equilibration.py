@@ -17,9 +17,11 @@ small, and so is the rounding of stresses, which would else be differences of la
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from skfem import MeshTri
 
 from rmesh_nlp.certificate.hybrid import Hybrid, contact_start
 from rmesh_nlp.contact.active_set import DualEnergy, solve
@@ -41,105 +43,65 @@ FORCING = 0.1
 
 @dataclass(frozen=True)
 class Guess:
-    """What the computed solution knows: where the equilibration begins.
+    """What the computed solution knows: where the equilibration begins."""
 
-    Attributes
-    ----------
-    displacement : (components, nodes) array
-    pressure, friction : (nodes,) arrays
-        Contact pressure and friction at the nodes.
-    space : DisplacementSpace, optional
-        Whose nodes these are; by default they are the vertices.
-    """
-
-    displacement: Array
-    pressure: Array
-    friction: Array
-    space: DisplacementSpace | None = None
+    displacement: Array  # (components, nodes)
+    pressure: Array  # (nodes,), of contact
+    friction: Array  # (nodes,)
+    space: DisplacementSpace | None = None  # whose nodes these are; by default they are the vertices
 
     def at_vertices(self) -> Guess:
         """The same with values at the vertices, of which the equilibration is made."""
         if self.space is None:
             return self
         node = self.space.number
-        return Guess(self.displacement[:, node], self.pressure[node], self.friction[node])
+        return self._picked(lambda values: values[..., node])
+
+    def on_refined(self, mesh: MeshTri) -> Guess:
+        """From the vertices of a mesh to those of the mesh refined once, whose new nodes halve the edges."""
+        return self._picked(
+            lambda values: np.concatenate([values, values[..., mesh.facets].mean(axis=-2)], axis=-1)
+        )
+
+    def _picked(self, pick: Callable[[Array], Array]) -> Guess:
+        return Guess(pick(self.displacement), pick(self.pressure), pick(self.friction))
 
 
 @dataclass(frozen=True)
 class Balance:
-    """The field in equilibrium, as far as edges see it.
+    """The field in equilibrium, as far as edges see it."""
 
-    Attributes
-    ----------
-    traces : (elements, k) array
-        Of each element, in Cartesian components, counted from the base.
-    pressure, friction : (2, contact edges) arrays
-        At the ends of the contact edges; no friction in a scalar problem.
-    reaction_work : float
-        Work of the reactions on the given displacements.
-    obstacle_force : (elements, 3) array
-        Values at the vertices of the reaction of an obstacle in the interior, times the area.
-    """
-
-    traces: Array
-    pressure: Array
-    friction: Array
-    reaction_work: float
-    obstacle_force: Array
+    traces: Array  # (elements, k) of each element, in Cartesian components, counted from the base
+    pressure: Array  # (2, contact edges) at the ends of the contact edges
+    friction: Array  # the same; zero in a scalar problem
+    reaction_work: float  # of the reactions on the given displacements
+    obstacle_force: Array  # (elements, 3), reaction of an interior obstacle at the vertices, times the area
 
 
 @dataclass(frozen=True)
 class EquilibratedField:
-    """A flux or stress in equilibrium, element by element.
+    """A flux or stress in equilibrium, element by element; norms are energy norms."""
 
-    Attributes
-    ----------
-    values : (2 or 3, elements) array
-        Mean flux, or mean stress xx, yy, xy.
-    computed, energy : (elements,) arrays
-        Half the squares of the energy norms of the flux or stress of the computed displacement, which is its
-        strain energy, and of this field, its complementary energy.
-    defect : (elements,) array
-        Distance in the energy norm between the two.
-    variation : (elements,) array
-        Distance in the energy norm from the nearest field that is constant on the element.
-    forces : (elements, local traces) array
-        Tractions at the ends of the edges of each element times the length of the edge.
-    balance : Balance
-    residual : float
-        Largest violation of equilibrium inside elements, relative to the largest force.
-    gradient_by_energy : (elements,) array
-        See :func:`rmesh_nlp.certificate.oscillation.oscillation`.
-    obstacle_work, obstacle_gap : (elements,) arrays or 0
-        Work of the reaction of an obstacle in the interior, on the obstacle and on the gap.
-    obstacle_doubt : float
-    """
-
-    values: Array
-    computed: Array
-    energy: Array
-    defect: Array
-    variation: Array
-    forces: Array
+    values: Array  # (2 or 3, elements), mean flux, or mean stress xx, yy, xy
+    computed: Array  # (elements,), strain energy of the computed displacement
+    energy: Array  # (elements,), complementary energy of this field
+    defect: Array  # (elements,), distance between this field and that of the computed displacement
+    variation: Array  # (elements,), distance from the nearest field that is constant on the element
+    forces: Array  # (elements, local traces), tractions at the ends of the edges times the edge's length
     balance: Balance
-    residual: float
-    gradient_by_energy: Array
-    obstacle_work: Array | float = 0.0
-    obstacle_gap: Array | float = 0.0
+    residual: float  # largest violation of equilibrium inside elements, relative to the largest force
+    gradient_by_energy: Array  # (elements,), see :func:`rmesh_nlp.certificate.oscillation.oscillation`
+    obstacle_work: Array | float = 0.0  # (elements,), of an interior obstacle's reaction, on it
+    obstacle_gap: Array | float = 0.0  # (elements,), the same on the gap
     obstacle_doubt: float = 0.0
 
 
 def balance(found: Hybrid, guess: Guess, products: int) -> Balance:
     """Equilibrate the elements with each other and with the contact forces.
 
-    Parameters
-    ----------
-    found : Hybrid
-        With an obstacle in the interior it is solved exactly, for its forces are as many as the elements.
-    guess : Guess
-        Its contact forces are where to begin; they are cut to what contact and friction allow.
-    products : int
-        Back-substitutions spent on better contact forces.
+    These begin with those of the guess, cut to what contact and friction allow, and are improved by
+    ``products`` back-substitutions. With an obstacle in the interior the problem is solved exactly, for its
+    forces are as many as the elements.
     """
     skeleton, contact = found.skeleton, found.conditions.contact
     ends, edge = skeleton.ends[:, contact], skeleton.lengths[contact]

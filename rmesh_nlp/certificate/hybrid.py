@@ -32,61 +32,33 @@ class InteriorObstacle:
 
     Arrays run over the vertices of each element; moments are against their linear functions and
     divided by the area.
-
-    Attributes
-    ----------
-    sign : float
-        1 for an obstacle below, -1 above.
-    gap : (elements, 3) array
-        Moments of the gap of the base.
-    load : (elements, 3) array
-        Values of the source, times the area.
     """
 
-    sign: float
-    gap: Array
-    load: Array
+    sign: float  # 1 for an obstacle below, -1 above
+    gap: Array  # (elements, 3), moments of the gap of the base
+    load: Array  # (elements, 3), values of the source, times the area
 
 
 @dataclass(frozen=True)
 class Hybrid:
     """The contact problem of the traces, and what leads from its solution back to the elements.
 
-    Attributes
-    ----------
-    skeleton : Skeleton
-    conditions : Conditions
-    system : ContactSystem
-        In the traces that are not given; the gaps of an obstacle in the interior come first.
-    matrix, source : (traces, traces) sparse array and (traces,) array
-        The sum of the forces through each edge is ``matrix @ W - source``.
-    numbers : (elements, k) int array
-        Of the traces of each element: edge by edge, ends counter-clockwise, component by component, then
-        those of an obstacle in the interior.
-    turn : (traces, traces) sparse array
-        From Cartesian components to those along the axes of contact edges.
-    held : (traces,) bool array
-        Which traces are given.
-    start, known : (traces,) arrays
-        The base, and where the given traces are, counted from it.
-    applied : (traces,) array
-        Applied forces.
-    inside : int
-        Number of gaps of an obstacle in the interior.
+    The sum of the forces through each edge is ``matrix @ W - source``. The traces of an element are numbered
+    edge by edge, ends counter-clockwise, component by component, then those of an obstacle in the interior.
     """
 
     skeleton: Skeleton
     conditions: Conditions
-    system: ContactSystem
-    matrix: sp.csc_array
-    source: Array
-    numbers: Index
-    turn: sp.csr_array
-    held: NDArray[np.bool_]
-    start: Array
-    known: Array
-    applied: Array
-    inside: int
+    system: ContactSystem  # in the traces that are not given; gaps of an obstacle in the interior first
+    matrix: sp.csc_array  # (traces, traces)
+    source: Array  # (traces,)
+    numbers: Index  # (elements, k), the traces of each element
+    turn: sp.csr_array  # (traces, traces), from Cartesian components to the axes of contact edges
+    held: NDArray[np.bool_]  # (traces,), which are given
+    start: Array  # (traces,), the base
+    known: Array  # (traces,), the given ones, counted from the base
+    applied: Array  # (traces,), applied forces
+    inside: int  # number of gaps of an obstacle in the interior
 
     def traces(self, u: Array) -> Array:
         """All traces for the free ones."""
@@ -110,17 +82,10 @@ def hybrid(
     displacement: Array,
     interior: InteriorObstacle | None = None,
 ) -> Hybrid:
-    """Assemble the contact problem of the traces.
+    """Assemble the contact problem of the traces, counted from ``displacement`` (components, nodes).
 
-    Parameters
-    ----------
-    skeleton : Skeleton
-    conditions : Conditions
-    local : (elements, k, k) array and (elements, k) array
-        Forces through the edges of an element are ``local[0] @ traces - local[1]``.
-    displacement : (components, nodes) array
-        The base, from which traces are counted.
-    interior : InteriorObstacle, optional
+    Forces through the edges of an element are ``local[0] @ traces - local[1]``, with (elements, k, k) and
+    (elements, k) arrays.
     """
     n, contact = conditions.held.shape[0], conditions.contact
     numbers, size = _numbers(skeleton, n), skeleton.ends.shape[1] * 2 * n

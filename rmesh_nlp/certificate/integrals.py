@@ -30,21 +30,11 @@ NEGLIGIBLE = 1e-6
 
 @dataclass(frozen=True)
 class Integrals:
-    """Moments of a coefficient f over simplices with barycentric coordinates phi_i.
+    """Moments of a coefficient f over simplices with barycentric coordinates phi_i."""
 
-    Attributes
-    ----------
-    moments : (vertices, simplices) array
-        Integrals of f phi_i over the simplex, divided by its measure.
-    square : (simplices,) array
-        Mean of f^2.
-    doubt : (vertices, simplices) array
-        Difference of ``moments`` between two rules; zero for a constant.
-    """
-
-    moments: Array
-    square: Array
-    doubt: Array
+    moments: Array  # (vertices, simplices), integrals of f phi_i over the simplex, divided by its measure
+    square: Array  # (simplices,), mean of f^2
+    doubt: Array  # (vertices, simplices), difference of ``moments`` between two rules; zero for a constant
 
 
 def integrals(coefficient: Coefficient, corners: Array) -> Integrals:
@@ -79,22 +69,12 @@ def values_at(coefficient: Coefficient, corners: Array, barycentric: Array) -> A
 
 @dataclass(frozen=True)
 class Loads:
-    """Sources or body forces, component by component, and their sums over elements.
+    """Sources or body forces, component by component, and their sums over elements."""
 
-    Attributes
-    ----------
-    moments, doubt : (components, 3, elements) arrays
-        As in :class:`Integrals`.
-    linear : (components, 3, elements) array
-        Values at the vertices of the best linear approximation, which a field can balance.
-    remainder : (elements,) array
-        L2 norm of what that leaves.
-    """
-
-    moments: Array
-    doubt: Array
-    linear: Array
-    remainder: Array
+    moments: Array  # (components, 3, elements) as in :class:`Integrals`
+    doubt: Array  # the same
+    linear: Array  # (components, 3, elements), the best linear approximation, which a field can balance
+    remainder: Array  # (elements,), L2 norm of what that leaves
 
     def work(self, displacement: Array, skeleton: Skeleton) -> float:
         """Integral of f . u for a displacement (components, nodes)."""

@@ -1,16 +1,13 @@
 """Equilibrated stresses of plane elasticity: the composite element of Johnson and Mercier [1]_.
 
-A triangle is cut at its barycentre into three. The stress is symmetric and linear on each of
-them and its tractions are continuous inside: 15 degrees of freedom, nine of them without
-divergence. Linear tractions on the three edges (12 values, in equilibrium) determine these nine.
+A triangle is cut at its barycentre into three. The stress is symmetric and linear on each of them and its
+tractions are continuous inside: 15 degrees of freedom, nine of them without divergence, which linear
+tractions on the three edges (12 values, in equilibrium) determine. A body force that is linear on the
+triangle is balanced by six more stresses, quadratic on each third, again with linear tractions on the edges.
 
-A body force that is linear on the triangle is balanced by six more stresses, quadratic on each third,
-again with linear tractions on the edges. So only what a body force has beyond its linear part is left out.
-
-The element is affine equivalent: with the Jacobian F of the map from the reference triangle
-and J = det F, ``sigma = F sigma_ref F^T / J`` has ``div sigma = F div sigma_ref / J``, and the force
-through an edge is ``F`` times that of the reference. So everything is computed once on the
-reference triangle, and for all elements by products with the metric ``F^T F / J``.
+With the Jacobian F of the map from the reference triangle and J = det F, ``sigma = F sigma_ref F^T / J`` has
+``div sigma = F div sigma_ref / J``, and the force through an edge is ``F`` times that of the reference. So
+all is computed once there, and for all elements by products with the metric ``F^T F / J``.
 
 References
 ----------
@@ -69,25 +66,25 @@ SLOPES = _slopes_at_vertices()
 """(3 vertices, 6 nodes, 3) derivatives of quadratic functions by the barycentric coordinates."""
 
 
-def thirds(corners: Array) -> Array:
-    """(2, 3 vertices, 3 thirds, ...) corners of the thirds: third i has the vertices i + 1, i + 2, centre."""
-    centre = corners.mean(axis=1)
-    return np.stack([np.stack([corners[:, j], corners[:, k], centre], axis=1) for j, k in AFTER], axis=2)
+def on_thirds(values: Array) -> Array:
+    """(2, 3 vertices, 3 thirds, ...) a linear function (2, 3 vertices, ...) at the corners of the thirds.
+
+    Third i has the vertices i + 1, i + 2 and the centre.
+    """
+    centre = values.mean(axis=1)
+    return np.stack([np.stack([values[:, j], values[:, k], centre], axis=1) for j, k in AFTER], axis=2)
 
 
 def divergence(stress: Array, corners: Array) -> Array:
     """(2, 3 vertices, 3 thirds, ...) divergence of stresses (3 thirds, 6 nodes, 3 values, ...).
 
-    ``corners`` are those of the thirds, see :func:`thirds`.
+    ``corners`` are those of the thirds, see :func:`on_thirds`.
     """
     normals = edge_normals(corners)
     double = normals[1, 2] * normals[0, 1] - normals[0, 2] * normals[1, 1]
     slope = np.einsum("vnb,cbi...->cvni...", SLOPES, -normals / double, optimize=True)
-    xx, yy, xy = np.moveaxis(stress, 2, 0)
-    by_x, by_y = (
-        [np.einsum("vni...,in...->vi...", slope[c], part) for part in (xx, yy, xy)] for c in range(2)
-    )
-    return np.stack([by_x[0] + by_y[2], by_x[2] + by_y[1]])
+    rows = stress[:, :, [0, 2]], stress[:, :, [2, 1]]  # of the matrix, stored as xx, yy, xy
+    return np.stack([np.einsum("cvni...,inc...->vi...", slope, row) for row in rows])
 
 
 def traction(stress: Array, normal: Array) -> Array:
@@ -118,31 +115,17 @@ def edge_tractions(stress: Array, normals: Array) -> Array:
     return np.stack([[traction(stress[i, end], normals[:, i]) for end in range(2)] for i in range(3)])
 
 
-def linear_force(values: Array) -> Array:
-    """(2, 3 vertices, 3 thirds, ...) a linear function (2, 3 vertices, ...) at the corners of the thirds."""
-    centre = values.mean(axis=1)
-    return np.stack([np.stack([values[:, j], values[:, k], centre], axis=1) for j, k in AFTER], axis=2)
-
-
 @dataclass(frozen=True)
 class Reference:
     """Basis of the element on the reference triangle.
 
     The first nine functions have no divergence; of the other six, the one of vertex i and component c has the
     divergence phi_i in this component.
-
-    Attributes
-    ----------
-    basis : (3 thirds, 6 nodes, 3 values xx, yy, xy, 15) array
-    products : (9, 225) array
-        Integrals of products of two basis functions, value by value.
-    forces : (3 edges, 2 ends, 2 components, 15) array
-        Tractions at the ends of the edges, counter-clockwise, times the length of the edge.
     """
 
-    basis: Array
-    products: Array
-    forces: Array
+    basis: Array  # (3 thirds, 6 nodes, 3 values xx, yy, xy, 15)
+    products: Array  # (9, 225), integrals of products of two basis functions, value by value
+    forces: Array  # (3 edges, 2 ends, 2 components, 15), tractions times the length of the edge
 
 
 @lru_cache(maxsize=1)
@@ -151,13 +134,13 @@ def reference() -> Reference:
     corners = CORNERS[..., None]
 
     def conditions(stress: Array) -> Array:
-        inside = divergence(stress, thirds(corners)).reshape(18, -1)
+        inside = divergence(stress, on_thirds(corners)).reshape(18, -1)
         return np.vstack([inside, *jumps(stress, corners)])
 
     linear = np.einsum("nv,ia,cd->incvad", NODES, np.eye(3), np.eye(3)).reshape(3, 6, 3, 27)
     free = linear @ scipy.linalg.null_space(conditions(linear))
     every = np.eye(54).reshape(3, 6, 3, 54)
-    wanted = linear_force(np.einsum("iv,cd->civd", np.eye(3), np.eye(2)).reshape(2, 3, 6))
+    wanted = on_thirds(np.einsum("iv,cd->civd", np.eye(3), np.eye(2)).reshape(2, 3, 6))
     right = np.vstack([wanted.reshape(18, 6), np.zeros((24, 6))])
     loaded = every @ (np.linalg.pinv(conditions(every)) @ right)
     basis = np.concatenate([free, loaded], axis=3)
@@ -172,20 +155,12 @@ class JohnsonMercier:
     The unknowns of an element are, for each edge and each of its ends, counter-clockwise, the
     moments of both displacement components against the linear function of that end, divided by
     the length of the edge.
-
-    Attributes
-    ----------
-    skeleton : Skeleton
-    lame_lambda, lame_mu : (elements,) arrays
-        Lambda as in the in-plane stress.
-    load : (2, 3, elements) array
-        Body force at the vertices of each element, linear in between.
     """
 
     skeleton: Skeleton
-    lame_lambda: Array
-    lame_mu: Array
-    load: Array
+    lame_lambda: Array  # (elements,), as in the in-plane stress
+    lame_mu: Array  # (elements,)
+    load: Array  # (2, 3, elements), body force at the vertices of each element, linear in between
 
     @property
     def jacobian(self) -> Array:
@@ -201,8 +176,7 @@ class JohnsonMercier:
     def compliance(self) -> Array:
         """(elements, 15, 15) integrals of ``C^-1 sigma : sigma`` over pairs of basis functions."""
         F = self.jacobian / np.sqrt(self.determinant)[:, None, None]
-        a, b = np.sum(F[:, :, 0] ** 2, axis=1), np.sum(F[:, :, 1] ** 2, axis=1)
-        c = np.sum(F[:, :, 0] * F[:, :, 1], axis=1)
+        a, c, _, b = np.einsum("eki,ekj->ije", F, F).reshape(4, -1)
         square = np.array(
             [
                 [a * a, c * c, 2 * a * c],
@@ -284,15 +258,10 @@ class JohnsonMercier:
 
     def energy(self, stress: Array) -> Array:
         """(elements,) integrals of ``C^-1 sigma : sigma / 2``."""
-        trace = stress[:, :, 0] + stress[:, :, 1]
+        xx, yy, xy = np.moveaxis(stress, 2, 0)
         square = sum(
             factor * np.einsum("ile,lm,ime->e", part, MASS, part, optimize=True)
-            for factor, part in (
-                (1.0, stress[:, :, 0]),
-                (1.0, stress[:, :, 1]),
-                (2.0, stress[:, :, 2]),
-                (-self._trace_part, trace),
-            )
+            for factor, part in ((1.0, xx), (1.0, yy), (2.0, xy), (-self._trace_part, xx + yy))
         )
         return np.asarray(square * self.skeleton.areas / 3 / (4 * self.lame_mu))
 
@@ -350,7 +319,7 @@ def residual(elements: JohnsonMercier, stress: Array, forces: Array) -> float:
     must be linear and those that the edges exchange.
     """
     corners, area = elements.skeleton.corners, elements.skeleton.areas
-    out = divergence(stress, thirds(corners)) + linear_force(elements.load)
+    out = divergence(stress, on_thirds(corners)) + on_thirds(elements.load)
     exchanged = forces.T.reshape(3, 2, 2, -1)
     across = edge_tractions(stress, elements.skeleton.normals) - exchanged
     largest = max(float(np.max(np.abs(part), initial=1e-300)) for part in (forces, elements.load * area))

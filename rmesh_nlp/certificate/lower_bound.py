@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -57,14 +57,10 @@ LEAST = 1e-3
 """Least of these numbers, relative to the largest."""
 
 
-@dataclass(frozen=True)
-class _Edges:
-    """A function on some edges, and where they stand among what it is multiplied with.
+class _Edges(NamedTuple):
+    """A function on some edges, and where they stand among what it is multiplied with."""
 
-    ``kind`` is "offset", "given" or "applied".
-    """
-
-    kind: str
+    kind: str  # "offset", "given" or "applied"
     which: Index
     number: Index
     function: ca.Function
@@ -88,22 +84,9 @@ class _State:
 class LowerBound:
     """Evaluates the lower bound of one scalar problem.
 
-    Parameters
-    ----------
-    problem : ContactProblem
-    space : DisplacementSpace, optional
-        Of the displacements it is called with; by default their nodes are the vertices.
-
-    Raises
-    ------
-    ValueError
-        If the problem has no certificate, has two components, or a traction that is not linear
-        along an edge.
-
-    Attributes
-    ----------
-    solves : int
-        Number of equilibrations so far.
+    Displacements that it is called with are of ``space``; by default its nodes are the vertices. It raises a
+    ValueError if the problem has no certificate, has two components, or a traction that is not linear along
+    an edge.
     """
 
     def __init__(self, problem: ContactProblem, space: DisplacementSpace | None = None) -> None:
@@ -114,8 +97,7 @@ class LowerBound:
         inside = [o for o in problem.obstacles if o.boundary is Place.INTERIOR]
         if len(inside) > 1:
             raise ValueError("the objective 'certificate' takes one obstacle in the interior")
-        self.problem, self.solves = problem, 0
-        self._node = (space or DisplacementSpace.of(problem)).number
+        self.problem, self._node = problem, (space or DisplacementSpace.of(problem)).number
         self._inside = inside[0] if inside else None
         offset = self._inside.offset if self._inside else None
         self._groups = [
@@ -131,10 +113,7 @@ class LowerBound:
         self._active: ActiveSet | None = None
 
     def __call__(self, nodes: Array, displacement: Array) -> tuple[float, Array]:
-        """Value and gradient (2, nodes) at positions (2, nodes).
-
-        The displacement (1, nodes) is where the equilibration begins; it has no influence on the result.
-        """
+        """Value and gradient (2, nodes) at positions (2, nodes); the displacement is the base alone."""
         state = self._equilibrated(nodes, displacement[:, self._node], self._variation)
         return state.value, self._gradient(state)
 
@@ -166,11 +145,10 @@ class LowerBound:
                 r[group.which] = group.columns("oscillation")([X])[0]
         elements = RaviartThomas(skeleton, conductivity, source, self._inside is not None, penalty=r / e)
         computed = elements.constant(conductivity * skeleton.gradients(u)[0])
-        interior = obstacle_inside(self.problem, skeleton, offset, source, u)
+        interior = obstacle_inside(self._inside, skeleton, offset, source, u)
         local = elements.stiffness, elements.source - elements.forces(computed)
         problem = hybrid(skeleton, conditions, local, u, interior)
         solved = solve(problem.system, self._active)
-        self.solves += 1
         self._active, force = solved.active, solved.normal_force
         found = balanced(problem, solved.u, force, np.zeros(0))
         flux, W = computed + elements.coefficients(found.traces), problem.traces(solved.u)
@@ -224,16 +202,12 @@ def _edge_functions(problem: ContactProblem, conditions: Conditions) -> list[_Ed
         if callable(part.obstacle.offset):
             number = np.arange(part.place.start, part.place.stop)
             found.append(_Edges("offset", part.edges, number, _on_edge(part.obstacle.offset)))
-    for support in problem.supports:
-        (value,) = support.value
-        if callable(value):
-            edges = np.unique(problem.mesh.boundaries[support.boundary])
-            found.append(_Edges("given", edges, edges, _on_edge(value)))
-    for load in problem.tractions:
-        (value,) = load.value
-        if callable(value) or value != 0:
-            edges = np.unique(problem.mesh.boundaries[load.boundary])
-            found.append(_Edges("applied", edges, edges, _on_edge(value, forces=True)))
+    for kind, stated in (("given", problem.supports), ("applied", problem.tractions)):
+        for one in stated:
+            (value,), applied = one.value, kind == "applied"
+            if callable(value) or (applied and value):
+                edges = np.unique(problem.mesh.boundaries[one.boundary])
+                found.append(_Edges(kind, edges, edges, _on_edge(value, forces=applied)))
     return found
 
 
@@ -263,19 +237,15 @@ EDGE_POINTS = 10
 
 @dataclass(frozen=True)
 class _Elements:
-    """The elements of one law, and functions of the columns X (6), c (8) and others of one element.
-
-    - ``data``: ``X -> source at the vertices (3), moments of the obstacle (3)``;
-    - ``oscillation``: ``X -> r``;
-    - ``slope``: ``(X, c, nu, omega, P, e) -> derivative by X`` of less the energy and that term, with
-      nu against the coefficients that the source prescribes or, with an obstacle, omega against the forces
-      of the source and P against the moments of the obstacle.
-    """
+    """The elements of one law, and functions of the columns X (6), c (8) and others of one element."""
 
     law: Laplace
     which: Index
-    data: ca.Function
-    oscillation: ca.Function
+    data: ca.Function  # X -> source at the vertices (3), moments of the obstacle (3)
+    oscillation: ca.Function  # X -> r
+    # (X, c, nu, omega, P, e) -> derivative by X of less the energy and the oscillation term, with nu against
+    # the coefficients that the source prescribes or, with an obstacle, omega against the forces of the source
+    # and P against the moments of the obstacle
     slope: ca.Function
 
     @property
@@ -299,16 +269,15 @@ def _elements(law: Laplace, which: Index, obstacle: Coefficient | None) -> _Elem
 
     def square(products: Array) -> ca.SX:
         matrices = products.reshape(2, 2, 8, 8)
-        pairs = [metric[i, j] * (c.T @ ca.DM(matrices[i, j]) @ c) for i in range(2) for j in range(2)]
-        return sum(pairs[1:], pairs[0])
+        return ca.SX(sum(metric[i, j] * (c.T @ ca.DM(matrices[i, j]) @ c) for i, j in np.ndindex(2, 2)))
 
     values, remainder = _linear_part(source, X)
     moments = ca.SX.zeros(3) if obstacle is None else _moments(obstacle, X, *triangle_rule(DEGREE))[0]
     varies = callable(source)
     lagrangian, r = -square(reference().products) / 2, ca.SX(0)
     if varies:
-        sides = [ca.sumsqr(X[:, i] - X[:, i - 1]) for i in range(3)]
-        h_square = ca.fmax(ca.fmax(*sides[:2]), sides[2])
+        one, two, three = (ca.sumsqr(X[:, i] - X[:, i - 1]) for i in range(3))
+        h_square = ca.fmax(ca.fmax(one, two), three)
         r = POINCARE * ca.sqrt(h_square * area * (remainder + TINY) / conductivity)
         lagrangian -= r * (square(reference().variations) / e + e) / 2 + r**2 / 2
     if obstacle is None:
@@ -330,8 +299,8 @@ def _moments(f: Coefficient, X: ca.SX, barycentric: Array, weights: Array) -> tu
     if not callable(f):
         return ca.SX([float(f) / barycentric.shape[0]] * barycentric.shape[0]), []
     values = [at(f, *ca.vertsplit(X @ point)) for point in barycentric.T]
-    parts = [w * value * ca.DM(point) for w, value, point in zip(weights, values, barycentric.T, strict=True)]
-    return ca.SX(sum(parts[1:], parts[0])), values
+    parts = zip(weights, values, barycentric.T, strict=True)
+    return ca.SX(sum(w * value * ca.DM(point) for w, value, point in parts)), values
 
 
 def _linear_part(f: Coefficient, X: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -341,11 +310,8 @@ def _linear_part(f: Coefficient, X: ca.SX) -> tuple[ca.SX, ca.SX]:
     barycentric, weights = triangle_rule(DEGREE)
     moments, values = _moments(f, X, barycentric, weights)
     linear = 12 * moments - 3 * ca.sum1(moments)
-    rest = [
-        w * (value - ca.dot(linear, ca.DM(point))) ** 2
-        for w, value, point in zip(weights, values, barycentric.T, strict=True)
-    ]
-    return linear, sum(rest[1:], rest[0])
+    parts = zip(weights, values, barycentric.T, strict=True)
+    return linear, ca.SX(sum(w * (value - ca.dot(linear, ca.DM(b))) ** 2 for w, value, b in parts))
 
 
 def _on_edge(f: Coefficient, *, forces: bool = False) -> ca.Function:

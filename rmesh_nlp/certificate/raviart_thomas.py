@@ -1,13 +1,11 @@
 """Equilibrated fluxes of scalar problems: the Raviart-Thomas element of the second order [1]_.
 
-The flux is linear on each edge, and balances a source that is linear on each element. The
-lowest-order flux, which Marini's formula makes of a Crouzeix-Raviart solution, is cheaper, but its own
-error is as large as that of linear displacements: twice the true gap instead of little more.
+The flux is linear on each edge, and balances a source that is linear on each element. That of the lowest
+order is cheaper, but its own error is as large as that of linear displacements.
 
-The element is affine equivalent: with the Jacobian F of the map from the reference triangle and
-J = det F, ``tau = F tau_ref / J`` has ``div tau = div tau_ref / J`` and the same flux through the
-edges. So everything is computed once on the reference triangle, and for all elements by products
-with the metric ``F^T F``.
+With the Jacobian F of the map from the reference triangle and J = det F, ``tau = F tau_ref / J`` has
+``div tau = div tau_ref / J`` and the same flux through the edges. So all is computed once on the reference
+triangle, and for all elements by products with the metric ``F^T F``.
 
 References
 ----------
@@ -29,7 +27,7 @@ from rmesh_nlp.certificate.integrals import Loads, integrals
 from rmesh_nlp.certificate.skeleton import AFTER, CORNERS, Skeleton, edge_normals
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import triangle_rule
-from rmesh_nlp.problem import ContactProblem, Place
+from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.laws import Laplace
 
 FREE = 5
@@ -43,22 +41,12 @@ class Reference:
     First the curls of x, y, x^2, x y, y^2, of no divergence; then (x - centre) / 2, of divergence 1;
     then ``phi_i (x - x_i) / 3`` for the first two vertices, of divergence phi_i - 1/3, which have no normal
     component on the edges. That of the third vertex is less the sum of these two.
-
-    Attributes
-    ----------
-    products : (4, 64) array
-        Integrals of products of components a and b of two functions, divided by the area.
-    variations : (4, 64) array
-        The same of the functions less their means.
-    means : (2, 8) array
-    forces : (3 edges, 2 ends, 8) array
-        Normal components at the ends of the edges, counter-clockwise, times the length of the edge.
     """
 
-    products: Array
-    variations: Array
-    means: Array
-    forces: Array
+    products: Array  # (4, 64), integrals of products of components a, b of two functions, over the area
+    variations: Array  # (4, 64), the same of the functions less their means
+    means: Array  # (2, 8)
+    forces: Array  # (3 edges, 2 ends, 8), normal components, counter-clockwise, times the edge's length
 
 
 @lru_cache(maxsize=1)
@@ -96,26 +84,16 @@ class RaviartThomas:
     The unknowns of an element are, for each edge and each of its ends, counter-clockwise, the moments
     of the displacement against the linear function of that end, divided by the length of the edge.
 
-    Attributes
-    ----------
-    skeleton : Skeleton
-    conductivity : (elements,) array
-    load : (3, elements) array
-        Values of the source at the vertices.
-    obstacle : bool
-        Whether the reaction of an obstacle, linear on each element, is to be found too. The moments of the
-        displacement against the linear functions of the vertices, divided by the area, are unknowns
-        as well then; their forces are the values of source and reaction at the vertices, times the area.
-    penalty : float or (elements,) array
-        Weight of the square of the variation of the flux, its distance from its mean on the element,
-        that is added to the energy which the flux minimises.
+    With ``obstacle`` the reaction of an obstacle, linear on each element, is to be found too. The moments of
+    the displacement against the linear functions of the vertices, divided by the area, are unknowns as well
+    then; their forces are the values of source and reaction at the vertices, times the area.
     """
 
     skeleton: Skeleton
-    conductivity: Array
-    load: Array
+    conductivity: Array  # (elements,)
+    load: Array  # (3, elements), values of the source at the vertices
     obstacle: bool = False
-    penalty: Array | float = 0.0
+    penalty: Array | float = 0.0  # (elements,), weight of the squared variation in what the flux minimises
 
     @cached_property
     def metric(self) -> Array:
@@ -156,7 +134,7 @@ class RaviartThomas:
         edges = reference().forces.reshape(6, 8)
         if not self.obstacle:
             return edges
-        # times the area, which is that of the reference triangle, 1/2, after division by its Jacobian
+        # times the area, 1/2 on the reference triangle, after division by the Jacobian
         inflow = np.zeros((3, 8))
         inflow[:, FREE] = -0.5
         inflow[:, FREE + 1 :] = -0.5 * (np.eye(3)[:, :2] - 1 / 3)
@@ -193,11 +171,10 @@ class RaviartThomas:
 
     def constant(self, flux: Array) -> Array:
         """(elements, 8) coefficients of a flux (2, elements) that is constant on each element."""
-        pulled = np.linalg.solve(self.skeleton.jacobian, (2 * self.skeleton.areas * flux).T[:, :, None])[
-            :, :, 0
-        ]
-        result = np.zeros((len(pulled), 8))
-        result[:, 0], result[:, 1] = -pulled[:, 1], pulled[:, 0]
+        result = np.zeros((flux.shape[1], 8))
+        pulled = (2 * self.skeleton.areas * flux).T[:, :, None]
+        x, y = np.linalg.solve(self.skeleton.jacobian, pulled)[:, :, 0].T
+        result[:, 0], result[:, 1] = -y, x
         return result
 
     def forces(self, coefficients: Array) -> Array:
@@ -225,22 +202,17 @@ def _squares(A: Array, coefficients: Array) -> Array:
 
 
 def obstacle_inside(
-    problem: ContactProblem, skeleton: Skeleton, offset: Array, source: Array, u: Array
+    obstacle: Obstacle | None, skeleton: Skeleton, offset: Array, source: Array, u: Array
 ) -> InteriorObstacle | None:
-    """The obstacle in the interior, if there is one, in the terms of the traces.
+    """The obstacle in the interior in the terms of the traces from a base ``u`` (1, nodes), if there is one.
 
-    Parameters
-    ----------
-    offset, source : (3, elements) arrays
-        Moments of its gap without displacement; values of the source at the vertices.
-    u : (1, nodes) array
-        The base.
+    ``offset`` are the moments of its gap without displacement, ``source`` the values of the source at the
+    vertices: (3, elements) arrays.
     """
-    for obstacle in problem.obstacles:
-        if obstacle.boundary is Place.INTERIOR:
-            sign = obstacle.normal[0]
-            return InteriorObstacle(sign, offset.T + sign * moments(u, skeleton), (source * skeleton.areas).T)
-    return None
+    if obstacle is None:
+        return None
+    sign = obstacle.normal[0]
+    return InteriorObstacle(sign, offset.T + sign * moments(u, skeleton), (source * skeleton.areas).T)
 
 
 def moments(u: Array, skeleton: Skeleton) -> Array:
@@ -267,7 +239,7 @@ def equilibrated_flux(
         raise NotCertifiableError("there are two obstacles in the interior")
     (source,), u = load.linear, guess.displacement
     below = integrals(inside[0].offset if inside else 0.0, skeleton.corners)
-    interior = obstacle_inside(problem, skeleton, below.moments, source, u)
+    interior = obstacle_inside(inside[0] if inside else None, skeleton, below.moments, source, u)
     elements = RaviartThomas(skeleton, conductivity, source, bool(inside))
     computed = elements.constant(conductivity * skeleton.gradients(u)[0])
     exerted = elements.forces(computed)
@@ -278,18 +250,16 @@ def equilibrated_flux(
     forces = elements.forces(flux)
     # what leaves an element through its edges is the source and the reaction within it
     wanted = (source * skeleton.areas).T + (interior.sign * reaction if interior else 0.0)
-    out = [
-        forces[:, :6].sum(axis=1) / 2 + wanted.mean(axis=1),
-        *(forces[:, 6:] - wanted[:, : forces.shape[1] - 6]).T,
-    ]
-    scale = max(float(np.max(np.abs(part), initial=1e-300)) for part in (forces[:, :6], wanted))
+    edges, inflow = forces[:, :6], forces[:, 6:]
+    out = np.append(edges.sum(axis=1) / 2 + wanted.mean(axis=1), inflow - wanted[:, : inflow.shape[1]])
+    scale = max(float(np.max(np.abs(part), initial=1e-300)) for part in (edges, wanted))
     return EquilibratedField(
         values=elements.mean(flux),
         computed=elements.energy(computed),
         energy=elements.energy(flux),
         defect=np.sqrt(2 * elements.energy(correction)),
         variation=np.sqrt(elements.variation(correction)),
-        forces=forces[:, :6],
+        forces=edges,
         balance=balanced,
         residual=float(np.max(np.abs(out))) / scale,
         gradient_by_energy=1 / np.sqrt(conductivity),

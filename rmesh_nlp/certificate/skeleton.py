@@ -36,24 +36,13 @@ class Skeleton:
 
     Edges have the numbers of the facets of the scikit-fem mesh. Edge i of an element lies
     opposite its vertex i and runs counter-clockwise from vertex i + 1 to vertex i + 2.
-
-    Attributes
-    ----------
-    nodes : (2, nodes) array
-    triangles : (3, elements) int array
-        Counter-clockwise.
-    ends : (2, edges) int array
-    edges : (3, elements) int array
-        The edges of each element.
-    place : (3, 2, elements) int array
-        Where the ends of an element's edge, counter-clockwise, stand in ``ends``: 0 or 1.
     """
 
-    nodes: Array
-    triangles: Index
-    ends: Index
-    edges: Index
-    place: Index
+    nodes: Array  # (2, nodes)
+    triangles: Index  # (3, elements), counter-clockwise
+    ends: Index  # (2, edges)
+    edges: Index  # (3, elements), the edges of each element
+    place: Index  # (3, 2, elements), where the ends of an element's edge stand in ``ends``: 0 or 1
 
     @cached_property
     def areas(self) -> Array:
@@ -63,8 +52,7 @@ class Skeleton:
     @cached_property
     def lengths(self) -> Array:
         """(edges,) lengths."""
-        a, b = self.nodes[:, self.ends[0]], self.nodes[:, self.ends[1]]
-        return np.asarray(np.linalg.norm(b - a, axis=0))
+        return np.asarray(np.linalg.norm(np.diff(self.nodes[:, self.ends], axis=1)[:, 0], axis=0))
 
     @cached_property
     def corners(self) -> Array:
@@ -81,11 +69,6 @@ class Skeleton:
         """(elements, 2, 2) Jacobians of the maps from the reference triangle."""
         a, b, c = self.corners.transpose(1, 0, 2)
         return np.ascontiguousarray(np.stack([b - a, c - a], axis=1).transpose(2, 0, 1))
-
-    @cached_property
-    def centres(self) -> Array:
-        """(2, elements) barycentres."""
-        return np.asarray(self.corners.mean(axis=1))
 
     @cached_property
     def diameters(self) -> Array:
@@ -132,9 +115,18 @@ def same_domain(problem: ContactProblem, nodes: Array) -> bool:
 def _moments(problem: ContactProblem, skeleton: Skeleton) -> list[Array]:
     """Measure and first moments of each region and each named boundary in use."""
     corner = skeleton.nodes.min(axis=1, keepdims=True)
-    middle = skeleton.nodes[:, skeleton.ends].mean(axis=1) - corner
-    parts = [(skeleton.areas, skeleton.centres - corner, elements) for _, elements in problem.regions]
-    of_obstacles = [o.boundary for o in problem.obstacles if not isinstance(o.boundary, Place)]
-    names = {*of_obstacles, *(t.boundary for t in problem.tractions), *(s.boundary for s in problem.supports)}
-    parts += [(skeleton.lengths, middle, np.unique(problem.mesh.boundaries[name])) for name in names]
+    centres, middles = (
+        skeleton.nodes[:, cells].mean(axis=1) - corner for cells in (skeleton.triangles, skeleton.ends)
+    )
+    used = {
+        *(obstacle.boundary for obstacle in problem.obstacles),
+        *(load.boundary for load in problem.tractions),
+        *(support.boundary for support in problem.supports),
+    }
+    parts = [(skeleton.areas, centres, elements) for _, elements in problem.regions]
+    parts += [
+        (skeleton.lengths, middles, np.unique(problem.mesh.boundaries[name]))
+        for name in used
+        if not isinstance(name, Place)
+    ]
     return [np.array([size[some].sum(), *(centre[:, some] @ size[some])]) for size, centre, some in parts]

@@ -23,7 +23,7 @@ def test_johnson_mercier_is_unisolvent():
     """9 functions without divergence, determined by their tractions, and 6 for linear body forces."""
     reference = jm.reference()
     assert np.linalg.matrix_rank(reference.basis.reshape(54, 15)) == 15
-    found = jm.divergence(reference.basis, jm.thirds(jm.CORNERS)[..., None]).reshape(18, 15)
+    found = jm.divergence(reference.basis, jm.on_thirds(jm.CORNERS)[..., None]).reshape(18, 15)
     assert np.allclose(found[:, :9], 0, atol=1e-12)
     conditions = np.vstack([reference.forces.reshape(12, 15), found])
     assert np.linalg.matrix_rank(reference.forces.reshape(12, 15)[:, :9]) == 9
