@@ -22,25 +22,11 @@ from rmesh_nlp.io.files import (
 )
 from rmesh_nlp.io.manifest import MANIFEST, Manifest
 
+NAMES = ["/abs/path", "../../esc", "..", ".", "", "a/b", "a\\b", "-rf", ".rmesh-files", "a\0b", "x\ud800"]
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "/abs/path",
-        "../../esc",
-        "..",
-        ".",
-        "",
-        "a/b",
-        "a\\b",
-        "-rf",
-        ".rmesh-files",
-        "a\0b",
-        "x\ud800",
-        "ü" * 400,
-    ],
-)
-def test_any_text_becomes_the_name_of_one_file(tmp_path: Path, name: str) -> None:
+
+@pytest.mark.parametrize("name", [*NAMES, "ü" * 400])
+def test_any_text_becomes_the_name_of_one_file(tmp_path, name):
     safe = safe_name(name)
     (tmp_path / safe).write_text("")
     assert [path.name for path in tmp_path.iterdir()] == [safe]
@@ -48,15 +34,15 @@ def test_any_text_becomes_the_name_of_one_file(tmp_path: Path, name: str) -> Non
     assert safe_name(safe) == safe
 
 
-def test_long_names_stay_different() -> None:
+def test_long_names_stay_different():
     assert safe_name("x" * 300 + "a") != safe_name("x" * 300 + "b")
 
 
-def test_what_fails_while_it_is_written_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+def test_what_fails_while_it_is_written_leaves_the_old_file_and_nothing_else(tmp_path):
     path = tmp_path / "file"
     path.write_text("old")
 
-    def half(aside: Path) -> None:
+    def half(aside):
         aside.write_text("ha")
         raise OSError("disk full")
 
@@ -66,7 +52,7 @@ def test_what_fails_while_it_is_written_leaves_the_old_file_and_nothing_else(tmp
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_links_are_replaced_not_followed(tmp_path: Path) -> None:
+def test_links_are_replaced_not_followed(tmp_path):
     victim, path = tmp_path / "victim", tmp_path / "table.md"
     victim.write_text("mine")
     path.symlink_to(victim)
@@ -79,7 +65,7 @@ def test_links_are_replaced_not_followed(tmp_path: Path) -> None:
     assert victim.read_text() == "mine"
 
 
-def test_nobody_can_foresee_where_a_file_is_written(tmp_path: Path) -> None:
+def test_nobody_can_foresee_where_a_file_is_written(tmp_path):
     places = []
     for _ in range(2):
         write_whole(tmp_path / "a", lambda aside: (places.append(aside.parent), aside.write_text("x")))
@@ -87,7 +73,7 @@ def test_nobody_can_foresee_where_a_file_is_written(tmp_path: Path) -> None:
     assert str(os.getpid()) not in places[0].name
 
 
-def test_a_new_file_never_replaces(tmp_path: Path) -> None:
+def test_a_new_file_never_replaces(tmp_path):
     write_new(tmp_path / "a", "one")
     with pytest.raises(FileExistsError):
         write_new(tmp_path / "a", "two")
@@ -95,34 +81,33 @@ def test_a_new_file_never_replaces(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-def test_a_second_writer_is_refused_in_one_line(tmp_path: Path) -> None:
-    with folder_lock(tmp_path):
-        with (
-            pytest.raises(BadInputError, match="is being written by another rmesh") as caught,
-            folder_lock(tmp_path),
-        ):
-            pass
-        assert str(os.getpid()) in str(caught.value)
+def test_a_second_writer_is_refused_in_one_line(tmp_path):
+    said = rf"is being written by another rmesh \(process {os.getpid()}\)"
+    with folder_lock(tmp_path), pytest.raises(BadInputError, match=said), folder_lock(tmp_path):
+        pass
     assert list(tmp_path.iterdir()) == []
     with folder_lock(tmp_path):
         pass
 
 
-def test_a_writer_that_is_killed_leaves_no_lock_and_no_files(tmp_path: Path) -> None:
-    code = (
-        "import sys, time; from pathlib import Path; from rmesh_nlp.io.files import folder_lock\n"
-        "from rmesh_nlp.io.files import folder_aside; folder = Path(sys.argv[1])\n"
-        "with folder_lock(folder), folder_aside(folder / 'figures') as place:\n"
-        "    (place / 'half').write_text('ha'); print(place, flush=True); time.sleep(60)"
-    )
-    folder, elsewhere = tmp_path / "results", tmp_path / "elsewhere"
-    (elsewhere / f"{TEMPORARY}x").mkdir(parents=True)
+WRITER = """
+import sys, time
+from pathlib import Path
+from rmesh_nlp.io.files import folder_aside, folder_lock
+with folder_lock(folder := Path(sys.argv[1])), folder_aside(folder / "figures") as place:
+    (place / "half").write_text("ha")
+    print(place, flush=True)
+    time.sleep(60)
+"""
+
+
+def test_a_writer_that_is_killed_leaves_no_lock_and_no_files(tmp_path):
+    folder, elsewhere = tmp_path / "results", tmp_path / "elsewhere" / f"{TEMPORARY}x"
+    elsewhere.mkdir(parents=True)
     folder.mkdir()
-    (folder / "link").symlink_to(elsewhere)
-    with subprocess.Popen(
-        [sys.executable, "-c", code, str(folder)], stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
+    (folder / "link").symlink_to(elsewhere.parent)
+    command = [sys.executable, "-c", WRITER, str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         half = Path(process.stdout.readline().strip()) / "half"
         remove_leftovers(folder)
         assert half.read_text() == "ha"
@@ -133,27 +118,34 @@ def test_a_writer_that_is_killed_leaves_no_lock_and_no_files(tmp_path: Path) -> 
         remove_leftovers(folder)
     assert not half.parent.exists()
     assert half.parent.parent.exists()
-    assert (elsewhere / f"{TEMPORARY}x").exists()
+    assert elsewhere.exists()
 
 
-def test_older_runs_are_numbered_and_nothing_of_the_user_is_touched(tmp_path: Path) -> None:
+def test_leftovers_are_found_through_a_link_to_the_folder(tmp_path):
+    (tmp_path / "results" / f"{TEMPORARY}x").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "results")
+    remove_leftovers(tmp_path / "link")
+    assert list((tmp_path / "results").iterdir()) == []
+
+
+def test_older_runs_are_numbered_and_nothing_of_the_user_is_touched(tmp_path):
     mine = {"figures/mine.png": "p", "notes.md": "n", "previous/thesis.txt": "t", "previous-2": "a file"}
     for name, text in mine.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
+    own = ("table.md", "figures/a.png")
     for run in ("first", "second", "third"):
         manifest = Manifest(tmp_path)
         manifest.set_aside()
-        manifest.claim("table.md", "figures/a.png")
-        for name in ("table.md", "figures/a.png"):
+        manifest.claim(*own)
+        for name in own:
             (tmp_path / name).write_text(run)
     assert {name: (tmp_path / name).read_text() for name in mine} == mine
     for folder, run in (("previous-3", "first"), ("previous-4", "second"), (".", "third")):
-        for name in ("table.md", "figures/a.png"):
-            assert (tmp_path / folder / name).read_text() == run
+        assert {(tmp_path / folder / name).read_text() for name in own} == {run}
 
 
-def test_a_file_of_the_user_s_is_not_claimed(tmp_path: Path) -> None:
+def test_a_file_of_the_user_s_is_not_claimed(tmp_path):
     (tmp_path / "table.md").write_text("mine")
     with pytest.raises(BadInputError, match=r"table\.md exists and rmesh did not write it"):
         Manifest(tmp_path).claim("table.md")
@@ -166,14 +158,13 @@ def test_a_file_of_the_user_s_is_not_claimed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name", ["../victim/a", "{outside}/a", "sub/a", "sub/../victim/a", "deep/sub/a", "link", "a\0b/c"]
 )
-def test_a_list_that_leads_out_of_its_folder_is_not_followed(tmp_path: Path, name: str) -> None:
+def test_a_list_that_leads_out_of_its_folder_is_not_followed(tmp_path, name):
     inside, outside = tmp_path / "in", tmp_path / "victim"
     outside.mkdir()
     (inside / "deep").mkdir(parents=True)
     (outside / "a").write_text("mine")
-    for link in ("sub", "deep/sub"):
-        (inside / link).symlink_to(outside)
-    (inside / "link").symlink_to(outside / "a")
+    for link, target in (("sub", outside), ("deep/sub", outside), ("link", outside / "a")):
+        (inside / link).symlink_to(target)
     (inside / MANIFEST).write_text(f"{name.format(outside=outside)}\nown\n")
     (inside / "own").write_text("ours")
     manifest = Manifest(inside)

@@ -35,7 +35,7 @@ hole = """
 
 
 @pytest.fixture
-def write(tmp_path: Path) -> Write:
+def write(tmp_path):
     path = tmp_path / "my.toml"
 
     def written(text: str) -> Path:
@@ -45,7 +45,7 @@ def write(tmp_path: Path) -> Write:
     return written
 
 
-def test_file_means_what_python_means(write: Write) -> None:
+def test_file_means_what_python_means(write):
     ours = load_problem(write(VALID))
     mesh = rectangle(8, 3, x=(0, 4))
     middle, edge = mesh.p[:, mesh.t].mean(axis=1), mesh.p[:, mesh.facets].mean(axis=1)
@@ -69,7 +69,7 @@ def test_file_means_what_python_means(write: Write) -> None:
     assert (ours.motion, ours.obstacles[0].gap) == (theirs.motion, "node")
 
 
-def test_rules_of_motion_reach_the_problem(write: Write) -> None:
+def test_rules_of_motion_reach_the_problem(write):
     rules = """\
 dirichlet = { left = 0 }
 contact = { boundary = "bottom", gap = "edge" }
@@ -105,7 +105,7 @@ FOUNDATIONS = {
 
 
 @pytest.mark.parametrize(("text", "expected"), FOUNDATIONS.items())
-def test_every_foundation_has_its_gap_and_normal(write: Write, text: str, expected: Obstacle) -> None:
+def test_every_foundation_has_its_gap_and_normal(write, text, expected):
     (read,) = load_problem(write(LEFT_FIXED.replace('height = "-0.01*x**2"', text))).obstacles
     points = np.array([[0.3, 1.0, 1.7], [0.0, 0.4, -0.05]])
     np.testing.assert_allclose(read.distances(points), expected.distances(points), atol=1e-14)
@@ -113,7 +113,7 @@ def test_every_foundation_has_its_gap_and_normal(write: Write, text: str, expect
     assert read.friction(2.0, 0.0) == 12.0
 
 
-def test_symmetry_units_and_point_loads(write: Write) -> None:
+def test_symmetry_units_and_point_loads(write):
     more = '[units]\nlength = "mm"\nforce = "N"\n[[point_loads]]\nat = [2, 1]\nforce = [3, -7]\n'
     problem = load_problem(write(VALID.replace('[0, "0*y"]', '"symmetry"') + more))
     assert problem.supports[0] == Dirichlet("left", (0.0, None))
@@ -124,7 +124,7 @@ def test_symmetry_units_and_point_loads(write: Write) -> None:
         load_problem(write(VALID + more.replace("[2, 1]", "[2.2, 1]")))
 
 
-def test_scalar_problem_with_an_obstacle_in_the_interior(write: Write) -> None:
+def test_scalar_problem_with_an_obstacle_in_the_interior(write):
     problem = load_problem(write(SCALAR))
     solution = joint.solve(problem)
     assert solution.success
@@ -132,7 +132,7 @@ def test_scalar_problem_with_an_obstacle_in_the_interior(write: Write) -> None:
     assert problem.motion.delta is None
 
 
-def test_constant_expression_is_a_number(write: Write) -> None:
+def test_constant_expression_is_a_number(write):
     problem = load_problem(write(SCALAR.replace("left = 0", 'left = "2*sin(pi/6) - 1 + 0*y"')))
     assert problem.supports[0].value == (pytest.approx(0.0, abs=1e-15),)
     with pytest.raises(ProblemFileError, match=r"dirichlet.left = '1/0': '1 / 0' is not a finite number"):
@@ -151,7 +151,7 @@ def test_constant_expression_is_a_number(write: Write) -> None:
         ),
     ],
 )
-def test_nodes_slide_along_the_curve_of_their_boundary(write: Write, curve: str, kind: type) -> None:
+def test_nodes_slide_along_the_curve_of_their_boundary(write, curve, kind):
     problem = load_problem(write(PLATE + curve))
     assert isinstance(problem.motion.curves["hole"], kind)
     free, hole = MeshMap.of(problem), problem.boundary_nodes(("hole",))
@@ -172,7 +172,7 @@ def refused(path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize(("old", "new", "message"), BROKEN)
-def test_broken_file_has_a_one_line_error(write: Write, old: str, new: str, message: str) -> None:
+def test_broken_file_has_a_one_line_error(write, old, new, message):
     assert old in VALID
     lines = refused(write(VALID.replace(old, new, 1)))
     assert any(message in line for line in lines), lines
@@ -204,12 +204,12 @@ def test_broken_file_has_a_one_line_error(write: Write, old: str, new: str, mess
         (PLATE + '"circle"\nrim = "circle"', "curves.rim = 'circle': expected a boundary of the mesh"),
     ],
 )  # fmt: skip
-def test_mistakes_of_structure_are_named(write: Write, text: str, message: str) -> None:
+def test_mistakes_of_structure_are_named(write, text, message):
     lines = refused(write(text))
     assert any(message in line for line in lines), lines
 
 
-def test_bounds_of_numbers_are_exact(write: Write) -> None:
+def test_bounds_of_numbers_are_exact(write):
     """Each value at a bound of its range is accepted or refused as its message says."""
     base = SMALL + LAW + "dirichlet = { left = 0 }\n"
     for good, bad in [
@@ -225,7 +225,7 @@ def test_bounds_of_numbers_are_exact(write: Write) -> None:
         assert "expected" in refused(write(base + bad))[0]
 
 
-def test_missing_file_and_unreadable_meshes(write: Write, tmp_path: Path) -> None:
+def test_missing_file_and_unreadable_meshes(write, tmp_path):
     with pytest.raises(ProblemFileError, match="cannot be read: No such file"):
         load_problem(tmp_path / "no.toml")
     path = write('mesh = { file = "body.msh" }\ndirichlet = { left = 0 }\n' + LAW)
@@ -254,20 +254,20 @@ def test_missing_file_and_unreadable_meshes(write: Write, tmp_path: Path) -> Non
     ],
     ids=["header", "key", "lists", "tables", "little"],
 )
-def test_deep_nesting_is_one_line_with_its_place(write: Write, line: str) -> None:
+def test_deep_nesting_is_one_line_with_its_place(write, line):
     path = write(f'name = "x"\n{line}\n')
     assert refused(path) == [f"{path}: line 2: tables and lists are nested more than 20 deep"]
 
 
 @pytest.mark.slow
-def test_random_edits_never_end_in_a_traceback() -> None:
+def test_random_edits_never_end_in_a_traceback():
     counts = problem_edits.run(edits=60, seed=7)
     assert set(counts) == {"valid", "refused"}
     assert min(counts.values()) > 5
 
 
 @pytest.mark.slow
-def test_the_command_line_reads_problem_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_reads_problem_files(tmp_path, capsys):
     path, out = tmp_path / "mine.toml", tmp_path / "out"
     assert cli.run(["new", str(path)]) == 0
     assert cli.run(["new", str(path)]) == 2
@@ -290,7 +290,7 @@ def test_the_command_line_reads_problem_files(tmp_path: Path, capsys: pytest.Cap
 
 
 @pytest.mark.slow
-def test_starts_and_levels_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_starts_and_levels_on_the_command_line(tmp_path, capsys):
     size = ["--n", "4", "--quadrature", "6", "--delta", "0.05", "--out", str(tmp_path)]
     assert cli.run(["solve", "6.1", "--starts", "2", *size]) == 0
     record = json.loads((tmp_path / "record.json").read_text())

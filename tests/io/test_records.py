@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +21,7 @@ from rmesh_nlp.io.records import (
 from support.reporting import failed_61, fixed_61
 
 
-def test_json_is_strict_and_plain() -> None:
+def test_json_is_strict_and_plain():
     row = {
         "a": math.nan,
         "b": [np.inf, np.float64(1.5)],
@@ -37,7 +35,7 @@ def test_json_is_strict_and_plain() -> None:
     assert json.loads(to_json(fixed_61(), indent=2)) == fixed_61()
 
 
-def test_old_names_of_entries_are_read() -> None:
+def test_old_names_of_entries_are_read():
     old = fixed_61(
         strategy="fast",
         referee_equilibrium_residual=1e-9,
@@ -52,7 +50,7 @@ def test_old_names_of_entries_are_read() -> None:
 
 
 @pytest.mark.parametrize("name", REQUIRED)
-def test_every_required_entry_is_asked_for(name: str) -> None:
+def test_every_required_entry_is_asked_for(name):
     record = fixed_61()
     del record[name]
     with pytest.raises(BadInputError, match=f"it has no '{name}'"):
@@ -70,18 +68,18 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("name", "value"), WRONG)
-def test_entry_of_the_wrong_kind_is_named_in_one_line(name: str, value: Any) -> None:
+def test_entry_of_the_wrong_kind_is_named_in_one_line(name, value):
     with pytest.raises(BadInputError, match=rf"^here is not a record: '{name}' [^\n]*$") as caught:
         read_record(to_json(fixed_61(**{name: value})), "here")
     assert len(str(caught.value)) < 300
 
 
 @pytest.mark.parametrize("delta", [None, [0.1, 0.2], {"relative": 0.3}])
-def test_every_kind_of_delta_is_read(delta: Any) -> None:
+def test_every_kind_of_delta_is_read(delta):
     assert read_record(to_json(fixed_61(delta=delta)), "here")["delta"] == delta
 
 
-def test_failed_solve_may_have_no_figures() -> None:
+def test_failed_solve_may_have_no_figures():
     assert read_record(to_json(failed_61()), "here") == failed_61()
 
 
@@ -98,7 +96,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize(("name", "value"), HOSTILE.values(), ids=HOSTILE.keys())
-def test_hostile_json_is_one_line_not_a_traceback(name: str, value: str) -> None:
+def test_hostile_json_is_one_line_not_a_traceback(name, value):
     text = to_json(fixed_61())[:-1] + f", {name}: {value}}}"
     with pytest.raises(BadInputError, match=r"^here is not JSON that can be read: [^\n]*$") as caught:
         read_record(text, "here")
@@ -113,7 +111,7 @@ def test_hostile_json_is_one_line_not_a_traceback(name: str, value: str) -> None
         ('{"example": "6.1"}', "line 2 is not a record: it has no 'formulation'"),
     ],
 )
-def test_broken_line_is_named_with_file_and_number(tmp_path: Path, line: str, message: str) -> None:
+def test_broken_line_is_named_with_file_and_number(tmp_path, line, message):
     path = tmp_path / "records.jsonl"
     path.write_text(f"{to_json(fixed_61())}\n{line}\n")
     with pytest.raises(BadInputError, match=message) as caught:
@@ -138,7 +136,7 @@ def test_broken_line_is_named_with_file_and_number(tmp_path: Path, line: str, me
         (b'{"a": 1}\n{"n": 1' + b"0" * 5000 + b"}\n", 9 + 5008 + 1, b""),  # JSON that the reader refuses
     ],
 )
-def test_end_of_the_whole_lines_is_found(tmp_path: Path, content: bytes, kept: int, damaged: bytes) -> None:
+def test_end_of_the_whole_lines_is_found(tmp_path, content, kept, damaged):
     path = tmp_path / "records.jsonl"
     path.write_bytes(content)
     assert damaged_last_line(path) == (kept, damaged)
@@ -146,7 +144,7 @@ def test_end_of_the_whole_lines_is_found(tmp_path: Path, content: bytes, kept: i
     assert damaged_last_line(path) == (0, b"")
 
 
-def test_start_of_a_damaged_line_is_shown(tmp_path: Path) -> None:
+def test_start_of_a_damaged_line_is_shown(tmp_path):
     path = tmp_path / "records.jsonl"
     path.write_text(to_json(fixed_61()) + '\n{"example": "' + "x" * 100)
     with pytest.warns(DamagedRecordsWarning) as caught:

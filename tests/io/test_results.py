@@ -59,7 +59,7 @@ MINE = {
 }
 
 
-def test_what_an_earlier_version_wrote_is_known_by_its_records_and_its_heads(tmp_path: Path) -> None:
+def test_what_an_earlier_version_wrote_is_known_by_its_records_and_its_heads(tmp_path):
     fill(tmp_path, OWN | MINE)
     assert sorted(Results(tmp_path).manifest.names()) == sorted(OWN)
     Results(tmp_path).manifest.set_aside()
@@ -68,7 +68,7 @@ def test_what_an_earlier_version_wrote_is_known_by_its_records_and_its_heads(tmp
     }  # fmt: skip
 
 
-def test_the_list_of_a_folder_is_not_made_anew(tmp_path: Path) -> None:
+def test_the_list_of_a_folder_is_not_made_anew(tmp_path):
     Manifest(tmp_path).claim("mine.txt")
     fill(tmp_path, OWN)
     assert Results(tmp_path).manifest.names() == ["mine.txt"]
@@ -87,9 +87,7 @@ def test_the_list_of_a_folder_is_not_made_anew(tmp_path: Path) -> None:
         ({}, []),
     ],
 )
-def test_single_solve_and_tables_are_known_too_and_nothing_else(
-    tmp_path: Path, files: dict[str, str], adopted: list[str]
-) -> None:
+def test_single_solve_and_tables_are_known_too_and_nothing_else(tmp_path, files, adopted):
     fill(tmp_path, files)
     assert sorted(Results(tmp_path).manifest.names()) == sorted(adopted)
     assert (tmp_path / MANIFEST).exists() == bool(adopted)
@@ -100,7 +98,7 @@ def study(folder: Path, *files: list[Any]) -> None:
                   for k, rows in enumerate(files)})  # fmt: skip
 
 
-def test_of_rows_of_a_study_with_one_key_the_first_success_counts_else_the_first(tmp_path: Path) -> None:
+def test_of_rows_of_a_study_with_one_key_the_first_success_counts_else_the_first(tmp_path):
     study(
         tmp_path,
         [fixed_61(key="a", gain=1.0), failed_61(key="b", message="one"), failed_61(key="c", message="one")],
@@ -114,7 +112,7 @@ def test_of_rows_of_a_study_with_one_key_the_first_success_counts_else_the_first
     assert [result.record["key"] for result in read_results(tmp_path)] == ["a", "b", "c"]
 
 
-def test_which_of_several_records_a_folder_is_read_from(tmp_path: Path) -> None:
+def test_which_of_several_records_a_folder_is_read_from(tmp_path):
     single, campaign, both = (tmp_path / name for name in ("single", "campaign", "both"))
     fill(single, {RECORD: ROW})
     (result,) = read_results(single)
@@ -134,7 +132,7 @@ def test_which_of_several_records_a_folder_is_read_from(tmp_path: Path) -> None:
     assert read_results(noted) == []
 
 
-def test_single_solve_is_recorded_after_its_files(tmp_path: Path) -> None:
+def test_single_solve_is_recorded_after_its_files(tmp_path):
     seen = []
 
     def save(places: Any) -> None:
@@ -149,7 +147,7 @@ def test_single_solve_is_recorded_after_its_files(tmp_path: Path) -> None:
     assert text.endswith("}\n")
 
 
-def test_history_comes_back_and_unknown_values_are_nan(tmp_path: Path) -> None:
+def test_history_comes_back_and_unknown_values_are_nan(tmp_path):
     result = single_result(tmp_path, fixed_61())
     assert result.steps() == []
     rows: list[dict[str, Any]] = [dict.fromkeys(HISTORY_FIELDS, 1.5), dict.fromkeys(HISTORY_FIELDS)]
@@ -166,7 +164,7 @@ def test_history_comes_back_and_unknown_values_are_nan(tmp_path: Path) -> None:
     assert result.steps() == [dict.fromkeys(older, 2.0)]
 
 
-def test_damaged_line_is_moved_away_before_the_next_row(tmp_path: Path) -> None:
+def test_damaged_line_is_moved_away_before_the_next_row(tmp_path):
     results = Results(tmp_path)
     results.append(fixed_61())
     with (tmp_path / RECORDS).open("a") as file:
@@ -177,7 +175,7 @@ def test_damaged_line_is_moved_away_before_the_next_row(tmp_path: Path) -> None:
     assert (tmp_path / "records-damaged.txt").read_text() == '{"example": "cut\n'
 
 
-def test_mending_cuts_the_file_at_its_last_whole_line(tmp_path: Path) -> None:
+def test_mending_cuts_the_file_at_its_last_whole_line(tmp_path):
     results = Results(tmp_path)
     results.append(fixed_61(key="a"))
     whole = (tmp_path / RECORDS).read_bytes()
@@ -193,7 +191,7 @@ def test_mending_cuts_the_file_at_its_last_whole_line(tmp_path: Path) -> None:
     assert "records-damaged.txt" in results.manifest.names()
 
 
-def test_rows_of_one_key_become_one_and_nothing_is_written_without_need(tmp_path: Path) -> None:
+def test_rows_of_one_key_become_one_and_nothing_is_written_without_need(tmp_path):
     results = Results(tmp_path)
     rows = [fixed_61(), fixed_61(), failed_61(key="b"), failed_61(key="b", message="later")]
     for row in rows[:3]:
@@ -209,7 +207,7 @@ def test_rows_of_one_key_become_one_and_nothing_is_written_without_need(tmp_path
     assert results.repaired() == results.read() == [rows[0], rows[1], good]
 
 
-def test_folder_without_records_is_named(tmp_path: Path) -> None:
+def test_folder_without_records_is_named(tmp_path):
     with pytest.raises(BadInputError, match=r"holds neither records\.jsonl nor record\.json"):
         read_results(tmp_path)
     with pytest.raises(BadInputError, match="is not a folder"):
@@ -217,7 +215,7 @@ def test_folder_without_records_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["", "\n", '{"example": "6.1", "form'])
-def test_folder_whose_first_solve_has_not_ended_is_an_empty_run(tmp_path: Path, content: str) -> None:
+def test_folder_whose_first_solve_has_not_ended_is_an_empty_run(tmp_path, content):
     (tmp_path / "records.jsonl").write_text(content)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DamagedRecordsWarning)
@@ -237,7 +235,7 @@ GARBAGE = {
 
 
 @pytest.mark.parametrize("content", GARBAGE.values(), ids=GARBAGE.keys())
-def test_history_that_is_none_is_named(tmp_path: Path, content: str) -> None:
+def test_history_that_is_none_is_named(tmp_path, content):
     results = Results(tmp_path)
     result = results.result(fixed_61(key="one"))
     result.history.parent.mkdir()
@@ -246,9 +244,7 @@ def test_history_that_is_none_is_named(tmp_path: Path, content: str) -> None:
         result.steps()
 
 
-def test_short_write_is_an_error_and_leaves_the_file_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_short_write_is_an_error_and_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     """A full disk takes some bytes without an error and refuses the next."""
     results = Results(tmp_path)
     results.append(fixed_61())

@@ -28,21 +28,19 @@ from support.problem_files import VALID
 
 
 @pytest.fixture
-def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("own.toml").write_text(VALID)
     return "own.toml"
 
 
 class TestPlan:
-    def test_settings_of_examples_are_refused_for_files(self, file: str) -> None:
+    def test_settings_of_examples_are_refused_for_files(self, file):
         for setting in ({"n": 4}, {"delta": 0.01}, {"quadrature": 4}):
             with pytest.raises(BadInputError, match="for the examples"):
                 plan_comparison([file], ["fixed"], **setting)  # type: ignore[arg-type]
 
-    def test_a_file_is_solved_on_uniform_refinements_too(
-        self, file: str, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_file_is_solved_on_uniform_refinements_too(self, file, monkeypatch):
         own, finer, finest = plan_comparison([file], ["nested"], certify=True)
         assert [one.formulation for one in (own, finer, finest)] == ["nested", "fixed", "fixed"]
         assert all(one.certify for one in (own, finer, finest))
@@ -54,19 +52,19 @@ class TestPlan:
             monkeypatch.setattr(comparison, "LARGEST", largest)
             assert len(plan_comparison([file], ["nested"])) == 1 + refined
 
-    def test_two_files_of_one_name_are_refused(self, file: str) -> None:
+    def test_two_files_of_one_name_are_refused(self, file):
         Path("other.toml").write_text(VALID)
         with pytest.raises(BadInputError, match="two problem files are both called 'block'"):
             plan_comparison([file, "other.toml"], ["fixed"])
 
-    def test_keys_are_file_names(self) -> None:
+    def test_keys_are_file_names(self):
         options = {"seed": 3, "objective": "error-l2 + 0.01*quality"}
         (one,) = plan_comparison(["6.1"], ["nested"], n=4, options=options)
         assert one.key == "6.1-4-nested-error-l2_+_0.01_quality-seed3"
         assert replace(one, options={}).key == "6.1-4-nested"
         assert one.identity["key"] == one.key
 
-    def test_size_delta_and_rule_reach_the_example(self) -> None:
+    def test_size_delta_and_rule_reach_the_example(self):
         (one,) = plan_comparison(["6.1"], ["fixed"], n=5, delta=0.02, quadrature=6)
         assert (one.built.size, one.built.rule) == ("5", 6)  # type: ignore[union-attr]
         assert one.identity == {
@@ -87,17 +85,17 @@ class TestPlan:
             ({"relaxation": "scholtes"}, "--relaxation scholtes: not an option of fixed"),
         ],
     )
-    def test_options_are_checked(self, options: dict[str, Any], said: str) -> None:
+    def test_options_are_checked(self, options, said):
         with pytest.raises(BadInputError, match=said):
             plan_comparison(["6.1"], ["fixed"], n=4, options=options)
 
-    def test_limits_go_to_those_that_heed_them_and_are_no_error_for_others(self) -> None:
+    def test_limits_go_to_those_that_heed_them_and_are_no_error_for_others(self):
         limits = {"time_limit_s": 5.0, "tolerance": 1e-3}
         nested, fixed = plan_comparison(["6.1"], ["nested", "fixed"], n=4, options=limits)
         assert (nested.options, fixed.options) == (limits, {})
         assert nested.time_s == 5.0 < fixed.time_s
 
-    def test_objectives_and_seeds_are_multiplied(self) -> None:
+    def test_objectives_and_seeds_are_multiplied(self):
         options = {"objective": ["energy", "error-l2"], "seed": [1, 2]}
         plan = plan_comparison(["6.1"], ["fixed", "joint"], n=4, options=options)
         joint = [one.options for one in plan if one.formulation == "joint"]
@@ -106,7 +104,7 @@ class TestPlan:
         ]  # fmt: skip
         assert len(plan) == len({one.key for one in plan}) == 6  # fixed takes no seed
 
-    def test_errors_need_a_solution_that_is_known(self, file: str) -> None:
+    def test_errors_need_a_solution_that_is_known(self, file):
         options = {"objective": ["energy", "error-l2"]}
         for one in plan_comparison(["6.2"], ["fixed"], n=(4, 2), options=options):
             assert one.built is not None
@@ -116,7 +114,7 @@ class TestPlan:
         with pytest.raises(BadInputError, match=r"error-l2: needs an exact .* solution, and '6\.2' has none"):
             plan_comparison([file], ["nested"], options=options)
 
-    def test_a_formulation_may_have_options_of_its_own(self) -> None:
+    def test_a_formulation_may_have_options_of_its_own(self):
         plan = plan_comparison(["6.1"], ["mpcc", "mpcc:start=joint", "nested:outer=ipopt:seed=3"], n=4)
         assert [one.options for one in plan] == [{}, {"start": "joint"}, {"outer": "ipopt", "seed": 3}]
         assert len({one.key for one in plan}) == 3
@@ -130,19 +128,19 @@ class TestPlan:
             ("mpcc:relaxation=x", "unknown relaxation 'x'"),
         ],
     )
-    def test_wrong_options_are_named(self, text: str, said: str) -> None:
+    def test_wrong_options_are_named(self, text, said):
         with pytest.raises(BadInputError, match=said):
             formulation_options(text)
 
 
 @pytest.fixture(scope="module")
-def plan() -> list[PlannedSolve]:
+def plan():
     """Two solves that take some milliseconds each."""
     return [plan_comparison(["6.2"], ["fixed"], n=n)[0] for n in ((4, 2), (2, 2))]
 
 
 @pytest.fixture(scope="module")
-def first_run(plan: list[PlannedSolve], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def first_run(plan, tmp_path_factory):
     """A folder in which both are solved, to be copied."""
     folder = tmp_path_factory.mktemp("first-run")
     list(run(plan, Results(folder)))
@@ -150,7 +148,7 @@ def first_run(plan: list[PlannedSolve], tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.fixture
-def ran(first_run: Path, tmp_path: Path) -> Path:
+def ran(first_run, tmp_path):
     """A folder of the test's own in which both are solved."""
     shutil.copytree(first_run, tmp_path, dirs_exist_ok=True)
     return tmp_path
@@ -171,9 +169,7 @@ def changed(folder: Path, key: str, **entries: Any) -> None:
     results.replace_all([{**row, **entries} if row["key"] == key else row for row in results.read()])
 
 
-def test_a_row_is_on_the_disk_when_it_is_yielded_and_a_failure_is_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_row_is_on_the_disk_when_it_is_yielded_and_a_failure_is_one(tmp_path, monkeypatch):
     plant(monkeypatch, explode=raising(RuntimeError("the\nfactor was singular")))
     seen = []
     plan = plan_comparison(["6.1"], ["explode", "fixed"], n=3)
@@ -193,14 +189,12 @@ def test_a_row_is_on_the_disk_when_it_is_yielded_and_a_failure_is_one(
     )
 
 
-def test_two_solves_of_one_key_are_refused(plan: list[PlannedSolve], tmp_path: Path) -> None:
+def test_two_solves_of_one_key_are_refused(plan, tmp_path):
     with pytest.raises(BadInputError, match=r"6\.2-4x2-fixed"):
         list(run([plan[0], plan[0]], Results(tmp_path)))
 
 
-def test_a_second_run_in_the_same_folder_is_refused_and_loses_nothing(
-    plan: list[PlannedSolve], tmp_path: Path
-) -> None:
+def test_a_second_run_in_the_same_folder_is_refused_and_loses_nothing(plan, tmp_path):
     first = run(plan, Results(tmp_path))
     next(first)
     with pytest.raises(BadInputError, match="written by another"):
@@ -210,15 +204,13 @@ def test_a_second_run_in_the_same_folder_is_refused_and_loses_nothing(
     assert len(read_results(tmp_path)) == 2
 
 
-def test_what_is_in_the_way_is_found_before_anything_is_solved(
-    plan: list[PlannedSolve], tmp_path: Path
-) -> None:
+def test_what_is_in_the_way_is_found_before_anything_is_solved(plan, tmp_path):
     (tmp_path / "solutions").write_text("a file")
     with pytest.raises(BadInputError, match="solutions is a file"):
         list(run(plan, Results(tmp_path), on_start=lambda _: pytest.fail("it began to solve")))
 
 
-def test_successes_are_not_solved_again_whatever_their_place(plan: list[PlannedSolve], ran: Path) -> None:
+def test_successes_are_not_solved_again_whatever_their_place(plan, ran):
     assert resumed(plan, ran) == []
     assert resumed(plan[::-1], ran) == []
     results = Results(ran)  # nor those of versions that counted no nodes
@@ -227,9 +219,7 @@ def test_successes_are_not_solved_again_whatever_their_place(plan: list[PlannedS
 
 
 @pytest.mark.parametrize("entries", [{"success": False}, {"status": "interrupted"}])
-def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(
-    plan: list[PlannedSolve], ran: Path, entries: dict[str, Any]
-) -> None:
+def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(plan, ran, entries):
     changed(ran, plan[0].key, **entries)
     assert resumed(plan, ran) == [plan[0].key]
     assert all(row["success"] and row["status"] == "converged" for row in Results(ran).read())
@@ -238,7 +228,7 @@ def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(
 @pytest.mark.parametrize(
     "spoil", ["missing", "empty", "half", "other mesh", "history", "no history", "nodes", "nan"]
 )
-def test_a_success_without_its_files_is_solved_again(plan: list[PlannedSolve], ran: Path, spoil: str) -> None:
+def test_a_success_without_its_files_is_solved_again(plan, ran, spoil):
     good, other = read_results(ran)
     vtu = good.vtu.read_bytes()
     if spoil == "missing":
@@ -261,7 +251,7 @@ def test_a_success_without_its_files_is_solved_again(plan: list[PlannedSolve], r
     assert resumed(plan, ran) == []
 
 
-def test_resume_repairs_duplicates_and_a_cut_line(plan: list[PlannedSolve], ran: Path) -> None:
+def test_resume_repairs_duplicates_and_a_cut_line(plan, ran):
     path = ran / "records.jsonl"
     whole = path.read_text()
     path.write_text(whole + whole + whole[:50])
@@ -271,9 +261,7 @@ def test_resume_repairs_duplicates_and_a_cut_line(plan: list[PlannedSolve], ran:
     assert (ran / "records-damaged.txt").read_text() == whole[:50] + "\n"
 
 
-def test_more_repeats_or_a_certificate_are_a_reason_to_solve_again(
-    plan: list[PlannedSolve], tmp_path: Path
-) -> None:
+def test_more_repeats_or_a_certificate_are_a_reason_to_solve_again(plan, tmp_path):
     list(run(plan[:1], Results(tmp_path)))
     twice, certified = replace(plan[0], repeats=2), replace(plan[0], certify=True)
     assert resumed([twice], tmp_path) == [plan[0].key]
@@ -284,7 +272,7 @@ def test_more_repeats_or_a_certificate_are_a_reason_to_solve_again(
     assert resumed([certified], tmp_path) == []
 
 
-def test_what_auto_chose_is_resumed_as_it_was_asked_for(tmp_path: Path) -> None:
+def test_what_auto_chose_is_resumed_as_it_was_asked_for(tmp_path):
     (one,) = plan_comparison(["6.2"], ["auto"], n=(4, 2))
     (row,) = run([one], Results(tmp_path))
     assert (row["formulation"], row["asked"]) == ("joint", {"formulation": "auto"})
@@ -292,9 +280,7 @@ def test_what_auto_chose_is_resumed_as_it_was_asked_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["example", "n", "quadrature", "delta", "formulation"])
-def test_rows_of_another_problem_under_the_same_key_are_refused(
-    plan: list[PlannedSolve], ran: Path, name: str
-) -> None:
+def test_rows_of_another_problem_under_the_same_key_are_refused(plan, ran, name):
     other = {"example": "6.3", "n": "9x9", "quadrature": 7, "delta": [0.1, 0.1], "formulation": "nested"}
     changed(ran, plan[0].key, **{name: other[name]})
     said = rf"cannot resume .* with {name} .*{re.escape(str(other[name]))}, not "
@@ -304,9 +290,7 @@ def test_rows_of_another_problem_under_the_same_key_are_refused(
     assert resumed(plan, ran) == [plan[0].key]
 
 
-def test_without_resume_the_earlier_run_stays_until_a_solve_has_ended(
-    plan: list[PlannedSolve], ran: Path
-) -> None:
+def test_without_resume_the_earlier_run_stays_until_a_solve_has_ended(plan, ran):
     rows = run(plan[:1], Results(ran), on_start=lambda _: seen.append(len(read_results(ran))))
     seen: list[int] = []
     next(rows)
@@ -319,9 +303,7 @@ def test_without_resume_the_earlier_run_stays_until_a_solve_has_ended(
     assert not (ran / "previous-3").exists()
 
 
-def test_an_interrupted_solve_leaves_its_row_and_is_the_last(
-    plan: list[PlannedSolve], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_solve_leaves_its_row_and_is_the_last(plan, tmp_path, monkeypatch):
     def stopped(solve: PlannedSolve, on_step: Any = None) -> Done:
         done = perform(solve)
         return replace(done, row={**done.row, "status": "interrupted"})
@@ -336,9 +318,7 @@ def test_an_interrupted_solve_leaves_its_row_and_is_the_last(
     assert resumed(plan, tmp_path) == [one.key for one in plan]
 
 
-def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(
-    plan: list[PlannedSolve], ran: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(plan, ran, monkeypatch):
     """As workers answer: a row of the one that is solved, nothing of one that was lost."""
     got: list[str] = []
 

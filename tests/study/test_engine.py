@@ -36,7 +36,7 @@ SMALL = 'random = { seed = 0, count = 3 }\nformulations = ["fixed"]\n'
 
 
 @pytest.fixture
-def bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def bad(tmp_path, monkeypatch):
     """Formulations that hang, leak and crash are installed, here and in processes that are started."""
     (tmp_path / "site").mkdir()
     place = install(tmp_path / "site")
@@ -57,7 +57,7 @@ PLAN = [solve_of("fixed", time_s=float(i)) for i in (21, 22, 23)]
 
 
 @pytest.fixture
-def answers(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+def answers(monkeypatch):
     """Statuses by key, with which contained solves end; ``SOLVED`` has the keys that were solved."""
     statuses = dict.fromkeys((one.key for one in PLAN), "converged")
 
@@ -76,9 +76,7 @@ SOLVED: list[str] = []
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("bad")
-def test_a_hang_a_leak_and_a_crash_are_a_row_each_and_the_next_solve_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hang_a_leak_and_a_crash_are_a_row_each_and_the_next_solve_runs(tmp_path, monkeypatch):
     monkeypatch.setattr("rmesh_nlp.study.contained.GRACE_S", 0.2)
     monkeypatch.setenv("CRASH_MARK", str(tmp_path / "mark"))
     plan = [
@@ -99,9 +97,7 @@ def test_a_hang_a_leak_and_a_crash_are_a_row_each_and_the_next_solve_runs(
 
 
 @pytest.mark.slow
-def test_a_study_by_command_runs_once_and_has_fields(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_by_command_runs_once_and_has_fields(tmp_path, capsys):
     path, out = tmp_path / "study.toml", tmp_path / "out"
     path.write_text(SMALL)
     arguments = ["study", str(path), "--out", str(out), "--json"]
@@ -120,7 +116,7 @@ def test_a_study_by_command_runs_once_and_has_fields(
 
 
 @pytest.mark.usefixtures("answers")
-def test_rows_of_workers_that_were_killed_are_kept_and_joined(tmp_path: Path) -> None:
+def test_rows_of_workers_that_were_killed_are_kept_and_joined(tmp_path):
     """Two of three rows are there, one line is cut: one solve is left to do, once."""
     with worker.Worker(tmp_path) as killed:
         for one in PLAN[:2]:
@@ -135,7 +131,7 @@ def test_rows_of_workers_that_were_killed_are_kept_and_joined(tmp_path: Path) ->
     assert [PLAN[2].key] == SOLVED
 
 
-def test_fields_are_kept_unless_they_are_not_wanted(tmp_path: Path) -> None:
+def test_fields_are_kept_unless_they_are_not_wanted(tmp_path):
     for solve in (replace(PLAN[0], fields=False), PLAN[0]):
         row = json.loads(_row(solve, tmp_path))
         assert (tmp_path / "solutions" / f"{row['key']}.vtu").exists() == solve.fields
@@ -144,9 +140,7 @@ def test_fields_are_kept_unless_they_are_not_wanted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("cpu", "busy"), [(0.91, False), (0.89, True), (None, False)])
-def test_a_solve_that_did_not_have_its_core_alone_is_marked(
-    cpu: float | None, busy: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_solve_that_did_not_have_its_core_alone_is_marked(cpu, busy, tmp_path, monkeypatch):
     monkeypatch.setattr(Contained, "solve", lambda *_: {"task_time_s": 1.0, "cpu_time_s": cpu})
     for core in (None, (0, socket.socket())):
         monkeypatch.setattr(worker, "_own_core", lambda core=core: core)
@@ -163,9 +157,7 @@ def test_a_solve_that_did_not_have_its_core_alone_is_marked(
         (("converged", "died"), 1),
     ],
 )
-def test_a_study_succeeds_if_what_was_not_refused_did(
-    statuses: tuple[str, str], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_succeeds_if_what_was_not_refused_did(statuses, code, tmp_path, monkeypatch):
     left = [*statuses]
 
     def solve(self: Contained, one: PlannedSolve, folder: Path) -> dict:
@@ -180,25 +172,21 @@ def test_a_study_succeeds_if_what_was_not_refused_did(
     assert [row["status"] for row in rows_of(tmp_path / "out")] == [*statuses]
 
 
-def test_who_resumes_waits_for_workers_that_outlived_their_client(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_resumes_waits_for_workers_that_outlived_their_client(tmp_path, monkeypatch):
     monkeypatch.setattr(engine, "WAIT_S", 0.2)
     with RowsFile(tmp_path).working(), pytest.raises(BadInputError, match="still being written by a worker"):
         list(engine.run([solve_of("fixed")], tmp_path))
 
 
 @pytest.mark.parametrize("package", ["distributed", "cryptography"])
-def test_without_the_extra_more_jobs_are_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
-) -> None:
+def test_without_the_extra_more_jobs_are_one_line(tmp_path, monkeypatch, package):
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(BadInputError, match=rf"^--jobs above 1.* needs? .*{package}: pip install"):
         list(engine.run([solve_of("fixed"), solve_of("joint")], tmp_path, jobs=2))
 
 
 @pytest.mark.slow
-def test_a_local_cluster_writes_the_same_rows(tmp_path: Path) -> None:
+def test_a_local_cluster_writes_the_same_rows(tmp_path):
     pytest.importorskip("distributed")
     told = list(engine.run(PLAN, tmp_path, jobs=2))
     assert sorted(row["key"] for row in told) == sorted(solve.key for solve in PLAN)
@@ -207,7 +195,7 @@ def test_a_local_cluster_writes_the_same_rows(tmp_path: Path) -> None:
     assert list(engine.run(PLAN, tmp_path, jobs=2)) == []
 
 
-def test_failures_are_tried_again_when_that_is_asked_for(tmp_path: Path, answers: dict[str, str]) -> None:
+def test_failures_are_tried_again_when_that_is_asked_for(tmp_path, answers):
     answers.update(zip((one.key for one in PLAN), ("converged", "time_limit", "refused"), strict=True))
     with worker.Worker(tmp_path) as outlives:  # as on a cluster that goes on from client to client
         for one in PLAN:
@@ -236,7 +224,7 @@ def rmesh(*arguments: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow
-def test_an_own_cluster_refuses_strangers_and_serves_no_page() -> None:
+def test_an_own_cluster_refuses_strangers_and_serves_no_page():
     distributed, psutil = pytest.importorskip("distributed"), pytest.importorskip("psutil")
     other = distributed.Security.temporary().get_connection_args("client")
     with engine._client(distributed, 1, None) as client:
@@ -277,7 +265,7 @@ def starting(path: Path, out: Path) -> tuple[subprocess.Popen[str], list[Any]]:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("presses", [1, 2])
-def test_ctrl_c_while_workers_start_ends_the_study(tmp_path: Path, presses: int) -> None:
+def test_ctrl_c_while_workers_start_ends_the_study(tmp_path, presses):
     """As on a terminal, where all processes get it: nothing is solved, and none is left over."""
     process, workers = starting(tmp_path / "study.toml", tmp_path / "out")
     for _ in range(presses):
@@ -293,7 +281,7 @@ def test_ctrl_c_while_workers_start_ends_the_study(tmp_path: Path, presses: int)
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_workers_killed_while_they_start_are_one_line(tmp_path: Path) -> None:
+def test_workers_killed_while_they_start_are_one_line(tmp_path):
     process, workers = starting(tmp_path / "study.toml", tmp_path / "out")
     for one in workers:
         one.kill()
@@ -305,7 +293,7 @@ def test_workers_killed_while_they_start_are_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_ctrl_c_with_two_jobs_keeps_what_is_finished_in_one_line(tmp_path: Path) -> None:
+def test_ctrl_c_with_two_jobs_keeps_what_is_finished_in_one_line(tmp_path):
     pytest.importorskip("distributed")
     path, out = tmp_path / "study.toml", tmp_path / "out"
     path.write_text('random = { count = 300 }\nformulations = ["fixed"]\nfields = false\n')
@@ -325,7 +313,7 @@ def test_ctrl_c_with_two_jobs_keeps_what_is_finished_in_one_line(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_there_already_is_used(tmp_path: Path) -> None:
+def test_a_scheduler_that_is_there_already_is_used(tmp_path):
     distributed = pytest.importorskip("distributed")
     path, out = tmp_path / "study.toml", tmp_path / "out"
     path.write_text(SMALL)
@@ -339,9 +327,7 @@ def test_a_scheduler_that_is_there_already_is_used(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_not_there_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, monkeypatch, capsys):
     pytest.importorskip("distributed")
     monkeypatch.setattr(engine, "START_S", 0.5)
     path = tmp_path / "study.toml"
@@ -359,7 +345,7 @@ CORES = {900_001, 900_002}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are pinned on Linux")
-def test_no_core_is_given_twice_and_a_core_given_back_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_core_is_given_twice_and_a_core_given_back_is_free(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: CORES)
     held = [worker._own_core() for _ in CORES]
     assert {core[0] for core in held if core is not None} == CORES

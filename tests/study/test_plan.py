@@ -22,11 +22,11 @@ def plan_of(path: Path, text: str) -> list[PlannedSolve]:
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def path(tmp_path):
     return tmp_path / "study.toml"
 
 
-def test_the_matrix_is_problems_by_formulations_by_seeds_by_repeats(path: Path) -> None:
+def test_the_matrix_is_problems_by_formulations_by_seeds_by_repeats(path):
     plan = plan_of(
         path,
         """
@@ -44,15 +44,13 @@ def test_the_matrix_is_problems_by_formulations_by_seeds_by_repeats(path: Path) 
     assert [solve.name for solve in plan[::16]] == ["6.1", "random-5"]
 
 
-def test_the_template_is_a_valid_study_of_which_every_problem_can_be_built(path: Path) -> None:
+def test_the_template_is_a_valid_study_of_which_every_problem_can_be_built(path):
     plan = plan_of(path, template("mine", "study.toml"))
     assert {solve.variant for solve in plan} == {"fixed", "auto"}
     assert [build(solve).name for solve in plan] == [solve.name for solve in plan]
 
 
-def test_keys_tell_everything_apart_that_decides_the_result_and_nothing_else(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_keys_tell_everything_apart_that_decides_the_result_and_nothing_else(monkeypatch):
     monkeypatch.setattr("rmesh_nlp.study.plan.__version__", "0.1")
     one = PlannedSolve({"kind": "random", "seed": 1, "of": "rough"}, "random-1", "random", "", "a", "joint")
     others = [
@@ -69,9 +67,7 @@ def test_keys_tell_everything_apart_that_decides_the_result_and_nothing_else(
     assert one.key == safe_name(one.key) == "random-1-a-d25e9bd8d419c526"  # as in rows of old
 
 
-def test_strategies_of_old_files_and_rows_are_formulations_and_variants(
-    path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_strategies_of_old_files_and_rows_are_formulations_and_variants(path, capsys):
     path.write_text('random = { count = 1 }\n[strategies.a]\nformulation = "fixed"\n')
     out = path.parent / "out"
     assert cli.run(["study", str(path), "--out", str(out), "--quiet"]) == 0
@@ -86,7 +82,7 @@ def test_strategies_of_old_files_and_rows_are_formulations_and_variants(
     assert now.key == row["key"]
 
 
-def test_a_problem_file_is_known_by_its_content(path: Path) -> None:
+def test_a_problem_file_is_known_by_its_content(path):
     for name in ("a.toml", "b.toml"):
         assert cli.run(["new", str(path.with_name(name))]) == 0
     path.with_name("b.toml").write_text(path.with_name("a.toml").read_text())
@@ -124,7 +120,7 @@ def test_a_problem_file_is_known_by_its_content(path: Path) -> None:
         ("[[", "is not valid TOML"),
     ],
 )
-def test_what_is_wrong_is_one_line(path: Path, text: str, named: str) -> None:
+def test_what_is_wrong_is_one_line(path, text, named):
     with pytest.raises(BadInputError) as caught:
         plan_of(path, text)
     assert named in str(caught.value)
@@ -132,7 +128,7 @@ def test_what_is_wrong_is_one_line(path: Path, text: str, named: str) -> None:
     assert str(path.parent) in str(caught.value)
 
 
-def test_a_dry_run_lists_the_keys_and_writes_nothing(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_dry_run_lists_the_keys_and_writes_nothing(path, capsys):
     assert cli.run(["new", "--study", str(path)]) == 0
     assert cli.run(["check", str(path)]) == 0
     capsys.readouterr()
@@ -145,7 +141,7 @@ def test_a_dry_run_lists_the_keys_and_writes_nothing(path: Path, capsys: pytest.
 
 
 @pytest.mark.slow
-def test_every_solve_of_the_template_succeeds(path: Path) -> None:
+def test_every_solve_of_the_template_succeeds(path):
     assert cli.run(["new", "--study", str(path)]) == 0
     assert cli.run(["study", str(path), "--out", str(path.parent / "out"), "--quiet"]) == 0
     rows = read_records(path.parent / "out")
@@ -154,7 +150,7 @@ def test_every_solve_of_the_template_succeeds(path: Path) -> None:
     assert all(row["gain_audited"] > 0 for row in moved)
 
 
-def test_the_time_of_a_plan_is_that_of_its_rows_or_a_rule() -> None:
+def test_the_time_of_a_plan_is_that_of_its_rows_or_a_rule():
     one = PlannedSolve({}, "6.1", "6.1", "8", "a", "nested", time_s=9.5)
     assert seconds_of_plan([one, one], []) == pytest.approx(3.0)
     finer = replace(one, size="16x16")

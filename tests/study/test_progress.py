@@ -20,20 +20,20 @@ def steps(count: int, factor: float) -> Pace:
     return pace
 
 
-def test_the_time_left_follows_the_fall_of_the_residual() -> None:
+def test_the_time_left_follows_the_fall_of_the_residual():
     pace = steps(10, 0.5)
     # seconds until 0.5**k is the tolerance, less those that have passed
     assert pace.seconds_left == pytest.approx(math.log(TOLERANCE) / math.log(0.5) - 9, rel=1e-6)
     assert pace.text() == "iteration 9, J = -1.9, gain 0.9, residual 2.0e-03, perhaps 11 s left"
 
 
-def test_nothing_is_estimated_of_a_residual_that_does_not_fall() -> None:
+def test_nothing_is_estimated_of_a_residual_that_does_not_fall():
     assert steps(10, 1.0).seconds_left is None
     assert steps(3, 0.5).seconds_left is None
     assert Pace().text() == ""
 
 
-def test_the_estimate_of_a_formulation_goes_first_and_the_time_limit_bounds_it() -> None:
+def test_the_estimate_of_a_formulation_goes_first_and_the_time_limit_bounds_it():
     pace = Pace(limit=100.0)
     for k in range(10):
         pace(Step(k, -1.0, 0.0, 0.0, 0.5**k, 0, 10.0 * k, seconds_left=40.0 - 3 * k))
@@ -41,20 +41,20 @@ def test_the_estimate_of_a_formulation_goes_first_and_the_time_limit_bounds_it()
     assert pace.text().endswith("perhaps 10 s left")
 
 
-def test_where_nothing_can_be_estimated_the_time_limit_is_shown() -> None:
+def test_where_nothing_can_be_estimated_the_time_limit_is_shown():
     pace = Pace(limit=600.0)
     pace(Step(0, -1.0, 0.0, 0.0, float("nan"), 0, 60.0))
     assert pace.text() == "iteration 0, J = -1, gain 0, residual 0.0e+00, at most 9 min left"
 
 
-def test_a_gain_counts_from_the_mesh_that_the_step_is_on() -> None:
+def test_a_gain_counts_from_the_mesh_that_the_step_is_on():
     pace = Pace()
     for given, energy, gain in ((-0.9, -1.0, "0.1"), (-4.8, -5.0, "0.2")):  # a finer mesh has a lower energy
         pace(Step(0, energy, 0.0, 0.0, 1.0, 0, 0.0, energy_given=given))
         assert f"gain {gain}," in pace.text()
 
 
-def test_a_study_has_lines_for_failures_and_for_every_so_many(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_study_has_lines_for_failures_and_for_every_so_many(capsys):
     row: dict[str, Any] = {"example": "6.1", "variant": "a", "status": "converged", "success": True}
     bad = {**row, "success": False, "status": "died", "message": "[gone]", "wall_time_s": 1.0}
     with SolvesProgress(EVERY + 3, 1, each=False) as progress:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -16,16 +14,14 @@ from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, Statement, _diffe
 
 
 @pytest.fixture(scope="module")
-def statements() -> list[Statement]:
+def statements():
     return reproduce(quick=True)
 
 
 @pytest.mark.parametrize(
     ("change", "verdict"), [(0.0, MET), (-1e-3, PASSED), (1e-3, NOT_MET)], ids=["met", "passed", "not met"]
 )
-def test_a_final_energy_is_compared_with_the_printed_one(
-    change: float, verdict: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_final_energy_is_compared_with_the_printed_one(change, verdict, monkeypatch):
     ends = {name: paper.energy_final - 1e-5 + change for name, paper in PAPER.items()}
     monkeypatch.setattr(reproduction, "_descents", lambda example, *_, **__: {"joint": ends[example]})
     monkeypatch.setattr(reproduction, "least_energy_with_frozen_friction", lambda *_: ends["6.3"])
@@ -34,14 +30,14 @@ def test_a_final_energy_is_compared_with_the_printed_one(
 
 
 @pytest.mark.slow
-def test_what_is_printed_of_the_given_meshes_is_met(statements: list[Statement]) -> None:
+def test_what_is_printed_of_the_given_meshes_is_met(statements):
     initial = [one for one in statements if "initial" in one.what]
     assert len(initial) == 5
     assert {one.outcome for one in initial} == {MET}
 
 
 @pytest.mark.slow
-def test_only_frozen_friction_weights_lead_below_the_printed_energy(statements: list[Statement]) -> None:
+def test_only_frozen_friction_weights_lead_below_the_printed_energy(statements):
     """6.3: neither its move limits nor larger ones do."""
     found = {one.what: one.outcome for one in statements if one.example == "6.3" and "final" in one.what}
     assert found.pop("final energy, friction weights wrongly held fixed") == PASSED
@@ -49,15 +45,13 @@ def test_only_frozen_friction_weights_lead_below_the_printed_energy(statements: 
 
 
 @pytest.mark.slow
-def test_twice_the_move_limits_pass_the_printed_energy_of_62_alone(
-    statements: list[Statement],
-) -> None:
+def test_twice_the_move_limits_pass_the_printed_energy_of_62_alone(statements):
     found = {one.example: one for one in statements if "2 times as large" in one.what}
     assert {example: one.outcome for example, one in found.items()} == {"6.2": PASSED, "6.3": NOT_MET}
     assert float(found["6.2"].ours) == pytest.approx(-4.92164, abs=5e-6)
 
 
-def test_the_page_is_written_by_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_is_written_by_the_command(tmp_path, monkeypatch):
     one = Statement("6.1", "initial <energy>", "-1.0000", "-1.000001", MET, "by hand")
     monkeypatch.setattr("rmesh_nlp.cli.reporting.derive", lambda **_: [one])
     assert cli.run(["reproduce", "--out", str(tmp_path / "r"), "--quiet"]) == 0
@@ -67,7 +61,7 @@ def test_the_page_is_written_by_the_command(tmp_path: Path, monkeypatch: pytest.
     assert "://" not in page
 
 
-def test_frozen_weights_differ_from_moving_ones_by_the_work_of_friction() -> None:
+def test_frozen_weights_differ_from_moving_ones_by_the_work_of_friction():
     outer = Outer(problem := EXAMPLES["6.3"]((4, 2)))
     q = 0.5 * outer.variables(seed=1)
     state = outer.energy(q).equilibrium

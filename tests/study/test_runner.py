@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,11 +21,11 @@ from support.planted import plant, raising
 
 
 @pytest.fixture(scope="module")
-def one() -> PlannedSolve:
+def one():
     return planned(EXAMPLES["6.3"]((4, 2)), "fixed")
 
 
-def test_fields_survive_the_file_and_a_failure_removes_them(one: PlannedSolve, tmp_path: Path) -> None:
+def test_fields_survive_the_file_and_a_failure_removes_them(one, tmp_path):
     done = perform(one)
     assert done.solution is not None
     places = Results(tmp_path).result(done.row)
@@ -44,7 +43,7 @@ def test_fields_survive_the_file_and_a_failure_removes_them(one: PlannedSolve, t
 
 
 @pytest.mark.parametrize("formulation", ["nested", "joint", "mpcc"])
-def test_the_history_has_the_first_order_residual(formulation: str, tmp_path: Path) -> None:
+def test_the_history_has_the_first_order_residual(formulation, tmp_path):
     """It starts at one, that of the mesh as given, and ends at that of the mesh of the solution."""
     done = perform(planned(EXAMPLES["6.3"]((4, 2)), formulation))
     assert done.solution is not None
@@ -67,9 +66,7 @@ def test_the_history_has_the_first_order_residual(formulation: str, tmp_path: Pa
         (ZeroDivisionError("by zero"), "failed", "ZeroDivisionError: by zero"),
     ],
 )
-def test_an_exception_is_a_row(
-    one: PlannedSolve, error: Exception, status: str, message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_exception_is_a_row(one, error, status, message, monkeypatch):
     plant(monkeypatch, fixed=raising(error))
     solve = replace(one, options={"seed": 3, "objective": "error-l2"}, repeats=2)
     done = perform(solve)
@@ -82,16 +79,14 @@ def test_an_exception_is_a_row(
     assert {name: row[name] for name in solve.identity} == solve.identity
 
 
-def test_a_problem_that_cannot_be_built_is_a_row() -> None:
+def test_a_problem_that_cannot_be_built_is_a_row():
     row = perform(PlannedSolve({"kind": "dream"}, "x", "f", "9", "v", "fixed")).row
     assert (row["status"], row["message"]) == ("failed", "ValueError: unknown kind of problem 'dream'")
     assert set(REQUIRED) <= set(row)
     assert (row["example"], row["family"], row["n"], row["variant"], row["repeat"]) == ("x", "f", "9", "v", 0)
 
 
-def test_theorem_41_is_not_evaluated_on_a_broken_mesh(
-    one: PlannedSolve, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_theorem_41_is_not_evaluated_on_a_broken_mesh(one, monkeypatch):
     good = perform(one).solution
     assert good is not None
     broken = replace(good, audit=replace(good.audit, min_area_ratio=0.0), status=Status.INVALID_MESH)
@@ -102,7 +97,7 @@ def test_theorem_41_is_not_evaluated_on_a_broken_mesh(
 
 class TestRepeats:
     @pytest.fixture
-    def calls(self, monkeypatch: pytest.MonkeyPatch) -> list[PlannedSolve]:
+    def calls(self, monkeypatch):
         calls: list[PlannedSolve] = []
         self.statuses: list[str] = []
 
@@ -115,7 +110,7 @@ class TestRepeats:
         monkeypatch.setattr(runner, "_once", once)
         return calls
 
-    def test_they_are_bare_and_joined(self, calls: list[PlannedSolve], one: PlannedSolve) -> None:
+    def test_they_are_bare_and_joined(self, calls, one):
         row = perform(replace(one, certify=True, repeats=3)).row
         assert [solve.certify for solve in calls] == [True, False, False]
         assert (row["build_time_s"], row["repeats"]) == (2.0, 3)
@@ -124,15 +119,13 @@ class TestRepeats:
         ("statuses", "count"),
         [(["failed"], 1), (["interrupted"], 1), (["converged", "interrupted"], 2)],
     )
-    def test_a_failure_or_an_interrupted_run_is_the_last(
-        self, calls: list[PlannedSolve], one: PlannedSolve, statuses: list[str], count: int
-    ) -> None:
+    def test_a_failure_or_an_interrupted_run_is_the_last(self, calls, one, statuses, count):
         self.statuses = [*statuses]
         row = perform(replace(one, repeats=3)).row
         assert (len(calls), row["status"]) == (count, statuses[-1])
         assert "repeats" not in row
 
-    def test_times_are_medians_with_their_range(self) -> None:
+    def test_times_are_medians_with_their_range(self):
         first = {"energy": -1.0, **dict.fromkeys(TIMES, 3.0), "contact_time_s": None}
         row = joined([first, {**first, "build_time_s": 1.0, "energy": -9.0}, {**first, "build_time_s": 2.0}])
         assert (row["build_time_s"], row["build_time_range_s"]) == (2.0, [1.0, 3.0])
