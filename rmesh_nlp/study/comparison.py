@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
@@ -136,11 +137,15 @@ def _check_options(options: Mapping[str, Any]) -> None:
 def _file_problems(names: Sequence[str]) -> list[ContactProblem]:
     """The problems of those names that are files."""
     problems = [load_problem(Path(name)) for name in names if name.endswith(SUFFIX)]
-    called = [problem.name for problem in problems]
-    for name in called:
-        if called.count(name) > 1:
-            raise BadInputError(f"two problem files are both called {name!r}: give them a name of their own")
+    if name := _twice([problem.name for problem in problems]):
+        raise BadInputError(f"two problem files are both called {name!r}: give them a name of their own")
     return problems
+
+
+def _twice(names: Sequence[str]) -> str:
+    """The first of these names that is there twice; empty if each is there once."""
+    counts = Counter(names)
+    return next((name for name in names if counts[name] > 1), "")
 
 
 def _refinements(problem: ContactProblem) -> Iterator[ContactProblem]:
@@ -173,9 +178,8 @@ def run(
     processes of a local cluster. After the row of an interrupted solve a KeyboardInterrupt is raised.
     """
     keys = [solve.key for solve in plan]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise BadInputError(f"two cases are both called {key!r}")
+    if key := _twice(keys):
+        raise BadInputError(f"two cases are both called {key!r}")
     results.folder.mkdir(parents=True, exist_ok=True)
     with nullcontext() if locked else results.locked():
         remove_leftovers(results.folder)

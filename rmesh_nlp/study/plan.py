@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import product
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -98,16 +99,16 @@ class PlannedSolve:
                 for name, value in sorted(self.options.items())
             ]
             return safe_name("-".join(filter(None, [self.name, self.size, self.formulation, *options])))
+        decisive = ("formulation", "options", "repeat", "certify", "time_s", "memory_mb")
         content = {
             "problem": {k: v for k, v in self.problem.items() if k != "path"},
             "strategy": self.variant,  # its name when the first keys were made
             "version": __version__,
+            **{name: getattr(self, name) for name in decisive},
         }
-        content |= {name: getattr(self, name) for name in ("formulation", "options", "repeat", "certify")}
-        content |= {name: getattr(self, name) for name in ("time_s", "memory_mb")}
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-        parts = [self.name, self.size, self.variant]
-        return safe_name("-".join(filter(None, parts))[:100] + "-" + digest)
+        stem = "-".join(filter(None, [self.name, self.size, self.variant]))
+        return safe_name(f"{stem[:100]}-{digest}")
 
     @property
     def identity(self) -> Record:
@@ -136,10 +137,7 @@ def planned(
 
 
 def build(solve: PlannedSolve) -> ContactProblem:
-    """The problem of a planned solve, with a reference solution if its objective needs one.
-
-    A ValueError is raised if it cannot be built here, say because its file is not on this machine.
-    """
+    """The problem of a planned solve, with a reference solution if its objective needs one."""
     problem = _problem(solve.problem) if solve.built is None else solve.built
     objective = solve.options.get("objective", "energy")
     if solve.problem.get("kind") == "example" and parse_objective(objective).needs_exact:
@@ -207,7 +205,7 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
 
 
 def _variants(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Name, formulation and options of each, once for each objective and seed that it takes."""
+    """Name, formulation and options of each for each objective and seed, also those that it does not take."""
     limits = {"time_limit_s": study.limits.time, "max_iterations": study.limits.iterations}
     for variant, table in study.formulations.items():
         where, formulation = f"{path}: formulations.{variant}", table.formulation or variant
@@ -224,15 +222,10 @@ def _variants(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[st
             except TypeError:
                 said = "dates and times are no options"
                 raise BadInputError(f"{where}.{name} = {value!r}: {said}") from None
-        found: dict[str, dict[str, Any]] = {}
-        for objective in study.objectives:
-            for seed in study.seeds:
-                common = {**limits, "objective": None if objective == "energy" else objective, "seed": seed}
-                common = {name: value for name, value in common.items() if value is not None}
-                options = options_of(formulation, table.keywords, common)
-                found.setdefault(json.dumps(options, sort_keys=True), options)
-        for options in found.values():
-            yield variant, formulation, options
+        for objective, seed in product(study.objectives, study.seeds):
+            common = {**limits, "objective": None if objective == "energy" else objective, "seed": seed}
+            common = {name: value for name, value in common.items() if value is not None}
+            yield variant, formulation, options_of(formulation, table.keywords, common)
 
 
 def _problems(study: StudyTable, path: Path) -> Iterator[tuple[dict[str, Any], str, str, str]]:
@@ -256,10 +249,9 @@ def _problems(study: StudyTable, path: Path) -> Iterator[tuple[dict[str, Any], s
         digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
         stated = {"kind": "file", "digest": digest, "path": str(file.resolve())}
         yield stated, load_problem(file).name, Path(text).stem, ""
-    if study.random is not None:
-        kinds = list(study.random.kinds)
-        for number in range(study.random.seed, study.random.seed + study.random.count):
-            kind = kinds[number % len(kinds)]
+    if (draws := study.random) is not None:
+        for number in range(draws.seed, draws.seed + draws.count):
+            kind = draws.kinds[number % len(draws.kinds)]
             yield {"kind": "random", "seed": number, "of": kind}, f"random-{number}", f"random {kind}", ""
 
 

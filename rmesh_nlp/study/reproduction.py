@@ -40,12 +40,8 @@ USABLE = ("exploited",)
 """Ends other than success whose energy, by the problem's own rule, is that of a valid mesh."""
 
 FROZEN_OPTIONS = {
-    "max_iter": 3000,
-    "nlp_scaling_method": "none",
-    "obj_scaling_factor": 100.0,
-    "tol": 1e-8,
-    "acceptable_tol": 1e-6,
-    "mu_init": 1e-2,
+    **{"max_iter": 3000, "nlp_scaling_method": "none", "obj_scaling_factor": 100.0},
+    **{"tol": 1e-8, "acceptable_tol": 1e-6, "mu_init": 1e-2},
 }
 """Ipopt options; with this factor the energies of 6.3 are large against its barrier."""
 
@@ -56,14 +52,8 @@ Say = Callable[[str], object]
 class Statement:
     """A printed value and ours.
 
-    Attributes
-    ----------
-    example, what : str
-    printed, ours : str
-    outcome : str
-        ``MET`` to the printed digits, ``PASSED`` by a lower energy, or ``NOT_MET``; empty where nothing is
-        printed and the statement is evidence for another one.
-    evidence : str
+    The outcome is ``MET`` to the printed digits, ``PASSED`` by a lower energy, or ``NOT_MET``; empty where
+    nothing is printed and the statement is evidence for another one.
     """
 
     example: str

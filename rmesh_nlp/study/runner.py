@@ -71,14 +71,10 @@ def _once(solve: PlannedSolve, on_step: OnStep | None) -> Done:
     assert solve.built is not None
     began = time.perf_counter()
     try:
+        formulation, identity = solve.made or solve.formulation, solve.identity
         solution = solve_by_options(
-            solve.built,
-            solve.made or solve.formulation,
-            solve.options,
-            on_step=on_step,
-            certify=solve.certify,
+            solve.built, formulation, solve.options, on_step=on_step, certify=solve.certify
         )
-        identity = solve.identity
         row = {**identity, "message": solution.status.message, **solution.record(), "key": solve.key}
         asked = {name: value for name, value in identity.items() if row[name] != value}
         if asked:  # auto chose, or the rule was raised

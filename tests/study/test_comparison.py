@@ -6,10 +6,8 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +20,7 @@ from rmesh_nlp.study import comparison, engine
 from rmesh_nlp.study.comparison import formulation_options, plan_comparison, run
 from rmesh_nlp.study.contained import _row
 from rmesh_nlp.study.plan import PlannedSolve
-from rmesh_nlp.study.runner import Done, perform
+from rmesh_nlp.study.runner import perform
 from support.planted import plant, raising
 from support.problem_files import VALID
 
@@ -34,103 +32,106 @@ def file(tmp_path, monkeypatch):
     return "own.toml"
 
 
-class TestPlan:
-    def test_settings_of_examples_are_refused_for_files(self, file):
-        for setting in ({"n": 4}, {"delta": 0.01}, {"quadrature": 4}):
-            with pytest.raises(BadInputError, match="for the examples"):
-                plan_comparison([file], ["fixed"], **setting)  # type: ignore[arg-type]
+def test_a_file_is_solved_on_uniform_refinements_too(file, monkeypatch):
+    plan = plan_comparison([file], ["nested"], certify=True)
+    assert [(one.formulation, one.certify) for one in plan] == [
+        ("nested", True),
+        ("fixed", True),
+        ("fixed", True),
+    ]
+    sizes = [one.built.mesh.t.shape[1] for one in plan]
+    assert sizes == [sizes[0], 4 * sizes[0], 16 * sizes[0]]
+    mesh = plan[0].built.mesh
+    nodes = mesh.p.shape[1] + mesh.facets.shape[1]
+    for largest, refined in ((nodes, 1), (nodes - 1, 0)):
+        monkeypatch.setattr(comparison, "LARGEST", largest)
+        assert len(plan_comparison([file], ["nested"])) == 1 + refined
 
-    def test_a_file_is_solved_on_uniform_refinements_too(self, file, monkeypatch):
-        own, finer, finest = plan_comparison([file], ["nested"], certify=True)
-        assert [one.formulation for one in (own, finer, finest)] == ["nested", "fixed", "fixed"]
-        assert all(one.certify for one in (own, finer, finest))
-        sizes = [one.built.mesh.t.shape[1] for one in (own, finer, finest)]  # type: ignore[union-attr]
-        assert sizes == [sizes[0], 4 * sizes[0], 16 * sizes[0]]
-        assert own.built is not None
-        nodes = own.built.mesh.p.shape[1] + own.built.mesh.facets.shape[1]
-        for largest, refined in ((nodes, 1), (nodes - 1, 0)):
-            monkeypatch.setattr(comparison, "LARGEST", largest)
-            assert len(plan_comparison([file], ["nested"])) == 1 + refined
 
-    def test_two_files_of_one_name_are_refused(self, file):
-        Path("other.toml").write_text(VALID)
-        with pytest.raises(BadInputError, match="two problem files are both called 'block'"):
-            plan_comparison([file, "other.toml"], ["fixed"])
+def test_keys_are_file_names():
+    options = {"seed": 3, "objective": "error-l2 + 0.01*quality"}
+    (one,) = plan_comparison(["6.1"], ["nested"], n=4, options=options)
+    assert one.identity["key"] == one.key == "6.1-4-nested-error-l2_+_0.01_quality-seed3"
+    assert replace(one, options={}).key == "6.1-4-nested"
 
-    def test_keys_are_file_names(self):
-        options = {"seed": 3, "objective": "error-l2 + 0.01*quality"}
-        (one,) = plan_comparison(["6.1"], ["nested"], n=4, options=options)
-        assert one.key == "6.1-4-nested-error-l2_+_0.01_quality-seed3"
-        assert replace(one, options={}).key == "6.1-4-nested"
-        assert one.identity["key"] == one.key
 
-    def test_size_delta_and_rule_reach_the_example(self):
-        (one,) = plan_comparison(["6.1"], ["fixed"], n=5, delta=0.02, quadrature=6)
-        assert (one.built.size, one.built.rule) == ("5", 6)  # type: ignore[union-attr]
-        assert one.identity == {
-            **{"key": "6.1-5-fixed", "example": "6.1", "formulation": "fixed"},
-            **{"n": "5", "delta": [0.02, 0.02], "quadrature": 6},
-        }
-        for examples, n in ((["6.9"], 4), (["6.1"], -1)):
-            with pytest.raises(BadInputError):
-                plan_comparison(examples, ["fixed"], n=n)
+def test_size_delta_and_rule_reach_the_example():
+    (one,) = plan_comparison(["6.1"], ["fixed"], n=5, delta=0.02, quadrature=6)
+    assert (one.built.size, one.built.rule) == ("5", 6)
+    assert one.identity == {
+        **{"key": "6.1-5-fixed", "example": "6.1", "formulation": "fixed"},
+        **{"n": "5", "delta": [0.02, 0.02], "quadrature": 6},
+    }
 
-    @pytest.mark.parametrize(
-        ("options", "said"),
-        [
-            ({"objective": "nonsense"}, "nonsense"),
-            ({"objective": ["energy", "nonsense"]}, "nonsense"),
-            ({"relaxation": "nonsense"}, "unknown relaxation 'nonsense'"),
-            ({"outer": "nonsense"}, "unknown outer solver 'nonsense'"),
-            ({"relaxation": "scholtes"}, "--relaxation scholtes: not an option of fixed"),
-        ],
-    )
-    def test_options_are_checked(self, options, said):
-        with pytest.raises(BadInputError, match=said):
-            plan_comparison(["6.1"], ["fixed"], n=4, options=options)
 
-    def test_limits_go_to_those_that_heed_them_and_are_no_error_for_others(self):
-        limits = {"time_limit_s": 5.0, "tolerance": 1e-3}
-        nested, fixed = plan_comparison(["6.1"], ["nested", "fixed"], n=4, options=limits)
-        assert (nested.options, fixed.options) == (limits, {})
-        assert nested.time_s == 5.0 < fixed.time_s
+FOR_FILES = "for the examples: write them into the files"
 
-    def test_objectives_and_seeds_are_multiplied(self):
-        options = {"objective": ["energy", "error-l2"], "seed": [1, 2]}
-        plan = plan_comparison(["6.1"], ["fixed", "joint"], n=4, options=options)
-        joint = [one.options for one in plan if one.formulation == "joint"]
-        assert [(o["objective"], o["seed"]) for o in joint] == [
-            ("energy", 1), ("energy", 2), ("error-l2", 1), ("error-l2", 2)
-        ]  # fmt: skip
-        assert len(plan) == len({one.key for one in plan}) == 6  # fixed takes no seed
 
-    def test_errors_need_a_solution_that_is_known(self, file):
-        options = {"objective": ["energy", "error-l2"]}
-        for one in plan_comparison(["6.2"], ["fixed"], n=(4, 2), options=options):
-            assert one.built is not None
-            assert one.built.exact is not None
-        # the name of an example does not lend it the reference solution of that example
-        Path(file).write_text('name = "6.2"\n' + VALID.replace('name = "block"\n', ""))
-        with pytest.raises(BadInputError, match=r"error-l2: needs an exact .* solution, and '6\.2' has none"):
-            plan_comparison([file], ["nested"], options=options)
+@pytest.mark.parametrize(
+    ("names", "settings", "said"),
+    [
+        (["own.toml"], {"n": 4}, FOR_FILES),
+        (["own.toml"], {"delta": 0.01}, FOR_FILES),
+        (["own.toml"], {"quadrature": 4}, FOR_FILES),
+        (["own.toml", "other.toml"], {}, "two problem files are both called 'block'"),
+        (["6.9"], {"n": 4}, "unknown example '6.9'"),
+        (["6.1"], {"n": -1}, "-1"),
+        (["6.1"], {"options": {"objective": "nonsense"}}, "nonsense"),
+        (["6.1"], {"options": {"objective": ["energy", "nonsense"]}}, "nonsense"),
+        (["6.1"], {"options": {"relaxation": "nonsense"}}, "unknown relaxation 'nonsense'"),
+        (["6.1"], {"options": {"outer": "nonsense"}}, "unknown outer solver 'nonsense'"),
+        (["6.1"], {"options": {"relaxation": "scholtes"}}, "--relaxation scholtes: not an option of fixed"),
+    ],
+)
+def test_settings_that_do_not_fit_are_named(file, names, settings, said):
+    Path("other.toml").write_text(VALID)
+    with pytest.raises(BadInputError, match=said):
+        plan_comparison(names, ["fixed"], **settings)
 
-    def test_a_formulation_may_have_options_of_its_own(self):
-        plan = plan_comparison(["6.1"], ["mpcc", "mpcc:start=joint", "nested:outer=ipopt:seed=3"], n=4)
-        assert [one.options for one in plan] == [{}, {"start": "joint"}, {"outer": "ipopt", "seed": 3}]
-        assert len({one.key for one in plan}) == 3
 
-    @pytest.mark.parametrize(
-        ("text", "said"),
-        [
-            ("mpcc:start", "name=value"),
-            ("mpcc:speed=9", "takes no option 'speed'"),
-            ("mpc:start=joint", "mpc"),
-            ("mpcc:relaxation=x", "unknown relaxation 'x'"),
-        ],
-    )
-    def test_wrong_options_are_named(self, text, said):
-        with pytest.raises(BadInputError, match=said):
-            formulation_options(text)
+def test_limits_go_to_those_that_heed_them_and_are_no_error_for_others():
+    limits = {"time_limit_s": 5.0, "tolerance": 1e-3}
+    nested, fixed = plan_comparison(["6.1"], ["nested", "fixed"], n=4, options=limits)
+    assert (nested.options, fixed.options) == (limits, {})
+    assert nested.time_s == 5.0 < fixed.time_s
+
+
+def test_objectives_and_seeds_are_multiplied():
+    options = {"objective": ["energy", "error-l2"], "seed": [1, 2]}
+    plan = plan_comparison(["6.1"], ["fixed", "joint"], n=4, options=options)
+    joint = [(o["objective"], o["seed"]) for o in (one.options for one in plan if one.formulation == "joint")]
+    assert joint == [("energy", 1), ("energy", 2), ("error-l2", 1), ("error-l2", 2)]
+    assert len(plan) == len({one.key for one in plan}) == 6  # fixed takes no seed
+
+
+def test_errors_need_a_solution_that_is_known(file):
+    options = {"objective": ["energy", "error-l2"]}
+    plan = plan_comparison(["6.2"], ["fixed"], n=(4, 2), options=options)
+    assert all(one.built.exact is not None for one in plan)
+    # the name of an example does not lend it the reference solution of that example
+    Path(file).write_text('name = "6.2"\n' + VALID.replace('name = "block"\n', ""))
+    with pytest.raises(BadInputError, match=r"error-l2: needs an exact .* solution, and '6\.2' has none"):
+        plan_comparison([file], ["nested"], options=options)
+
+
+def test_a_formulation_may_have_options_of_its_own():
+    plan = plan_comparison(["6.1"], ["mpcc", "mpcc:start=joint", "nested:outer=ipopt:seed=3"], n=4)
+    assert [one.options for one in plan] == [{}, {"start": "joint"}, {"outer": "ipopt", "seed": 3}]
+    assert len({one.key for one in plan}) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("mpcc:start", "name=value"),
+        ("mpcc:speed=9", "takes no option 'speed'"),
+        ("mpc:start=joint", "mpc"),
+        ("mpcc:relaxation=x", "unknown relaxation 'x'"),
+    ],
+)
+def test_wrong_options_are_named(text, said):
+    with pytest.raises(BadInputError, match=said):
+        formulation_options(text)
 
 
 @pytest.fixture(scope="module")
@@ -154,16 +155,16 @@ def ran(first_run, tmp_path):
     return tmp_path
 
 
-def resumed(plan: Sequence[PlannedSolve], folder: Path) -> list[str]:
+def resumed(plan, folder):
     """Keys of those that are solved again."""
-    keys: list[str] = []
+    keys = []
     rows = list(run(plan, Results(folder), resume=True, on_start=lambda one: keys.append(one.key)))
-    assert sorted(row["key"] for row in rows) == sorted(one.key for one in plan)
-    assert sorted(row["key"] for row in Results(folder).read()) == sorted(one.key for one in plan)
+    for found in (rows, Results(folder).read()):
+        assert sorted(row["key"] for row in found) == sorted(one.key for one in plan)
     return keys
 
 
-def changed(folder: Path, key: str, **entries: Any) -> None:
+def changed(folder, key, **entries):
     """Change the row of a key in the file."""
     results = Results(folder)
     results.replace_all([{**row, **entries} if row["key"] == key else row for row in results.read()])
@@ -225,28 +226,26 @@ def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(
     assert all(row["success"] and row["status"] == "converged" for row in Results(ran).read())
 
 
-@pytest.mark.parametrize(
-    "spoil", ["missing", "empty", "half", "other mesh", "history", "no history", "nodes", "nan"]
-)
+def write_nans(good, other):
+    solution = perform(plan_comparison(["6.2"], ["fixed"], n=(4, 2))[0]).solution
+    write_solution(replace(solution, displacement=np.nan * solution.displacement), good.vtu, "vtu")
+
+
+SPOILED = {
+    "missing": lambda good, other: good.vtu.unlink(),
+    "empty": lambda good, other: os.truncate(good.vtu, 0),
+    "half": lambda good, other: os.truncate(good.vtu, good.vtu.stat().st_size // 2),
+    "other mesh": lambda good, other: shutil.copy(other.vtu, good.vtu),
+    "history": lambda good, other: good.history.write_text("garbage"),
+    "no history": lambda good, other: good.history.unlink(),
+    "nodes": lambda good, other: changed(good.vtu.parents[1], good.record["key"], nodes=3),
+    "nan": write_nans,
+}
+
+
+@pytest.mark.parametrize("spoil", SPOILED.values(), ids=SPOILED)
 def test_a_success_without_its_files_is_solved_again(plan, ran, spoil):
-    good, other = read_results(ran)
-    vtu = good.vtu.read_bytes()
-    if spoil == "missing":
-        good.vtu.unlink()
-    elif spoil == "other mesh":
-        shutil.copy(other.vtu, good.vtu)
-    elif spoil == "history":
-        good.history.write_text("garbage")
-    elif spoil == "no history":
-        good.history.unlink()
-    elif spoil == "nodes":
-        changed(ran, plan[0].key, nodes=good.record["nodes"] + 1)
-    elif spoil == "nan":
-        solution = perform(plan[0]).solution
-        assert solution is not None
-        write_solution(replace(solution, displacement=np.nan * solution.displacement), good.vtu, "vtu")
-    else:
-        good.vtu.write_bytes(vtu[: len(vtu) // 2 if spoil == "half" else 0])
+    spoil(*read_results(ran))
     assert resumed(plan, ran) == [plan[0].key]
     assert resumed(plan, ran) == []
 
@@ -304,7 +303,7 @@ def test_without_resume_the_earlier_run_stays_until_a_solve_has_ended(plan, ran)
 
 
 def test_an_interrupted_solve_leaves_its_row_and_is_the_last(plan, tmp_path, monkeypatch):
-    def stopped(solve: PlannedSolve, on_step: Any = None) -> Done:
+    def stopped(solve, on_step):
         done = perform(solve)
         return replace(done, row={**done.row, "status": "interrupted"})
 
@@ -320,9 +319,9 @@ def test_an_interrupted_solve_leaves_its_row_and_is_the_last(plan, tmp_path, mon
 
 def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(plan, ran, monkeypatch):
     """As workers answer: a row of the one that is solved, nothing of one that was lost."""
-    got: list[str] = []
+    got = []
 
-    def rows_of(todo: Sequence[PlannedSolve], folder: Path, jobs: int, *, whole: bool) -> Iterator[Any]:
+    def rows_of(todo, folder, jobs, *, whole):
         for one in todo:
             got.append(one.key)
             travelled = PlannedSolve(**json.loads(json.dumps(one.plain())))
@@ -339,4 +338,4 @@ def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(plan, ran, m
     assert (lost["status"], lost["delta"], lost["n"]) == ("died", auto["delta"], "4x2")
     stems = sorted(path.name for path in (ran / "solutions").iterdir())
     assert stems == sorted(f"{one.key}.{kind}" for one in (*plan, more[0]) for kind in ("csv", "vtu"))
-    assert not [name for name in os.listdir(ran) if name.startswith(".rmesh-writing")]
+    assert not list(ran.glob(".rmesh-writing*"))
