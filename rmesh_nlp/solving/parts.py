@@ -1,9 +1,9 @@
-"""The typed parts of a solution: steps of its history, bounds of its error, further entries of its record."""
+"""The typed parts of a solution: entries of its record, steps of its history, bounds of its error."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -59,41 +59,20 @@ class Work(Part):
         return {name: count for name, count in vars(self).items() if name != "contact_solves" and count}
 
 
-@dataclass(frozen=True)
-class Residuals(Part):
-    """Relative residuals of the contact problem on the final mesh.
+@dataclass(frozen=True, kw_only=True)
+class Findings(Part):
+    """What was measured on the final mesh beside the energies.
 
     Attributes
     ----------
     tolerance : float
         Of the first-order residual.
     own_equilibrium_residual, own_complementarity_residual : float
-        Of the formulation's own displacement and forces.
+        Relative residuals of the formulation's own displacement and forces.
     assessed_equilibrium_residual, assessed_complementarity_residual : float
         Of the exact contact solve.
-    """
-
-    tolerance: float
-    own_equilibrium_residual: float
-    own_complementarity_residual: float
-    assessed_equilibrium_residual: float
-    assessed_complementarity_residual: float
-
-
-@dataclass(frozen=True)
-class Zones(Part):
-    """How many nodes with friction stick, and how many slide; None without friction."""
-
-    sticking_nodes: int | None = None
-    sliding_nodes: int | None = None
-
-
-@dataclass(frozen=True)
-class Findings(Part):
-    """What else was measured.
-
-    Attributes
-    ----------
+    sticking_nodes, sliding_nodes : int, optional
+        With friction.
     exploits : str or None
         The error of the discretisation that was exploited.
     warnings : tuple of str
@@ -106,6 +85,13 @@ class Findings(Part):
         Part of the gain in an objective other than the energy that is left on refined meshes.
     """
 
+    tolerance: float
+    own_equilibrium_residual: float
+    own_complementarity_residual: float
+    assessed_equilibrium_residual: float
+    assessed_complementarity_residual: float
+    sticking_nodes: int | None = None
+    sliding_nodes: int | None = None
     exploits: str | None
     warnings: tuple[str, ...]
     objective_value: float
@@ -128,8 +114,8 @@ class ContactQuantities(Part):
 
     def record(self) -> dict[str, float]:
         """The entries."""
-        entries = {**self.initial.entries("_initial"), **self.last.entries()}
-        return entries if self.refined is None else {**entries, **self.refined.entries("_refined")}
+        refined = {} if self.refined is None else self.refined.entries("_refined")
+        return {**self.initial.entries("_initial"), **self.last.entries(), **refined}
 
 
 @dataclass(frozen=True)
@@ -209,17 +195,14 @@ class Step:
 
     def row(self) -> dict[str, Any]:
         """The step as a plain dictionary for CSV or pandas: None where unknown, ``t`` may be ``inf``."""
-        row = {key: plain(value) for key, value in asdict(replace(self, q=None)).items() if key != "q"}
+        row = {key: plain(value) for key, value in vars(self).items() if key != "q"}
         return {**row, "t": self.t} if np.isinf(self.t) else row
 
 
 def plain(value: Any) -> Any:
     """A value for JSON: numbers of numpy as Python's, and None for what is not finite."""
-    if isinstance(value, (np.generic,)):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+    value = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 @dataclass(frozen=True)
@@ -286,11 +269,15 @@ class Certificate:
         """Whether the energy lies below a proven bound: then the displacement is not admissible."""
         return self.guaranteed_lower and self.upper < self.lower
 
+    @property
+    def is_guaranteed(self) -> bool:
+        """Whether all bounds are."""
+        return self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
+
     def of_reduction(self, found: Mapping[str, Any]) -> dict[str, Any]:
         """The record of an error reduction with these bounds, where they are guaranteed."""
-        proved = self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
         before, after = (bound**2 / 2 for bound in (self.error_bound_initial, self.error_bound))
-        return dict(by_certificate(found, before, after, proved))
+        return dict(by_certificate(found, before, after, self.is_guaranteed))
 
     @property
     def sentence(self) -> str:
@@ -300,11 +287,6 @@ class Certificate:
                 f"no error bound: the energy {figure(self.upper)} lies below the proven bound "
                 f"{figure(self.lower)}, so the displacement is not admissible"
             )
-        guaranteed = self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
-        word = "at most" if guaranteed else "estimated at"
-        before, after = _percent(self.relative_initial), _percent(self.relative)
+        word = "at most" if self.is_guaranteed else "estimated at"
+        before, after = (f"{100 * part:.3g} %" for part in (self.relative_initial, self.relative))
         return f"error in the energy norm {word} {before} before, {after} after"
-
-
-def _percent(part: float) -> str:
-    return f"{100 * part:.3g} %"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -27,10 +27,8 @@ from rmesh_nlp.solving.parts import (
     ContactQuantities,
     Findings,
     Part,
-    Residuals,
     Step,
     Work,
-    Zones,
     entries,
     plain,
 )
@@ -86,7 +84,7 @@ class Assessment:
         What the status rests on; None where the contact problem could not be solved.
     assessed : tuple of Admissible, optional
         The admissible displacements on the given and on the last mesh.
-    residuals, zones, findings, quantities : optional
+    findings, quantities : optional
         None where the contact problem could not be solved; ``quantities`` also without contact.
     details : tuple of Part
         What the formulation adds to the record.
@@ -115,8 +113,6 @@ class Assessment:
     detail: str = ""
     measured: Measured | None = field(default=None, repr=False)
     assessed: tuple[Admissible, Admissible] | None = field(default=None, repr=False)
-    residuals: Residuals | None = None
-    zones: Zones | None = None
     findings: Findings | None = None
     quantities: ContactQuantities | None = None
     details: tuple[Part, ...] = ()
@@ -191,17 +187,18 @@ class Solution(Assessment):
     @property
     def extra(self) -> dict[str, Any]:
         """The entries of the record that not every solution has."""
-        measured = (self.residuals, self.zones, self.findings, self.quantities)
-        extra = entries(*self.details, *measured, self.choices, self.work)
+        extra = entries(*self.details, self.findings, self.quantities, self.choices, self.work)
         if changed := self.limits.changed():
             extra["limits"] = changed
-        reduction = None if self.error_reduction is None else self.error_reduction.record()
         if self.certificate is not None:
             extra |= self.certificate.record()
-            reduction = None if reduction is None else self.certificate.of_reduction(reduction)
         elif self.certificate_remark is not None:
             extra["certificate_remark"] = self.certificate_remark
-        return extra if reduction is None else {**extra, "error_reduction": reduction}
+        if self.error_reduction is not None:
+            found = self.error_reduction.record()
+            proved = self.certificate
+            extra["error_reduction"] = found if proved is None else proved.of_reduction(found)
+        return extra
 
     @property
     def wall_time_s(self) -> float:
@@ -210,50 +207,39 @@ class Solution(Assessment):
 
     def record(self) -> dict[str, Any]:
         """Everything a table needs, as plain JSON values. NaN becomes None."""
+        problem = self.problem
         row = {
-            "example": self.problem.name,
-            "formulation": self.formulation,
-            "objective": self.objective,
-            "n": self.problem.size,
-            "delta": self.problem.motion.delta_record(),
+            "example": problem.name,
+            **self._own("formulation", "objective"),
+            "n": problem.size,
+            "delta": problem.motion.delta_record(),
             "status": self.status.value,
-            "success": self.success,
-            "valid": self.valid,
-            "improved": self.improved,
-            "message": self.message,
+            **self._own("success", "valid", "improved", "message"),
             "solver_status": self.solver_status.value,
-            "energy_initial": self.energy_initial,
-            "energy": self.energy,
-            "energy_initial_audited": self.energy_initial_audited,
+            **self._own("energy_initial", "energy", "energy_initial_audited"),
             "energy_audited": self.audit.energy_audited,
-            "gain": self.gain,
-            "gain_audited": self.gain_audited,
+            **self._own("gain", "gain_audited"),
             "u_min": float(self.displacement.min()),
             "u_max": float(self.displacement.max()),
             "min_area_ratio": self.audit.min_area_ratio,
-            "iterations": self.iterations,
-            "contact_solves": self.contact_solves,
-            "wall_time_s": self.wall_time_s,
-            "build_time_s": self.build_time_s,
-            "solve_time_s": self.solve_time_s,
-            "audit_time_s": self.audit_time_s,
-            "contact_time_s": self.contact_time_s,
+            **self._own("iterations", "contact_solves", "wall_time_s", "build_time_s", "solve_time_s"),
+            **self._own("audit_time_s", "contact_time_s"),
             "equilibrium_residual": self.audit.equilibrium_residual,
             "complementarity_residual": self.audit.complementarity_residual,
             "penetration": self.audit.penetration,
-            "stationarity": self.stationarity,
-            "stationarity_residual": self.stationarity_residual,
+            **self._own("stationarity", "stationarity_residual"),
             "nodes": int(self.mesh.p.shape[1]),
             "triangles": int(self.mesh.t.shape[1]),
-            "quadrature": self.problem.rule,
-            "units": {"length": self.problem.units.length, "force": self.problem.units.force},
+            "quadrature": problem.rule,
+            "units": asdict(problem.units),
             "versions": versions(),
-            "start": self.start,
-            "settings": self.settings,
-            "seed": self.seed,
+            **self._own("start", "settings", "seed"),
             **self.extra,
         }
         return {key: plain(value) for key, value in row.items()}
+
+    def _own(self, *names: str) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in names}
 
     def plot(self, what: str = "mesh", axes: Axes | None = None, **style: Any) -> Axes:
         """Draw a field of the solution on the relocated mesh.
