@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.assessor import Audit, equilibrium_residual, law_residual, quantities
 from rmesh_nlp.assessment.conclusion import Measured, conclusion
 from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
-from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.mapping.validity import area_ratios
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.flips import mean_around
-from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy
+from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.residual import multipliers, size_of
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import signed_areas
+from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import ContactQuantities, Findings, Residuals, Zones
+from rmesh_nlp.solving.parts import ContactQuantities, Findings
 from rmesh_nlp.solving.solution import Assessment
 
 ACCURATE = 20
@@ -43,9 +41,27 @@ EXPLOITED = {
     "penetration": "Between its nodes the contact boundary passes into the foundation: take gap = 'edge'.",
     "friction": "The friction bound varies within edges.",
     "geometry": "The edges along a curve have grown.",
-    "": "",
 }
 """What the message of an exploited solution adds."""
+
+
+@dataclass(frozen=True)
+class _Ends:
+    """The two meshes that are compared: where ``begin`` begins, and the last one of ``outer``, at ``q``.
+
+    ``exact`` and ``point`` are the energy and the outer objective at ``q``, ``found`` is the solution there;
+    ``start`` and ``after`` are the admissible displacements of the assessment on either mesh.
+    """
+
+    begin: Outer
+    outer: Outer
+    q: Array
+    nodes: Array
+    exact: ReducedPoint
+    point: ReducedPoint
+    found: Equilibrium
+    start: Admissible
+    after: Admissible
 
 
 def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessment:
@@ -63,10 +79,8 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
     outer, q = outcome.outer, outcome.q
     problem, nodes = outer.problem, outer.nodes(q)
     begin = outer if is_comparable(first, outer) else first  # what it begins from, by the same rules
-    same_edges = begin is outer
-    areas = signed_areas(problem.mesh.p, problem.triangles) if same_edges else _given_areas(first, outer)
-    ratios = area_ratios(problem, nodes) if same_edges else signed_areas(nodes, problem.triangles) / areas
-    ratio, start = float(np.min(ratios)), begin.assessor.initial
+    start, areas = begin.assessor.initial, _given_areas(begin.problem, problem)
+    ratio = float(np.min(signed_areas(nodes, problem.triangles) / areas))
     common: dict[str, Any] = {
         "problem": problem,
         "objective": str(outer.objective),
@@ -74,61 +88,41 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         "energy_initial": begin.given.energy,
         "energy_initial_audited": start.energy,
         "solver_status": outcome.status,
-        "initial_nodes": np.array((problem if same_edges else first.problem).mesh.p),
+        "initial_nodes": np.array(begin.problem.mesh.p),
         "initial_areas": areas,
         "details": outcome.details,
     }
-    if not ratio > 0:
-        return _unsolved(outer, ratio, common)
+    if not ratio > 0:  # the contact problem cannot be solved
+        unknown = np.full((problem.components, outer.discretisation.space.n_nodes), np.nan)
+        stress = {"pressure": unknown[0], "tangential_stress": unknown[0]}
+        audit = Audit(np.nan, np.nan, np.nan, ratio)
+        return Assessment(**common, **stress, displacement=unknown, audit=audit, status=Status.INVALID_MESH)
     exact = outer.energy(q)
-    after = outer.assessor.solve(nodes, exact.equilibrium.active)
-    found = outcome.own if outcome.decides and outcome.own is not None else exact.equilibrium
-    function = outer.function
-    point = exact if isinstance(function, ReducedEnergy) else function.of(exact)
-    residual = outer.residual(point)
-    proved = outcome.label in PROVED and bool(np.any(point.weak))
-    states = tuple(
-        (one.energy, one.state if one.problem is whose.problem else own)
-        for one, whose, own in ((start, begin, begin.given), (after, outer, exact.equilibrium))
+    ends = _Ends(
+        begin,
+        outer,
+        q,
+        nodes,
+        exact,
+        point=exact if isinstance(outer.function, ReducedEnergy) else outer.function.of(exact),
+        found=outcome.own if outcome.decides and outcome.own is not None else exact.equilibrium,
+        start=start,
+        after=outer.assessor.solve(nodes, exact.equilibrium.active),
     )
-    decrease, size = _decrease(begin, outer, q, states)
-    if function is outer.energy and size_of(point) > 0:
-        size = max(size, size_of(point))
-    claimed, expected = outcome.claimed, exact.value
-    if outcome.decides:
-        claimed, expected = found.energy, exact.equilibrium.energy
-    unit = size_of(exact)
-    contact = (begin.given.status, start.status, exact.equilibrium.status, after.status)
-    measured = Measured(
-        audit=outer.assessor.audit(nodes, found, after, ratio),
-        contact=next((status for status in contact if status is not Status.CONVERGED), Status.CONVERGED),
-        consistent=claimed is None or unit == 0 or abs(claimed - expected) <= ENERGY_AGREEMENT * unit,
-        gain=begin.given.energy - found.energy,
-        gain_audited=start.energy - after.energy,
-        decrease=decrease,
-        size=size,
-        is_energy=function is outer.energy,
-        stationary=residual <= outer.tolerance or proved or not relocates,
-        corrections={
-            name: value - begin.assessor.initial_corrections[name]
-            for name, value in outer.assessor.corrections(nodes, found, after).items()
-        },
-    )
+    residual = outer.residual(ends.point)
+    proved = outcome.label in PROVED and bool(np.any(ends.point.weak))
+    stationary = residual <= outer.tolerance or proved or not relocates
+    measured = _measured(ends, outcome, ratio, stationary)
     end = conclusion(outcome.status, measured)
     label = outcome.label
     if label is None:
         label = "KKT" if residual <= outer.tolerance else ""
-    weights = nodal_weights(problem, nodes)
-    change = None
-    if problem.motion.curves:
-        was = signed_areas(first.problem.mesh.p, first.problem.triangles).sum()
-        change = signed_areas(nodes, problem.triangles).sum() / was - 1
     return Assessment(
         **common,
-        displacement=outer.contact.displacement.values(found.u),
-        pressure=_nodal_stress(outer.contact, found.normal_force, weights),
-        tangential_stress=_nodal_stress(outer.contact, found.tangential_force, weights),
-        energy=found.energy,
+        displacement=outer.contact.displacement.values(ends.found.u),
+        pressure=_nodal_stress(ends, ends.found.normal_force),
+        tangential_stress=_nodal_stress(ends, ends.found.tangential_force),
+        energy=ends.found.energy,
         audit=measured.audit,
         status=end.status,
         valid=end.valid,
@@ -136,20 +130,12 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         success=end.success,
         stationarity=label,
         stationarity_residual=residual,
-        multipliers=multipliers(outer.energy, q, point.gradient),
-        detail=EXPLOITED[measured.exploits] if end.status is Status.EXPLOITED else "",
+        multipliers=multipliers(outer.energy, q, ends.point.gradient),
+        detail=EXPLOITED.get(measured.exploits, "") if end.status is Status.EXPLOITED else "",
         measured=measured,
-        assessed=(start, after),
-        residuals=_residuals(outer, nodes, outcome.own or found, exact.equilibrium),
-        zones=_zones(outer, exact.equilibrium),
-        findings=Findings(
-            exploits=measured.exploits or None,
-            warnings=_warnings(outer, begin.given, nodes, found),
-            objective_value=point.value,
-            objective_initial=function(np.zeros(outer.n)).value if same_edges else None,
-            domain_area_change=change,
-        ),
-        quantities=_quantities(begin, outer, nodes, found),
+        assessed=(start, ends.after),
+        findings=_findings(ends, outcome.own or ends.found, first.problem, measured.exploits or None),
+        quantities=_quantities(ends),
     )
 
 
@@ -172,110 +158,124 @@ def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state
     return float(sum(np.sum(part) for part in element_values(groups)(energy.point(q, state))))
 
 
-def _unsolved(outer: Outer, ratio: float, common: dict[str, Any]) -> Assessment:
-    """The assessment of a mesh on which the contact problem cannot be solved."""
-    problem, nan = outer.problem, float("nan")
-    n_nodes = problem.mesh.p.shape[1]
-    return Assessment(
-        **common,
-        displacement=np.full((problem.components, n_nodes), nan),
-        pressure=np.full(n_nodes, nan),
-        tangential_stress=np.full(n_nodes, nan),
-        energy=nan,
-        audit=Audit(nan, nan, nan, ratio),
-        status=Status.INVALID_MESH,
-        valid=False,
-        improved=False,
-        success=False,
-        stationarity="",
-        stationarity_residual=nan,
+def _measured(ends: _Ends, outcome: Outcome, ratio: float, stationary: bool) -> Measured:
+    """What the status rests on."""
+    begin, outer, found, after = ends.begin, ends.outer, ends.found, ends.after
+    is_energy = outer.function is outer.energy
+    decrease, size = _decrease(ends)
+    if is_energy:
+        size = max(size, size_of(ends.point))
+    claimed, expected = outcome.claimed, ends.exact.value
+    if outcome.decides:
+        claimed, expected = found.energy, ends.exact.equilibrium.energy
+    unit = size_of(ends.exact)
+    solves = (begin.given.status, ends.start.status, ends.exact.equilibrium.status, after.status)
+    before = begin.assessor.initial_corrections
+    return Measured(
+        audit=outer.assessor.audit(ends.nodes, found, after, ratio),
+        contact=next((status for status in solves if status is not Status.CONVERGED), Status.CONVERGED),
+        consistent=claimed is None or unit == 0 or abs(claimed - expected) <= ENERGY_AGREEMENT * unit,
+        gain=begin.given.energy - found.energy,
+        gain_audited=ends.start.energy - after.energy,
+        decrease=decrease,
+        size=size,
+        is_energy=is_energy,
+        stationary=stationary,
+        corrections={
+            name: value - before[name]
+            for name, value in outer.assessor.corrections(ends.nodes, found, after).items()
+        },
     )
 
 
-def _zones(outer: Outer, state: Equilibrium) -> Zones | None:
-    rows = outer.problem.friction_rows
-    if not rows.size:
-        return None
-    sliding = int(np.count_nonzero(state.active.sliding[rows]))
-    return Zones(int(rows.size) - sliding, sliding)
-
-
-def _residuals(outer: Outer, nodes: Array, own: Equilibrium, exact: Equilibrium) -> Residuals:
-    system = outer.contact.system(nodes)
-    values = [
-        measure(system, state.u, state.normal_force, state.tangential_force)
-        for state in (own, exact)
-        for measure in (equilibrium_residual, law_residual)
-    ]
-    return Residuals(outer.tolerance, *values)
-
-
-def _warnings(outer: Outer, initial: Equilibrium, nodes: Array, state: Equilibrium) -> tuple[str, ...]:
-    """Signs of a wrong set-up, and of foundations that pass into the relocated mesh."""
-    start, contact = outer.assessor.initial, outer.contact
-    load = start.system.load if start.problem is outer.problem else None  # by an accurate rule
-    found = setup_warnings(outer.problem, contact, initial, load)
-    messages = [warning.message for warning in found if warning.kind != "penetration"]
-    after = penetration_warnings(outer.problem, nodes, contact.displacement.values(state.u))
-    return (*messages, *(warning.message for warning in after))
-
-
-def _quantities(begin: Outer, outer: Outer, nodes: Array, found: Equilibrium) -> ContactQuantities | None:
-    given = np.asarray(begin.problem.mesh.p)
-    before = quantities(begin.contact.discretisation.space, given, begin.contact.system(given), begin.given)
-    after = quantities(outer.contact.discretisation.space, nodes, outer.contact.system(nodes), found)
-    return None if before is None or after is None else ContactQuantities(before, after)
-
-
-def _decrease(
-    begin: Outer, outer: Outer, q: Array, states: Sequence[tuple[float, Equilibrium]]
-) -> tuple[float, float]:
-    """Decrease of the minimised objective, measured by the assessment, and the objective's size.
-
-    Parameters
-    ----------
-    begin : Outer
-        Whose mesh as given it is compared with.
-    outer : Outer
-        What was minimised.
-    q : (n,) array
-        Outer variables.
-    states : two of (float, Equilibrium)
-        The continuous energy and the displacement, on the mesh as given and at ``q``.
-    """
-    ends, function = ((begin, np.zeros(begin.n)), (outer, q)), outer.function
-    if begin is not outer and not isinstance(function, ReducedEnergy):
-        # edges were flipped: objectives other than the energy are compared by their own rule
-        one, two = begin.minimising(outer.objective).function(ends[0][1]).value, function(q).value
-    elif isinstance(function, ReducedEnergy):
-        one, two = (
-            energy + (whose.energy.of_positions(at) if begin is outer else 0.0)
-            for (energy, _), (whose, at) in zip(states, ends, strict=True)
-        )
-    elif isinstance(function, ReducedCertificate):  # by that rule already
-        one, two = function(np.zeros(q.size)).value, function(q).value
+def _decrease(ends: _Ends) -> tuple[float, float]:
+    """Decrease of the minimised objective, measured by the assessment, and the objective's size."""
+    begin, outer, q, function = ends.begin, ends.outer, ends.q, ends.outer.function
+    same, zero = begin is outer, np.zeros(begin.n)
+    if isinstance(function, ReducedEnergy):
+        one, two = ends.start.energy, ends.after.energy
+        if same:
+            one, two = one + outer.energy.of_positions(zero), two + outer.energy.of_positions(q)
+    elif not same or isinstance(function, ReducedCertificate):
+        # after edges were flipped by the objective's own rule, which of a certificate is the assessment's
+        given = function if same else begin.minimising(outer.objective).function
+        one, two = given(zero).value, function(q).value
     else:
         one, two = (
-            objective_value(whose.energy, outer.objective, at, state)
-            for (_, state), (whose, at) in zip(states, ends, strict=True)
+            objective_value(
+                outer.energy, outer.objective, at, there.state if there.problem is outer.problem else own
+            )
+            for at, there, own in ((zero, ends.start, begin.given), (q, ends.after, ends.exact.equilibrium))
         )
     return one - two, max(abs(one), abs(two))
 
 
-def _nodal_stress(model: ContactSolver, force: Array, weights: Array) -> Array:
+def _findings(ends: _Ends, own: Equilibrium, given: ContactProblem, exploits: str | None) -> Findings:
+    """What else is measured of the last mesh; ``own`` is the formulation's displacement."""
+    outer, problem, exact = ends.outer, ends.outer.problem, ends.exact.equilibrium
+    system, rows = outer.contact.system(ends.nodes), problem.friction_rows
+    sliding = int(np.count_nonzero(exact.active.sliding[rows])) if rows.size else None
+    change = None
+    if problem.motion.curves:
+        was = signed_areas(given.mesh.p, given.triangles).sum()
+        change = signed_areas(ends.nodes, problem.triangles).sum() / was - 1
+    residuals = {
+        f"{whose}_{name}_residual": measure(system, state.u, state.normal_force, state.tangential_force)
+        for whose, state in (("own", own), ("assessed", exact))
+        for name, measure in (("equilibrium", equilibrium_residual), ("complementarity", law_residual))
+    }
+    return Findings(
+        tolerance=outer.tolerance,
+        **residuals,
+        sticking_nodes=None if sliding is None else int(rows.size) - sliding,
+        sliding_nodes=sliding,
+        exploits=exploits,
+        warnings=_warnings(ends),
+        objective_value=ends.point.value,
+        objective_initial=outer.function(np.zeros(outer.n)).value if ends.begin is outer else None,
+        domain_area_change=change,
+    )
+
+
+def _warnings(ends: _Ends) -> tuple[str, ...]:
+    """Signs of a wrong set-up, and of foundations that pass into the relocated mesh."""
+    problem, contact, start = ends.outer.problem, ends.outer.contact, ends.outer.assessor.initial
+    load = start.system.load if start.problem is problem else None  # by an accurate rule
+    found = [
+        one for one in setup_warnings(problem, contact, ends.begin.given, load) if one.kind != "penetration"
+    ]
+    found += penetration_warnings(problem, ends.nodes, contact.displacement.values(ends.found.u))
+    return tuple(one.message for one in found)
+
+
+def _quantities(ends: _Ends) -> ContactQuantities | None:
+    before, after = (
+        quantities(outer.discretisation.space, nodes, outer.contact.system(nodes), state)
+        for outer, nodes, state in (
+            (ends.begin, np.asarray(ends.begin.problem.mesh.p), ends.begin.given),
+            (ends.outer, ends.nodes, ends.found),
+        )
+    )
+    return None if before is None or after is None else ContactQuantities(before, after)
+
+
+def _nodal_stress(ends: _Ends, force: Array) -> Array:
     """(nodes,) contact forces over the weights omega_i of their nodes, in N/m^2; zero off the contact set."""
-    stress = np.zeros(model.problem.mesh.p.shape[1])
+    model, space = ends.outer.contact, ends.outer.discretisation.space
+    stress = np.zeros(space.n_nodes)
     if force.size:
-        np.add.at(stress, model.contact_nodes, force / weights)  # a node may meet two foundations
+        # a node may meet two foundations
+        np.add.at(stress, model.contact_nodes, force / space.weights(ends.nodes))
     return stress
 
 
-def _given_areas(first: Outer, last: Outer) -> Array:
+def _given_areas(given: ContactProblem, last: ContactProblem) -> Array:
     """(elements,) areas in the mesh as given of the last triangles, some of which it may not have."""
-    problem, triangles = first.problem, last.problem.triangles
-    own = problem.triangles
-    areas = signed_areas(problem.mesh.p, own)
-    around = mean_around(own, areas, problem.mesh.p.shape[1])[triangles].mean(axis=0)
-    known = {tuple(t): a for t, a in zip(np.sort(own, axis=0).T.tolist(), areas, strict=True)}
-    sought = np.sort(triangles, axis=0).T.tolist()
-    return np.array([known.get(tuple(t), mean) for t, mean in zip(sought, around, strict=True)])
+    own, p = given.triangles, given.mesh.p
+    areas = signed_areas(p, own)
+    if given is last:
+        return areas
+    around = mean_around(own, areas, p.shape[1])[last.triangles].mean(axis=0)
+    known = {frozenset(t): area for t, area in zip(own.T.tolist(), areas, strict=True)}
+    sought = zip(last.triangles.T.tolist(), around, strict=True)
+    return np.array([known.get(frozenset(t), mean) for t, mean in sought])

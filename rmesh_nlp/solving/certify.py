@@ -42,27 +42,21 @@ def certify(solution: Assessment, *, refinements: int | None = None) -> Certific
     if not np.all(np.isfinite(solution.displacement)):
         raise ValueError(f"there is nothing to certify: the solution is {solution.status.value}")
     problem, nodes = solution.problem, np.asarray(solution.mesh.p)
+    given, assessed = np.asarray(problem.mesh.p), None if problem.motion.curves else solution.assessed
     guess = Guess(solution.displacement, solution.pressure, solution.tangential_stress)
     after = refined_bracket(problem, nodes, guess, refinements)
-    before = after
-    moved = bool(np.any(nodes != problem.mesh.p))
-    is_given = np.array_equal(solution.initial_nodes, problem.mesh.p)
-    if solution.assessed is not None and not problem.motion.curves:
-        after = _with_upper(after, solution.assessed[1])
-        if not moved:
-            before = after
-    if moved:
-        given = np.asarray(problem.mesh.p)
-        before = refined_bracket(problem, given, contact_solution(ContactSolver(problem), given), refinements)
-        if solution.assessed is not None and not problem.motion.curves and is_given:
-            before = _with_upper(before, solution.assessed[0])
-    if not moved:
+    if assessed is not None:
+        after = _with_upper(after, assessed[1])
+    if np.array_equal(nodes, given):
         return _certificate(after, after, after.why)
+    guess = contact_solution(ContactSolver(problem), given)
+    before = refined_bracket(problem, given, guess, refinements)
+    if assessed is not None and np.array_equal(solution.initial_nodes, given):
+        before = _with_upper(before, assessed[0])
     if same_domain(problem, nodes):
         best = max((before, after), key=lambda one: (one.guaranteed_lower, one.lower))
         before, after = _with_lower(before, best), _with_lower(after, best)
-    why = (*after.why, *(f"given mesh: {reason}" for reason in before.why))
-    return _certificate(before, after, why)
+    return _certificate(before, after, (*after.why, *(f"given mesh: {reason}" for reason in before.why)))
 
 
 def contact_solution(model: ContactSolver, nodes: Array) -> Guess:
@@ -95,7 +89,8 @@ def _with_lower(one: Bracket, best: Bracket) -> Bracket:
 
 
 def _certificate(before: Bracket, after: Bracket, why: tuple[str, ...]) -> Certificate:
-    errors = [error_bound(one) for one in (before, after)]
+    # half the square of the error in the energy norm is at most the gap between the bounds
+    errors = [float(np.sqrt(2 * max(one.upper - one.lower, 0.0))) for one in (before, after)]
     return Certificate(
         lower=after.lower,
         upper=after.upper,
@@ -112,11 +107,6 @@ def _certificate(before: Bracket, after: Bracket, why: tuple[str, ...]) -> Certi
         field=after.field,
         residual=max(after.residual, before.residual),
     )
-
-
-def error_bound(one: Bracket) -> float:
-    """Bound of the error in the energy norm: half its square is at most the gap between the bounds."""
-    return float(np.sqrt(2 * max(one.upper - one.lower, 0.0)))
 
 
 def certified(found: Assessment) -> tuple[Certificate | None, str | None]:

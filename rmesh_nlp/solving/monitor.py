@@ -10,7 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from skfem import MeshTri
@@ -98,19 +98,14 @@ class Monitor:
     @property
     def spent(self) -> Work:
         """All work so far."""
-        total = self.work
-        for outer in self._tracked:
-            total = total + outer.spent
-        return total
+        return sum((outer.spent for outer in self._tracked), self.work)
 
     def is_over(self) -> bool:
         """Whether the solve was stopped, or a limit is reached."""
-        if self.stopped is None:
-            most = self.limits.iterations
-            if self.remaining == 0.0:
-                self.stopped = Status.TIME_LIMIT
-            elif most is not None and self.steps and self.iterations >= most:
-                self.stopped = Status.ITERATION_LIMIT
+        if self.stopped is None and self.remaining == 0.0:
+            self.stopped = Status.TIME_LIMIT
+        if self.stopped is None and self.steps and self.iterations_left == 0:
+            self.stopped = Status.ITERATION_LIMIT
         return self.stopped is not None
 
     def check(self) -> None:
@@ -148,11 +143,6 @@ class Monitor:
         outer.gain = gain_estimate(outer.problem).value
         self.work += Work(ESTIMATE_SOLVES)
         return outer.gain
-
-    def is_given(self, mesh: MeshTri) -> bool:
-        """Whether a mesh is the given one."""
-        given = self.mesh
-        return given is None or (np.array_equal(mesh.p, given.p) and np.array_equal(mesh.t, given.t))
 
     def note(self, step: Step, q: Array | None = None, *, shown: bool = True) -> bool:
         """Add a step at ``q`` to the history, ``shown`` to ``on_step``; whether the solve is over."""
@@ -228,7 +218,8 @@ class Track:
         self.residual: Callable[[Array, Array], float] | None = None
         self.state_residual: Callable[[Array], float] | None = None
         self._lam_g: Array | None = None
-        self._shown = monitor.is_given(outer.problem.mesh)
+        mesh, given = outer.problem.mesh, monitor.mesh or outer.problem.mesh
+        self._shown = np.array_equal(mesh.p, given.p) and np.array_equal(mesh.t, given.t)
         self._recent: deque[Array] = deque(maxlen=KEPT)
         self._best: tuple[float, Array] | None = None
 
@@ -243,9 +234,10 @@ class Track:
 
     def __call__(self, iteration: int, x: Array, f: float) -> bool:
         """An iterate of an NLP without complementarity: its relaxation parameter is infinite."""
-        known = self.residual is not None and self._lam_g is not None
-        residual = self.residual(x, self._lam_g) if known else NAN  # type: ignore[misc, arg-type]
-        return self._approximate(iteration, x, f, t=math.inf, dual_residual=residual)
+        residual = NAN
+        if self.residual is not None and self._lam_g is not None:
+            residual = self.residual(x, self._lam_g)
+        return self._approximate(iteration, x, f, t=math.inf, primal_residual=NAN, dual_residual=residual)
 
     def iterate(self, one: Iterate) -> None:
         """An iterate of a homotopy."""
@@ -277,33 +269,19 @@ class Track:
         lower = self._best is None or point.value < self._best[0]
         if lower and np.isfinite(point.value) and self.outer.is_valid(q):
             self._best = point.value, np.array(q)
-        residual = self.outer.residual(point)
-        step = Step(
-            iteration=self._before + iteration,
-            energy=point.equilibrium.energy,
-            t=0.0,
-            primal_residual=0.0,
-            dual_residual=residual,
-            contact_solves=self.monitor.spent.contact_solves,
-            seconds=self.monitor.clock.elapsed,
-            objective=point.value,
-            stationarity=residual,
-            **known,  # type: ignore[arg-type]
-        )
-        return self.monitor.note(step, q, shown=self._shown)
+        residual, spent = self.outer.residual(point), self.monitor.spent.contact_solves
+        known |= {"t": 0.0, "primal_residual": 0.0, "dual_residual": residual, "stationarity": residual}
+        energy = point.equilibrium.energy
+        return self._note(iteration, q, energy=energy, objective=point.value, contact_solves=spent, **known)
 
     def _approximate(self, iteration: int, x: Array, f: float, **known: float) -> bool:
         q, value = x[: self.outer.n], f * self._unit
         self._recent.append(np.array(q))
-        step = Step(
-            iteration=self._before + iteration,
-            energy=value if self.outer.objective.is_energy else NAN,
-            primal_residual=known.pop("primal_residual", NAN),
-            contact_solves=0,
-            seconds=self.monitor.clock.elapsed,
-            objective=value,
-            **known,  # type: ignore[arg-type]
-        )
+        energy = value if self.outer.objective.is_energy else NAN
+        return self._note(iteration, q, energy=energy, objective=value, contact_solves=0, **known)
+
+    def _note(self, iteration: int, q: Array, **known: Any) -> bool:
+        step = Step(iteration=self._before + iteration, seconds=self.monitor.clock.elapsed, **known)
         return self.monitor.note(step, q, shown=self._shown)
 
     def with_violations(self, violations: list[float]) -> None:
@@ -316,10 +294,9 @@ class Track:
         """The best outer variables that give a valid mesh: at worst those it started with."""
         if self._best is not None:
             return self._best[1]
-        bound = self.outer.bound
+        bound, function = self.outer.bound, self.outer.function
         for q in reversed(self._recent):
             inside = np.clip(q, -bound, bound)
             if np.all(np.isfinite(inside)) and self.outer.is_valid(inside):
-                function = self.outer.function
                 return inside if function(inside).value < function(start).value else start
         return start

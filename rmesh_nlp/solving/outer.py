@@ -53,11 +53,14 @@ class Outer:
         :meth:`rmesh_nlp.solving.monitor.Monitor.estimate`.
     """
 
+    is_near: bool = False
+    contact_seconds: float = float("nan")
+    gain: float | None = None
+
     def __init__(
         self, problem: ContactProblem, objective: str | Objective = "energy", tolerance: float = TOLERANCE
     ) -> None:
-        self.problem, self.tolerance, self.is_near = problem, tolerance, False
-        self.contact_seconds, self.gain = float("nan"), None  # type: float, float | None
+        self.problem, self.tolerance = problem, tolerance
         self.discretisation: Discretisation = discretise(problem)
         self.discretisation.check_unknowns()
         self.contact = ContactSolver(self.discretisation)
@@ -65,23 +68,17 @@ class Outer:
 
     def _minimise(self, objective: Objective) -> None:
         self.objective = objective
-        self.relocation: Relocation = relocation(
-            self.discretisation, objective if objective.collapses else ENERGY
-        )
+        of_program = objective if objective.collapses else ENERGY
+        self.relocation: Relocation = relocation(self.discretisation, of_program)
         self.energy = ReducedEnergy(self.relocation, self.contact)
 
     @classmethod
     def around(cls, energy: ReducedEnergy, tolerance: float = TOLERANCE) -> Outer:
         """The outer problem of an energy that is built already."""
-        outer = cls.__new__(cls)
-        outer.problem, outer.tolerance, outer.is_near = energy.relocation.problem, tolerance, False
-        outer.contact_seconds, outer.gain = float("nan"), None
-        outer.discretisation, outer.contact = energy.relocation.discretisation, energy.model
-        outer.objective, outer.relocation, outer.energy = (
-            energy.relocation.objective,
-            energy.relocation,
-            energy,
-        )
+        outer, built = cls.__new__(cls), energy.relocation
+        outer.problem, outer.objective, outer.tolerance = built.problem, built.objective, tolerance
+        outer.discretisation, outer.contact = built.discretisation, energy.model
+        outer.relocation, outer.energy = built, energy
         return outer
 
     def minimising(self, objective: Objective) -> Outer:
@@ -121,9 +118,8 @@ class Outer:
     @cached_property
     def residual(self) -> OuterResidual:
         """The first-order residual, relative to that on the mesh as given."""
-        system = self.contact.system(self.problem.mesh.p)
+        system, function = self.contact.system(self.problem.mesh.p), self.function
         given = self.energy.at(np.zeros(self.n), system, self.given)
-        function = self.function
         return OuterResidual(
             self.energy, given if isinstance(function, ReducedEnergy) else function.of(given)
         )
@@ -162,14 +158,12 @@ class Outer:
         Positions are cut to the move limits. Without move limits a draw moves nodes by up to their shortest
         edge. Outer variables that break element validity are halved until they do not.
         """
-        if positions is not None:
-            q = np.clip(self.relocation.mesh_map.q_of(positions), -self.bound, self.bound)
+        if positions is not None:  # stay close to what was asked for; a draw may shrink faster
+            q, factor = np.clip(self.relocation.mesh_map.q_of(positions), -self.bound, self.bound), 0.95
         elif seed is not None:
-            q = np.random.default_rng(seed).uniform(-1, 1, self.n)
+            q, factor = np.random.default_rng(seed).uniform(-1, 1, self.n), 0.5
         else:
             return np.zeros(self.n)
-        # close to positions that were asked for, a draw may shrink faster
-        factor = 0.5 if positions is None else 0.95
         while not self.is_valid(q):
             q = factor * q
         return q

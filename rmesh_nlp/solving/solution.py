@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Assessment:
-    """What was measured of where a formulation ended.
+    """What was measured of where a formulation ended; the defaults are those of an invalid mesh.
 
     Attributes
     ----------
@@ -96,16 +96,16 @@ class Assessment:
     displacement: Array
     pressure: Array
     tangential_stress: Array
-    energy: float
+    energy: float = float("nan")
     energy_initial: float
     energy_initial_audited: float
     audit: Audit
     status: Status
-    valid: bool
-    improved: bool
-    success: bool
-    stationarity: str
-    stationarity_residual: float
+    valid: bool = False
+    improved: bool = False
+    success: bool = False
+    stationarity: str = ""
+    stationarity_residual: float = float("nan")
     solver_status: Status
     initial_nodes: Array
     initial_areas: Array
@@ -133,7 +133,7 @@ class Assessment:
         return self.energy_initial_audited - self.audit.energy_audited
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Solution(Assessment):
     """A relocated mesh with its contact solution, as it was assessed, and how it was found.
 

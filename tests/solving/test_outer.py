@@ -79,7 +79,7 @@ def test_zones_and_counts_of_a_record(problem: ContactProblem) -> None:
     outer = Outer(problem)
     n = outer.relocation.n_q
     found = ended(outer, np.zeros(n))
-    record = entries(found.zones, found.residuals)
+    record = entries(found.findings)
     sliding = np.count_nonzero(outer.given.active.sliding[problem.friction_rows])
     assert (record["sliding_nodes"], record["sticking_nodes"]) == (
         sliding,
@@ -92,7 +92,7 @@ def test_zones_and_counts_of_a_record(problem: ContactProblem) -> None:
     assert still["cold_contact_solves"] == 1
     assert still["contact_factorisations"] == outer.given.iterations
     smooth = Outer(EXAMPLES["6.2"]((4, 2)))
-    assert ended(smooth, np.zeros(smooth.n)).zones is None
+    assert ended(smooth, np.zeros(smooth.n)).findings.sliding_nodes is None
 
 
 def test_own_residuals_are_those_of_the_formulation_s_state(problem: ContactProblem) -> None:
@@ -101,7 +101,7 @@ def test_own_residuals_are_those_of_the_formulation_s_state(problem: ContactProb
     state = outer.energy(q).equilibrium
     off = replace(state, u=1.01 * state.u)
     found = ended(outer, q, own=off)
-    measured = found.residuals
+    measured = found.findings
     assert measured.own_equilibrium_residual > 1e-3 > 1e-9 > measured.assessed_equilibrium_residual
     assert found.energy == pytest.approx(state.energy, rel=1e-12)
     taken = ended(outer, q, own=off, decides=True)
