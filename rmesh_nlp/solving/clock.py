@@ -57,11 +57,10 @@ def timed(solve: Callable[[], T]) -> tuple[T, float]:
 
 
 class Clock:
-    """Wall time since it was made, split into phases; at any moment exactly one of them runs.
+    """Wall time since it was made, split into phases of which exactly one runs at any moment.
 
     ``build``: models are built with their derivatives. ``solve``: the formulation runs. ``audit``: the
-    assessment measures, the unit of cost included. So their sum is the time from the first line of a
-    formulation to its solution.
+    assessment measures, the unit of cost included.
     """
 
     def __init__(self) -> None:
@@ -98,10 +97,9 @@ class Clock:
 
 @contextmanager
 def deferred() -> Iterator[Callable[[], bool]]:
-    """Note a first Ctrl-C instead of raising KeyboardInterrupt; a second one raises.
+    """Defer a first Ctrl-C: yields a function that says whether there was one; a second one raises.
 
-    Yields a function that says whether there was one. Outside the main thread, and where Ctrl-C does not
-    raise anyway, nothing changes.
+    Outside the main thread, and where Ctrl-C does not raise anyway, nothing changes.
     """
     pressed = False
 
@@ -123,20 +121,14 @@ def deferred() -> Iterator[Callable[[], bool]]:
 
 
 MEMORY = 12
-"""Steps that a guess is made from."""
+"""Steps from which the time left is estimated."""
 
 LONGEST = 86400.0
-"""A guess of more seconds than this is none."""
+"""Longer estimates are not reported."""
 
 
 class Falling:
-    """Follows a quantity that falls in time about like a geometric sequence.
-
-    Parameters
-    ----------
-    target : float
-        Value at which the descent ends.
-    """
+    """Follows a quantity that falls in time about like a geometric sequence, until it is at ``target``."""
 
     def __init__(self, target: float) -> None:
         self._target = math.log10(target)
@@ -149,7 +141,7 @@ class Falling:
 
     @property
     def seconds_left(self) -> float | None:
-        """A guess: it falls on as it did over the last steps; None where it does not, or few are known."""
+        """An estimate, as if it fell on as over the last steps; None where it does not, or few are known."""
         if len(self._last) < MEMORY // 2:
             return None
         seconds, logs = np.array(self._last).T

@@ -142,33 +142,26 @@ def available() -> dict[str, EntryPoint]:
     return {entry.name: entry for entry in entry_points(group=GROUP)}
 
 
-def formulations() -> tuple[str, ...]:
-    """Names of the installed formulations, those of other packages included."""
-    return tuple(sorted(available()))
-
-
 def wrappers() -> dict[str, EntryPoint]:
     """Installed formulations that take one, by the option that asks for them."""
     return {entry.name: entry for entry in entry_points(group=WRAPPERS)}
 
 
-def find(name: str, group: Callable[[], Mapping[str, EntryPoint]] = available) -> Any:
-    """The class or the choosing function of a name.
+def formulations() -> tuple[str, ...]:
+    """Names of the installed formulations, those of other packages included."""
+    return tuple(sorted(available()))
 
-    Raises
-    ------
-    BadInputError
-        If no formulation has this name, or it cannot be imported.
-    """
+
+def find(name: str, group: Callable[[], Mapping[str, EntryPoint]] = available) -> Any:
+    """The class or the choosing function of a name; a BadInputError if there is none, or no such module."""
     found = group()
     if name not in found:
         raise unknown("formulation", name, found)
     try:
         return found[name].load()
     except (ImportError, AttributeError) as error:
-        raise BadInputError(
-            f"formulation {name!r} cannot be loaded from {found[name].value}: {error}"
-        ) from error
+        said = f"formulation {name!r} cannot be loaded from {found[name].value}: {error}"
+        raise BadInputError(said) from error
 
 
 def name_of(kind: type[Any]) -> str:
@@ -181,17 +174,8 @@ def name_of(kind: type[Any]) -> str:
 def composed(name: str, options: Mapping[str, Any]) -> Formulation | Chooser:
     """A formulation by name with settings, within those that other options ask for.
 
-    Parameters
-    ----------
-    name : str
-    options : mapping
-        Fields of the formulation, by themselves or in a mapping ``settings``, and names of ``WRAPPERS``, each
-        with what it is to do.
-
-    Raises
-    ------
-    BadInputError
-        If the formulation does not take an option.
+    Options are fields of the formulation, by themselves or in a mapping ``settings``, and names of
+    ``WRAPPERS``, each with what it is to do. A BadInputError names an option that is neither.
     """
     kind = find(name)
     if isinstance(kind, (Formulation, Chooser)):
@@ -199,16 +183,10 @@ def composed(name: str, options: Mapping[str, Any]) -> Formulation | Chooser:
     if not (isinstance(kind, type) and issubclass(kind, (Formulation, Chooser))):
         raise BadInputError(f"formulation {name!r} is {kind!r}, not a class of formulations")
     known = {field.name for field in fields(kind)}
-    named = {key: value for key, value in options.items() if key in known and value is not None}
-    own = {**(options.get("settings") or {}), **named}
-    around = {
-        key: value
-        for key, value in options.items()
-        if key not in {*known, "settings"} and value not in (None, 0, False)
-    }
-    made: Formulation | Chooser = kind().having(own)
-    for key in sorted(
-        around, key=lambda key: INSIDE_OUT.index(key) if key in INSIDE_OUT else len(INSIDE_OUT)
-    ):
-        made = find(key, wrappers)(made, around[key])
+    asked = {key: value for key, value in options.items() if key != "settings" and value is not None}
+    own = {key: value for key, value in asked.items() if key in known}
+    around = [key for key, value in asked.items() if key not in known and value not in (0, False)]
+    made: Formulation | Chooser = kind().having({**(options.get("settings") or {}), **own})
+    for key in sorted(around, key=(*INSIDE_OUT, *around).index):
+        made = find(key, wrappers)(made, asked[key])
     return made

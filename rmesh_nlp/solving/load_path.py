@@ -46,8 +46,7 @@ class PathStep:
         """Energies, and force, pressure and contact of the moving foundation, as plain values."""
         solution = self.solution
         force = contact_force(solution, self.obstacle)
-        nodes = solution.problem.contact_sets[self.obstacle].nodes
-        pressure = solution.pressure[nodes]
+        pressure = solution.pressure[solution.problem.contact_sets[self.obstacle].nodes]
         return {
             "step": self.number,
             "moved_x": self.moved[0],
@@ -110,19 +109,18 @@ def load_path(
         raise ValueError(f"there is no obstacle {obstacle}: the problem has {len(problem.obstacles)}")
     if relocate != "each" and hold is None:
         raise ValueError(f"relocate={relocate!r} needs the solve without relocation")
-    moves = [(by[0] * k / steps, by[1] * k / steps) for k in range(1, steps + 1)]
-    if relocate == "each":
-        start: Array | None = None
-        for number, moved in enumerate(moves, 1):
-            solution = solve(_with_moved(problem, obstacle, moved), start=start, **options)
-            start = np.asarray(solution.mesh.p)
-            yield PathStep(number, moved, solution, obstacle)
-        return
+    path = [(by[0] * k / steps, by[1] * k / steps) for k in range(1, steps + 1)]
     if relocate == "once":
-        last = solve(_with_moved(problem, obstacle, moves[-1]), **options)
-        problem = replace(problem, mesh=last.mesh)
-    for number, moved in enumerate(moves, 1):
-        yield PathStep(number, moved, hold(_with_moved(problem, obstacle, moved)), obstacle)  # type: ignore[misc]
+        problem = replace(problem, mesh=solve(_with_moved(problem, obstacle, path[-1]), **options).mesh)
+    start: Array | None = None
+    for number, moved in enumerate(path, 1):
+        there = _with_moved(problem, obstacle, moved)
+        if relocate == "each" or hold is None:
+            solution = solve(there, start=start, **options)
+            start = np.asarray(solution.mesh.p)
+        else:
+            solution = hold(there)
+        yield PathStep(number, moved, solution, obstacle)
 
 
 def contact_force(solution: Solution, obstacle: int = 0) -> Array:

@@ -25,16 +25,9 @@ GIVEN = "given"
 
 @dataclass(frozen=True)
 class Beginning:
-    """A resolved start.
+    """Admissible outer variables ``q`` of an outer problem, told whether it is close to a minimiser.
 
-    Attributes
-    ----------
-    outer : Outer
-        The outer problem, told whether the start is close to a minimiser.
-    q : (n,) array
-        Admissible outer variables.
-    name : str
-        For the record: "given", "random", "positions", the name of a formulation, or "solution of" it.
+    The ``name`` for the record is "given", "random", "positions", that of a formulation, or "solution of" it.
     """
 
     outer: Outer
@@ -45,25 +38,14 @@ class Beginning:
 def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) -> Beginning:
     """The outer variables to start from.
 
-    Parameters
-    ----------
-    outer : Outer
-    start : see :data:`Start`
-        None is the mesh as given, or with a seed random outer variables. The name of a formulation runs it
-        first, from where ``seed`` says; its time and contact solves count.
-    seed : int, optional
-    monitor : Monitor
-
-    Raises
-    ------
-    BadInputError
-        If there is no such formulation, it does not take the problem, or positions are not (2, nodes).
+    None is the mesh as given, or with a seed random outer variables. The name of a formulation runs it first,
+    from where ``seed`` says; its time and contact solves count.
     """
-    if start is None:
-        return Beginning(outer, outer.variables(seed=seed), GIVEN if seed is None else "random")
+    if start is None and seed is not None:
+        return Beginning(outer, outer.variables(seed=seed), "random")
+    if start is None or (isinstance(start, str) and start == GIVEN):
+        return Beginning(outer, outer.variables(), GIVEN)
     if isinstance(start, str):
-        if start == GIVEN:
-            return Beginning(outer, outer.variables(), GIVEN)
         if start not in available():
             raise unknown("start", start, [GIVEN, *sorted(available())])
         first = composed(start, {})
@@ -85,10 +67,8 @@ def positions(outer: Outer, nodes: Any) -> Array:
         raise BadInputError(f"start must hold positions (2, nodes), got an array of shape {found.shape}")
     if found.shape != wanted:
         raise BadInputError(f"the start has {found.shape[1]} nodes, the problem {wanted[1]}")
-    if not np.all(np.isfinite(found)):
-        raise BadInputError(
-            f"start: node {int(np.argwhere(~np.isfinite(found))[0][1])} has no finite position"
-        )
+    if (lost := np.argwhere(~np.isfinite(found))).size:
+        raise BadInputError(f"start: node {int(lost[0][1])} has no finite position")
     return found
 
 
@@ -100,19 +80,10 @@ LIMITS = {"time_limit_s": "seconds", "max_iterations": "iterations"}
 
 
 def request(formulation: str | Formulation | Chooser, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Keywords of :func:`rmesh_nlp.solving.driver.solve` from options by name.
+    """Keywords of :func:`rmesh_nlp.solving.driver.solve` from options by name; None stands for the default.
 
-    Parameters
-    ----------
-    formulation : str, Formulation or Chooser
-        An object has its settings already: it takes ``ASKED`` and ``LIMITS`` only.
-    options : mapping
-        ``ASKED``, ``LIMITS``, fields of the formulation, and of what takes one; None stands for the default.
-
-    Raises
-    ------
-    BadInputError
-        If the formulation does not take an option.
+    Options are ``ASKED``, ``LIMITS``, and, of a formulation by name, its fields and those of what takes one.
+    A BadInputError names an option that the formulation does not take.
     """
     rest = {key: value for key, value in options.items() if value is not None}
     if rest.get("starts") and (rest.get("levels") or "seed" in rest):
@@ -147,22 +118,16 @@ def with_settings(
 
 
 def accepted(formulation: str | Formulation | Chooser, names: Collection[str]) -> set[str]:
-    """Those of the options that a formulation takes.
-
-    Raises
-    ------
-    BadInputError
-        If there is no such formulation.
-    """
+    """Those of the options that a formulation takes."""
     return set(names) & _known(formulation)
 
 
 def _known(formulation: str | Formulation | Chooser) -> set[str]:
-    kind, known = type(formulation), {"objective", "on_step"}
-    if isinstance(formulation, str):
-        kind = find(formulation)
+    named = isinstance(formulation, str)
+    kind = find(formulation) if isinstance(formulation, str) else type(formulation)
+    known = {"objective", "on_step"}
+    if named:
         known |= {"settings", *(field.name for field in fields(kind))}
-    if not (issubclass(kind, Formulation) and not kind.relocates):
-        known |= {*ASKED, *LIMITS}
-        known |= {*wrappers()} if isinstance(formulation, str) else set()
+    if getattr(kind, "relocates", True):
+        known |= {*ASKED, *LIMITS, *(wrappers() if named else ())}
     return known

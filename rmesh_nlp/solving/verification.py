@@ -11,7 +11,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.display import Rows, html_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.fields import Field, constant_field
+from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.reduced_model import Reduced, outer_function
@@ -111,11 +111,8 @@ def verify_gradient(
     ValueError
         If the objective is unknown or does not suit the problem, or no node may move.
     """
-    outer = Outer(problem)
-    asked = parse_objective(objective)
-    function: Reduced = outer.energy
-    if not asked.is_energy:
-        function = outer_function(outer.energy, asked)
+    outer, asked = Outer(problem), parse_objective(objective)
+    function: Reduced = outer.energy if asked.is_energy else outer_function(outer.energy, asked)
     n = outer.n
     if n == 0:
         raise ValueError(f"no node of {problem.name!r} may move: there is no gradient to test")
@@ -171,14 +168,17 @@ def error_terms_on(problem: ContactProblem, nodes: Array) -> ErrorTerms | None:
     accurate = replace(problem, quadrature=ACCURATE)
     model = ContactSolver(accurate)
     state = model.solve(nodes)
-    fields = (
-        constant_field(nodes),
-        constant_field(model.displacement.values(state.u)),
-        constant_field(_slips(model, state.u)),
-    )
-    names = ["error-energy", "contact", *(["friction"] if problem.frictional else [])]
-    values = [_value(accurate, name, fields) for name in names]
-    return ErrorTerms(values[0], values[1], sum(values[2:]), state.energy - exact.energy)
+    fields = [
+        constant_field(values)
+        for values in (nodes, model.displacement.values(state.u), _slips(model, state.u))
+    ]
+
+    def term(name: str) -> float:
+        groups = parse_objective(name).groups(accurate, *fields)
+        return float(sum(np.sum(part) for part in element_values(groups)(np.zeros(0))))
+
+    friction = term("friction") if problem.frictional else 0.0
+    return ErrorTerms(term("error-energy"), term("contact"), friction, state.energy - exact.energy)
 
 
 def _slips(model: ContactSolver, u: Array) -> Array:
@@ -190,8 +190,3 @@ def _slips(model: ContactSolver, u: Array) -> Array:
         for part in problem.contact_sets:
             field[part.number, part.nodes] = slip[part.rows]
     return field
-
-
-def _value(problem: ContactProblem, name: str, fields: tuple[Field, Field, Field]) -> float:
-    groups = parse_objective(name).groups(problem, *fields)
-    return float(sum(np.sum(part) for part in element_values(groups)(np.zeros(0))))
