@@ -17,9 +17,9 @@ from typing import Any
 import casadi as ca
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.element import line_rule
+from rmesh_nlp.fem.element import line_rule, vector
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.problem.coefficients import Coefficient, at
+from rmesh_nlp.problem.coefficients import Coefficient
 from rmesh_nlp.problem.laws import Law, energy_density
 
 DEGREE = 7
@@ -27,14 +27,7 @@ DEGREE = 7
 
 
 class Arc:
-    """Symbols of an arc: the parameters ``t`` of its ends, and its points.
-
-    Attributes
-    ----------
-    kind : type
-        Of CasADi's symbols: SX, or MX where the curve is a spline.
-    t : (2,) symbol
-    """
+    """An arc between the parameters ``t`` (2,) of a curve; ``kind`` of its symbols is MX if that is a spline."""
 
     def __init__(self, curve: Curve, t: Any = None, kind: Any = None) -> None:
         self._curve = curve
@@ -59,6 +52,11 @@ class Arc:
         """Length of the arc per unit of ``s``."""
         return ca.norm_2(self.velocity(s))
 
+    def seen_from(self, apex: Any, s: float) -> tuple[Any, Any, Any]:
+        """The way to a point of the arc, the velocity there, and their determinant."""
+        way, velocity = self.point(s) - apex, self.velocity(s)
+        return way, velocity, way[0] * velocity[1] - way[1] * velocity[0]
+
 
 def kind_of(curve: Curve) -> Any:
     """Kind of CasADi's symbols that the functions of a curve take."""
@@ -71,8 +69,7 @@ def strain_energy(law: Law, curve: Curve) -> ca.Function:
     X, u = arc.kind.sym("X", 2), arc.kind.sym("u", law.components, 3)
     energy = arc.kind(0)
     for s, weight in zip(*_shares(DEGREE), strict=True):
-        way, velocity = arc.point(s) - X, arc.velocity(s)
-        det = way[0] * velocity[1] - way[1] * velocity[0]
+        way, velocity, det = arc.seen_from(X, s)
         rise = ca.horzcat((1 - s) * u[:, 0] + s * u[:, 1] - u[:, 2], u[:, 1] - u[:, 0])
         scaled = rise @ ca.vertcat(
             ca.horzcat(velocity[1], -velocity[0]), ca.horzcat(-way[1], way[0])
@@ -87,12 +84,10 @@ def load_energy(law: Law, curve: Curve, degree: int) -> ca.Function:
     X, u = arc.kind.sym("X", 2), arc.kind.sym("u", law.components, 3)
     work = arc.kind(0)
     for s, weight_s in zip(*_shares(max(degree, DEGREE)), strict=True):
-        way, velocity = arc.point(s) - X, arc.velocity(s)
-        det = way[0] * velocity[1] - way[1] * velocity[0]
+        way, _, det = arc.seen_from(X, s)
         for r, weight_r in zip(*_shares(max(degree, DEGREE)), strict=True):
             value = u[:, 2] + r * ((1 - s) * u[:, 0] + s * u[:, 1] - u[:, 2])
-            load = _vector(law.load, X + r * way)
-            work += weight_s * weight_r * r * det * ca.dot(load, value)
+            work += weight_s * weight_r * r * det * ca.dot(vector(law.load, X + r * way), value)
     return ca.Function("arc_load_energy", [arc.t, X, ca.vec(u)], [-work, arc.kind(0, 1)])
 
 
@@ -103,7 +98,7 @@ def traction_energy(value: tuple[Coefficient, ...], curve: Curve, degree: int) -
     work = arc.kind(0)
     for s, weight in zip(*_shares(max(degree, DEGREE)), strict=True):
         here = (1 - s) * u[:, 0] + s * u[:, 1]
-        work += weight * arc.length_per_s(s) * ca.dot(_vector(value, arc.point(s)), here)
+        work += weight * arc.length_per_s(s) * ca.dot(vector(value, arc.point(s)), here)
     return ca.Function("arc_traction_energy", [arc.t, ca.vec(u)], [-work, arc.kind(0, 1)])
 
 
@@ -113,14 +108,9 @@ def friction_energy(bound: Coefficient, curve: Curve, degree: int) -> ca.Functio
     slip = arc.kind.sym("slip", 2)
     energy = arc.kind(0)
     for s, weight in zip(*_shares(degree), strict=True):
-        x, y = ca.vertsplit(arc.point(s))
-        energy += weight * arc.length_per_s(s) * at(bound, x, y) * ((1 - s) * slip[0] + s * slip[1])
+        value = (1 - s) * slip[0] + s * slip[1]
+        energy += weight * arc.length_per_s(s) * vector((bound,), arc.point(s)) * value
     return ca.Function("arc_friction_energy", [arc.t, slip], [energy, arc.kind(0, 1)])
-
-
-def _vector(components: tuple[Coefficient, ...], point: Any) -> Any:
-    x, y = ca.vertsplit(point)
-    return ca.vertcat(*[at(component, x, y) for component in components])
 
 
 def _shares(degree: int) -> tuple[Array, Array]:

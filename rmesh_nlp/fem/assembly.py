@@ -1,10 +1,9 @@
 """From element Functions to a global objective, constraints and their sparse derivatives.
 
-A mesh problem is partially separable: its objective and constraints are sums over elements
-of one small function of a few local values. The small function is differentiated once, as
-SX, mapped over all elements, and its results are summed into the nonzeros of the global
-derivatives by one constant sparse matrix. Building and evaluating are both linear in the
-number of elements; the sparsity never changes.
+A mesh problem is partially separable: its objective and constraints are sums over elements of one small
+function of a few local values. The small function is differentiated once, as SX, mapped over all elements,
+and its results are summed into the nonzeros of the global derivatives by one constant sparse matrix. Building
+and evaluating are both linear in the number of elements; the sparsity never changes.
 
 CasADi's expressions of these sums can be differentiated further and cost least on a small mesh. On a large
 one they take twice the time of Functions that run in numpy: the results of an element lie side by side, so
@@ -14,24 +13,25 @@ that each operation strides through the memory.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.element import differentiated, plain
+from rmesh_nlp.fem.element import RESULTS, differentiated, plain
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, straightened
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import Derivatives
 from rmesh_nlp.vectorised import USUAL, AssemblySettings, Columns, columnwise
 
+Shape = tuple[int, int]
 
-@dataclass(frozen=True)
-class Entries:
+
+class Entries(NamedTuple):
     """Where each local result goes: ``matrix[row, column] += scale * result``; -1 drops it."""
 
     row: Index
@@ -39,11 +39,10 @@ class Entries:
     scale: Array
 
 
-@dataclass(frozen=True)
-class Kernel:
+class Kernel(NamedTuple):
     """A function of one element, the inputs that its arguments come from, and where its results go.
 
-    Result number k is summed into output number k.
+    Inputs are x, p, lam_f and lam_g. Result number k is summed into output number k.
     """
 
     function: ca.Function
@@ -52,55 +51,51 @@ class Kernel:
     size: int
 
 
+AXES = {
+    "f": ("one", "one"),
+    "g": ("rows", "one"),
+    "gradient": ("x", "one"),
+    "jacobian": ("rows", "x"),
+    "hessian": ("x", "x"),
+}
+"""What numbers the rows and columns of each result."""
+
+
 class LocalKernels:
-    """The kernels of one element group whose fields are affine; inputs are x, p, lam_f and lam_g."""
+    """The kernels of one element group whose fields are affine."""
 
     def __init__(self, group: ElementGroup) -> None:
         self._group, fields = group, group.arguments
         variable = [i for i, f in enumerate(fields) if not f.parameter and np.any(f.index != CONSTANT)]
         self._local = differentiated(group.function, group.at_points, variable)
         none = np.zeros((0, group.size))
-        self._index = np.concatenate([none.astype(int), *[fields[i].index for i in variable]])
-        self._scale = np.concatenate([none, *[fields[i].scale for i in variable]])
-        self._arguments = tuple((int(field.parameter), field) for field in fields)
+        self._axes = {
+            "one": _plain(np.zeros((1, group.size), int)),
+            "rows": _plain(group.rows),
+            "x": Field(
+                np.concatenate([none.astype(int), *(fields[i].index for i in variable)]),
+                np.concatenate([none, *(fields[i].scale for i in variable)]),
+                none,
+            ),
+        }
 
-    def values(self) -> Kernel:
-        """Objective and constraints."""
-        return self._kernel(self._local.values, self._f(), self._g())
+    def kernel(self, which: str) -> Kernel:
+        """The kernel with the results ``RESULTS[which]``."""
+        arguments = tuple((int(field.parameter), field) for field in self._group.arguments)
+        if which == "hessian":
+            arguments += (2, self._axes["one"]), (3, self._axes["rows"])
+        results = tuple(self._entries(name) for name in RESULTS[which])
+        return Kernel(self._local.function(which), arguments, results, self._group.size)
 
-    def gradient(self) -> Kernel:
-        """The objective and its gradient."""
-        row = self._local.gradient_pattern.get_triplet()[0]
-        return self._kernel(self._local.gradient, self._f(), _column(self._index[row], self._scale[row]))
-
-    def jacobian(self) -> Kernel:
-        """The constraints and their Jacobian."""
-        row, column = self._local.jacobian_pattern.get_triplet()[:2]
-        entries = Entries(self._group.rows[row], self._index[column], self._scale[column])
-        return self._kernel(self._local.jacobian, self._g(), entries)
-
-    def hessian(self) -> Kernel:
-        """Upper triangle of the Hessian of the Lagrangian, a function of its multipliers as well."""
-        a, b = (np.asarray(k, dtype=int) for k in self._local.hessian_pattern.get_triplet()[:2])
-        i, j = self._index[a], self._index[b]
+    def _entries(self, name: str) -> Entries:
+        a, b = (np.asarray(k, dtype=int) for k in self._local.patterns[name].get_triplet()[:2])
+        row, column = (self._axes[axis] for axis in AXES[name])
+        i, j, scale = row.index[a], column.index[b], row.scale[a] * column.scale[b]
+        if name != "hessian":
+            return Entries(i, j, scale)
         # two local values of one unknown: the lower triangle folds onto the diagonal too
         twice = np.where((i == j) & (a != b)[:, None], 2.0, 1.0)
-        entries = Entries(np.minimum(i, j), np.maximum(i, j), twice * self._scale[a] * self._scale[b])
-        more = (2, _plain(np.zeros((1, self._group.size), int))), (3, _plain(self._group.rows))
-        return Kernel(self._local.hessian, (*self._arguments, *more), (entries,), self._group.size)
-
-    def _kernel(self, function: ca.Function, *results: Entries) -> Kernel:
-        return Kernel(function, self._arguments, results, self._group.size)
-
-    def _f(self) -> Entries:
-        return _column(np.zeros((self._local.n_f, self._group.size), dtype=int))
-
-    def _g(self) -> Entries:
-        return _column(self._group.rows)
-
-
-def _column(rows: Index, scale: Array | None = None) -> Entries:
-    return Entries(rows, np.zeros_like(rows), np.ones(rows.shape) if scale is None else scale)
+        return Entries(np.minimum(i, j), np.maximum(i, j), twice * scale)
 
 
 def _plain(index: Index) -> Field:
@@ -110,7 +105,7 @@ def _plain(index: Index) -> Field:
 class _Sums:
     """The nonzeros of a sparse matrix, each the sum of some local results; a column is dense."""
 
-    def __init__(self, shape: tuple[int, int], parts: list[Entries]) -> None:
+    def __init__(self, shape: Shape, parts: list[Entries]) -> None:
         self._parts = parts
         self._kept = [(part.row >= 0) & (part.column >= 0) for part in parts]
         keys = [
@@ -128,10 +123,8 @@ class _Sums:
     def in_casadi(self, part: int) -> ca.DM:
         """The matrix that takes the local results of one part, element by element, to the nonzeros."""
         keep = self._kept[part]
-        shape = (self.pattern.nnz(), keep.size)
-        return _sparse(
-            shape, self._targets[part], _by_element(keep.shape)[keep], self._parts[part].scale[keep]
-        )
+        column, scale = _by_element(keep.shape)[keep], self._parts[part].scale[keep]
+        return _sparse((self.pattern.nnz(), keep.size), self._targets[part], column, scale)
 
     def in_scipy(self, part: int) -> sp.csr_array:
         """The same for local results that come row by row, as numpy has them."""
@@ -147,12 +140,9 @@ class _InCasadi:
         self._inputs = inputs
         self._gathered: dict[int, tuple[Field, ca.MX]] = {}
 
-    def __call__(self, shapes: list[tuple[int, int]], kernels: list[Kernel]) -> list[ca.MX]:
+    def __call__(self, shapes: list[Shape], kernels: list[Kernel]) -> list[ca.MX]:
         """One expression for each output."""
-        local = [
-            kernel.function.map(kernel.size).call([self._gather(*argument) for argument in kernel.arguments])
-            for kernel in kernels
-        ]
+        local = [k.function.map(k.size).call([self._gather(*a) for a in k.arguments]) for k in kernels]
         outputs = []
         for number, shape in enumerate(shapes):
             sums = _Sums(shape, [kernel.results[number] for kernel in kernels])
@@ -177,24 +167,13 @@ class _InCasadi:
 
 
 class Summed(PythonFunction):
-    """The sums over element groups as a Function that runs in numpy.
-
-    Parameters
-    ----------
-    name : str
-    inputs : list of MX
-        Dense columns.
-    shapes : list of (int, int)
-        Those of the outputs.
-    kernels : list of Kernel
-    settings : AssemblySettings
-    """
+    """The sums over element groups as a Function of dense columns that runs in numpy."""
 
     def __init__(
         self,
         name: str,
         inputs: list[ca.MX],
-        shapes: list[tuple[int, int]],
+        shapes: list[Shape],
         kernels: list[Kernel],
         settings: AssemblySettings,
     ) -> None:
@@ -245,12 +224,12 @@ class _Gather:
         return values
 
 
-def _by_element(shape: tuple[int, int]) -> Index:
+def _by_element(shape: Shape) -> Index:
     """Where CasADi stores the entries of a (length, elements) array: one element after the other."""
     return np.arange(shape[0] * shape[1]).reshape(shape, order="F")
 
 
-def _sparse(shape: tuple[int, int], row: Index, column: Index, value: Array) -> ca.DM:
+def _sparse(shape: Shape, row: Index, column: Index, value: Array) -> ca.DM:
     """A sparse matrix by its entries, each given once; zeros among them are kept.
 
     ``scipy.sparse`` would check and convert its indices four times on the way: a fifth of the time to build
@@ -262,10 +241,10 @@ def _sparse(shape: tuple[int, int], row: Index, column: Index, value: Array) -> 
 
 
 class Assembled:
-    """Global objective and constraints as MX expressions, and their derivatives.
+    """Global objective and constraints as MX expressions, and their derivatives, each built when asked for.
 
-    Each is built when it is first asked for. This object must live as long as any Function made of the
-    derivatives: some are Python callbacks, which CasADi does not own.
+    This object must live as long as any Function made of the derivatives: some are Python callbacks, which
+    CasADi does not own.
 
     Parameters
     ----------
@@ -278,8 +257,8 @@ class Assembled:
 
     Attributes
     ----------
-    f, g : MX
-        Objective and constraints.
+    kernels : list
+        The callbacks behind the derivatives that were asked for so far.
     """
 
     def __init__(
@@ -295,13 +274,13 @@ class Assembled:
         self._large = any(group.size >= settings.numpy_from for group in groups)
         self._settings = settings
         self._inputs = [x, p, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)]
-        self._n_x, self._n_rows = int(x.shape[0]), n_rows
+        self._lengths = {"one": 1, "rows": n_rows, "x": int(x.shape[0])}
         self._in_casadi = _InCasadi(self._inputs)
-        self._kept: list[ca.Function] = []
+        self.kernels: list[ca.Function] = []
 
     @cached_property
     def _values(self) -> list[ca.MX]:
-        return self._in_casadi([(1, 1), (self._n_rows, 1)], [part.values() for part in self._local])
+        return self._in_casadi(*self._sums("values"))
 
     @property
     def f(self) -> ca.MX:
@@ -316,39 +295,34 @@ class Assembled:
     @cached_property
     def grad_f(self) -> ca.Function:
         """``(x, p) -> (f, gradient)``."""
-        shapes = [(1, 1), (self._n_x, 1)]
-        return self._function("nlp_grad_f", 2, shapes, [part.gradient() for part in self._local])
+        return self._function("nlp_grad_f", 2, "gradient")
 
     @cached_property
     def jac_g(self) -> ca.Function:
         """``(x, p) -> (g, Jacobian)``."""
-        shapes = [(self._n_rows, 1), (self._n_rows, self._n_x)]
-        return self._function("nlp_jac_g", 2, shapes, [part.jacobian() for part in self._local])
+        return self._function("nlp_jac_g", 2, "jacobian")
 
     @cached_property
     def hess_lag(self) -> ca.Function:
         """``(x, p, lam_f, lam_g) ->`` upper triangle of the Hessian of the Lagrangian."""
-        shapes = [(self._n_x, self._n_x)]
-        return self._function("nlp_hess_l", 4, shapes, [part.hessian() for part in self._local])
-
-    @property
-    def kernels(self) -> tuple[ca.Function, ...]:
-        """The callbacks behind the derivatives that were asked for so far."""
-        return tuple(self._kept)
+        return self._function("nlp_hess_l", 4, "hessian")
 
     @property
     def derivatives(self) -> Derivatives:
         """The derivative Functions in the form that nlpsol takes."""
-        return Derivatives(self.grad_f, self.jac_g, self.hess_lag, self.kernels)
+        return Derivatives(self.grad_f, self.jac_g, self.hess_lag, tuple(self.kernels))
 
-    def _function(
-        self, name: str, n_in: int, shapes: list[tuple[int, int]], kernels: list[Kernel]
-    ) -> ca.Function:
+    def _sums(self, which: str) -> tuple[list[Shape], list[Kernel]]:
+        axes = [AXES[name] for name in RESULTS[which]]
+        shapes = [(self._lengths[rows], self._lengths[columns]) for rows, columns in axes]
+        return shapes, [part.kernel(which) for part in self._local]
+
+    def _function(self, name: str, n_in: int, which: str) -> ca.Function:
         inputs = self._inputs[:n_in]
         if not self._large:
-            return ca.Function(name, inputs, self._in_casadi(shapes, kernels))
-        self._kept.append(Summed(name, inputs, shapes, kernels, self._settings))
-        return ca.Function(name, inputs, self._kept[-1].call(inputs))
+            return ca.Function(name, inputs, self._in_casadi(*self._sums(which)))
+        self.kernels.append(Summed(name, inputs, *self._sums(which), self._settings))
+        return ca.Function(name, inputs, self.kernels[-1].call(inputs))
 
 
 def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Array]]:

@@ -11,7 +11,6 @@ J being the energy without friction: the constraints of ``mpcc``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
@@ -20,7 +19,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem import arcs
 from rmesh_nlp.fem.edge_gaps import edge_gap_terms, holds_along_edges
-from rmesh_nlp.fem.element import NO_ROWS, PointValues, corners, line_rule, local_symbols
+from rmesh_nlp.fem.element import NO_ROWS, PointValues, corners, line_rule, local_symbols, point_values
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, ElementTerm, Field, constant_field, unknown_field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem, Obstacle, at
@@ -33,10 +32,8 @@ FRICTION_DEGREE = 31
 def friction_energy(obstacle: Obstacle) -> tuple[ca.Function, PointValues | None]:
     """``(X_e, s_e[, g at the points]) -> (energy, empty)`` on one contact edge.
 
-    The integral of g times the interpolant of the slip magnitudes s_i, which stand for |u_t,i|: by convexity
-    it is at least the integral of g |u_t|. With a constant bound it is |e| g (s_1 + s_2) / 2, the
-    trapezoidal rule of (5.9). The bound of slip at a node is so the integral of g times its hat function, and
-    moves with the nodes.
+    The integral of g times the interpolant of the slip magnitudes s_i = |u_t,i|: by convexity at least that
+    of g |u_t|. With a constant bound it is |e| g (s_1 + s_2) / 2, the trapezoidal rule of (5.9).
     """
     X, s = corners(2, 1)
     columns, length = [ca.vec(X), ca.vec(s)], ca.norm_2(X[:, 1] - X[:, 0])
@@ -46,30 +43,38 @@ def friction_energy(obstacle: Obstacle) -> tuple[ca.Function, PointValues | None
     shares, weights = line_rule(FRICTION_DEGREE)
     bound = ca.SX.sym("g", weights.size)
     energy = length * ca.dot(bound, ca.vec(s @ ca.DM(shares * weights)))
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    value = ca.densify(ca.SX(at(obstacle.friction, x, y)))
-    return (
-        ca.Function("friction_energy", [*columns, bound], [energy, NO_ROWS]),
-        PointValues(
-            ca.Function("points", columns, [X @ ca.DM(shares)]), ca.Function("bound", [x, y], [value])
-        ),
-    )
+    at_points = point_values(columns, X @ ca.DM(shares), lambda x, y: at(obstacle.friction, x, y))
+    return ca.Function("friction_energy", [*columns, bound], [energy, NO_ROWS]), at_points
+
+
+def _node(shares: Array) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Positions of the vertices of a contact node, as a column, and where it is: ``x, y = X_i @ shares``."""
+    X = corners(shares.size, 1)[0]
+    return ca.vec(X), *ca.vertsplit(X @ shares)
 
 
 def gap_function(obstacle: Obstacle, components: int, shares: Array) -> ca.Function:
-    """``(X_i, u_i) -> (0, gap)`` of one contact node at ``X_i @ shares``: normal(X) . u + distance(X)."""
-    X, u = corners(shares.size, 1)[0], ca.SX.sym("u", components)
-    x, y = ca.vertsplit(X @ shares)
-    return ca.Function(
-        "gap", [ca.vec(X), u], [0, ca.dot(obstacle.direction(x, y), u) + obstacle.distance(x, y)]
-    )
+    """``(X_i, u_i) -> (0, gap)`` of one contact node: normal(X) . u + distance(X)."""
+    (X, x, y), u = _node(shares), ca.SX.sym("u", components)
+    return ca.Function("gap", [X, u], [0, ca.dot(obstacle.direction(x, y), u) + obstacle.distance(x, y)])
 
 
 def slip_function(obstacle: Obstacle, shares: Array) -> ca.Function:
-    """``(X_i, u_i, s_i) -> (0, (s - u_t, s + u_t))`` of one contact node at ``X_i @ shares``."""
-    X, u, s = corners(shares.size, 1)[0], ca.SX.sym("u", 2), ca.SX.sym("s")
-    slip = ca.dot(obstacle.tangential(*ca.vertsplit(X @ shares)), u)
-    return ca.Function("slip", [ca.vec(X), u, s], [0, ca.vertcat(s - slip, s + slip)])
+    """``(X_i, u_i, s_i) -> (0, (s - u_t, s + u_t))`` of one contact node."""
+    (X, x, y), u, s = _node(shares), ca.SX.sym("u", 2), ca.SX.sym("s")
+    slip = ca.dot(obstacle.tangential(x, y), u)
+    return ca.Function("slip", [X, u, s], [0, ca.vertcat(s - slip, s + slip)])
+
+
+def force_function(obstacle: Obstacle, shares: Array) -> ca.Function:
+    """``(X_i, lambda[, mu-, mu+]) -> (0, -lambda n + (mu- - mu+) t)`` of one contact node."""
+    X, x, y = _node(shares)
+    pressure, minus, plus = ca.SX.sym("lambda"), ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
+    force = -pressure * obstacle.direction(x, y)
+    if not obstacle.frictional:
+        return ca.Function("contact_force", [X, pressure], [0, force])
+    force += (minus - plus) * obstacle.tangential(x, y)
+    return ca.Function("contact_force", [X, pressure, minus, plus], [0, force])
 
 
 def gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
@@ -88,7 +93,7 @@ def gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
 def friction_terms(space: DisplacementSpace) -> list[ElementTerm]:
     """Friction energy of positions and slip magnitudes (obstacles, nodes)."""
     terms = []
-    for part in _frictional(space):
+    for part, _ in _frictional(space):
         for number, edges in space.problem.edges_by_curve(str(part.obstacle.boundary)):
             slips = space.nodes_of(edges)
             if number < 0:
@@ -107,40 +112,37 @@ def slip_terms(space: DisplacementSpace) -> list[ElementTerm]:
 
     Of positions, displacement and slip magnitudes (obstacles, nodes).
     """
-    terms, first, n_s = [], 0, space.problem.friction_rows.size
-    for part in _frictional(space):
+    terms, n_s = [], space.problem.friction_rows.size
+    for part, numbers in _frictional(space):
         for which, vertices, shares in space.kinds(part.nodes):
-            at_node = part.nodes[None, which]
-            rows = first + which + np.array([[0], [n_s]])
+            at_node, rows = part.nodes[None, which], numbers[which] + np.array([[0], [n_s]])
             function = slip_function(part.obstacle, shares)
             terms.append(ElementTerm(function, (vertices, at_node, at_node), rows, part.number))
-        first += part.nodes.size
     return terms
 
 
 def gap_field(space: DisplacementSpace) -> Field:
     """One unknown per gap, numbered from zero, as a field (obstacles, nodes); zero elsewhere."""
-    return _numbered(space, list(space.contact_sets), lambda part, _: part.rows)
+    return _numbered(space, [(part, part.rows) for part in space.contact_sets])
 
 
 def slip_field(space: DisplacementSpace) -> Field:
     """One unknown per gap with friction, numbered from zero, as a field (obstacles, nodes)."""
-    return _numbered(space, _frictional(space), lambda part, first: first + np.arange(part.nodes.size))
+    return _numbered(space, _frictional(space))
 
 
-def _numbered(
-    space: DisplacementSpace, parts: list[ContactSet], rows: Callable[[ContactSet, int], Index]
-) -> Field:
+def _numbered(space: DisplacementSpace, parts: list[tuple[ContactSet, Index]]) -> Field:
     field = constant_field(np.zeros((max(len(space.contact_sets), 1), space.n_nodes)))
-    first = 0
-    for part in parts:
-        field.index[part.number, part.nodes] = rows(part, first)
-        first += part.nodes.size
+    for part, numbers in parts:
+        field.index[part.number, part.nodes] = numbers
     return replace(field, space=space)
 
 
-def _frictional(space: DisplacementSpace) -> list[ContactSet]:
-    return [part for part in space.contact_sets if part.obstacle.frictional]
+def _frictional(space: DisplacementSpace) -> list[tuple[ContactSet, Index]]:
+    """Contact sets with friction, and the numbers of their slip magnitudes."""
+    parts = [part for part in space.contact_sets if part.obstacle.frictional]
+    first = np.cumsum([0, *(part.nodes.size for part in parts)])
+    return [(part, start + np.arange(part.nodes.size)) for part, start in zip(parts, first[:-1], strict=True)]
 
 
 def gradient_group(group: ElementGroup, argument: int, shift: int, unit: float) -> ElementGroup:
@@ -178,21 +180,9 @@ def contact_force_groups(
         for which, vertices, shares in space.kinds(part.nodes):
             nodes = part.nodes[which]
             local = [field.component(part.number).at(nodes[None]) for field in used]
-            function = _contact_force(part.obstacle, shares)
+            function = force_function(part.obstacle, shares)
             groups.append(ElementGroup(function, (positions.at(vertices), *local), rows[:, nodes]))
     return groups
-
-
-def _contact_force(obstacle: Obstacle, shares: Array) -> ca.Function:
-    """``(X_i, lambda[, mu-, mu+]) -> (0, force)``."""
-    X = corners(shares.size, 1)[0]
-    x, y = ca.vertsplit(X @ shares)
-    pressure, minus, plus = ca.SX.sym("lambda"), ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
-    force = -pressure * obstacle.direction(x, y)
-    if not obstacle.frictional:
-        return ca.Function("contact_force", [ca.vec(X), pressure], [0, force])
-    force += (minus - plus) * obstacle.tangential(x, y)
-    return ca.Function("contact_force", [ca.vec(X), pressure, minus, plus], [0, force])
 
 
 def bound_force_groups(
@@ -202,10 +192,9 @@ def bound_force_groups(
     minus, plus = ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
     function = ca.Function("bound_force", [minus, plus], [0, -minus - plus])
     groups = []
-    for part in _frictional(space):
-        local = tuple(field.component(part.number).at(part.nodes[None, :]) for field in friction)
-        groups.append(ElementGroup(function, local, first_row + np.arange(part.nodes.size)[None, :]))
-        first_row += part.nodes.size
+    for part, numbers in _frictional(space):
+        local = tuple(field.component(part.number).at(part.nodes[None]) for field in friction)
+        groups.append(ElementGroup(function, local, first_row + numbers[None]))
     return groups
 
 

@@ -21,13 +21,14 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.arcs import Arc, kind_of
-from rmesh_nlp.fem.element import PointValues
+from rmesh_nlp.fem.element import PointValues, point_values
 from rmesh_nlp.fem.fields import ElementTerm
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
@@ -54,10 +55,7 @@ STRAIGHT = 1e-9
 
 
 def with_edge_gaps(problem: ContactProblem) -> ContactProblem:
-    """The problem with gaps that hold along edges wherever a foundation rises between nodes.
-
-    It is returned as it is if none does.
-    """
+    """The problem with gaps that hold along edges wherever a foundation rises between nodes; itself if none."""
     body = Body(problem, problem.mesh.p)
     chosen = tuple(
         replace(obstacle, gap="edge") if obstacle.gap != "edge" and _rises(body, obstacle) else obstacle
@@ -78,7 +76,7 @@ def _rises(body: Body, obstacle: Obstacle) -> bool:
 
 def holds_along_edges(problem: ContactProblem, obstacle: Obstacle) -> bool:
     """Whether gaps of an obstacle hold along edges: where that is asked for, and where the body is curved."""
-    if obstacle.gap == "edge" or not problem.motion.curves or isinstance(obstacle.boundary, Place):
+    if obstacle.gap == "edge" or isinstance(obstacle.boundary, Place):
         return obstacle.gap == "edge"
     return any(number >= 0 for number, _ in problem.edges_by_curve(obstacle.boundary))
 
@@ -134,39 +132,29 @@ def _given_along(problem: ContactProblem, obstacle: Obstacle) -> Array:
 def _gap_function(
     obstacle: Obstacle, components: int, on_curve: tuple[bool, ...], curve: Curve | None, unit: float
 ) -> tuple[ca.Function, PointValues]:
-    """``([parameters,] patch, u_i, (free, given), distances) -> (0, gap)`` of a node; where distances are.
+    """``([parameters,] patch, u_i, (free, given), distances) -> (0, gap)`` of a node and its neighbours.
 
-    The patch is the node and its neighbours. ``free`` is 1 for a neighbour that keeps off as well, and 0 for
-    one that is held, whose displacement is ``given``.
+    ``free`` is 1 for a neighbour that keeps off too, 0 for one that is held, whose displacement is ``given``.
     """
     kind, beside = ca.SX if curve is None else kind_of(curve), len(on_curve)
     X, t = kind.sym("X", 2, 1 + beside), kind.sym("t", 1 + beside)
     u, constants = kind.sym("u", components), kind.sym("constants", 2 * beside)
     free, given = constants[:beside], constants[beside:]
     points = ca.horzsplit(X)
-    recipes = []  # of each height: the neighbour, its share, and the number of the point
     interior = obstacle.boundary is Place.INTERIOR
     samples = INTERIOR_SAMPLES if interior else SAMPLES
-    for i in range(1, 1 + beside):
+    heights = list(product(range(1, 1 + beside), np.arange(1, samples) / samples))  # neighbours and shares
+    for i, s in heights:
         arc = Arc(curve, ca.vertcat(t[0], t[i]), kind) if curve is not None and on_curve[i - 1] else None
-        for s in np.arange(1, samples) / samples:
-            recipes.append((i, s, len(points)))
-            points.append((1 - s) * X[:, 0] + s * X[:, i] if arc is None else arc.point(s))
+        points.append((1 - s) * X[:, 0] + s * X[:, i] if arc is None else arc.point(s))
     distance = kind.sym("distance", len(points))
     power = kind(TINY**POWER)
-    for i, s, number in recipes:
+    for number, (i, s) in enumerate(heights, 1 + beside):
         height = (1 - s) * distance[0] - distance[number]
         height += s * (free[i - 1] * distance[i] - (1 - free[i - 1]) * given[i - 1])
-        reach = 1 - s + s * free[i - 1]
-        power += ca.fmax(height / (unit * reach), 0) ** POWER
+        power += ca.fmax(height / (unit * (1 - s + s * free[i - 1])), 0) ** POWER
     off = unit * power ** (1 / POWER) * (INSIDE if interior else 1.0)
     gap = ca.dot(obstacle.direction(X[0, 0], X[1, 0]), u) + distance[0] - off
     columns = [*([] if curve is None else [t]), ca.vec(X), u, constants]
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    return (
-        ca.Function("edge_gap", [*columns, distance], [0, gap]),
-        PointValues(
-            ca.Function("points", columns, [ca.horzcat(*points)]),
-            ca.Function("distance", [x, y], [ca.densify(obstacle.distance(x, y))]),
-        ),
-    )
+    at_points = point_values(columns, ca.horzcat(*points), obstacle.distance)
+    return ca.Function("edge_gap", [*columns, distance], [0, gap]), at_points

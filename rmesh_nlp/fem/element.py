@@ -7,15 +7,16 @@ nodes by the chain rule: a third of the operations of differentiating it node by
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem.coefficients import Coefficient, at
 
 NO_ROWS = ca.SX(0, 1)
 """The constraints of an element that adds to the objective alone."""
@@ -24,17 +25,8 @@ KEPT = 256
 """Element functions whose derivatives are kept."""
 
 
-@dataclass(frozen=True)
-class PointValues:
-    """Values of a function of position at points that move with the element.
-
-    Attributes
-    ----------
-    points : casadi.Function
-        ``(*columns) -> (2, points)``.
-    function : casadi.Function
-        ``(x, y) -> column`` of values at one point.
-    """
+class PointValues(NamedTuple):
+    """Values of ``function``, ``(x, y) -> column``, at ``points``, ``(*columns) -> (2, points)``."""
 
     points: ca.Function
     function: ca.Function
@@ -44,6 +36,13 @@ class PointValues:
         points = ca.horzsplit(self.points(*columns))
         values = [self.function(*ca.vertsplit(point)) for point in points]
         return ca.vertcat(type(columns[0])(0, 1), *values)
+
+
+def point_values(columns: list[Any], points: Any, value: Callable[[Any, Any], Any]) -> PointValues:
+    """Values ``value(x, y)``, a scalar or a column, at ``points`` (2, points), expressions of the columns."""
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    values = ca.Function("value", [x, y], [ca.densify(ca.SX(value(x, y)))])
+    return PointValues(ca.Function("points", columns, [points]), values)
 
 
 def local_symbols(function: ca.Function) -> list[Any]:
@@ -77,34 +76,36 @@ def affine(X: Any, u: Any) -> tuple[Any, Any]:
     return det, ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]) @ adjugate
 
 
+def vector(components: tuple[Coefficient, ...], point: Any) -> Any:
+    """Values of coefficients at a point (2,), one below the other."""
+    return ca.vertcat(*[at(component, *ca.vertsplit(point)) for component in components])
+
+
 def line_rule(degree: int) -> tuple[Array, Array]:
     """Gauss rule on an edge: barycentric coordinates (2, points) and weights (points,), summing to 1."""
     points, weights = get_quadrature_line(degree)
     return np.vstack([1 - points.ravel(), points.ravel()]), weights
 
 
-class Differentiated:
-    """Functions of an element function ``(*columns[, values at points]) -> (f, g)``, by its derivatives.
+RESULTS = {
+    "values": ("f", "g"),
+    "gradient": ("f", "gradient"),
+    "jacobian": ("g", "jacobian"),
+    "hessian": ("hessian",),
+}
+"""Results of the Functions of :class:`Differentiated`."""
 
-    Parameters
-    ----------
-    function : casadi.Function
-    at_points : PointValues, optional
-        What the last argument of ``function`` is.
-    variable : list of int
-        The columns to differentiate by.
+
+class Differentiated:
+    """An element function ``(*columns[, values at points]) -> (f, g)`` and its derivatives by some columns.
+
+    f and the gradient have no nonzero if f is constantly zero. The Hessian is the upper triangle of that of
+    ``lam_f f + lam_g . g``.
 
     Attributes
     ----------
-    values, gradient, jacobian : casadi.Function
-        ``(*columns) -> (f, g)``, f and the nonzeros of its gradient, g and those of its Jacobian. f has no
-        nonzero if it is constantly zero.
-    hessian : casadi.Function
-        ``(*columns, lam_f, lam_g) ->`` nonzeros of the upper triangle of the Hessian of
-        ``lam_f f + lam_g . g``.
-    gradient_pattern, jacobian_pattern, hessian_pattern : casadi.Sparsity
-    n_f : int
-        Nonzeros of f: 0 or 1.
+    patterns : dict of casadi.Sparsity
+        Of each result.
     """
 
     def __init__(self, function: ca.Function, at_points: PointValues | None, variable: list[int]) -> None:
@@ -118,7 +119,7 @@ class Differentiated:
         gradient, jacobian = ca.gradient(f, local), ca.jacobian(g, local)
         hessian = ca.hessian(lagrangian, local)[0]
         if at_points is not None:
-            values, there = symbols[-1], None
+            values = symbols[-1]
             if not ca.jacobian(at_points.points(*self._columns), local).nnz():
                 there = at_points.of(self._columns)  # the points stay where they are
             else:
@@ -133,36 +134,20 @@ class Differentiated:
             f, g, gradient, jacobian, hessian = ca.substitute(
                 [f, g, gradient, jacobian, hessian], [values], [there]
             )
-        hessian = ca.triu(hessian)
         if f.is_zero():
             f = kind(1, 1)  # without nonzeros: nothing to evaluate
-        self.n_f = f.nnz()
-        self.gradient_pattern, self.jacobian_pattern = gradient.sparsity(), jacobian.sparsity()
-        self.hessian_pattern = hessian.sparsity()
-        self._expressions = [f, g], [f, gradient.nz[:]], [g, jacobian.nz[:]], [hessian.nz[:]]
+        results = {"f": f, "g": g, "gradient": gradient, "jacobian": jacobian, "hessian": ca.triu(hessian)}
+        self.patterns = {name: result.sparsity() for name, result in results.items()}
+        self._nonzeros = {name: r if name in ("f", "g") else r.nz[:] for name, r in results.items()}
+        self._functions: dict[str, ca.Function] = {}
 
-    @cached_property
-    def values(self) -> ca.Function:
-        """``(*columns) -> (f, g)``."""
-        return self._function("values", 0)
-
-    @cached_property
-    def gradient(self) -> ca.Function:
-        """``(*columns) -> (f, gradient)``."""
-        return self._function("gradient", 1)
-
-    @cached_property
-    def jacobian(self) -> ca.Function:
-        """``(*columns) -> (g, jacobian)``."""
-        return self._function("jacobian", 2)
-
-    @cached_property
-    def hessian(self) -> ca.Function:
-        """``(*columns, lam_f, lam_g) -> hessian``."""
-        return self._function("hessian", 3, *self._multipliers)
-
-    def _function(self, name: str, which: int, *more: Any) -> ca.Function:
-        return ca.Function(name, [*self._columns, *more], ca.cse(self._expressions[which]))
+    def function(self, which: str) -> ca.Function:
+        """``(*columns) ->`` the nonzeros of ``RESULTS[which]``; a Hessian takes lam_f and lam_g as well."""
+        if which not in self._functions:
+            columns = [*self._columns, *(self._multipliers if which == "hessian" else ())]
+            results = ca.cse([self._nonzeros[name] for name in RESULTS[which]])
+            self._functions[which] = ca.Function(which, columns, results)
+        return self._functions[which]
 
 
 def differentiated(
@@ -172,7 +157,7 @@ def differentiated(
 
     Functions are told apart by what they compute, so that it does not matter who made them, and when.
     """
-    parts = (function,) if at_points is None else (function, at_points.points, at_points.function)
+    parts = (function,) if at_points is None else (function, *at_points)
     try:
         texts = tuple(part.serialize() for part in parts)
     except RuntimeError:  # a Function of someone's own that cannot be written as text
@@ -191,30 +176,24 @@ class _Chain:
 
     def __init__(self, at_points: PointValues, columns: list[Any], local: Any) -> None:
         kind = type(local)
-        x, y = kind.sym("x"), kind.sym("y")
-        self._position = ca.vertcat(x, y)
-        value = at_points.function(x, y)
-        self._slope = ca.jacobian(value, self._position)
+        self._position = position = kind.sym("x", 2)
+        value = at_points.function(*ca.vertsplit(position))
+        self._slope = ca.jacobian(value, position)
         self._weights, self._pull = kind.sym("weights", value.shape[0]), kind.sym("pull", 2)
-        self._curvature = ca.hessian(ca.dot(self._weights, value), self._position)[0]
+        self._curvature = ca.hessian(ca.dot(self._weights, value), position)[0]
         self._points = ca.horzsplit(at_points.points(*columns))
-        self._moves = [ca.jacobian(point, local) for point in self._points]
+        self._rates = [ca.jacobian(point, local) for point in self._points]
         self._bend = [ca.hessian(ca.dot(self._pull, point), local)[0] for point in self._points]
         self.values = ca.vertcat(*[self._at(value, point) for point in self._points])
-        self.slope = ca.vertcat(
-            *[self._at(self._slope, p) @ m for p, m in zip(self._points, self._moves, strict=True)]
-        )
+        slopes = zip(self._points, self._rates, strict=True)
+        self.slope = ca.vertcat(*[self._at(self._slope, point) @ rate for point, rate in slopes])
 
     def curvature(self, weights: Any) -> Any:
         """Second derivative of ``weights . values``, the weights held."""
-        total = 0
-        for point, move, bend, weight in zip(
-            self._points, self._moves, self._bend, ca.vertsplit(weights, self._weights.shape[0]), strict=True
-        ):
-            here = ca.substitute(
-                self._curvature, ca.vertcat(self._position, self._weights), ca.vertcat(point, weight)
-            )
-            total = total + move.T @ here @ move
+        total, parts = 0, ca.vertsplit(weights, self._weights.shape[0])
+        for point, rate, bend, weight in zip(self._points, self._rates, self._bend, parts, strict=True):
+            here = self._at(ca.substitute(self._curvature, self._weights, weight), point)
+            total = total + rate.T @ here @ rate
             if bend.nnz():  # a point that does not move affinely: a node of the element is on a curve
                 slope = self._at(self._slope, point)
                 total = total + ca.substitute(bend, self._pull, ca.densify(slope.T @ weight))

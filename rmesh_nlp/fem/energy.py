@@ -13,21 +13,18 @@ from skfem.quadrature import get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem import arcs
-from rmesh_nlp.fem.element import NO_ROWS, PointValues, affine, corners, line_rule
+from rmesh_nlp.fem.element import NO_ROWS, PointValues, affine, corners, line_rule, point_values, vector
 from rmesh_nlp.fem.fields import CONSTANT, ElementTerm, Field, constant_field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, PointLoad, Traction
 from rmesh_nlp.problem.body import sides_on
-from rmesh_nlp.problem.coefficients import at, is_nonzero
+from rmesh_nlp.problem.coefficients import is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
 
-HIGHEST_TABULATED_DEGREE = 19
-"""Highest degree of scikit-fem's triangle rules."""
-
 TRACTION_DEGREE = 4
-"""Least degree of the Gauss rule for tractions: exact for cubic ones times P1. A rule of higher degree for
-the load, such as that of the assessment, is taken for tractions too."""
+"""Least degree of the Gauss rule for tractions, exact for cubic ones times P1; a higher one of the load is
+taken for tractions too."""
 
 
 def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
@@ -39,7 +36,7 @@ def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
         return (np.ones((3, 3)) - np.eye(3)) / 2, np.full(3, 1 / 3)
     if not isinstance(quadrature, int) or quadrature < 1:
         raise ValueError(f"quadrature must be 'midpoint' or a degree of at least 1, got {quadrature!r}")
-    if quadrature <= HIGHEST_TABULATED_DEGREE:
+    if quadrature <= 19:  # the highest degree of scikit-fem's
         points, weights = get_quadrature_tri(quadrature)
     else:
         points, weights = _conical_product_rule(quadrature)
@@ -67,11 +64,9 @@ def strain_energy(law: Law) -> ca.Function:
 
 def load_energy(law: Law, quadrature: str | int) -> tuple[ca.Function, PointValues]:
     """``(X_e, u_e, load at the points) -> (-integral of load . u, empty)`` of one P1 triangle."""
-    barycentric, weights = triangle_rule(quadrature)
+    shares, weights = triangle_rule(quadrature)
     X, u = corners(3, law.components)
-    return _load_energy(
-        law, X, u, _area(X, 0, 1, 2), X @ ca.DM(barycentric), u @ ca.DM(barycentric * weights)
-    )
+    return _load_energy(law, X, u, _area(X, 0, 1, 2), X @ ca.DM(shares), u @ ca.DM(shares * weights))
 
 
 def load_energy_of_edge(law: Law) -> tuple[ca.Function, PointValues]:
@@ -89,13 +84,8 @@ def _load_energy(
     law: Law, X: ca.SX, u: ca.SX, area: ca.SX, points: ca.SX, weighted: ca.SX
 ) -> tuple[ca.Function, PointValues]:
     load, columns = ca.SX.sym("f", *weighted.shape), [ca.vec(X), ca.vec(u)]
-    energy = -area * ca.dot(load, weighted)
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    value = ca.vertcat(*[at(component, x, y) for component in law.load])
-    return (
-        ca.Function("load_energy", [*columns, ca.vec(load)], [energy, NO_ROWS]),
-        PointValues(ca.Function("points", columns, [points]), ca.Function("load", [x, y], [value])),
-    )
+    energy = ca.Function("load_energy", [*columns, ca.vec(load)], [-area * ca.dot(load, weighted), NO_ROWS])
+    return energy, point_values(columns, points, lambda x, y: vector(law.load, ca.vertcat(x, y)))
 
 
 def _area(X: ca.SX, i: int, j: int, k: int) -> ca.SX:
@@ -124,9 +114,7 @@ def traction_energy(traction: Traction, degree: int) -> ca.Function:
     work = ca.SX(0)
     points, weights = line_rule(degree)
     for point, weight in zip(points.T, weights, strict=True):
-        x, y = ca.vertsplit(X @ point)
-        value = ca.vertcat(*[at(component, x, y) for component in traction.value])
-        work += weight * ca.dot(value, u @ point)
+        work += weight * ca.dot(vector(traction.value, X @ point), u @ point)
     length = ca.norm_2(X[:, 1] - X[:, 0])
     return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, NO_ROWS])
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.element import PointValues
+from rmesh_nlp.fem.element import PointValues, local_symbols
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.space import Index as Index
 from rmesh_nlp.meshes.curves import on_values
@@ -28,12 +28,8 @@ STRAIGHT = -1
 class Bends:
     """Values of a field that are functions of an affine one, as coordinates of a curve are of its parameter.
 
-    Attributes
-    ----------
-    which : int array of the field's shape
-        Number of the function; ``STRAIGHT`` for the affine value itself.
-    functions : tuple of casadi.Function
-        ``t -> value``, scalar and twice differentiable.
+    ``which`` has the field's shape: the number of the function, ``t -> value`` and twice differentiable, or
+    ``STRAIGHT`` for the affine value itself.
     """
 
     which: Index
@@ -41,23 +37,14 @@ class Bends:
 
     @cached_property
     def _slopes(self) -> tuple[ca.Function, ...]:
-        slopes = []
-        for function in self.functions:
-            t = (ca.SX if function.is_a("SXFunction") else ca.MX).sym("t")
-            slopes.append(ca.Function("slope", [t], [ca.jacobian(function(t), t)]))
-        return tuple(slopes)
+        symbols = [local_symbols(function)[0] for function in self.functions]
+        pairs = zip(self.functions, symbols, strict=True)
+        return tuple(ca.Function("slope", [t], [ca.jacobian(function(t), t)]) for function, t in pairs)
 
-    def applied(self, t: Array) -> Array:
-        """Values of the field where its affine part has the values ``t``."""
-        return self._put(self.functions, t, t)
-
-    def slopes(self, t: Array) -> Array:
-        """Derivatives of the values by the affine part, 1 where the field is affine."""
-        return self._put(self._slopes, t, np.ones(t.shape))
-
-    def _put(self, functions: tuple[ca.Function, ...], t: Array, straight: Array) -> Array:
-        result = np.array(straight)
-        for number, function in enumerate(functions):
+    def applied(self, t: Array, *, slopes: bool = False) -> Array:
+        """Values of the field where its affine part has the values ``t``, or their derivatives by that."""
+        result = np.ones(t.shape) if slopes else np.array(t)
+        for number, function in enumerate(self._slopes if slopes else self.functions):
             here = self.which == number
             result[here] = on_values(function, t[here])
         return result
@@ -65,16 +52,13 @@ class Bends:
 
 @dataclass(frozen=True)
 class Field:
-    """A nodal field as an affine function of one vector, ``scale * w[index] + offset``.
+    """A nodal field (components, nodes) as an affine function of one vector, ``scale * w[index] + offset``.
 
-    The vector ``w`` is the unknowns ``x`` of a model or, if ``parameter``, its ``p``.
+    The vector ``w`` is the unknowns ``x`` of a model or, if ``parameter``, its ``p``. The index is ``CONSTANT``
+    where the field is fixed at ``offset``.
 
     Attributes
     ----------
-    index : (components, nodes) int array
-        ``CONSTANT`` where the field is fixed at ``offset``.
-    scale, offset : (components, nodes) arrays
-    parameter : bool
     bends : Bends, optional
         Where the value is not this affine function but a function of it.
     along : Field, optional
@@ -92,10 +76,9 @@ class Field:
     space: DisplacementSpace | None = None
 
     def at(self, nodes: Index) -> Field:
-        """Local values on elements.
+        """Local values on elements with ``nodes`` (nodes per element, elements), a column for each.
 
-        ``nodes`` is (nodes per element, elements); the result has one column per element and
-        runs through the components of the first node, then of the second, ...
+        A column has the components of the first node, then of the second, ...
         """
         shape = (self.index.shape[0] * nodes.shape[0], nodes.shape[1])
         return self._picked(lambda a: np.moveaxis(a[:, nodes], 0, 1).reshape(shape))
@@ -132,7 +115,7 @@ class Field:
     def slopes(self, w: Array) -> Array:
         """Derivative (components, nodes) of each value by its own unknown, zero where it has none."""
         slope = np.where(self.index != CONSTANT, self.scale, 0.0)
-        return slope if self.bends is None else slope * self.bends.slopes(self._affine(w))
+        return slope if self.bends is None else slope * self.bends.applied(self._affine(w), slopes=True)
 
     def _affine(self, w: Array) -> Array:
         moving = self.index != CONSTANT
@@ -156,19 +139,17 @@ def constant_field(values: Array) -> Field:
 
 @dataclass(frozen=True)
 class ElementGroup:
-    """Elements that share one local function.
+    """Elements that share one local function ``(*local columns[, values at points]) -> (f, g)``.
+
+    f is a scalar, g a column (possibly empty). The function is an SX Function, or an MX one where SX has no
+    expression (splines). Its last argument is there with ``at_points``: the values at all points.
 
     Attributes
     ----------
-    function : casadi.Function
-        ``(*local columns) -> (f, g)``; f a scalar, g a column (possibly empty). An SX Function,
-        or an MX one where SX has no expression (splines). With ``at_points`` it has one more
-        argument, the column of values at all points.
     arguments : tuple of Field
-        For each argument its local values, (length, elements).
+        For each other argument its local values, (length, elements).
     rows : (len(g), elements) int array
         Constraint row that each local ``g`` is added to; ``CONSTANT`` drops it.
-    at_points : PointValues, optional
     """
 
     function: ca.Function
@@ -196,18 +177,17 @@ def objective_group(function: ca.Function, local: tuple[Field, ...]) -> ElementG
 class ElementTerm:
     """A local function and the nodes that it takes values at: an element group of fields to be named.
 
+    The arguments of the function are parameters, parameters of a curve, the fields of :meth:`on`, constants;
+    each only where the term has it.
+
     Attributes
     ----------
-    function : casadi.Function
-        See :class:`ElementGroup`. Its arguments are parameters, parameters of a curve, the fields of
-        :meth:`on`, constants; each only where the term has it.
     nodes : tuple of (nodes per element, elements) int arrays or None
         For each field of :meth:`on` the nodes at which the function takes it; None if it does not.
     rows : (len(g), elements) int array, optional
         Constraint rows, numbered from zero; none by default.
     component : int, optional
         The last field has one component per obstacle: take this one.
-    at_points : PointValues, optional
     arc : (int, (nodes per element, elements) int array), optional
         The function takes the parameters of these vertices on this curve of the motion.
     constants : (length, elements) array, optional
@@ -247,8 +227,8 @@ class ElementTerm:
 def straightened(group: ElementGroup) -> list[ElementGroup]:
     """The same elements in groups whose arguments are affine functions of the unknowns.
 
-    A curve is put into the function of the element: what is differentiated is the composition. Elements are
-    sorted by which of their values are on which curve, and each sort has a function of its own.
+    What is differentiated is the composition with the curve. Elements are sorted by which of their values are
+    on which curve, and each sort has a function of its own.
     """
     if all(field.bends is None for field in group.arguments) or group.size == 0:
         return [group]

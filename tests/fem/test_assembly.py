@@ -108,7 +108,7 @@ def test_equal_functions_share_their_derivatives_and_others_do_not() -> None:
     assert one is not other
     assert differentiated(strain_energy(laws[0]), None, [1]) is not one
     x = np.random.default_rng(0).uniform(0, 1, 12)
-    values = [np.ravel(d.gradient(x[:6], x[6:])[1]) for d in (one, other)]
+    values = [np.ravel(d.function("gradient")(x[:6], x[6:])[1]) for d in (one, other)]
     assert np.max(np.abs(values[0] - values[1])) > 1e-3
     problem, gradients = EXAMPLES["6.1"](n=3), []
     for load in (lambda x, y: x, lambda x, y: x + y):  # problems that differ in their load alone
