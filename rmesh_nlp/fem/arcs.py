@@ -27,7 +27,7 @@ DEGREE = 7
 
 
 class Arc:
-    """An arc between the parameters ``t`` (2,) of a curve; ``kind`` of its symbols is MX if that is a spline."""
+    """An arc between the parameters ``t`` (2,) of a curve; its symbols are MX if that is a spline."""
 
     def __init__(self, curve: Curve, t: Any = None, kind: Any = None) -> None:
         self._curve = curve

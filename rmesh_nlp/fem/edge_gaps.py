@@ -55,7 +55,7 @@ STRAIGHT = 1e-9
 
 
 def with_edge_gaps(problem: ContactProblem) -> ContactProblem:
-    """The problem with gaps that hold along edges wherever a foundation rises between nodes; itself if none."""
+    """The problem with gaps that hold along edges where a foundation rises between nodes; itself if none."""
     body = Body(problem, problem.mesh.p)
     chosen = tuple(
         replace(obstacle, gap="edge") if obstacle.gap != "edge" and _rises(body, obstacle) else obstacle

@@ -54,8 +54,8 @@ class Bends:
 class Field:
     """A nodal field (components, nodes) as an affine function of one vector, ``scale * w[index] + offset``.
 
-    The vector ``w`` is the unknowns ``x`` of a model or, if ``parameter``, its ``p``. The index is ``CONSTANT``
-    where the field is fixed at ``offset``.
+    The vector ``w`` is the unknowns ``x`` of a model or, if ``parameter``, its ``p``. The field is fixed at
+    ``offset`` where the index is ``CONSTANT``.
 
     Attributes
     ----------

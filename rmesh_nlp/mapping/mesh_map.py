@@ -16,6 +16,9 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import on_curve, parameters_of, sliding_directions
 from rmesh_nlp.problem.motion import Relative
 
+PARALLEL = 1e-8
+"""Sine of the angle between two tangents up to which a node can follow the one that it is tied to."""
+
 
 class Mobility(IntEnum):
     """How a node may move."""
@@ -61,16 +64,14 @@ class MeshMap:
     def q_of(self, nodes: Array) -> Array:
         """The unknowns q that give these positions (2, nodes), in the least-squares sense."""
         index, scale = self.positions.index, self.positions.scale
-        moving = index != CONSTANT
-        affine = np.array(nodes, dtype=float)
+        moving, affine = index != CONSTANT, np.array(nodes, dtype=float)
         if self.positions.bends is not None:  # there it is the parameter of the curve that is affine in q
             for number, curve in enumerate(self.curves):
                 here = self.positions.bends.which[0] == 2 * number
                 affine[:, here] = curve.near(affine[:, here], self.positions.offset[0, here])
         shift = (affine - self.positions.offset)[moving] * scale[moving]
-        weight = scale[moving] ** 2
-        q = np.bincount(index[moving], shift, self.n) / np.bincount(index[moving], weight, self.n)
-        return np.asarray(q)
+        q = np.bincount(index[moving], shift, self.n)
+        return np.asarray(q / np.bincount(index[moving], scale[moving] ** 2, self.n))
 
     @staticmethod
     def of(problem: ContactProblem) -> MeshMap:
@@ -82,34 +83,40 @@ class MeshMap:
             If a rule of the motion cannot be obeyed: a node is to slide where its piece is not
             straight, or is tied to a node that is tied itself or cannot follow it.
         """
-        mesh, unit = problem.mesh, _units(problem)
-        mobility, tangent = _mobility(problem)
-        index, scale = np.full(mesh.p.shape, CONSTANT), np.ones(mesh.p.shape)
-        count = np.where(mobility == Mobility.FREE, 2, np.where(mobility == Mobility.SLIDING, 1, 0))
-        first = np.concatenate([[0], np.cumsum(count)])
+        mesh, unit, curves = problem.mesh, _units(problem), tuple(problem.motion.curves.values())
+        along = on_curve(problem)
+        mobility, tangent = _mobility(problem, along)
         free, sliding = mobility == Mobility.FREE, mobility == Mobility.SLIDING
-        index[:, free] = first[:-1][free] + np.array([[0], [1]])
-        scale[:, free] = unit[:, free]
+        count = np.cumsum(2 * free + sliding)
+        first, n = np.append(0, count[:-1]), int(count[-1])
+        index, scale, offset = np.full(mesh.p.shape, CONSTANT), np.ones(mesh.p.shape), np.array(mesh.p, float)
+        index[:, free], scale[:, free] = first[free] + np.array([[0], [1]]), unit[:, free]
         with np.errstate(divide="ignore"):
             reach = np.min(unit[:, sliding] / np.abs(tangent[:, sliding]), axis=0)
         step = reach * tangent[:, sliding]
-        index[:, sliding] = np.where(step != 0, first[:-1][sliding], CONSTANT)
+        index[:, sliding] = np.where(step != 0, first[sliding], CONSTANT)
         scale[:, sliding] = np.where(step != 0, step, 1.0)
-        offset, which = np.array(mesh.p, dtype=float), np.full(mesh.p.shape, STRAIGHT)
-        curves = tuple(problem.motion.curves.values())
-        along = np.where(sliding, on_curve(problem), -1)
-        for number, curve in enumerate(curves):
-            here = np.flatnonzero(along == number)
+        which, parameters = (
+            np.full(mesh.p.shape, STRAIGHT),
+            constant_field(np.zeros((len(curves), mesh.p.shape[1]))),
+        )
+        for number, (name, curve) in enumerate(problem.motion.curves.items()):
+            here = np.flatnonzero(sliding & (along == number))
             t, speed = parameters_of(curve, mesh.p[:, here])
-            index[:, here], offset[:, here] = first[:-1][here], t
+            index[:, here], offset[:, here] = first[here], t
             scale[:, here] = np.min(unit[:, here], axis=0) / speed
             which[:, here] = np.array([[2 * number], [2 * number + 1]])
+            nodes = problem.boundary_nodes((name,))  # also the ends of the curve, which do not slide
+            parameters.offset[number, nodes] = curve.nearest(mesh.p[:, nodes])
+            parameters.index[number, here], parameters.scale[number, here] = index[0, here], scale[0, here]
         for node, leader in problem.motion.tied:
             index[:, node], scale[:, node] = index[:, leader], scale[:, leader]
-        bound = np.full(int(first[-1]), np.inf if problem.motion.delta is None else 1.0)
-        bends = Bends(which, tuple(f for curve in curves for f in curve.functions)) if curves else None
-        positions = Field(index, scale, offset, bends=bends, along=_along(problem, along, index, scale))
-        return MeshMap(mobility, positions, int(first[-1]), bound, curves)
+        positions = Field(index, scale, offset)
+        if curves:
+            bends = Bends(which, tuple(f for curve in curves for f in curve.functions))
+            positions = replace(positions, bends=bends, along=parameters)
+        bound = np.full(n, np.inf if problem.motion.delta is None else 1.0)
+        return MeshMap(mobility, positions, n, bound, curves)
 
 
 class VertexParameters:
@@ -141,27 +148,12 @@ class VertexParameters:
         return np.concatenate([nodes.ravel(order="F"), along.ravel(order="F")])
 
 
-def _along(problem: ContactProblem, slides: NDArray, index: NDArray, scale: Array) -> Field | None:
-    """Parameters (curves, nodes) of the nodes on each curve, also of its ends, which do not slide."""
-    curves = problem.motion.curves
-    if not curves:
-        return None
-    found = constant_field(np.zeros((len(curves), index.shape[1])))
-    for number, (name, curve) in enumerate(curves.items()):
-        nodes = problem.boundary_nodes((name,))
-        found.offset[number, nodes] = curve.nearest(problem.mesh.p[:, nodes])
-        here = nodes[slides[nodes] == number]
-        found.index[number, here], found.scale[number, here] = index[0, here], scale[0, here]
-    return found
-
-
-def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
+def _mobility(problem: ContactProblem, along: NDArray) -> tuple[NDArray[np.int64], Array]:
     """Mobility of every node and unit tangent (2, nodes) of those that may slide."""
     mesh, motion = problem.mesh, problem.motion
     on_line, tangent = sliding_directions(problem)
     any_tangent = sliding_directions(problem, geometry_only=True)[1]
-    along = on_curve(problem)
-    for number, curve in enumerate(problem.motion.curves.values()):
+    for number, curve in enumerate(motion.curves.values()):
         nodes = np.flatnonzero(along == number)
         velocity = curve.velocity(curve.nearest(mesh.p[:, nodes]))
         tangent[:, nodes] = any_tangent[:, nodes] = velocity / np.linalg.norm(velocity, axis=0)
@@ -169,65 +161,44 @@ def _mobility(problem: ContactProblem) -> tuple[NDArray[np.int64], Array]:
     mobility[on_line] = Mobility.PINNED
     mobility[np.any(tangent != 0, axis=0)] = Mobility.SLIDING
     varying = [d.boundary for d in problem.supports if any(callable(value) for value in d.value)]
-    mobility[problem.boundary_nodes(tuple(varying))] = Mobility.PINNED
-    mobility[np.setdiff1d(np.arange(mobility.size), mesh.t)] = Mobility.PINNED
+    held = problem.boundary_nodes(tuple(varying)).tolist()
+    loaded = [load.node for load in problem.point_loads]
     for part in problem.contact_sets:
         at_kink = np.isclose(mesh.p[0, part.nodes, None], np.array(part.obstacle.kinks)).any(axis=1)
         mobility[part.nodes[at_kink]] = Mobility.PINNED
-    loaded = [load.node for load in problem.point_loads]
-    mobility[loaded] = Mobility.PINNED
-    rules = (
-        (motion.free, Mobility.FREE),
-        (motion.slides, Mobility.SLIDING),
-        (motion.pinned, Mobility.PINNED),
-    )
-    for kind in (str, int):
-        for places, mobile in rules:
-            for place in places:
-                if isinstance(place, kind):
-                    at = problem.boundary_nodes((place,)) if isinstance(place, str) else np.array([place])
-                    mobility[at] = mobile
-    _check_still(problem, mobility, problem.boundary_nodes(tuple(varying)), "held at a function of position")
-    _check_still(problem, mobility, np.array(loaded, dtype=np.int64), "under a point load")
+    mobility[[*held, *loaded, *np.setdiff1d(np.arange(mobility.size), mesh.t)]] = Mobility.PINNED
+    rules = (motion.free, Mobility.FREE), (motion.slides, Mobility.SLIDING), (motion.pinned, Mobility.PINNED)
+    for places, mobile in rules:
+        names = tuple(place for place in places if isinstance(place, str))
+        mobility[problem.boundary_nodes(names)] = mobile
+    for places, mobile in rules:  # that for a node overrides those for its boundaries
+        mobility[[place for place in places if isinstance(place, int)]] = mobile
+    tied = {node for node, _ in motion.tied}
+    for still, what in ((held, "held at a function of position"), (loaded, "under a point load")):
+        moved = [node for node in still if mobility[node] != Mobility.PINNED or node in tied]
+        if moved:  # its given value or load would not follow, or would go along
+            raise ValueError(f"node {moved[0]} is {what} and cannot move")
     forced = (mobility == Mobility.SLIDING) & ~np.any(tangent != 0, axis=0)
     lost = np.flatnonzero(forced & ~np.any(any_tangent != 0, axis=0))
     if lost.size:
-        node = int(lost[0])
-        x, y = mesh.p[:, node]
+        x, y = mesh.p[:, lost[0]]
         raise ValueError(
-            f"node {node} at ({x:.6g}, {y:.6g}) is to slide, but it is on no straight piece of boundary "
+            f"node {lost[0]} at ({x:.6g}, {y:.6g}) is to slide, but it is on no straight piece of boundary "
             "or interface, and on no curve that is given"
         )
     tangent = np.where(forced, any_tangent, tangent)
     for node, leader in motion.tied:
-        _check_tie(problem, mobility, tangent, along, node, leader)
-    for node, _ in motion.tied:
-        mobility[node] = Mobility.TIED
+        if node == leader or leader in tied:
+            raise ValueError(f"node {node} cannot be tied to node {leader}, which is tied itself")
+        if mobility[leader] != Mobility.PINNED and mobility[node] != Mobility.FREE:
+            (a, b), (c, d) = tangent[:, node], tangent[:, leader]
+            both_slide = mobility[node] == mobility[leader] == Mobility.SLIDING
+            if not (both_slide and along[leader] < 0 and abs(a * d - b * c) < PARALLEL):
+                raise ValueError(
+                    f"node {node} cannot be tied to node {leader}: it cannot make the moves of that node"
+                )
+    mobility[list(tied)] = Mobility.TIED
     return mobility, tangent
-
-
-def _check_still(problem: ContactProblem, mobility: NDArray, nodes: NDArray, what: str) -> None:
-    """No rule may move a node whose given value or load would not follow, or would go along."""
-    tied = {node for node, _ in problem.motion.tied}
-    moved = [int(node) for node in nodes if mobility[node] != Mobility.PINNED or int(node) in tied]
-    if moved:
-        raise ValueError(f"node {moved[0]} is {what} and cannot move")
-
-
-def _check_tie(
-    problem: ContactProblem, mobility: NDArray, tangent: Array, along: NDArray, node: int, leader: int
-) -> None:
-    """A tied node must be able to follow its leader, whose way is straight."""
-    if node == leader or leader in {n for n, _ in problem.motion.tied}:
-        raise ValueError(f"node {node} cannot be tied to node {leader}, which is tied itself")
-    if mobility[leader] == Mobility.PINNED or mobility[node] == Mobility.FREE:
-        return
-    one, two = tangent[:, node], tangent[:, leader]
-    parallel = mobility[node] == mobility[leader] == Mobility.SLIDING and along[leader] < 0
-    if not (parallel and abs(one[0] * two[1] - one[1] * two[0]) < 1e-8):
-        raise ValueError(
-            f"node {node} cannot be tied to node {leader}: it cannot make the moves of that node"
-        )
 
 
 def _units(problem: ContactProblem) -> Array:
@@ -240,5 +211,4 @@ def _units(problem: ContactProblem) -> Array:
     shortest = np.full(mesh.p.shape[1], np.inf)
     np.minimum.at(shortest, a, length)
     np.minimum.at(shortest, b, length)
-    fraction = delta.fraction if isinstance(delta, Relative) else 1.0
-    return np.vstack([fraction * shortest] * 2)
+    return np.vstack([(delta.fraction if isinstance(delta, Relative) else 1.0) * shortest] * 2)

@@ -1,9 +1,7 @@
 """When an element is valid: the one place for its least area and its least angle.
 
-An element is valid if its signed area is at least a fraction of the initial one and, where the motion asks
-for it, each of its angles is at least ``min_angle``. As constraints on the outer variables
-(:func:`validity`) both are rows of order one; the measures of a given mesh (:func:`least_area_ratio`,
-:func:`least_angles`) decide what is accepted as a start and as a solution.
+Both are constraints on the outer variables (:func:`validity`), of order one, and measures of a given mesh,
+which decide what is accepted as a start and as a solution (:func:`is_valid`).
 """
 
 from __future__ import annotations
@@ -44,9 +42,6 @@ class Validity:
         One row per constrained element (four with a least angle), numbered from zero element by element.
     bound : (rows,) array
         Lower bounds of the rows.
-    n_q : int
-        Number of outer variables.
-    assembly : AssemblySettings
     """
 
     elements: NDArray[np.int64]
@@ -77,11 +72,10 @@ class Validity:
 
     @property
     def upright_group(self) -> ElementGroup:
-        """The same rows, the area not a number where the element is inverted.
+        """The same rows, the area not a number where the element is inverted: Ipopt shortens a step to there.
 
         Stiffness is divided by the area, so equilibrium can hold with inverted elements, too, and a solver
-        that may violate the rows goes there and does not come back. Ipopt shortens a step to a point where
-        a row is not a number: so it never gets there.
+        that may violate the rows would go there and not come back.
         """
         symbols = local_symbols(self.group.function)
         f, rows = self.group.function(*symbols)
@@ -96,31 +90,29 @@ class Validity:
 
 
 def validity(problem: ContactProblem, free: MeshMap, assembly: AssemblySettings = USUAL) -> Validity:
-    """The validity rows of a problem.
+    """The validity rows of a problem; ValueError if the mesh as given has a smaller angle than is asked for.
 
-    The signed area is affine in each coordinate by itself, so its least value over the
-    move limits is at one of their corners; elements that cannot fail there need no constraint.
-
-    Raises
-    ------
-    ValueError
-        If the mesh as given has a smaller angle than the motion asks for.
+    Elements whose least area over the move limits is large enough need no constraint; all that move do if a
+    least angle is asked for.
     """
     triangles, motion = problem.triangles, problem.motion
-    at_risk = _elements_at_risk(problem, free)
     initial = signed_areas(problem.mesh.p, triangles)
+    if motion.min_angle > 0:
+        angle = least_angles(problem.mesh.p, triangles)
+        if np.min(angle) < motion.min_angle - np.rad2deg(ROUNDING):
+            raise ValueError(
+                f"min_angle is {motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
+                f"initial mesh has an angle of {np.min(angle):.4g}"
+            )
+        at_risk = np.flatnonzero(np.any(free.positions.index[:, triangles] != CONSTANT, axis=(0, 1)))
+    else:
+        at_risk = np.flatnonzero(_least_areas(free, triangles) < motion.min_area_fraction * initial)
     function = _rows(np.deg2rad(motion.min_angle))
     per_element = function.size1_out(1)
     rows = np.arange(per_element * at_risk.size).reshape(-1, per_element).T
     arguments = (free.positions.at(triangles[:, at_risk]), constant_field(initial[at_risk]))
     bound = np.zeros((at_risk.size, per_element))
     bound[:, 0] = motion.min_area_fraction
-    angle = least_angles(problem.mesh.p, triangles) if motion.min_angle > 0 else np.full(1, np.inf)
-    if np.min(angle) < motion.min_angle - np.rad2deg(ROUNDING):
-        raise ValueError(
-            f"min_angle is {motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
-            f"initial mesh has an angle of {np.min(angle):.4g}"
-        )
     return Validity(at_risk, ElementGroup(function, arguments, rows), bound.ravel(), free.n, assembly)
 
 
@@ -136,10 +128,7 @@ def least_area_ratio(problem: ContactProblem, nodes: Array) -> float:
 
 
 def is_upright(problem: ContactProblem, nodes: Array) -> bool:
-    """Whether no element is inverted or flat at ``nodes`` (2, nodes); else energies there mean nothing.
-
-    Beside a curve that includes the blended triangle: its arc does not cut through it.
-    """
+    """Whether no element is inverted, flat, or cut through by its arc, with nodes at ``nodes`` (2, nodes)."""
     if problem.motion.curves:
         return Body(problem, nodes).is_upright()
     return bool(np.min(signed_areas(nodes, problem.triangles)) > 0)
@@ -152,14 +141,14 @@ def is_valid(problem: ContactProblem, nodes: Array, *, by_barrier: bool = False)
     angle is asked for they need a positive area only.
     """
     motion = problem.motion
-    if not is_upright(problem, nodes):
-        return False
     if motion.min_angle == 0 and by_barrier:
-        return True
-    if not least_area_ratio(problem, nodes) >= motion.min_area_fraction - ROUNDING:
-        return False
-    angle = least_angles(nodes, problem.triangles) if motion.min_angle > 0 else np.inf
-    return bool(np.min(angle) >= motion.min_angle - np.rad2deg(ROUNDING))
+        return is_upright(problem, nodes)
+    large = is_upright(problem, nodes) and (
+        least_area_ratio(problem, nodes) >= motion.min_area_fraction - ROUNDING
+    )
+    if motion.min_angle == 0 or not large:
+        return large
+    return bool(np.min(least_angles(nodes, problem.triangles)) >= motion.min_angle - np.rad2deg(ROUNDING))
 
 
 def least_angles(nodes: Array, triangles: NDArray) -> Array:
@@ -172,32 +161,21 @@ def least_angles(nodes: Array, triangles: NDArray) -> Array:
     return np.rad2deg(np.min(angles, axis=0))
 
 
-def _elements_at_risk(problem: ContactProblem, free: MeshMap) -> NDArray[np.int64]:
-    """Elements that the move limits do not keep valid; all that move if a least angle is asked for."""
-    triangles = problem.triangles
-    if problem.motion.min_angle > 0:
-        return np.flatnonzero(np.any(free.positions.index[:, triangles] != CONSTANT, axis=(0, 1)))
-    initial = signed_areas(problem.mesh.p, triangles)
-    return np.flatnonzero(_least_areas(free, triangles) < problem.motion.min_area_fraction * initial)
-
-
 def _rows(angle: float) -> ca.Function:
     X, area0 = ca.SX.sym("X", 2, 3), ca.SX.sym("area0")
-
-    def cross_and_dot(i: int) -> tuple[ca.SX, ca.SX]:
-        a, b = X[:, (i + 1) % 3] - X[:, i], X[:, (i + 2) % 3] - X[:, i]
-        return a[0] * b[1] - a[1] * b[0], ca.dot(a, b)
-
-    rows = [cross_and_dot(0)[0] / (2 * area0)]
+    sides = [(X[:, (i + 1) % 3] - X[:, i], X[:, (i + 2) % 3] - X[:, i]) for i in range(3)]
+    cross = [a[0] * b[1] - a[1] * b[0] for a, b in sides]
+    rows = [cross[0]]
     if angle > 0:
-        for i in range(3):
-            cross, dot = cross_and_dot(i)
-            rows.append((cross * np.cos(angle) - dot * np.sin(angle)) / (2 * area0))
-    return ca.Function("validity", [ca.vec(X), area0], [0, ca.vertcat(*rows)])
+        rows += [c * np.cos(angle) - ca.dot(*ab) * np.sin(angle) for c, ab in zip(cross, sides, strict=True)]
+    return ca.Function("validity", [ca.vec(X), area0], [0, ca.vertcat(*(row / (2 * area0) for row in rows))])
 
 
 def _least_areas(free: MeshMap, triangles: NDArray) -> Array:
-    """Least signed area of each element over the move limits; -infinity where a vertex has none."""
+    """Least signed area of each element over the move limits; -infinity where a vertex has none.
+
+    The area is affine in each coordinate by itself: it is least at a corner of the limits.
+    """
     index = free.positions.index
     bound = np.append(free.bound, 0.0)[index]  # CONSTANT is -1, the appended zero
     boundless = np.any(np.isinf(bound[:, triangles]), axis=(0, 1))
