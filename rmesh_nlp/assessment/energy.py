@@ -61,20 +61,20 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
     """F of the work ``F u`` of all loads: sources or body forces, tractions, point loads; and its doubt."""
     problem = body.problem
     load, doubt = np.zeros((2, space.n_nodes, problem.components))
+
+    def add(i: int, nodes: Index, found: tuple[Array, Array]) -> None:
+        for target, shares in zip((load, doubt), found, strict=True):
+            np.add.at(target[:, i], nodes, shares)
+
     for law, elements in problem.regions:
         for i, coefficient in enumerate(law.load):
             if is_nonzero(coefficient) and elements.size:
-                for target, shares in zip(
-                    (load, doubt), _body_load(body, coefficient, elements), strict=True
-                ):
-                    np.add.at(target[:, i], space.elements[:, elements], shares)
+                add(i, space.elements[:, elements], _body_load(body, coefficient, elements))
     for traction in problem.tractions:
         edges = body.edges(traction.boundary)
         for i, coefficient in enumerate(traction.value):
             if is_nonzero(coefficient):
-                found = hat_integrals(edges.at, edges.size, coefficient)
-                for target, shares in zip((load, doubt), found, strict=True):
-                    np.add.at(target[:, i], space.nodes_of(edges.ends), shares)
+                add(i, space.nodes_of(edges.ends), hat_integrals(edges.at, edges.size, coefficient))
     for point in problem.point_loads:
         load[space.number[point.node]] += point.force
     return load.ravel(), doubt.ravel()

@@ -17,13 +17,14 @@ from rmesh_nlp.problem.body import Body
 Index = NDArray[np.int64]
 
 Integrand = Callable[[Index, Array, Array], Array]
-"""``(elements (m,), barycentric (3, m, k), points (2, m, k)) -> values (rows, m, k)``."""
-
-EdgeIntegrand = Callable[[Index, Array, Array], Array]
-"""``(edges (m,), s (m, k), points (2, m, k)) -> values (rows, m, k)``."""
+"""``(elements (m,), barycentric (3, m, k), points (2, m, k)) -> values (rows, m, k)``; on edges s (m, k) in
+the place of barycentric coordinates."""
 
 EdgePoints = Callable[[Index, Array], tuple[Array, Array]]
 """``(edges (m,), s (m, k)) -> points (2, m, k) and lengths per unit of s (m, k)``."""
+
+OnCells = Callable[[Index, Array, Array, int], Array]
+"""``(owners (m,), low (directions, m), width (m,), order) -> integrals (rows, m)``."""
 
 LOW, HIGH = 6, 10
 """Gauss points per direction of the rules that are compared: degrees 10 and 18 on a triangle."""
@@ -43,13 +44,8 @@ def over_triangles(
 ) -> tuple[Array, Array]:
     """Integrals (rows, elements) over triangles, and what they may be wrong by.
 
-    Parameters
-    ----------
-    body : Body
-    elements : (n,) int array
-    integrand : Integrand
-    points : int, optional
-        Gauss points per direction that are known to suffice; by default two rules are compared.
+    ``points`` is the number of Gauss points per direction that is known to suffice; by default two rules are
+    compared.
     """
 
     def on_cells(owner: Index, low: Array, width: Array, order: int) -> Array:
@@ -68,7 +64,7 @@ def over_triangles(
     return _adaptive(on_cells, elements.size, 2, points)
 
 
-def over_edges(at: EdgePoints, size: int, integrand: EdgeIntegrand) -> tuple[Array, Array]:
+def over_edges(at: EdgePoints, size: int, integrand: Integrand) -> tuple[Array, Array]:
     """Integrals (rows, edges) along edges, and what they may be wrong by."""
 
     def on_cells(owner: Index, low: Array, width: Array, order: int) -> Array:
@@ -80,52 +76,37 @@ def over_edges(at: EdgePoints, size: int, integrand: EdgeIntegrand) -> tuple[Arr
     return _adaptive(on_cells, size, 1, None)
 
 
-def _adaptive(
-    on_cells: Callable[[Index, Array, Array, int], Array], size: int, directions: int, points: int | None
-) -> tuple[Array, Array]:
+def _adaptive(on_cells: OnCells, size: int, directions: int, points: int | None) -> tuple[Array, Array]:
     """The sums over the cells of each of ``size`` owners, which begin as one unit cell each, and doubts."""
-    owner, low, width = np.arange(size), np.zeros((directions, size)), np.ones(size)
+    total, doubt = np.zeros((2, 1, size))
     if size == 0:
-        return np.zeros((1, 0)), np.zeros((1, 0))
-    total: Array | None = None
+        return total, doubt
+    owner, low, width = np.arange(size), np.zeros((directions, size)), np.ones(size)
+    corners = np.stack(np.meshgrid(*([(0, 1)] * directions), indexing="ij")).reshape(directions, -1, 1)
     for depth in range(DEPTH + 1):
-        fine = _in_chunks(on_cells, owner, low, width, points or HIGH, directions)
-        if total is None:
-            total, doubt = np.zeros((2, fine.shape[0], size))
-        split, wrong = np.zeros(owner.size, dtype=bool), np.zeros(fine.shape)
+        fine, wrong = _in_chunks(on_cells, owner, low, width, points or HIGH), np.zeros(1)
         if points is None:
-            wrong = np.abs(fine - _in_chunks(on_cells, owner, low, width, LOW, directions))
-            if depth == 0:
-                scale = np.sum(np.abs(fine), axis=1, keepdims=True)
-            if depth < DEPTH:
-                split = np.any(wrong > AGREEMENT * scale, axis=0)
-        for sums, parts in ((total, fine), (doubt, wrong)):
-            for row, values in zip(sums, parts, strict=True):
-                row += np.bincount(owner[~split], values[~split], size)
+            wrong = np.abs(fine - _in_chunks(on_cells, owner, low, width, LOW))
+        if depth == 0:
+            scale = np.sum(np.abs(fine), axis=1, keepdims=True)
+        wrong = np.broadcast_to(wrong, fine.shape)
+        split = np.any(wrong > AGREEMENT * scale, axis=0) & (depth < DEPTH)
+        total, doubt = (
+            sums + np.array([np.bincount(owner[~split], row[~split], size) for row in parts])
+            for sums, parts in ((total, fine), (doubt, wrong))
+        )
         if not np.any(split):
             break
-        owner, low, width = owner[split], low[:, split], width[split] / 2
-        corners = np.stack(np.meshgrid(*([(0, 1)] * directions), indexing="ij")).reshape(directions, -1)
-        low = (low[:, None] + corners[:, :, None] * width).reshape(directions, -1)
-        owner, width = np.tile(owner, 2**directions), np.tile(width, 2**directions)
-    assert total is not None
+        width = width[split] / 2
+        low = (low[:, None, split] + corners * width).reshape(directions, -1)
+        owner, width = np.tile(owner[split], 2**directions), np.tile(width, 2**directions)
     return total, doubt
 
 
-def _in_chunks(
-    on_cells: Callable[[Index, Array, Array, int], Array],
-    owner: Index,
-    low: Array,
-    width: Array,
-    order: int,
-    directions: int,
-) -> Array:
-    step = max(1, CHUNK // order**directions)
-    parts = [
-        on_cells(owner[i : i + step], low[:, i : i + step], width[i : i + step], order)
-        for i in range(0, owner.size, step)
-    ]
-    return np.hstack(parts)
+def _in_chunks(on_cells: OnCells, owner: Index, low: Array, width: Array, order: int) -> Array:
+    step = max(1, CHUNK // order ** len(low))
+    parts = [slice(i, i + step) for i in range(0, owner.size, step)]
+    return np.hstack([on_cells(owner[part], low[:, part], width[part], order) for part in parts])
 
 
 def gauss(points: int) -> tuple[Array, Array]:

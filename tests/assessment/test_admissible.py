@@ -90,7 +90,7 @@ def test_beside_a_narrow_bump_nodes_come_closer_than_its_height() -> None:
     """The gap is closed at the bump, between two nodes; raising both by its height costs energy."""
     bump = Obstacle.graph("bottom", lambda x, y: -0.02 + 0.01 * np.exp(-(((x - 0.8) / 0.01) ** 2)))
     here = Continuous(block(bump))
-    assert here.solve().state.energy < solve(here.system(here._first_standoff())).energy - 5e-4
+    assert here.solve().state.energy < solve(here.system(here.first_standoff())).energy - 5e-4
 
 
 def test_ripples_of_a_foundation_keep_nodes_off_by_their_height() -> None:
@@ -103,7 +103,7 @@ def test_ripples_of_a_foundation_keep_nodes_off_by_their_height() -> None:
 def test_between_nodes_friction_stays_within_its_bound() -> None:
     waves = lambda x, y: -0.02 + 0.004 * np.sin(24 * np.pi * x)  # noqa: E731
     here = Continuous(block(Obstacle.graph("bottom", waves, friction=2.0)))
-    system = here.system(here._first_standoff())
+    system = here.system(here.first_standoff())
     found = tightened(system, solve(system), here.cells, here.field)
     assert found is not None
     assert np.all(np.abs(found.tangential_force) <= system.slip_bound * (1 + 1e-9))
@@ -116,7 +116,7 @@ def test_forces_of_two_foundations_balance_the_load() -> None:
     pushed = (Traction("right", (-400.0, 100.0)),)
     problem = ContactProblem(rectangle(12, 3, x=(0, 2)), LAW, ("left",), (below, above), tractions=pushed)
     here = Continuous(problem)
-    system = here.system(here._first_standoff())
+    system = here.system(here.first_standoff())
     found = tightened(system, solve(system), here.cells, here.field)
     assert found is not None
     for part in problem.contact_sets:
