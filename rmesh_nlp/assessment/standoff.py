@@ -8,7 +8,7 @@ N_i``. That is exact where the normal is the same everywhere; where it varies, w
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -17,7 +17,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
-from rmesh_nlp.problem.body import Body, Edges, Index
+from rmesh_nlp.problem.body import Body, Index
 from rmesh_nlp.problem.data import ContactSet
 
 SAMPLES = 128
@@ -39,45 +39,25 @@ NO_SHARE = 1e-9
 
 @dataclass(frozen=True)
 class Cells:
-    """Contact edges, or the triangles of an interior contact set, and the points at which gaps are looked at.
-
-    Attributes
-    ----------
-    contact : ContactSet
-    number : (m,) int array
-        Of the edge among those of the boundary, or of the triangle.
-    nodes : (v, m) int array
-        Nodes of the displacement on edges, or on triangles.
-    rows : (v, m) int array
-        Row of the gap of each node; -1 where its displacement is given.
-    shares : (v, k) array
-        N_i at the points.
-    points : (2, m, k) array
-    distance : (m, k) array
-        Gaps without displacement.
-    low : (m, k) array
-        The same less what they may fall by between the points.
-    """
+    """Contact edges, or triangles of an interior contact set, and the points at which gaps are looked at."""
 
     contact: ContactSet
-    number: Index
-    nodes: Index
-    rows: Index
-    shares: Array
-    points: Array
-    distance: Array
-    low: Array
+    number: Index  # (m,), of the edge among those of the boundary, or of the triangle
+    nodes: Index  # (v, m), those of the displacement on each cell
+    rows: Index  # (v, m), row of the gap of each node; -1 where its displacement is given
+    shares: Array  # (v, k), N_i at the points
+    points: Array  # (2, m, k)
+    distance: Array  # (m, k), gaps without displacement
+    low: Array  # (m, k), the same less what they may fall by between the points
 
     def off(self, given: Array) -> Array:
         """(m,) how far the free nodes of each cell must keep off; -infinity where none is free.
 
-        Parameters
-        ----------
-        given : (nodes,) array
-            Displacement along the normal where it is given.
+        ``given`` (nodes,) is the displacement along the normal where it is given.
         """
-        height = self.shares.T @ self._at_nodes - self.low.T
-        return self._needed(height, np.where(self.rows < 0, self._at_nodes + given[self.nodes], 0.0))
+        at_nodes = self.distance[:, np.argmax(self.shares, axis=1)].T
+        height = self.shares.T @ at_nodes - self.low.T
+        return self._needed(height, np.where(self.rows < 0, at_nodes + given[self.nodes], 0.0))
 
     def unreachable(self, given: Array) -> Index:
         """Cells all of whose nodes are held, through which the foundation rises."""
@@ -110,11 +90,6 @@ class Cells:
             free = rows >= 0
             np.add.at(force, rows[free], (shares * pressing)[free])
 
-    @property
-    def _at_nodes(self) -> Array:
-        """(v, m) gaps without displacement at the nodes."""
-        return self.distance[:, np.argmax(self.shares, axis=1)].T
-
     def _needed(self, height: Array, held: Array) -> Array:
         """Largest ratio of what is missing (k, m), less what held nodes give, to the share of free ones."""
         free = self.rows >= 0
@@ -129,29 +104,26 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
     """The cells of a contact set of the space, in parts of moderate size."""
     row = np.full(space.n_nodes, -1)
     row[contact.nodes] = contact.rows
+    at: Callable[[Index, Array], tuple[Array, Array]]
     if contact.obstacle.boundary is Place.INTERIOR:
-        edges, nodes = None, space.elements
+        nodes, at = space.elements, body.points
         fits = [n for n in LATTICES if n * n / 2 * nodes.shape[1] <= POINTS]
         shares, bends = _lattice(fits[0] if fits else LATTICES[-1])
+        where = shares[:, None]
     else:
         edges = body.edges(str(contact.obstacle.boundary))
-        nodes, bends = space.nodes_of(edges.ends), _EDGE_BENDS
-        shares = np.stack([1 - _ALONG, _ALONG])
+        nodes, at = space.nodes_of(edges.ends), edges.at
+        shares, bends, where = np.stack([1 - _ALONG, _ALONG]), _EDGE_BENDS, _ALONG[None]
     step, triples = max(1, 400_000 // shares.shape[1]), _triples_of(bends, shares.shape[1])
     for first in range(0, nodes.shape[1], step):
         part = np.arange(first, min(first + step, nodes.shape[1]))
-        some = nodes[:, part]
-        points = _points(body, edges, part, shares)
+        shape = (*where.shape[:-2], part.size, shares.shape[1])
+        points = at(part, np.broadcast_to(where, shape))[0]
         distance = contact.obstacle.distances(points.reshape(2, -1)).reshape(points.shape[1:])
         bend = distance[:, bends[0]] - 2 * distance[:, bends[1]] + distance[:, bends[2]]
-        around = np.max(np.abs(bend)[:, triples], axis=2)
-        yield Cells(contact, part, some, row[some], shares, points, distance, distance - BETWEEN * around)
-
-
-def _points(body: Body, edges: Edges | None, part: Index, shares: Array) -> Array:
-    if edges is None:
-        return body.points(part, np.broadcast_to(shares[:, None], (3, part.size, shares.shape[1])))[0]
-    return edges.at(part, np.broadcast_to(shares[1], (part.size, shares.shape[1])))[0]
+        low = distance - BETWEEN * np.max(np.abs(bend)[:, triples], axis=2)
+        some = nodes[:, part]
+        yield Cells(contact, part, some, row[some], shares, points, distance, low)
 
 
 _ALONG = np.arange(SAMPLES + 1) / SAMPLES

@@ -14,8 +14,7 @@ set of points that press and nodes that stick.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -54,67 +53,47 @@ their gaps need be right to this part of them only."""
 def tightened(
     system: ContactSystem, state: Equilibrium, cells: Sequence[Cells], field: Field
 ) -> Equilibrium | None:
-    """The admissible displacement of least energy; None if it is not found.
+    """The admissible displacement of least energy from an admissible one; None if it is not found.
 
-    Parameters
-    ----------
-    system : ContactSystem
-        Its gaps are not regarded, its friction is.
-    state : Equilibrium
-        An admissible displacement to begin with.
-    cells : sequence of Cells
-    field : Field
-        (components, nodes), the displacement as a function of the unknowns.
-
-    Returns
-    -------
-    Equilibrium
-        The forces at points are shared among their nodes; a node touches where its share is positive.
+    The friction of ``system`` is regarded, its gaps are not. ``field`` (components, nodes) is the
+    displacement as a function of the unknowns. The forces at points are shared among their nodes; a node
+    touches where its share is positive.
     """
-    size = float(np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=0.0))
-    chosen = [_closed(part, part.gaps(field.values(state.u)), state) for part in cells]
-    points = _points(cells, chosen, field, MARGIN * size)
-    slips = _slips(system)
-    solver = _Multipliers(system, points, slips, PENALTY)
-    u, pressing, friction = state.u.copy(), np.zeros(points.gap.size), state.tangential_force[slips.number]
-    before, penalty = np.inf, PENALTY
+    margin = MARGIN * float(np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=0.0))
+    chosen, slips = _closed(cells, field.values(state.u), state), _slips(system)
+    solver = _Multipliers(system, _points(cells, chosen, field, margin), slips, PENALTY)
+    u, pressing, friction = state.u.copy(), np.zeros(chosen.shape[1]), state.tangential_force[slips.number]
+    before = np.inf
     for _ in range(ROUNDS):
         found = solver.minimised(u, pressing, friction)
         if found is None:
             return None
         u = found
         pressing, friction, open_by = solver.updated(u, pressing, friction)
-        values = field.values(u)
-        more = [_violated(part.gaps(values), *of) for part, of in zip(cells, chosen, strict=True)]
-        if any(cell.size for cell, _ in more):
-            ends = np.cumsum([cell.size for cell, _ in chosen])
-            pressing = np.insert(pressing, np.repeat(ends, [cell.size for cell, _ in more]), 0.0)
-            chosen = [
-                (np.append(one[0], two[0]), np.append(one[1], two[1]))
-                for one, two in zip(chosen, more, strict=True)
-            ]
-            points = _points(cells, chosen, field, MARGIN * size)
-            solver, before = _Multipliers(system, points, slips, penalty), np.inf
+        more = _violated(cells, field.values(u), chosen)
+        if more.size:
+            chosen, pressing = np.hstack([chosen, more]), np.append(pressing, np.zeros(more.shape[1]))
+            order = np.argsort(chosen[0], kind="stable")  # part by part
+            chosen, pressing = chosen[:, order], pressing[order]
+            solver = _Multipliers(system, _points(cells, chosen, field, margin), slips, solver.penalty)
+            before = np.inf
             continue
-        if open_by <= MARGIN * size:
+        if open_by <= margin:
             return _equilibrium(system, cells, chosen, u, pressing, slips.number, friction)
-        if open_by > SLOW * before and penalty < LARGEST:
-            penalty *= 10
-            solver = _Multipliers(system, points, slips, penalty)
+        if open_by > SLOW * before and solver.penalty < LARGEST:
+            solver = _Multipliers(system, solver.points, slips, 10 * solver.penalty)
         before = open_by
     return None
 
 
-@dataclass(frozen=True)
-class _Points:
+class _Points(NamedTuple):
     """Rows (points, n_u) of gaps, and the gaps at zero unknowns."""
 
     rows: sp.csr_array
     gap: Array
 
 
-@dataclass(frozen=True)
-class _Slips:
+class _Slips(NamedTuple):
     """Rows (n, n_u) of the slips at nodes where friction acts, their numbers among the gaps, bounds."""
 
     rows: sp.csr_array
@@ -126,7 +105,7 @@ class _Multipliers:
     """The augmented energy of one set of points, and its minimiser."""
 
     def __init__(self, system: ContactSystem, points: _Points, slips: _Slips, penalty: float) -> None:
-        self._system, self._points, self._slips, self._bound = system, points, slips, slips.bound
+        self._system, self.points, self._slips, self.penalty = system, points, slips, penalty
         touched = np.unique(points.rows.indices)
         self._r = penalty * float(np.mean(system.stiffness.diagonal()[touched])) if touched.size else 1.0
         self._factor: tuple[bytes, Any] | None = None
@@ -139,26 +118,26 @@ class _Multipliers:
 
     def minimised(self, u: Array, pressing: Array, friction: Array) -> Array | None:
         """The minimiser of the augmented energy from ``u``; None if Newton's method does not end."""
-        K, F, A, T = self._system.stiffness, self._system.load, self._points.rows, self._slips.rows
+        K, F, A, T = self._system.stiffness, self._system.load, self.points.rows, self._slips.rows
         for _ in range(STEPS):
             now, stuck = self._forces(u, pressing, friction)
             residual = K @ u - F - A.T @ now - T.T @ stuck
             scale = max(self._system.force_scale, float(np.max(now, initial=0.0)))
             if np.max(np.abs(residual), initial=0.0) <= BALANCE * scale:
                 return u
-            step = -self._solved(now > 0, np.abs(stuck) < self._bound, residual)
+            step = -self._solved(now > 0, np.abs(stuck) < self._slips.bound, residual)
             u = u + self._length(u, step, pressing, friction) * step
         return None
 
     def _forces(self, u: Array, pressing: Array, friction: Array) -> tuple[Array, Array]:
-        gap = self._points.rows @ u + self._points.gap
-        stuck = np.clip(friction - self._r * (self._slips.rows @ u), -self._bound, self._bound)
+        gap = self.points.rows @ u + self.points.gap
+        stuck = np.clip(friction - self._r * (self._slips.rows @ u), -self._slips.bound, self._slips.bound)
         return np.maximum(pressing - self._r * gap, 0.0), stuck
 
     def _solved(self, presses: NDArray[np.bool_], sticks: NDArray[np.bool_], right: Array) -> Array:
         key = presses.tobytes() + sticks.tobytes()
         if self._factor is None or self._factor[0] != key:
-            A, T = self._points.rows[presses], self._slips.rows[sticks]
+            A, T = self.points.rows[presses], self._slips.rows[sticks]
             K = self._system.stiffness
             small = 1e-12 * K.diagonal()  # contact may hold the body, and not in every set
             matrix = K + self._r * (A.T @ A + T.T @ T) + sp.diags_array(small)
@@ -167,7 +146,7 @@ class _Multipliers:
 
     def _length(self, u: Array, step: Array, pressing: Array, friction: Array) -> float:
         """Part of a step at which the slope of the augmented energy is zero, at most 1."""
-        K, F, A, T = self._system.stiffness, self._system.load, self._points.rows, self._slips.rows
+        K, F, A, T = self._system.stiffness, self._system.load, self.points.rows, self._slips.rows
         constant, linear = float((K @ u - F) @ step), float(step @ (K @ step))
         along, slipping = A @ step, T @ step
 
@@ -179,46 +158,48 @@ class _Multipliers:
 
 
 def _slips(system: ContactSystem) -> _Slips:
-    if not system.slip_bound.size:
-        none = np.zeros(0, dtype=np.int64)
-        return _Slips(sp.csr_array((0, system.load.size)), none, np.zeros(0))
     tangents = sp.csr_array(system.tangents)
-    acts = np.diff(tangents.indptr) > 0
+    acts = (np.diff(tangents.indptr) > 0) & bool(system.slip_bound.size)
     if system.frictional is not None:
-        acts &= system.frictional
+        acts &= system.frictional[: acts.size]
     number = np.flatnonzero(acts)
     return _Slips(tangents[number], number, system.slip_bound[number])
 
 
-def _closed(part: Cells, gap: Array, state: Equilibrium) -> tuple[Index, Index]:
-    """The points of least gap of the cells whose nodes press on the foundation."""
-    presses, free = np.zeros(part.rows.shape, dtype=bool), part.rows >= 0
-    presses[free] = state.normal_force[part.rows[free]] > 0
-    cell = np.flatnonzero(np.any(presses, axis=0))
-    return cell, np.argmin(gap[cell], axis=1)
+def _closed(cells: Sequence[Cells], displacement: Array, state: Equilibrium) -> Index:
+    """(3, n) part, cell and point of least gap of the cells whose nodes press on the foundation."""
+    found = [np.zeros((3, 0), dtype=np.int64)]
+    for number, part in enumerate(cells):
+        presses, free = np.zeros(part.rows.shape, dtype=bool), part.rows >= 0
+        presses[free] = state.normal_force[part.rows[free]] > 0
+        cell = np.flatnonzero(np.any(presses, axis=0))
+        point = np.argmin(part.gaps(displacement)[cell], axis=1)
+        found.append(np.stack([np.full(cell.size, number), cell, point]))
+    return np.hstack(found)
 
 
-def _violated(gap: Array, cell: Index, point: Index) -> tuple[Index, Index]:
-    """The worst points of cells where the gap is violated, those that are chosen already left out."""
-    worst = np.argmin(gap, axis=1)
-    cells = np.flatnonzero(gap[np.arange(worst.size), worst] < 0)
-    known = set(zip(cell.tolist(), point.tolist(), strict=True))
-    new = [c for c in cells.tolist() if (c, int(worst[c])) not in known]
-    return np.array(new, dtype=np.int64), worst[new]
+def _violated(cells: Sequence[Cells], displacement: Array, chosen: Index) -> Index:
+    """(3, n) the worst points of cells where the gap is violated, those that are chosen already left out."""
+    known, new = set(zip(*chosen.tolist(), strict=True)), []
+    for number, part in enumerate(cells):
+        gap = part.gaps(displacement)
+        worst = np.argmin(gap, axis=1)
+        for cell in np.flatnonzero(np.min(gap, axis=1) < 0).tolist():
+            if (number, cell, int(worst[cell])) not in known:
+                new.append((number, cell, int(worst[cell])))
+    return np.array(new, dtype=np.int64).reshape(-1, 3).T
 
 
-def _points(
-    cells: Sequence[Cells], chosen: Sequence[tuple[Index, Index]], field: Field, margin: float
-) -> _Points:
+def _points(cells: Sequence[Cells], chosen: Index, field: Field, margin: float) -> _Points:
     rows, gaps, n_u = [], [], int(field.index.max()) + 1
-    for part, (cell, point) in zip(cells, chosen, strict=True):
-        normals = part.normals[:, cell, point]  # (components, m)
-        index, offset = field.index[:, part.nodes[:, cell]], field.offset[:, part.nodes[:, cell]]
-        weight = normals[:, None] * part.shares[:, point][None]
-        number = np.broadcast_to(np.arange(cell.size), index.shape)
-        free = index >= 0
-        rows.append(sp.csr_array((weight[free], (number[free], index[free])), shape=(cell.size, n_u)))
-        given = np.where(free, 0.0, weight * offset).sum(axis=(0, 1))
+    for number, part in enumerate(cells):
+        cell, point = chosen[1:, chosen[0] == number]
+        nodes = part.nodes[:, cell]
+        weight = part.normals[:, cell, point][:, None] * part.shares[:, point]  # (components, v, m)
+        index = field.index[:, nodes]
+        free, row = index >= 0, np.broadcast_to(np.arange(cell.size), index.shape)
+        rows.append(sp.csr_array((weight[free], (row[free], index[free])), shape=(cell.size, n_u)))
+        given = np.where(free, 0.0, weight * field.offset[:, nodes]).sum(axis=(0, 1))
         gaps.append(given + part.low[cell, point] - margin)
     return _Points(sp.csr_array(sp.vstack(rows)), np.concatenate(gaps))
 
@@ -226,20 +207,19 @@ def _points(
 def _equilibrium(
     system: ContactSystem,
     cells: Sequence[Cells],
-    chosen: Sequence[tuple[Index, Index]],
+    chosen: Index,
     u: Array,
     pressing: Array,
     slips: Index,
     friction: Array,
 ) -> Equilibrium:
-    force, first = np.zeros(system.offset.size), 0
-    for part, (cell, point) in zip(cells, chosen, strict=True):
-        part.share(force, cell, point, pressing[first : first + cell.size])
-        first += cell.size
-    tangential = np.zeros(system.slip_bound.size)
+    force, tangential = np.zeros(system.offset.size), np.zeros(system.slip_bound.size)
+    for number, part in enumerate(cells):
+        here = chosen[0] == number
+        cell, point = chosen[1:, here]
+        part.share(force, cell, point, pressing[here])
     tangential[slips] = friction
-    slides = np.abs(tangential) >= system.slip_bound * (1 - 1e-9) if tangential.size else tangential
+    slides = np.abs(tangential) >= system.slip_bound * (1 - 1e-9)
     sliding = np.where(slides, -np.sign(tangential), 0).astype(np.int8)
-    return Equilibrium(
-        u, system.energy(u), force, tangential, ActiveSet(force > 0, sliding), Status.CONVERGED, 1
-    )
+    active = ActiveSet(force > 0, sliding)
+    return Equilibrium(u, system.energy(u), force, tangential, active, Status.CONVERGED, 1)
