@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-import statistics
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from statistics import median
+from typing import Any, TypeVar
 
 from rmesh_nlp.examples import PAPER, PaperValues
 from rmesh_nlp.io.records import Record
 
 DEFAULT_RELAXATION = "scholtes"
+RELOCATING_NOTHING = "fixed"  # the formulation whose solution is that of the initial grid
+
+# starts of ``mpcc`` that solve another model first: the homotopy then only certifies its end
 BORROWED = ("joint", "nested", "without-complementarity")
-"""Starts of ``mpcc`` that solve another model first: the homotopy then only certifies its end."""
-RELOCATING_NOTHING = "fixed"
-"""The formulation whose solution is that of the initial grid."""
+
+Item = TypeVar("Item")
+Key = TypeVar("Key", bound=Hashable)
+
+
+def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Items by key, in the order of their first appearance."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 @dataclass(frozen=True)
@@ -50,10 +61,7 @@ class Block:
     @property
     def objectives(self) -> dict[str, list[Record]]:
         """The records by what was minimised."""
-        found: dict[str, list[Record]] = {}
-        for record in self.records:
-            found.setdefault(record["objective"], []).append(record)
-        return found
+        return grouped(self.records, lambda record: str(record["objective"]))
 
     @property
     def succeeded(self) -> tuple[Record, ...]:
@@ -67,32 +75,28 @@ class Block:
 
     @property
     def unit(self) -> float | None:
-        """Seconds of a contact solve on the given mesh, one for all rows: the median of what they measured.
+        """Seconds of a contact solve on the given mesh: the median of what the rows measured.
 
-        On a busy machine each row would have one of its own, and costs would tell more of that than of
-        formulations.
+        Costs in units of each row would tell more of a busy machine than of formulations.
         """
         units = [record["contact_time_s"] for record in self.records if record.get("contact_time_s")]
-        return statistics.median(units) if units else None
+        return median(units) if units else None
 
     @property
     def paper(self) -> PaperValues | None:
         """The paper's values, if the settings are the paper's."""
         paper, record = PAPER.get(self.example), self.records[0]
-        if paper is None or record["delta"] != list(paper.delta):
+        if paper is None:
             return None
-        sizes = [f"{paper.size[0]}x{paper.size[1]}"]
-        if paper.size[0] == paper.size[1]:
-            sizes.append(f"{paper.size[0]}")
-        return paper if record["n"] in sizes and record.get("quadrature", "midpoint") == "midpoint" else None
+        across, up = paper.size
+        sizes = [f"{across}x{up}", *([f"{across}"] if across == up else [])]
+        same = record["n"] in sizes and record["delta"] == list(paper.delta)
+        return paper if same and record.get("quadrature", "midpoint") == "midpoint" else None
 
 
-def blocks(records: Sequence[Record]) -> list[Block]:
+def blocks(records: Iterable[Record]) -> list[Block]:
     """The records grouped, in the order of their first appearance."""
-    groups: dict[Hashable, list[Record]] = {}
-    for record in records:
-        groups.setdefault(block_key(record), []).append(record)
-    return [Block(tuple(group)) for group in groups.values()]
+    return [Block(tuple(group)) for group in grouped(records, block_key).values()]
 
 
 def block_key(record: Record) -> Hashable:
@@ -130,9 +134,14 @@ def label(record: Record) -> str:
     return ", ".join(parts)
 
 
+def seedless(record: Record) -> str:
+    """The label that solves from several starts share."""
+    return label({**record, "seed": None})
+
+
 def variant(record: Record) -> str:
     """The variant of a row: its name in the study, or in a comparison its label."""
-    return str(record.get("variant") or label({**record, "seed": None}))
+    return str(record.get("variant") or seedless(record))
 
 
 def variants_of(records: Sequence[Record]) -> list[str]:
@@ -164,10 +173,7 @@ def delta_text(delta: Any) -> str:
 
 
 def seconds_of_work(record: Record) -> float | None:
-    """Seconds of build and solve: the audit is no cost of a formulation.
-
-    Records of older versions have no split time: their wall time counts.
-    """
+    """Seconds of build and solve, the assessment is no cost; older records have but their wall time."""
     build, solve = record.get("build_time_s"), record.get("solve_time_s")
     return record.get("wall_time_s") if build is None or solve is None else build + solve
 

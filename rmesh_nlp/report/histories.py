@@ -9,7 +9,6 @@ histories say when each was there first.
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,25 +18,16 @@ from numpy.typing import ArrayLike, NDArray
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, block_key, blocks, label, seconds_of_work
+from rmesh_nlp.report.blocks import RELOCATING_NOTHING, block_key, blocks, grouped, label, seconds_of_work
 
-FEASIBLE = 1e-6
-"""Primal residual up to which the objective of an iterate means something."""
-
-SLACK = 1e-3
-"""The common level may miss this part of the worst gain: the last digits of a descent are not compared."""
-
-TIGHTEST = 1e-6
-"""First-order residuals below it are not told apart."""
+FEASIBLE = 1e-6  # primal residual up to which the objective of an iterate means something
+SLACK = 1e-3  # part of the worst gain by which the common level may miss it: last digits are not compared
+TIGHTEST = 1e-6  # first-order residuals below it are not told apart
 
 
 @dataclass(frozen=True)
 class Curve:
-    """The history of one solve.
-
-    The cost is seconds of build and solve over those of one contact solve, for all formulations alike; the
-    energy is the objective that was minimised.
-    """
+    """The history of one solve: cost in contact solves, and as energy the objective that was minimised."""
 
     name: str
     iteration: Array
@@ -73,18 +63,18 @@ def cost_of_gain(energy: ArrayLike, cost: ArrayLike, initial: float, best: float
 
 
 def with_common_costs(results: Sequence[Result]) -> list[Record]:
-    """The records, in blocks of two or more successful formulations with further entries.
+    """The records, in blocks of two or more successful formulations with the levels and the costs to them.
 
-    ``common_objective``, ``common_stationarity``
-        The levels; an energy is the audited one.
-    ``cost_to_objective``, ``cost_to_stationarity``
-        Build and solve until then, in contact solves; the unit is the median of the block.
+    ``common_objective`` is audited if it is the energy. Costs, of build and solve until then, are in contact
+    solves, whose time is the median of the block.
     """
     records = [dict(result.record) for result in results]
-    groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
-    for place, record in enumerate(records):
-        if record["success"] and record["formulation"] != RELOCATING_NOTHING:
-            groups[(block_key(record), record["objective"])].append(place)
+    moved = [
+        place
+        for place, record in enumerate(records)
+        if record["success"] and record["formulation"] != RELOCATING_NOTHING
+    ]
+    groups = grouped(moved, lambda place: (block_key(records[place]), records[place]["objective"]))
     units = {block_key(block.records[0]): block.unit for block in blocks(records)}
     for (key, _), places in groups.items():
         unit = units[key]
@@ -103,24 +93,27 @@ def _costs(results: Sequence[Result], unit: float) -> list[Record]:
     residuals = [r["stationarity_residual"] for r in records if r.get("stationarity_residual") is not None]
     common = max((max(residual, TIGHTEST) for residual in residuals), default=math.nan)
     rows = []
-    for result in results:
-        record = result.record
+    for result, record in zip(results, records, strict=True):
         split = record.get("build_time_s") is not None and record.get("solve_time_s") is not None
         total = seconds_of_work(record) if split else None
         # the history is of the first run, the times are medians over all
         pace = (total or 1.0) / (record.get("first_cost_s") or total or 1.0)
         steps = _columns(result)
-        seconds = pace * steps["seconds"]
         low = _feasible(steps) & (steps[_minimised(record)] + shift_to_audited(record) <= level)
-        stationary = steps["stationarity"] <= common
         # a history may miss the last digits that the end has: all reach the levels at their ends
         end = math.nan if total is None else total
-        costs = {
-            "cost_to_objective": _first(seconds, low, end) / unit,
-            "cost_to_stationarity": _first(seconds, stationary, end) / unit,
-        }
-        levels = {"common_objective": level, "common_stationarity": common}
-        rows.append({**levels, **{name: None if math.isnan(c) else c for name, c in costs.items()}})
+        cost, other = (
+            _first(pace * steps["seconds"], where, end) / unit
+            for where in (low, steps["stationarity"] <= common)
+        )
+        rows.append(
+            {
+                "common_objective": level,
+                "common_stationarity": common,
+                "cost_to_objective": None if math.isnan(cost) else cost,
+                "cost_to_stationarity": None if math.isnan(other) else other,
+            }
+        )
     return rows
 
 

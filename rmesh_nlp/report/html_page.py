@@ -61,7 +61,7 @@ WHICH = (
     Column("formulation", variant),
     Column("problem", lambda record: str(record["example"])),
     Column("size", lambda record: str(record["n"])),
-    Column("seed", lambda record: shown(record["seed"], "d")),
+    Column("seed", "seed"),
 )
 """What tells solves apart."""
 

@@ -12,14 +12,24 @@ from rmesh_nlp.report.blocks import (
     audited,
     blocks,
     contact_units,
+    grouped,
     label,
     objective_of,
+    seedless,
 )
 from rmesh_nlp.report.columns import shown
 from rmesh_nlp.report.markup import Groups
 
 STARTS = ("formulation", "starts", "best", "median", "worst", "failures", "cost [contact solves]")
 MESHES = ("mesh", "formulation", "nodes", "J audited", "gain", "time [s]")
+STARTS_CAPTION = (
+    "Ends of solves from several starts: audited energies, or values of another objective. The cost "
+    "is the median of one start."
+)
+MESHES_CAPTION = (
+    "Relocation against uniform refinement: audited energies $J$ and gains over the given mesh, with "
+    "the wall time of each solve."
+)
 
 
 @dataclass(frozen=True)
@@ -35,22 +45,10 @@ class Joined:
 
 def joined_tables(records: Sequence[Record]) -> list[Joined]:
     """Those of the two that have rows."""
+    finer = refinement_rows(records), MESHES_CAPTION, refinement_notes(records)
     tables = (
-        Joined(
-            "Several starts",
-            STARTS,
-            multistart_rows(records),
-            "Ends of solves from several starts: audited energies, or values of another objective. The cost "
-            "is the median of one start.",
-        ),
-        Joined(
-            "Relocation against uniform refinement",
-            MESHES,
-            refinement_rows(records),
-            "Relocation against uniform refinement: audited energies $J$ and gains over the given mesh, with "
-            "the wall time of each solve.",
-            refinement_notes(records),
-        ),
+        Joined("Several starts", STARTS, multistart_rows(records), STARTS_CAPTION),
+        Joined("Relocation against uniform refinement", MESHES, *finer),
     )
     return [table for table in tables if table.groups]
 
@@ -59,14 +57,10 @@ def multistart_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]
     """Per block, a row for each formulation and objective that was solved from two starts or more."""
     found = []
     for block in blocks(records):
-        groups: dict[str, list[Record]] = {}
-        for record in block.records:
-            if record["status"] != "refused":
-                groups.setdefault(label({**record, "seed": None}), []).append(record)
+        groups = grouped((r for r in block.records if r["status"] != "refused"), seedless)
         rows = [row for name, group in groups.items() if (row := _starts(name, group))]
-        if rows:
-            found.append((block.title, rows))
-    return found
+        found.append((block.title, rows))
+    return [(title, rows) for title, rows in found if rows]
 
 
 def _starts(name: str, group: Sequence[Record]) -> list[str] | None:
@@ -97,22 +91,23 @@ def refinement_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]
 
     Gains are those of the audited energy over the given mesh, the one of fewest nodes.
     """
-    groups = []
-    for name, own in _several_meshes(records).items():
-        coarsest, start = own[0]["nodes"], own[0]["energy_initial_audited"]
-        rows = [
+    return [
+        (
+            name,
             [
-                "as given" if record["nodes"] == coarsest else "refined",
-                "no motion" if record["formulation"] == RELOCATING_NOTHING else label(record),
-                f"{record['nodes']}",
-                f"{record['energy_audited']:.6g}",
-                f"{start - record['energy_audited']:.4g}",
-                f"{record['wall_time_s']:.3g}",
-            ]
-            for record in own
-        ]
-        groups.append((name, rows))
-    return groups
+                [
+                    "as given" if record["nodes"] == own[0]["nodes"] else "refined",
+                    "no motion" if record["formulation"] == RELOCATING_NOTHING else label(record),
+                    f"{record['nodes']}",
+                    f"{record['energy_audited']:.6g}",
+                    f"{own[0]['energy_initial_audited'] - record['energy_audited']:.4g}",
+                    f"{record['wall_time_s']:.3g}",
+                ]
+                for record in own
+            ],
+        )
+        for name, own in _several_meshes(records).items()
+    ]
 
 
 def refinement_notes(records: Sequence[Record]) -> list[str]:
@@ -124,14 +119,17 @@ def refinement_notes(records: Sequence[Record]) -> list[str]:
         finer = [r for r in own if r["formulation"] == RELOCATING_NOTHING and r["nodes"] > coarsest]
         if not moved or not finer:
             continue
-        best = min(moved, key=lambda record: record["energy_audited"])
-        gain, other = start - best["energy_audited"], start - finer[0]["energy_audited"]
+        best, refined = min(moved, key=lambda record: record["energy_audited"]), finer[0]
+        gain = start - best["energy_audited"]
         if gain <= 0:
             notes.append(f"{name}: no formulation gained on the given mesh.")
             continue
-        times = finer[0]["wall_time_s"] / best["wall_time_s"]
+        ratio, times = (
+            (start - refined["energy_audited"]) / gain,
+            refined["wall_time_s"] / best["wall_time_s"],
+        )
         notes.append(
-            f"{name}: one uniform refinement ({finer[0]['nodes']} nodes) gains {other / gain:.2g} times as "
+            f"{name}: one uniform refinement ({refined['nodes']} nodes) gains {ratio:.2g} times as "
             f"much as {label(best)} on {coarsest} nodes, in {times:.2g} times its time."
         )
     return notes
@@ -139,10 +137,12 @@ def refinement_notes(records: Sequence[Record]) -> list[str]:
 
 def _several_meshes(records: Sequence[Record]) -> dict[str, list[Record]]:
     """Successful records of the energy by problem, of those with several meshes; coarser meshes first."""
-    found: dict[str, list[Record]] = {}
-    for record in records:
-        known = record.get("nodes") and record.get("energy_initial_audited") is not None
-        if record["success"] and known and str(record["objective"]).startswith("energy"):
-            found.setdefault(str(record["example"]), []).append(record)
+    solved = [
+        record
+        for record in records
+        if record["success"] and record.get("nodes") and record.get("energy_initial_audited") is not None
+        if str(record["objective"]).startswith("energy")
+    ]
+    found = grouped(solved, lambda record: str(record["example"]))
     several = {name: own for name, own in found.items() if len({record["nodes"] for record in own}) > 1}
     return {name: sorted(own, key=lambda record: int(record["nodes"])) for name, own in several.items()}

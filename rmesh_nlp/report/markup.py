@@ -8,24 +8,18 @@ from collections.abc import Iterator, Sequence
 Rows = Sequence[Sequence[str]]
 Groups = Sequence[tuple[str, Rows]]
 
-MISSING = "-"
-"""What stands for a figure that is not known."""
+MISSING = "-"  # what stands for a figure that is not known
+COLUMN, PAGE = 229.0, 345.0  # points of a column of the class ``article`` with two columns, and with one
+LINES = (
+    36  # most lines of one table, so that it fits a page with its caption and notes; a title counts as two
+)
+GAP = 5.0  # points between two columns of a table
+LABEL = 60.0  # points that the first column keeps at least; longer labels are set in several lines
 
 _NUMBER = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
 _SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-_SPECIAL |= {character: "\\" + character for character in "&%$#_{}"}
-
-COLUMN, PAGE = 229.0, 345.0
-"""Points of the width of a column of the class ``article`` with two columns, and with one."""
-
-LINES = 36
-"""Most lines of one table, so that it fits a page with its caption and notes; a title counts as two."""
-
-GAP = 5.0
-"""Points between two columns of a table."""
-
-LABEL = 60.0
-"""Points that the first column keeps at least; longer labels are set in several lines."""
+_ESCAPED = str.maketrans(_SPECIAL | {character: "\\" + character for character in "&%$#_{}"})
+_TWO_LINES = r"\begin{tabular}[b]{@{}r@{}}", r"\end{tabular}"
 
 
 def markdown_table(head: Sequence[str], rows: Rows) -> str:
@@ -114,12 +108,12 @@ def latex_heading(text: str) -> str:
     lines = [re.sub(r"\bJ\b(?![-(])", "$J$", line.replace("%", r"\%")) for line in text.split("|")]
     if len(lines) == 1:
         return lines[0]
-    return rf"\begin{{tabular}}[b]{{@{{}}r@{{}}}}{lines[0]}\\ {{{lines[1]}}}\end{{tabular}}"
+    return rf"{_TWO_LINES[0]}{lines[0]}\\ {{{lines[1]}}}{_TWO_LINES[1]}"
 
 
 def _lines(head: str) -> list[str]:
     """The lines of a heading without LaTeX's commands."""
-    inside = re.sub(r"\\begin\{tabular\}\[b\]\{@\{\}r@\{\}\}|\\end\{tabular\}", "", head)
+    inside = head.removeprefix(_TWO_LINES[0]).removesuffix(_TWO_LINES[1])
     return re.sub(r"\\(?!\\)\w+|[{}$]", "", inside).split(r"\\")
 
 
@@ -150,4 +144,4 @@ def _latex_title(title: str) -> str:
 
 def latex_text(text: str) -> str:
     """Plain text with LaTeX's special characters escaped."""
-    return "".join(_SPECIAL.get(character, character) for character in text)
+    return text.translate(_ESCAPED)

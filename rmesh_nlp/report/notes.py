@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.examples import PAPER, PaperValues
@@ -10,20 +10,23 @@ from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import units_of
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, audited, blocks, label, objective_of
+from rmesh_nlp.report.blocks import (
+    RELOCATING_NOTHING,
+    Block,
+    audited,
+    blocks,
+    grouped,
+    label,
+    objective_of,
+)
 
-TIED = 1e-8
-"""Energies that differ by less than this part of them are one: two solvers' ends of the same minimum."""
+TIED = 1e-8  # energies that differ by less than this part are one: two solvers' ends of the same minimum
 
 ENERGY = (
     "J is the total potential energy of the contact solution on the given and on the relocated mesh, as "
     "assessed: loads by an adaptive rule, gaps along whole edges, friction and curves integrated."
 )
-"""What the audited energy is, for tables in Markdown and in LaTeX."""
-
 LEGEND = (f"{ENERGY} Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.",)
-"""What the main table needs to be read."""
-
 DETAILED_LEGEND = (
     "Own rule: the energy with the quadrature of the problem. Least area ratio: the smallest element area "
     "over its value on the given mesh.",
@@ -36,7 +39,6 @@ DETAILED_LEGEND = (
     "Label: the stationarity that was computed; S (KKT) is S-stationarity without a biactive pair, that is, "
     "a KKT point.",
 )
-"""What the other tables need."""
 
 
 def main_notes(records: Sequence[Record]) -> list[str]:
@@ -70,27 +72,26 @@ def stopped_early(records: Sequence[Record]) -> list[str]:
 
 def units_notes(records: Sequence[Record]) -> list[str]:
     """The units of u and J of the problems that name theirs."""
-    named: dict[str, list[str]] = {}
-    for block in blocks(records):
-        units = units_of(block.records[0].get("units"))
-        if units.length and units.force:
-            text = f"u in {units.length}, J in {units.force}, the energy per {units.length} of depth."
-            named.setdefault(text, []).append(block.name)
-    return [f"{', '.join(dict.fromkeys(names))}: {text}" for text, names in named.items()]
-
-
-def stick_zone(block: Block) -> list[str]:
-    """A remark where no node with friction sticks: what such an example cannot show."""
-    known = [record for record in block.records if record.get("sticking_nodes") is not None]
-    if not known or any(record["sticking_nodes"] for record in known):
-        return []
+    named = grouped(blocks(records), lambda block: units_of(block.records[0].get("units")))
     return [
-        f"{block.name}: no node sticks in any row, so there is no stick zone. Where all slide one "
-        "way, friction acts like a load of size g: no change between stick and slip is met."
+        f"{', '.join(dict.fromkeys(block.name for block in own))}: u in {units.length}, J in {units.force}, "
+        f"the energy per {units.length} of depth."
+        for units, own in named.items()
+        if units.length and units.force
     ]
 
 
-def ranking(block: Block) -> list[str]:
+def stick_zone(block: Block) -> Iterator[str]:
+    """A remark where no node with friction sticks: what such an example cannot show."""
+    known = [record for record in block.records if record.get("sticking_nodes") is not None]
+    if known and not any(record["sticking_nodes"] for record in known):
+        yield (
+            f"{block.name}: no node sticks in any row, so there is no stick zone. Where all slide one "
+            "way, friction acts like a load of size g: no change between stick and slip is met."
+        )
+
+
+def ranking(block: Block) -> Iterator[str]:
     """The successful formulations by audited energy, of those that minimised it."""
     rows = [record for record in block.succeeded if objective_of(record) == "energy"]
     places: list[tuple[float, list[str]]] = []
@@ -99,16 +100,16 @@ def ranking(block: Block) -> list[str]:
             places.append((audited(record), []))
         places[-1][1].append(label(record))
     order = "; ".join(f"{' = '.join(names)} {energy:.6f}" for energy, names in places)
-    return [f"{block.name}: by audited energy {order}."] if len(rows) > 1 else []
+    if len(rows) > 1:
+        yield f"{block.name}: by audited energy {order}."
 
 
 def _tied(energy: float, lower: float) -> bool:
     return energy - lower <= TIED * max(abs(energy), abs(lower))
 
 
-def below_infimum(block: Block) -> list[str]:
+def below_infimum(block: Block) -> Iterator[str]:
     """Energies that no mesh can have: below the exact one, or below a guaranteed bound."""
-    found = []
     for record in block.records:
         above, lower = record.get("energy_above_exact"), None
         if above is not None and record.get("energy_audited") is not None:
@@ -118,65 +119,65 @@ def below_infimum(block: Block) -> list[str]:
         for name, words in (("energy", "energy"), ("energy_audited", "audited energy")):
             value = record.get(name)
             if lower is not None and value is not None and value < lower - ROUNDING * abs(lower):
-                found.append(
+                yield (
                     f"{block.name}, {label(record)}: the {words} {value:.6f} lies BELOW the "
                     f"infimum {lower:.6f}: its quadrature was exploited."
                 )
-    return found
 
 
-def paper_notes(block: Block) -> list[str]:
+def paper_notes(block: Block) -> Iterator[str]:
     """What of the paper's printed values these records meet."""
     paper = block.paper
-    if block.example not in PAPER:
-        return []
-    if paper is None:
-        return [f"{block.title}: not the paper's settings, so not compared with its values."]
-    notes = [*_initial(block, paper), *_final(block, paper)]
-    return [f"{block.name}: {note}" for note in ([paper.misprint] if paper.misprint else []) + notes]
+    if paper is not None:
+        notes = [
+            *([paper.misprint] if paper.misprint else []),
+            *_initial(block, paper),
+            *_final(block, paper),
+        ]
+        yield from (f"{block.name}: {note}" for note in notes)
+    elif block.example in PAPER:
+        yield f"{block.title}: not the paper's settings, so not compared with its values."
 
 
-def _initial(block: Block, paper: PaperValues) -> list[str]:
-    notes = []
+def _initial(block: Block, paper: PaperValues) -> Iterator[str]:
     given = next((r["energy_initial"] for r in block.records if r["energy_initial"] is not None), None)
     if given is not None:
         met = truncated(given) == truncated(paper.energy_initial)
-        notes.append(_met(f"printed initial energy {paper.energy_initial:.4f}", met, f"{given:.6f}"))
+        yield _met(f"initial energy {paper.energy_initial:.4f}", met, f"{given:.6f}")
     fixed = next((r for r in block.succeeded if r["formulation"] == RELOCATING_NOTHING), None)
     if fixed is not None and paper.u_min_initial is not None and paper.u_max_initial is not None:
         pairs = ((fixed["u_min"], paper.u_min_initial), (fixed["u_max"], paper.u_max_initial))
         # one unit in the last place: the paper truncates some of its figures and rounds others
         met = all(abs(ours - printed) < 10.0**-PRINTED_DIGITS for ours, printed in pairs)
-        printed = f"printed extremes {paper.u_min_initial:.4f}, {paper.u_max_initial:.4f} on the given grid"
-        notes.append(_met(printed, met, f"{fixed['u_min']:.5f}, {fixed['u_max']:.5f}"))
-    return notes
+        printed = f"extremes {paper.u_min_initial:.4f}, {paper.u_max_initial:.4f} on the given grid"
+        yield _met(printed, met, f"{fixed['u_min']:.5f}, {fixed['u_max']:.5f}")
 
 
 def _met(printed: str, met: bool, ours: str) -> str:
-    return f"{printed}: {'met' if met else 'NOT met'}, here {ours}."
+    return f"printed {printed}: {'met' if met else 'NOT met'}, here {ours}."
 
 
-def _final(block: Block, paper: PaperValues) -> list[str]:
+def _final(block: Block, paper: PaperValues) -> Iterator[str]:
     moved = [
         record
         for record in block.succeeded
         if record["formulation"] != RELOCATING_NOTHING and objective_of(record) == "energy"
     ]
     if not moved:
-        return ["no formulation relocated the grid here, so the printed final energy is not compared."]
+        yield "no formulation relocated the grid here, so the printed final energy is not compared."
+        return
     lowest = min(record["energy"] for record in moved)
     best = next(record for record in moved if _tied(record["energy"], lowest))
     ours = f"the lowest here is {best['energy']:.6f} ({label(best)})"
     printed = f"printed final energy {paper.energy_final:.4f}"
-    if truncated(best["energy"]) > truncated(paper.energy_final):
-        return [f"{printed} is NOT reached: {ours}. {paper.remark}".rstrip()]
-    if truncated(best["energy"]) == truncated(paper.energy_final):
-        return [f"{printed} is met: {ours}."]
-    notes = [f"{printed} is passed: {ours}."]
-    if paper.u_min_final is not None and paper.u_max_final is not None:
-        notes.append(
+    reached, wanted = truncated(best["energy"]), truncated(paper.energy_final)
+    if reached > wanted:
+        yield f"{printed} is NOT reached: {ours}. {paper.remark}".rstrip()
+        return
+    yield f"{printed} is {'met' if reached == wanted else 'passed'}: {ours}."
+    if reached < wanted and paper.u_min_final is not None and paper.u_max_final is not None:
+        yield (
             f"printed extremes {paper.u_min_final:.4f}, {paper.u_max_final:.4f} on the relocated grid "
             f"belong to that higher energy and so to another grid; here {best['u_min']:.4f}, "
             f"{best['u_max']:.4f} ({label(best)})."
         )
-    return notes

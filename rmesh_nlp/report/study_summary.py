@@ -9,8 +9,9 @@ never a missing problem.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 
 import numpy as np
@@ -22,6 +23,7 @@ from rmesh_nlp.io.results import Result
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     contact_units,
+    grouped,
     objective_of,
     seconds_of_work,
     variant,
@@ -34,34 +36,23 @@ HEAD = (
     *("family", "formulation", "solves", "success", "converged", "gain [%]", "of best [%]"),
     *("iterations", "contact solves", "build + solve [s]", "cost [contact solves]"),
 )
-"""Columns of the table of a study."""
-
-SHORT = (0, 1, 2, 3, 4, 5, 8, 9)
-"""Those that a first reader needs."""
-
+SHORT = (0, 1, 2, 3, 4, 5, 8, 9)  # columns that a first reader needs
 RANGES = (
     "Medians over successful solves, in brackets their range. Of best: the gain over the largest one of any "
     "formulation on that problem. Cost: time of build and solve over that of one contact solve on the given "
     "mesh."
 )
-"""What the columns mean."""
-
-LEVELS = (0.9, 0.99, 0.999)
-"""Parts of the best gain for data profiles."""
-
-SAME = 1e-9
-"""Ratios that agree to this are one: costs of two clocks' ticks are ties."""
-
-
+LEVELS = (0.9, 0.99, 0.999)  # parts of the best gain for data profiles
+SAME = 1e-9  # ratios that agree to this are one: costs of two clocks' ticks are ties
 INF = float("inf")
 
+# costs of performance profiles by the names of their figures: words, and the cost of a success
 COSTS: dict[str, tuple[str, Callable[[Record], float | None]]] = {
     "iterations": ("iterations", lambda record: record["iterations"]),
     "contact_solves": ("contact solves (all at once: 1)", lambda record: record["contact_solves"]),
     "time_contact_solves": ("build and solve, in contact solves", contact_units),
     "build_and_solve": ("build and solve, in seconds", seconds_of_work),
 }
-"""Costs of performance profiles by the names of their figures: words, and the cost of a success."""
 
 Instance = tuple[str, ...]
 
@@ -108,26 +99,26 @@ def instance(record: Record) -> Instance:
 def summary_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table by family and variant; repetitions are joined by medians."""
     best: dict[Instance, float] = {}
-    groups: dict[tuple[str, bool, str], list[Record]] = {}
     for record in records:
         gain = _gain(record)
         if record["success"] and gain is not None:
             best[instance(record)] = max(best.get(instance(record), -INF), gain)
-        if record["status"] != "refused":  # the baseline first, then by name
-            moves = record["formulation"] != RELOCATING_NOTHING
-            groups.setdefault((family(record), moves, variant(record)), []).append(record)
+    columns: tuple[tuple[str, Callable[[Record], float | None]], ...] = (
+        (".3g", lambda record: _part(_gain(record), abs(_start(record) or 0))),
+        (".4g", lambda record: _part(_gain(record), best.get(instance(record)))),
+        (".0f", lambda record: record["iterations"]),
+        (".0f", lambda record: record["contact_solves"]),
+        (".3g", seconds_of_work),
+        (".4g", contact_units),
+    )
+    groups = grouped(  # the baseline first, then by name
+        (record for record in records if record["status"] != "refused"),
+        lambda record: (family(record), record["formulation"] != RELOCATING_NOTHING, variant(record)),
+    )
     rows = []
     for (name, _, method), group in sorted(groups.items(), key=lambda item: item[0]):
         good = [record for record in group if record["success"]]
         converged = sum(record["status"] == "converged" for record in good)
-        columns: tuple[tuple[str, Callable[[Record], float | None]], ...] = (
-            (".3g", lambda record: _part(_gain(record), abs(_start(record) or 0))),
-            (".4g", lambda record: _part(_gain(record), best.get(instance(record)))),
-            (".0f", lambda record: record["iterations"]),
-            (".0f", lambda record: record["contact_solves"]),
-            (".3g", seconds_of_work),
-            (".4g", contact_units),
-        )
         figures = [_range([value(record) for record in good], form) for form, value in columns]
         rows.append([name, method, str(len(group)), str(len(good)), str(converged), *figures])
     return list(HEAD), rows
@@ -168,10 +159,8 @@ def study_notes(records: Sequence[Record]) -> list[str]:
     """What is needed to read the tables of a study."""
     refused = sum(record["status"] == "refused" for record in records)
     shared = sum(bool(record.get("shared")) for record in records)
-    found = [
-        "Medians over successful solves. Gain: fall of the audited energy in per cent of its size on the "
-        "given mesh.",
-    ]
+    found = ["Medians over successful solves. Gain: fall of the audited energy in per cent of its size on the "
+             "given mesh."]  # fmt: skip
     if refused:
         found.append(f"{refused} solves were refused, since the formulation does not take the objective.")
     if shared:
@@ -187,15 +176,13 @@ def charts(results: Sequence[Result]) -> list[Chart]:
 
     The variant that relocates nothing is not ranked: it is the baseline of all gains.
     """
-    rows = [r for r in results if r.record["status"] != "refused"]
-    rows = [r for r in rows if r.record["formulation"] != RELOCATING_NOTHING]
+    rows = [r for r in results if r.record["formulation"] != RELOCATING_NOTHING]
+    rows = [r for r in rows if r.record["status"] != "refused"]
     names = variants_of([r.record for r in rows])
-    instances = list(dict.fromkeys(instance(r.record) for r in rows))
-    if len(names) < 2 or not instances:
+    instances = grouped((r.record for r in rows), instance)
+    found = grouped(rows, lambda r: (variant(r.record), instance(r.record)))
+    if len(names) < 2:
         return []
-    found: dict[tuple[str, Instance], list[Result]] = {}
-    for one in rows:
-        found.setdefault((variant(one.record), instance(one.record)), []).append(one)
 
     def typical(value: Callable[[Result], float | None]) -> dict[str, list[float]]:
         """Medians over repetitions and starts; infinite if most failed or there is none."""
@@ -204,32 +191,31 @@ def charts(results: Sequence[Result]) -> list[Chart]:
             known = value(one) if one.record["success"] else None
             return INF if known is None else float(known)
 
-        every = {
-            name: [[cost(one) for one in found.get((name, where), [])] for where in instances]
+        return {
+            name: [
+                median(map(cost, found[name, where])) if (name, where) in found else INF
+                for where in instances
+            ]
             for name in names
         }
-        return {name: [median(costs) if costs else INF for costs in row] for name, row in every.items()}
 
     made = []
     for name, (words, cost) in COSTS.items():
         profiles = performance_profiles(typical(lambda one, cost=cost: cost(one.record)))  # type: ignore[misc]
         made.append(Chart(name, f"Performance profile: {words}", "factor of the cheapest", profiles))
     energies = typical(lambda one: one.record["energy_audited"])
-    starts = [
-        next((s for r in rows if instance(r.record) == where and (s := _start(r.record)) is not None), INF)
-        for where in instances
-    ]
+    starts = [next((s for r in own if (s := _start(r)) is not None), INF) for own in instances.values()]
     profiles = quality_profiles(energies, starts)
     made.append(Chart("quality", "Quality: final audited energy", "part of the best gain missed", profiles))
-    lowest = {where: min(energies[name][i] for name in names) for i, where in enumerate(instances)}
+    lowest = dict(zip(instances, np.min(list(energies.values()), axis=0), strict=True))
     for level in LEVELS:
-        reached = typical(lambda one, part=level: _cost_of_level(one, lowest, part))  # type: ignore[misc]
+        profiles = data_profiles(typical(partial(_cost_of_level, lowest=lowest, level=level)))
         title = f"Data profile: {100 * level:g} % of the best gain"
-        made.append(Chart(f"data-{100 * level:g}", title, "cost [contact solves]", data_profiles(reached)))
+        made.append(Chart(f"data-{100 * level:g}", title, "cost [contact solves]", profiles))
     return made
 
 
-def _cost_of_level(one: Result, lowest: dict[Instance, float], level: float) -> float:
+def _cost_of_level(one: Result, lowest: Mapping[Instance, float], level: float) -> float:
     """Cost at which a part of the best gain was reached, by the history or, without one, at the end."""
     record = one.record
     start, best = _start(record), lowest[instance(record)]
@@ -247,7 +233,7 @@ def _cost_of_level(one: Result, lowest: dict[Instance, float], level: float) -> 
 
 def data_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
     """Moré and Wild's profiles over the cost itself, that of a part of the best gain, in contact solves."""
-    return {name: _profile(row) for name, row in zip(costs, _table(costs), strict=True)}
+    return _profiles(costs, _table(costs))
 
 
 def performance_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
@@ -255,8 +241,7 @@ def performance_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
     table = _table(costs)
     best = np.min(table, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratios = np.where(best > 0, table / best, np.where(table == 0, 1.0, np.inf))
-    return {name: _profile(row) for name, row in zip(costs, _failing(ratios, table), strict=True)}
+        return _profiles(costs, np.where(best > 0, table / best, np.where(table == 0, 1.0, np.inf)))
 
 
 def quality_profiles(energies: Mapping[str, ArrayLike], initial: ArrayLike) -> dict[str, Profile]:
@@ -266,13 +251,13 @@ def quality_profiles(energies: Mapping[str, ArrayLike], initial: ArrayLike) -> d
     """
     table = np.array([np.asarray(row, dtype=float) for row in energies.values()])
     best = np.min(table, axis=0)
-    gain = np.asarray(initial, dtype=float) - best
+    gain, is_best = np.asarray(initial, dtype=float) - best, np.isfinite(table) & (table <= best)
     with np.errstate(invalid="ignore", divide="ignore"):
-        missed = np.where(gain > 0, (table - best) / gain, np.where(table <= best, 0.0, np.inf))
-    return {name: _profile(row) for name, row in zip(energies, _failing(missed, table), strict=True)}
+        return _profiles(energies, np.where(gain > 0, (table - best) / gain, np.where(is_best, 0.0, np.inf)))
 
 
 def _table(costs: Mapping[str, ArrayLike]) -> Array:
+    """(formulations, problems) costs."""
     table = np.array([np.asarray(row, dtype=float) for row in costs.values()])
     if table.ndim != 2:
         raise ValueError("every formulation needs a cost for every problem")
@@ -281,12 +266,10 @@ def _table(costs: Mapping[str, ArrayLike]) -> Array:
     return table
 
 
-def _failing(values: Array, table: Array) -> Array:
-    """The values, infinite where the table says that a formulation failed."""
-    return np.where(np.isfinite(table), values, np.inf)
-
-
-def _profile(values: Array) -> Profile:
-    """The distribution of values, those that are infinite never reached."""
-    at, counts = np.unique(values[np.isfinite(values)], return_counts=True)
-    return Profile(at, np.cumsum(counts) / max(values.size, 1))
+def _profiles(names: Iterable[str], table: Array) -> dict[str, Profile]:
+    """The distributions of rows of values; what is not finite is never reached."""
+    found = {}
+    for name, values in zip(names, table, strict=True):
+        at, counts = np.unique(values[np.isfinite(values)], return_counts=True)
+        found[name] = Profile(at, np.cumsum(counts) / max(values.size, 1))
+    return found

@@ -11,7 +11,7 @@ from rmesh_nlp.display import for_markdown, for_spreadsheet
 from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import TABLES, Results
-from rmesh_nlp.report.blocks import Block, blocks, contact_units, names_of_solves, objective_of
+from rmesh_nlp.report.blocks import Block, blocks, contact_units, grouped, names_of_solves, objective_of
 from rmesh_nlp.report.columns import (
     CERTIFICATES,
     COMMON,
@@ -29,9 +29,9 @@ from rmesh_nlp.report.markup import Groups, latex_table, latex_text, markdown_ta
 from rmesh_nlp.report.notes import ENERGY, detailed_notes, main_notes, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import RANGES, is_study, median_rows, study_notes, summary_rows
 
-DETAILS = "## Details"
-"""What stands below this line is in ``table.md``, and printed with ``--verbose`` only."""
+DETAILS = "## Details"  # what stands below it is in ``table.md``, and printed with ``--verbose`` only
 
+# of the tables that LaTeX has; the others are in ``table.md`` and ``table.csv``
 CAPTIONS = {
     MAIN: f"Relocation by each formulation. {ENERGY.replace('J is', '$J$ is')} The gain is in per cent of "
     r"$|J|$ on the given mesh. Times are wall times of build, solve and audit.",
@@ -47,28 +47,32 @@ CAPTIONS = {
     OBJECTIVES: r"Outer objectives other than the energy.",
     CERTIFICATES: r"Bounds of the least energy, and of the error in the energy norm in per cent of the norm.",
 }
-"""The tables that LaTeX has; the others are in ``table.md`` and ``table.csv``."""
 
+# tables that a block of records has only where one of its records asks for it
 WANTED: dict[tuple[Column, ...], Callable[[Record], bool]] = {
     COMMON: lambda record: record.get("common_objective") is not None,
     ERRORS: lambda record: record.get("I1") is not None,
     OBJECTIVES: lambda record: objective_of(record) != "energy",
     CERTIFICATES: lambda record: "certificate_remark" in record,
 }
-"""Tables that a block of records has only where one of its records asks for it."""
+
+
+def _having(columns: tuple[Column, ...], records: Sequence[Record]) -> list[Block]:
+    """The blocks with a record that asks for these columns."""
+    wanted = WANTED.get(columns, lambda _: True)
+    return [block for block in blocks(records) if any(wanted(record) for record in block.records)]
 
 
 def markdown(records: Sequence[Record]) -> str:
     """The short tables of :func:`short_markdown`, and below ``DETAILS`` all others."""
     parts = [short_markdown(records), f"{DETAILS}\n"]
     if is_study(records):
-        parts += [markdown_table(*summary_rows(records)) + f"- {RANGES}\n"]
-    else:
-        for block in blocks(records):
-            parts.append(f"### {block.title}\n")
-            for columns in (ENERGIES, COSTS, COMMON, RESIDUALS, ERRORS):
-                parts += [_block_table(columns, one) for one in _having(columns, block.records)]
-        parts.append(f"### Notes\n\n{_items(detailed_notes(records))}")
+        return for_markdown("\n".join([*parts, f"{markdown_table(*summary_rows(records))}- {RANGES}\n"]))
+    for block in blocks(records):
+        parts.append(f"### {block.title}\n")
+        for columns in (ENERGIES, COSTS, COMMON, RESIDUALS, ERRORS):
+            parts += [_block_table(columns, one) for one in _having(columns, block.records)]
+    parts.append(f"### Notes\n\n{_items(detailed_notes(records))}")
     return for_markdown("\n".join(parts))
 
 
@@ -77,10 +81,8 @@ def short_markdown(records: Sequence[Record]) -> str:
     if is_study(records):
         table = markdown_table(*median_rows(records))
         return for_markdown(f"# Study\n\n{table}\n{_items(study_notes(records))}")
-    parts = [
-        "# Comparison of formulations\n",
-        main_table(records) if records else "No solve has ended yet.\n",
-    ]
+    solves = main_table(records) if records else "No solve has ended yet.\n"
+    parts = ["# Comparison of formulations\n", solves]
     for columns in (OBJECTIVES, CERTIFICATES):
         for block in _having(columns, records):
             parts += [f"### {block.title}\n", _block_table(columns, block)]
@@ -104,23 +106,13 @@ def _block_table(columns: tuple[Column, ...], block: Block) -> str:
     return markdown_table([column.head for column in columns], body(columns, block))
 
 
-def _having(columns: tuple[Column, ...], records: Sequence[Record]) -> list[Block]:
-    """The blocks with a record that asks for these columns."""
-    wanted = WANTED.get(columns, lambda _: True)
-    return [block for block in blocks(records) if any(wanted(record) for record in block.records)]
-
-
 def _items(notes: Sequence[str]) -> str:
     return "".join(f"- {note}\n" for note in notes)
 
 
 def latex(records: Sequence[Record]) -> str:
-    r"""Tables of at most eight columns, examples below each other; needs ``\usepackage{booktabs}``.
-
-    What has no place in them is in ``table.md`` and ``table.csv``.
-    """
+    r"""Tables of at most eight columns, examples below each other; needs ``\usepackage{booktabs}``."""
     tables = (latex_table(*table) for table in _latex_tables(records))
-
     return "\n".join(["% made by rmesh table; needs \\usepackage{booktabs}\n", *tables])
 
 
@@ -128,8 +120,8 @@ def _latex_tables(records: Sequence[Record]) -> Iterator[tuple[list[str], Groups
     """Heads, groups of rows, caption and notes of each."""
     if is_study(records):
         head, rows = median_rows(records)
-        families = dict.fromkeys(row[0] for row in rows)
-        groups = [(name, [row[1:] for row in rows if row[0] == name]) for name in families]
+        families = grouped(rows, lambda row: row[0])
+        groups = [(name, [row[1:] for row in own]) for name, own in families.items()]
         yield [latex_text(cell) for cell in head[1:]], groups, "Results of the study.", study_notes(records)
         return
     units = units_notes(records)
@@ -165,13 +157,7 @@ def csv(records: Sequence[Record]) -> str:
 
 
 def write_tables(records: Sequence[Record], folder: Path) -> None:
-    """Write ``table.md``, ``table.tex`` and ``table.csv``.
-
-    Raises
-    ------
-    BadInputError
-        If a file of one of these names is there that this package did not write.
-    """
+    """Write ``table.md``, ``table.tex`` and ``table.csv``; BadInputError if one there is the user's."""
     Results(folder).manifest.claim(*TABLES)
     for name, content in zip(TABLES, (markdown(records), latex(records), csv(records)), strict=True):
         write_text(folder / name, content)
