@@ -39,7 +39,7 @@ from rmesh_nlp.report.blocks import (
     variant,
     variants_of,
 )
-from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, MAIN, RESIDUALS, STATUS, Column, shown
+from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, MAIN, RESIDUALS, STATUS, Column
 from rmesh_nlp.report.figures import convergence_figure, profile_figure
 from rmesh_nlp.report.histories import curve
 from rmesh_nlp.report.markup import MISSING, markdown_table
@@ -50,23 +50,17 @@ from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.reproduction import Statement
 
 REPORT = "report.html"
+CHART = 4.4  # inches of the width of a chart: legible on a phone, where it is three wide
+CONVERGENCE, MESHES, STARTS = 12, 60, 8  # most problems, solves with meshes, and names of starts on the page
 
-CHART = 4.4
-"""Inches of the width of a chart, so that its letters are legible on a phone, where it is three wide."""
-
-CONVERGENCE, MESHES, STARTS = 12, 60, 8
-"""Most problems whose convergence, solves whose meshes, and starts whose names are on the page."""
-
+# what tells solves apart, and columns of their second table; those that no row has are left out
 WHICH = (
     Column("formulation", variant),
-    Column("problem", lambda record: str(record["example"])),
+    Column("problem", "example"),
     Column("size", lambda record: str(record["n"])),
     Column("seed", "seed"),
 )
-"""What tells solves apart."""
-
 MORE = (*COSTS[-1:], *ENERGIES[1:], *RESIDUALS[1:], *CERTIFICATES[1:])
-"""Columns of the second table of all solves; those that no row has are left out."""
 
 COST = (
     "Cost: time of build and solve over that of one contact solve on the given mesh. Residuals are "
@@ -97,10 +91,7 @@ class Table:
 def write_report(folder: Path, results: Sequence[Result], question: str = "", title: str = "") -> Path:
     """Write ``report.html`` of a folder, with the question and the name of a study, and return its path.
 
-    Raises
-    ------
-    BadInputError
-        If the fields of a solution cannot be read, or the file there is not this package's.
+    Raises BadInputError if the fields of a solution cannot be read, or the file there is the user's.
     """
     path = folder / REPORT
     Results(folder).manifest.claim(REPORT)
@@ -112,13 +103,17 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
     """The page as text."""
     records = [result.record for result in results]
     failed = {i for i, r in enumerate(records) if not r["success"] and r["status"] != "refused"}
-    meshes, meshes_left = _meshes(results)
-    convergence, not_drawn = _convergence(results)
-    with rc_context(SETTINGS):
-        profiles = [(one.title, svg(profile_figure(one, CHART, heading=False))) for one in charts(results)]
-    failures = [[str(r.get(name) or "") for name in ("example", "n", "status", "message")] for r in records]
     shared = sum(bool(record.get("shared")) for record in records)
     remarks = study_notes(records) if is_study(records) else block_notes(records)
+    head = ("formulation", "problem", "size", "status", "message")
+    failures = [
+        [variant(records[i]), *(str(records[i].get(name) or "") for name in ("example", "n", *head[3:]))]
+        for i in sorted(failed)
+    ]
+    with rc_context(SETTINGS):
+        profiles = [(one.title, svg(profile_figure(one, CHART, heading=False))) for one in charts(results)]
+        convergence, not_drawn = _convergence(results)
+    meshes, meshes_left = _meshes(results)
     sections = (
         ("set-up", "Set-up", True),
         ("summary", "Formulations", True),
@@ -144,11 +139,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         meshes_left=meshes_left,
         solves=_solves(records, (STATUS, *MAIN[1:-1]), failed),
         more=_solves(records, MORE, failed),
-        failures=Table(
-            ["formulation", "problem", "size", "status", "message"],
-            [[variant(records[i]), *failures[i]] for i in sorted(failed)],
-            texts=5,
-        ),
+        failures=Table(head, failures, texts=5),
         remarks=[*LEGEND, COST, *units_notes(records), *stopped_early(records), *remarks],
         environments=_environments(folder, records),
         shared=f"{shared} of {len(records)} solves shared their core with something." if shared else "",
@@ -156,15 +147,11 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
 
 
 def _render(name: str, **content: Any) -> str:
-    style, script = (Markup(_resource(file)) for file in ("page.css", "page.js"))
+    loader = TEMPLATES.loader
+    assert loader is not None
+    style, script = (Markup(loader.get_source(TEMPLATES, file)[0]) for file in ("page.css", "page.js"))
     text = TEMPLATES.get_template(name).render(style=style, script=script, version=__version__, **content)
     return f"{text}\n"
-
-
-def _resource(name: str) -> str:
-    """A style sheet or script of this package."""
-    assert TEMPLATES.loader is not None
-    return TEMPLATES.loader.get_source(TEMPLATES, name)[0]
 
 
 def _setup(records: Sequence[Record], failed: int) -> dict[str, str]:
@@ -172,11 +159,13 @@ def _setup(records: Sequence[Record], failed: int) -> dict[str, str]:
     good = len(records) - refused - failed
     starts = list(dict.fromkeys("given mesh" if r["seed"] is None else f"seed {r['seed']}" for r in records))
     named = ", ".join(starts) if len(starts) <= STARTS else f"{len(starts)}, {starts[0]} to {starts[-1]}"
-    families = ", ".join(dict.fromkeys(map(family, records)))
+    families, variants, objectives = (
+        ", ".join(dict.fromkeys(map(name, records))) for name in (family, variant, objective_of)
+    )
     return {
         "problems": f"{len({(r['example'], r['n']) for r in records})} of {families}",
-        "formulations": ", ".join(dict.fromkeys(map(variant, records))),
-        "outer objectives": ", ".join(dict.fromkeys(map(objective_of, records))),
+        "formulations": variants,
+        "outer objectives": objectives,
         "solves": f"{len(records)}, of which {good} succeeded, {refused} were refused",
         "starts": named,
     }
@@ -198,14 +187,13 @@ def _convergence(results: Sequence[Result]) -> tuple[list[tuple[str, str]], str]
     records = [result.record for result in results]
     looks = {name: position for position, name in enumerate(variants_of(records), 1)}
     found, every = [], blocks(records)
-    with rc_context(SETTINGS):
-        for block in every[:CONVERGENCE]:
-            for objective, own in block.objectives.items():
-                drawn = [curve(by_record[id(record)], block.unit, variant(record)) for record in own]
-                curves, best = [one for one in drawn if one is not None], Block(tuple(own)).best
-                if best is not None and any(one.feasible[-1] for one in curves):
-                    caption = block.title if objective == "energy" else f"{block.title}, {objective}"
-                    found.append((caption, svg(convergence_figure(curves, best, looks, CHART))))
+    for block in every[:CONVERGENCE]:
+        for objective, own in block.objectives.items():
+            drawn = [curve(by_record[id(record)], block.unit, variant(record)) for record in own]
+            curves, best = [one for one in drawn if one is not None], Block(tuple(own)).best
+            if best is not None and any(one.feasible[-1] for one in curves):
+                caption = block.title if objective == "energy" else f"{block.title}, {objective}"
+                found.append((caption, svg(convergence_figure(curves, best, looks, CHART))))
     more = len(every) - CONVERGENCE
     return found, f"The first {CONVERGENCE} problems; {more} more are not drawn." if more > 0 else ""
 
@@ -221,10 +209,8 @@ def _meshes(results: Sequence[Result]) -> tuple[list[dict[str, Any]], str]:
     solved = [r for r in results if r.record["energy"] is not None and r.vtu.exists()]
     solved = [r for r in solved if r.record["formulation"] != RELOCATING_NOTHING] or solved
     left = len(solved) - MESHES
-    note = (
-        f"{left} further solves are not here; their fields are in the folder solutions." if left > 0 else ""
-    )
-    return [_mesh(result.record, read_vtu(result.vtu)) for result in solved[:MESHES]], note
+    note = f"{left} further solves are not here; their fields are in the folder solutions."
+    return [_mesh(r.record, read_vtu(r.vtu)) for r in solved[:MESHES]], note if left > 0 else ""
 
 
 def _mesh(record: Record, fields: Fields) -> dict[str, Any]:
@@ -237,19 +223,19 @@ def _mesh(record: Record, fields: Fields) -> dict[str, Any]:
     parts = [str(record["example"]), f"n = {record['n']}" if record["n"] else "", variant(record)]
     parts += [f"seed {record['seed']}" if record["seed"] is not None else ""]
     parts += [f"repetition {record['repeat'] + 1}" if record.get("repeat") else ""]
-    places = {"x": fields.nodes[0], "y": fields.nodes[1], "x0": fields.initial[0], "y0": fields.initial[1]}
-    size = float(np.abs(fields.nodes).max()) or 1.0
+    places = zip(("x", "y", "x0", "y0"), (*fields.nodes, *fields.initial), strict=True)
+    size = float(np.abs(fields.nodes).max())
     return {
         "name": ", ".join(part for part in parts if part),
-        **{name: _rounded(place, size) for name, place in places.items()},
+        **{name: _rounded(place, size) for name, place in places},
         "t": fields.triangles.T.tolist(),
-        "fields": {name: _rounded(v, float(np.abs(v).max()) or 1.0) for name, v in values.items()},
+        "fields": {name: _rounded(v, float(np.abs(v).max())) for name, v in values.items()},
     }
 
 
 def _rounded(values: Array, unit: float) -> list[float]:
     """Five digits, which a screen does not resolve."""
-    return [float(f"{value:.5g}") if abs(value) > 1e-12 * unit else 0.0 for value in values]
+    return [float(f"{value:.5g}") if abs(value) > 1e-12 * (unit or 1.0) else 0.0 for value in values]
 
 
 def _environments(folder: Path, records: Sequence[Record]) -> list[dict[str, str]]:
@@ -273,7 +259,6 @@ def _flat(value: Any) -> str:
 REPRODUCTION = ("reproduction.md", "reproduction.html")
 TITLE = "The paper's figures, printed and computed"
 HEAD = ("example", "statement", "printed", "here", "outcome", "evidence")
-
 INTRODUCTION = (
     "Haslinger, Neittaanmäki and Salmenjoki, Applications of Mathematics 37 (1992) 105-122, section 6. "
     "The paper truncates its digits. Met: equal to the printed digits. Passed: a lower energy was found. "
@@ -285,20 +270,6 @@ def write_reproduction(folder: Path, statements: Sequence[Statement], quick: boo
     """Write ``reproduction.md`` and ``reproduction.html``; returns their paths."""
     Manifest(folder).claim(*REPRODUCTION)
     rows = [[s.example, s.what, s.printed, s.ours, s.outcome or MISSING, s.evidence] for s in statements]
-    remarks = _reproduction_remarks(quick)
-    items = "".join(f"- {line}\n" for line in remarks)
-    markdown = "\n".join([f"# {TITLE}\n", f"{INTRODUCTION}\n", markdown_table(HEAD, rows), items])
-    table = Table(HEAD, rows, texts=len(HEAD))
-    html = _render(
-        "reproduction.html", title=TITLE, introduction=INTRODUCTION, statements=table, remarks=remarks
-    )
-    paths = [folder / name for name in REPRODUCTION]
-    for path, text in zip(paths, (markdown, html), strict=True):
-        write_text(path, text)
-    return paths
-
-
-def _reproduction_remarks(quick: bool) -> list[str]:
     place = environment()
     remarks = [
         f"Example 6.1: {MISPRINT_61}",
@@ -306,7 +277,16 @@ def _reproduction_remarks(quick: bool) -> list[str]:
         "processor and its linear algebra.",
         f"Made by rmesh reproduce{' --quick' if quick else ''}, rmesh-nlp {__version__}, CasADi "
         f"{place['versions']['casadi']}, {platform.machine()}, {place['blas']}.",
+        *(["The quick variant takes one random start; the full one takes 40."] if quick else []),
     ]
-    if quick:
-        remarks.append("The quick variant takes one random start; the full one takes 40.")
-    return remarks
+    items = "".join(f"- {line}\n" for line in remarks)
+    table = Table(HEAD, rows, texts=len(HEAD))
+    words = {"title": TITLE, "introduction": INTRODUCTION, "statements": table, "remarks": remarks}
+    texts = (
+        "\n".join([f"# {TITLE}\n", f"{INTRODUCTION}\n", markdown_table(HEAD, rows), items]),
+        _render("reproduction.html", **words),
+    )
+    paths = [folder / name for name in REPRODUCTION]
+    for path, text in zip(paths, texts, strict=True):
+        write_text(path, text)
+    return paths
