@@ -121,8 +121,7 @@ def solve(
     for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
         if value not in (None, "midpoint"):
             raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
-    columns = columns if figures else 0
-    work = load("cli.solving").solve_file
+    work, columns = load("cli.solving").solve_file, columns if figures else 0
     raise typer.Exit(work(Path(example), formulation, given["options"], certify, out, voice, columns))
 
 
@@ -151,7 +150,7 @@ def path(
 
 @app.command()
 def check(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")],
+    file: o.File,
     picture: Annotated[
         Path | None,
         typer.Option("--picture", metavar="FILE", help="Where to draw; default: beside the problem file."),
@@ -170,9 +169,7 @@ def check(
 
 
 @app.command()
-def advise(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")],
-) -> None:
+def advise(file: o.File) -> None:
     """Say whether to relocate, to refine, or both, before an expensive solve.
 
     Relocates on a coarse mesh, prolongs the map, and refines uniformly twice.
@@ -200,7 +197,7 @@ def new(
 @app.command()
 def study(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A study file.")],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")],
+    out: o.Out,
     jobs: o.Jobs = 1,
     scheduler: Annotated[
         str | None,
@@ -264,16 +261,13 @@ def compare(
     tolerance: o.Tolerance = None,
     start: o.Begin = None,
     settings: o.Set = None,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("results"),
+    out: o.Out = Path("results"),
     resume: Annotated[
         bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
     ] = False,
     jobs: o.Jobs = 1,
     repeats: o.Repeats = 1,
-    figures: Annotated[
-        bool,
-        typer.Option("--figures/--no-figures", help="Draw to DIR/figures; rmesh figures DIR does it later."),
-    ] = True,
+    figures: o.Figures = True,
     json: o.Json = False,
     quiet: o.Quiet = False,
     verbose: o.Verbose = False,
@@ -338,9 +332,7 @@ def report(folder: o.Folder) -> None:
 
 @app.command()
 def reproduce(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path(
-        "reproduction"
-    ),
+    out: o.Out = Path("reproduction"),
     quick: Annotated[bool, typer.Option("--quick", help="One random start instead of 40.")] = False,
     quiet: o.Quiet = False,
 ) -> None:

@@ -11,28 +11,19 @@ from pathlib import Path
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import remove_leftovers
+from rmesh_nlp.io.problem_messages import one_line
 from rmesh_nlp.io.records import DamagedRecordsWarning
 from rmesh_nlp.io.results import Result, Results, read_results
 
-SUCCESS, NO_SUCCESS = 0, 1
-"""Exit codes."""
+SUCCESS, NO_SUCCESS = 0, 1  # exit codes
 
 
 @contextmanager
 def writable(folder: Path, names: Sequence[str] = ()) -> Iterator[Results]:
     """The folder, made if need be and locked, before time is spent on solving.
 
-    If what happens in this context leaves it empty, what was made is taken away again.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Files that are to be written; none may be there that is not this package's own.
-
-    Raises
-    ------
-    BadInputError
-        If the folder cannot be written, another process writes there, or a file is in the way.
+    If what happens in this context leaves it empty, what was made is taken away again. Raises BadInputError
+    if it cannot be written, another process writes there, or one of ``names`` to be written is the user's.
     """
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
@@ -63,6 +54,15 @@ def notes(kind: type[Warning], head: str) -> Iterator[None]:
         finally:
             for warning in caught:
                 print(f"{head}: {warning.message}", file=sys.stderr)
+
+
+@contextmanager
+def located(place: object) -> Iterator[None]:
+    """What is wrong in this context is bad input at a place: a file, or an entry of one."""
+    try:
+        yield
+    except ValueError as error:
+        raise BadInputError(f"{place}: {one_line(error)}") from error
 
 
 def read_quietly(folder: Path) -> list[Result]:

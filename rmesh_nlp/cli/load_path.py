@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib import rc_context
 from matplotlib.ticker import MaxNLocator
 
-from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, writable
+from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, located, writable
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.files import safe_name, write_text, write_whole
@@ -27,10 +27,7 @@ from rmesh_nlp.solving.options import accepted
 
 
 def path(file: Path, formulation: str | None, out: Path | None) -> int:
-    """Solve the load path of a problem file; returns the exit code.
-
-    Writes ``path.csv``, ``path.png`` and ``.pdf``, ``path.pvd`` with a VTU file per step.
-    """
+    """Solve the load path of a problem file; returns the exit code."""
     table = read_table(file)
     plan = table.path
     if plan is None:
@@ -45,17 +42,10 @@ def path(file: Path, formulation: str | None, out: Path | None) -> int:
     done: list[PathStep] = []
     with writable(folder, files) as results:
         results.manifest.claim(*files)
-        try:
-            steps = load_path(
-                problem,
-                plan.move,
-                plan.steps,
-                partial(solve, formulation=name),
-                obstacle=plan.contact - 1,
-                relocate=plan.relocate,
-                hold=partial(solve, formulation="fixed"),
-            )
-            for step in steps:
+        with located(file):
+            relocate, hold = partial(solve, formulation=name), partial(solve, formulation="fixed")
+            about: dict[str, Any] = {"obstacle": plan.contact - 1, "relocate": plan.relocate, "hold": hold}
+            for step in load_path(problem, plan.move, plan.steps, relocate, **about):
                 done.append(step)
                 write = partial(write_solution, step.solution, file_format="vtu")
                 write_whole(folder / frames[step.number - 1], write)
@@ -64,8 +54,6 @@ def path(file: Path, formulation: str | None, out: Path | None) -> int:
                     f"step {step.number} of {plan.steps}: {row['status']}, J = {row['energy']:.6g}, contact "
                     f"force ({row['force_x']:.4g}, {row['force_y']:.4g}), {row['touching_nodes']} nodes touch"
                 )
-        except ValueError as error:
-            raise BadInputError(f"{file}: {' '.join(str(error).split())}") from error
         _write(folder, problem, done, frames)
     print(f"wrote {folder}: {', '.join(files[:4])} and {len(frames)} steps")
     return SUCCESS if all(step.solution.success for step in done) else NO_SUCCESS

@@ -1,7 +1,6 @@
 """Options that several commands have, each stated once, and what may be written there.
 
-Nothing heavy is imported here. What depends on the problem (an odd number of columns, say) is checked by the
-problem itself.
+Nothing heavy is imported here. What depends on the problem (an odd number of columns, say) it checks itself.
 """
 
 from __future__ import annotations
@@ -157,9 +156,14 @@ Columns = Annotated[
     int, typer.Option("--columns", min=1, max=2, help="Width of the figures: columns of a printed page.")
 ]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve, compare or study wrote.")]
+File = Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")]
+Figures = Annotated[
+    bool,
+    typer.Option("--figures/--no-figures", help="Draw to DIR/figures; rmesh figures DIR does it later."),
+]
 
-HIGHEST_DEGREE = 50
-"""Rules above it have so many points that building the energy takes minutes."""
+HIGHEST_DEGREE = 50  # rules above it have so many points that building the energy takes minutes
 
 
 def parse_size(text: str) -> int | tuple[int, int]:
@@ -201,7 +205,7 @@ def parse_quadrature(text: str) -> str | int:
 
 
 def parse_seeds(given: str | list[str]) -> int | list[int]:
-    """A whole number that is not negative; of a list several, separated by commas or one after the other."""
+    """A whole number that is not negative; of a list several, also separated by commas."""
     texts = [given] if isinstance(given, str) else [text.strip() for text in ",".join(given).split(",")]
     for text in texts:
         if not re.fullmatch("[0-9]+", text):
@@ -210,10 +214,7 @@ def parse_seeds(given: str | list[str]) -> int | list[int]:
 
 
 def parse_settings(given: list[str]) -> dict[str, Any]:
-    """Settings of a formulation from texts ``name=value``; a value is JSON, or else a text.
-
-    A setting of settings has the names of both: ``newton.forcing=0.2``.
-    """
+    """Settings from texts ``name=value`` or ``outer.name=value``; a value is JSON, or else a text."""
     found: dict[str, Any] = {}
     for text in given:
         names, equals, value = text.partition("=")
@@ -264,18 +265,14 @@ PARSERS: dict[str, Callable[[Any], Any]] = {
 }
 
 SETTINGS = ("n", "delta", "quadrature", "certify", "repeats")
-OPTIONS = (
+OPTIONS = (  # of :func:`rmesh_nlp.solving.driver.solve_by_options`
     *("seed", "objective", "relaxation", "outer", "regularisation", "flips", "starts", "levels"),
     *("time_limit_s", "max_iterations", "tolerance", "start", "settings"),
 )
-"""Parameters of commands that are options of :func:`rmesh_nlp.solving.driver.solve_by_options`."""
 
 
 def keywords(typed: Mapping[str, Any]) -> dict[str, Any]:
-    """Keywords of :func:`~rmesh_nlp.study.comparison.plan_comparison` from the parameters of a command.
-
-    Options that were not given are left out.
-    """
+    """Keywords of :func:`~rmesh_nlp.study.comparison.plan_comparison`: what was given to a command."""
     given = {
         name: PARSERS[name](value) if name in PARSERS else value
         for name, value in typed.items()

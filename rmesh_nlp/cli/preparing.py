@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from rmesh_nlp.cli import study as studies
-from rmesh_nlp.cli.folders import SUCCESS
+from rmesh_nlp.cli.folders import SUCCESS, located
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import rich_table
@@ -63,15 +64,11 @@ def check(path: Path, picture: Path | None = None) -> int:
     rows = problem.summary()
     if "regularisation" in options and problem.motion.delta is not None and problem.motion.min_angle == 0:
         rows.append(("regularisation", "a barrier in the place of the least area: areas are only positive"))
-    for kind in Mobility:
-        rows.append((f"nodes {kind.name.lower()}", str(int((free.mobility == kind).sum()))))
-    rows.append(("outer variables", str(free.n)))
-    rows.append(("validity constraints", str(parts.validity.size)))
-    try:
+    rows += [(f"nodes {kind.name.lower()}", str(np.sum(free.mobility == kind))) for kind in Mobility]
+    rows += [("outer variables", str(free.n)), ("validity constraints", str(parts.validity.size))]
+    with located(path):
         parts.check_unknowns()
         found = [warning.message for warning in setup_warnings(problem)]
-    except ValueError as error:
-        raise BadInputError(f"{path}: {one_line(error)}") from error
     doubts = f"{len(found)} doubt{'s' * (len(found) > 1)}"
     said = f"states a problem, with {doubts}" if found else "is in order"
     Console().print(rich_table(f"{path}: problem {problem.name!r} {said}", rows))
@@ -81,7 +78,7 @@ def check(path: Path, picture: Path | None = None) -> int:
     try:
         draw_problem(problem, target)
     except (OSError, ValueError) as error:
-        raise BadInputError(f"cannot draw to {target}: {' '.join(str(error).split())}") from error
+        raise BadInputError(f"cannot draw to {target}: {one_line(error)}") from error
     print(f"drew {target}")
     return SUCCESS
 
@@ -89,10 +86,8 @@ def check(path: Path, picture: Path | None = None) -> int:
 def advise(path: Path) -> int:
     """Print what relocation and refinement would give for the problem of a file."""
     problem = load_problem(path)
-    try:
+    with located(path):
         found = advice(problem)
-    except ValueError as error:
-        raise BadInputError(f"{path}: {one_line(error)}") from error
     Console().print(rich_table(f"{path}: relocate or refine?", found.rows()))
     return SUCCESS
 
@@ -113,10 +108,7 @@ def solve_options(
 ) -> tuple[str, dict[str, Any]]:
     """Formulation and options of ``[solve]``, overridden by what is given on the command line.
 
-    Raises
-    ------
-    BadInputError
-        If there is no such formulation or objective, or the formulation does not take an option.
+    Raises BadInputError for an unknown formulation or objective, or an option that is not taken.
     """
     plan = read_table(path).solve
     name = formulation or plan.formulation
@@ -125,10 +117,8 @@ def solve_options(
     except BadInputError as error:
         raise BadInputError(str(error) if formulation else f"{path}: solve.formulation: {error}") from error
     if "objective" not in given:
-        try:
+        with located(f"{path}: solve.objective"):
             parse_objective(plan.objective)
-        except ValueError as error:
-            raise BadInputError(f"{path}: solve.objective: {one_line(error)}") from error
     wanted = {**plan.model_dump(exclude={"formulation", "certify"}), **given}
     # the defaults need not be known to every formulation, what was asked for must be
     default = {"objective": "energy", "starts": 0, "levels": 0, "flips": False}

@@ -30,13 +30,8 @@ from rmesh_nlp.study.progress import SolvesProgress
 from rmesh_nlp.study.runner import INTERRUPTED, Done, perform
 
 SINGLE = ("record.json", "solution.vtu", "history.csv")
-"""What a single solve writes."""
-
-FILES = (*SINGLE, "mesh.msh")
-"""What a solve of a problem file writes, the series of its iterates and the figures aside."""
-
-SERIES_NODES = 200_000
-"""Nodes of all frames of a series together: with more, writing them takes longer than the solve."""
+FILES = (*SINGLE, "mesh.msh")  # of a problem file, the series of its iterates and the figures aside
+SERIES_NODES = 200_000  # of all frames of a series: with more, writing them takes longer than the solve
 
 
 def solve(
@@ -44,12 +39,8 @@ def solve(
 ) -> int:
     """Solve an example; returns the exit code.
 
-    Parameters
-    ----------
-    given : mapping
-        Keywords of :func:`rmesh_nlp.study.comparison.plan_comparison`.
-    voice : str
-        What is printed: "text", "json" (the record) or "quiet".
+    ``given`` are keywords of :func:`rmesh_nlp.study.comparison.plan_comparison`. What is printed is "text",
+    "json" (the record) or "quiet".
     """
     (one,) = comparison.plan_comparison([example], [formulation], **given)
     folder = Path("results") / one.key if out is None else out
@@ -79,19 +70,8 @@ def solve_file(
 ) -> int:
     """Solve the problem of a file; returns the exit code.
 
-    Writes ``record.json``, ``solution.vtu``, ``history.csv``, the relocated mesh ``mesh.msh`` with
-    its names, and ``iterations/iterations.pvd`` with its frames where the formulation reports iterates.
-
-    Parameters
-    ----------
-    options : mapping
-        Options given on the command line; they override ``[solve]``.
-    certify : bool
-        Bound the error of the solution, also if ``[solve]`` does not ask for it.
-    voice : str
-        What is printed: "text", "json" (the record) or "quiet".
-    columns : int
-        Columns of a page that figures are wide; 0 for no figures.
+    Options given on the command line override ``[solve]``, which may ask to ``certify`` as well. Figures are
+    as wide as so many ``columns`` of a page; 0 for none.
     """
     stated = read_table(path)
     problem = load_problem(path, says=voice == "text")
@@ -170,13 +150,7 @@ def _say_certificate(done: Done) -> None:
 
 
 def _exit_code(row: Record, folder: Path) -> int:
-    """0 if the solve succeeded.
-
-    Raises
-    ------
-    InterruptedSolveError
-        If it was interrupted.
-    """
+    """0 if the solve succeeded; InterruptedSolveError if it was interrupted."""
     if row["status"] == INTERRUPTED:
         raise InterruptedSolveError(f"the best mesh so far is kept in {folder}")
     return SUCCESS if row["success"] else NO_SUCCESS
@@ -193,20 +167,10 @@ def compare(
     figures: bool = True,
     verbose: bool = False,
 ) -> int:
-    """Many solves, tables and figures; returns the exit code.
+    """Many solves by so many ``jobs``, tables and figures; returns the exit code.
 
-    Parameters
-    ----------
-    given : mapping
-        Keywords of :func:`rmesh_nlp.study.comparison.plan_comparison`.
-    jobs : int
-        Processes that solve.
-    voice : str
-        What is printed: "text", "json" (a list of the records) or "quiet".
-    figures : bool
-        Whether to write figures.
-    verbose : bool
-        Print the whole of ``table.md`` instead of its main table.
+    ``given`` are keywords of :func:`rmesh_nlp.study.comparison.plan_comparison`; ``verbose`` prints the whole
+    of ``table.md`` instead of its main table.
     """
     if jobs > 1 and any(name.endswith(comparison.SUFFIX) for name in examples):
         raise BadInputError("--jobs is for the examples: put problem files into a study (rmesh new --study)")
@@ -216,15 +180,8 @@ def compare(
     rows: list[Record] = []
     with writable(out, (RECORDS, *TABLES)) as results:
         with SolvesProgress(len(plan), quiet=voice != "text") as progress:
-            solved = comparison.run(
-                plan,
-                results,
-                resume=resume,
-                locked=True,
-                jobs=jobs,
-                on_start=progress.start,
-                on_step=progress.step,
-            )
+            watched: dict[str, Any] = {"on_start": progress.start, "on_step": progress.step}
+            solved = comparison.run(plan, results, resume=resume, locked=True, jobs=jobs, **watched)
             try:
                 with notes(DamagedRecordsWarning, "rmesh: warning"):
                     for row in solved:

@@ -18,22 +18,16 @@ from rmesh_nlp.study.study_file import StudyTable, read_study
 
 STUDY_FILE = "study.toml"
 
+# entries of a planned solve in ``--dry-run --json``, by what they are in the plan
 DETAILS = {"key": "key", "problem": "name"} | {
     name: name for name in ("family", "size", "variant", "formulation", "options", "repeat")
 }
-"""Entries of a planned solve in ``--dry-run --json``, by what they are in the plan."""
 
 
 def study(
     path: Path, out: Path, jobs: int, scheduler: str | None, retry_failed: bool, voice: str = "text"
 ) -> int:
-    """Perform a study; returns the exit code.
-
-    Parameters
-    ----------
-    voice : str
-        What is printed: "text", "json" (the counts) or "quiet".
-    """
+    """Perform a study; returns the exit code. What is printed is "text", "json" (the counts) or "quiet"."""
     plan = make_plan(read_noted(path), path)
     with writable(out, (STUDY_FILE,)) as results:
         results.manifest.check((f"{ROWS}/records", f"{SOLUTIONS}/x"))
@@ -67,17 +61,17 @@ def dry_run(path: Path, out: Path, jobs: int, voice: str = "text") -> int:
     stated = read_noted(path)
     plan = make_plan(stated, path)
     todo = engine.missing(plan, out)
-    if voice != "json":
+    if voice == "json":
+        content = {
+            "study": stated.name or path.stem,
+            "solves": [solve.key for solve in plan],
+            "missing": [solve.key for solve in todo],
+            "details": [{name: getattr(solve, what) for name, what in DETAILS.items()} for solve in plan],
+            "guess_s": seconds_of_plan(todo, read_rows(out)) / jobs,
+        }
+        print(json.dumps(content))
+    else:
         print_plan(plan, todo, jobs, out)
-        return SUCCESS
-    content = {
-        "study": stated.name or path.stem,
-        "solves": [solve.key for solve in plan],
-        "missing": [solve.key for solve in todo],
-        "details": [{name: getattr(solve, what) for name, what in DETAILS.items()} for solve in plan],
-        "guess_s": seconds_of_plan(todo, read_rows(out)) / jobs,
-    }
-    print(json.dumps(content))
     return SUCCESS
 
 
