@@ -13,20 +13,26 @@ from rmesh_nlp.mpcc.lpec import Direction
 from rmesh_nlp.mpcc.polish import Polished
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import ScriptedRun, ended, run_of, two_minima
+from support.scripted_run import ON_G, ON_H, XY, XYW, ScriptedRun, ended, run_of, two_minima, w, x, y
 
-x, y, w = (ca.SX.sym(name) for name in "xyw")
-XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
-ON_G, ON_H = np.array([True]), np.array([False])
+S = Status
 DOWN = Direction(-1.0, np.zeros(2), ON_H)
-START = np.array([0.1, 2.0])
+EQUATION = {"lbg": 0, "ubg": 0}
 
 
-def labelled(f, status=Status.CONVERGED, direction=None):
+def labelled(f, status=S.CONVERGED, direction=None):
     return Finish(np.array([2.0, 0.0]), f, status, Stationarity("W", None, None, direction), lpecs=1)
 
 
-OPEN, GOOD, POOR = labelled(1.0, Status.STALLED), labelled(2.0), labelled(2.0, Status.STALLED)
+def scripted(*results, exact=True, **options):
+    """A run whose branches end in turn as given, the last of them again and again."""
+    waiting = list(results)
+    is_exact = exact if callable(exact) else lambda z: exact
+    answer = lambda call: waiting.pop(0) if len(waiting) > 1 else waiting[0]  # noqa: E731
+    return ScriptedRun(branches=answer, exact=is_exact, **options)
+
+
+OPEN, GOOD, POOR = labelled(1.0, S.STALLED), labelled(2.0), labelled(2.0, S.STALLED)
 
 
 @pytest.mark.parametrize(
@@ -44,21 +50,17 @@ OPEN, GOOD, POOR = labelled(1.0, Status.STALLED), labelled(2.0), labelled(2.0, S
 )
 def test_better_of_branch_and_corner_is_taken(z, answers, fixed, taken, monkeypatch):
     waiting, sets = list(answers), []
-
-    def answer(run, z, warm, fix_G, fix_H, ceiling):
-        sets.append((bool(fix_G[0]), bool(fix_H[0])))
-        return waiting.pop(0)
-
-    monkeypatch.setattr(finishing, "_polished", answer)
+    monkeypatch.setattr(
+        finishing, "_polished", lambda run, z, warm, G, H, top: sets.append((G[0], H[0])) or waiting.pop(0)
+    )
     assert polished(ScriptedRun(), np.array(z), ended(z), 0.3) is taken
     assert sets == fixed
 
 
 @pytest.mark.parametrize("z", list(itertools.permutations((0.1, 0.2, 0.25, 4.0))))
 def test_only_pairs_near_the_corner_are_put_into_it(z, monkeypatch):
-    v = ca.SX.sym("v", 4)
+    v, calls = ca.SX.sym("v", 4), []
     run = ScriptedRun(mpcc=MPCC(v, ca.sumsqr(v), None, v[:2], v[2:]))
-    calls = []
     monkeypatch.setattr(finishing, "_polished", lambda run, z, warm, G, H, ceiling: calls.append((G, H)))
     assert polished(run, np.array(z), ended(z), 0.3) is None
     G, H = np.array(z[:2]), np.array(z[2:])
@@ -68,62 +70,58 @@ def test_only_pairs_near_the_corner_are_put_into_it(z, monkeypatch):
 
 @pytest.mark.parametrize(("ceiling", "is_labelled"), [(2.9, False), (3.0, True), (np.inf, True)])
 def test_polished_point_above_the_ceiling_is_not_labelled(ceiling, is_labelled, monkeypatch):
-    point = Polished(np.array([2.0, 0.0]), 3.0, np.zeros(0), np.array([0.0, 2.0]))
-    monkeypatch.setattr(finishing, "polish", lambda *_: point)
-    run = ScriptedRun()
-    found = finishing._polished(run, point.z, ended(point.z), ON_G, ON_H, ceiling)
-    assert (found is not None) == is_labelled
+    point, run = Polished(np.array([2.0, 0.0]), 3.0, np.zeros(0), np.array([0.0, 2.0])), ScriptedRun()
+    for found, expected in ((point, is_labelled), (None, False)):
+        monkeypatch.setattr(finishing, "polish", lambda *_, found=found: found)
+        end = finishing._polished(run, point.z, ended(point.z), ON_G, ON_H, ceiling)
+        assert (end is not None) == expected
     assert [step.phase for step in run.steps] == ["polished"] * is_labelled
-    monkeypatch.setattr(finishing, "polish", lambda *_: None)
-    assert finishing._polished(run, point.z, ended(point.z), ON_G, ON_H, np.inf) is None
 
 
 def test_label_counts_a_program_over_the_branches_unless_s_is_proved():
     """At (2, 0) of two minima nothing is biactive: S; at the corner both slopes descend: C, and an LPEC."""
     good = finishing._labelled(ScriptedRun(), np.array([2.0, 0.0]), 1.0, (np.zeros(0), np.array([0.0, 2.0])))
-    assert (good.status, good.stationarity.label, good.lpecs, good.pivots) == (Status.CONVERGED, "S", 0, 0)
+    assert (good.status, good.stationarity.label, good.lpecs, good.pivots) == (S.CONVERGED, "S", 0, 0)
     bad = finishing._labelled(ScriptedRun(), np.zeros(2), 5.0, None)
-    assert (bad.status, bad.stationarity.label, bad.lpecs) == (Status.STALLED, "C", 1)
-    end = Finish(np.zeros(2), np.nan, Status.STALLED)
+    assert (bad.status, bad.stationarity.label, bad.lpecs) == (S.STALLED, "C", 1)
+    end = Finish(np.zeros(2), np.nan, S.STALLED)
     assert (end.pivots, end.lpecs, end.stationarity, end.rank) == (0, 0, None, (False, False, -np.inf))
 
 
-def test_polished_point_must_not_be_much_worse_than_the_relaxed_one():
+@pytest.mark.parametrize(
+    ("mpcc", "f", "is_faithful"),
+    [
+        *((None, *case) for case in ((4.0, True), (5.0, True), (5.04, True), (5.06, False), (9.0, False))),
+        *((MPCC(XY, 0, None, x, y), *case) for case in ((5e-5, True), (1.005e-4, True), (1.02e-4, False))),
+    ],
+)
+def test_polished_point_must_not_be_much_worse_than_the_relaxed_one(mpcc, f, is_faithful):
     """f of two minima is 5 at the origin; a hundredth of the larger value may be lost."""
-    for f, is_faithful in ((4.0, True), (5.0, True), (5.04, True), (5.06, False), (9.0, False)):
-        assert finishing._faithful(ScriptedRun(), labelled(f), np.zeros(2)) == is_faithful
-    flat = ScriptedRun(mpcc=MPCC(XY, 0, None, x, y))
-    for f, is_faithful in ((5e-5, True), (1.005e-4, True), (1.02e-4, False)):
-        assert finishing._faithful(flat, labelled(f), np.zeros(2)) == is_faithful
+    assert finishing._faithful(ScriptedRun(mpcc=mpcc), labelled(f), np.zeros(2)) == is_faithful
 
 
 class TestBranches:
     """What `finish` makes of the ends of its branches; a point is exact if it begins with 2."""
 
+    START = np.array([0.1, 2.0])
     WARM = ended(START)
-    GOOD, BAD = ended([2.0, 0.0], f=1.0), ended([0.3, 0.0], Status.STALLED)
+    GOOD, BAD = ended([2.0, 0.0], f=1.0), ended([0.3, 0.0], S.STALLED)
 
     @pytest.fixture(autouse=True)
     def _simple(self, monkeypatch):
-        self.polished, self.projected, self.pivots, self.tightened = None, None, [], []
-        monkeypatch.setattr(finishing, "polished", lambda *_: self.polished)
-        monkeypatch.setattr(finishing, "pivot", lambda run, here: self.pivots.append(here) or here)
-        monkeypatch.setattr(finishing, "_labelled", lambda run, z, f, lam: labelled(f))
-        monkeypatch.setattr(
-            finishing, "_tighten", lambda run, result, fix_G: self.tightened.append(fix_G) or result
-        )
-        monkeypatch.setattr(finishing, "_projected", self._projected)
-
-    def _projected(self, run, z, end):
-        self.projected = end
-        return end
+        self.polished, self.projected, self.pivots, self.tightened = None, [], [], []
+        for name, answer in {
+            "polish": lambda *_: None,
+            "polished": lambda *_: self.polished,
+            "pivot": lambda run, here: self.pivots.append(here) or here,
+            "_labelled": lambda run, z, f, lam: labelled(f),
+            "_tighten": lambda run, result, fix_G: self.tightened.append(fix_G) or result,
+            "_projected": lambda run, z, end: self.projected.append(end) or end,
+        }.items():
+            monkeypatch.setattr(finishing, name, answer)
 
     def finish(self, *results, z=START, search=False, warm=None, ceiling=np.inf, **options):
-        waiting = list(results)
-        self.run = ScriptedRun(
-            branches=lambda call: waiting.pop(0) if len(waiting) > 1 else waiting[0],
-            exact=lambda z: bool(z[0] == 2.0), **options,
-        )  # fmt: skip
+        self.run = scripted(*results, exact=lambda z: bool(z[0] == 2.0), **options)
         return finish(self.run, np.array(z), search=search, warm=warm, ceiling=ceiling)
 
     @property
@@ -135,18 +133,12 @@ class TestBranches:
         assert self.finish(self.GOOD, search=True, warm=self.WARM) is self.polished
         assert (self.run.branch_calls, self.pivots) == ([], [self.polished])
 
-    @pytest.mark.parametrize("near", [None, labelled(400.0), labelled(4.0, Status.STALLED)])
+    @pytest.mark.parametrize("near", [None, labelled(400.0), labelled(4.0, S.STALLED)])
     def test_else_the_branch_is_solved_without_multipliers(self, near):
         self.polished = near
         end = self.finish(self.GOOD, search=True, warm=self.WARM)
-        assert (end.f, end.solved, self.warms, self.projected, self.tightened) == (
-            1.0,
-            True,
-            [None],
-            None,
-            [ON_G],
-        )
-        assert self.run.branch_calls[0].fix_G[0]
+        assert (end.f, end.solved, self.warms, self.projected) == (1.0, True, [None], [])
+        assert self.tightened == [self.run.branch_calls[0].fix_G] == [ON_G]
 
     @pytest.mark.parametrize(
         ("results", "warm", "warms"),
@@ -154,127 +146,117 @@ class TestBranches:
     )
     def test_without_newton_the_branch_begins_with_the_multipliers(self, results, warm, warms):
         end = self.finish(*results, warm=warm, newton_finish=False)
-        assert self.warms == warms
-        assert end.solved == (results[-1] is self.GOOD)
+        assert (self.warms, end.solved) == (warms, results[-1] is self.GOOD)
 
-    def test_pairs_are_fixed_on_the_side_of_the_smaller_member(self):
-        for z, on_G in (((0.1, 2.0), True), ((2.0, 0.1), False), ((1.0, 1.0), True)):
-            self.finish(self.GOOD, z=z)
-            assert self.run.branch_calls[0].fix_G[0] == on_G
+    @pytest.mark.parametrize(("z", "on_G"), [((0.1, 2.0), True), ((2.0, 0.1), False), ((1.0, 1.0), True)])
+    def test_pairs_are_fixed_on_the_side_of_the_smaller_member(self, z, on_G):
+        self.finish(self.GOOD, z=z)
+        assert self.run.branch_calls[0].fix_G[0] == on_G
 
     @pytest.mark.parametrize(
         ("result", "ceiling", "status"),
         [
-            (ended([2.0, 0.0], Status.UNBOUNDED, -1e20), np.inf, Status.UNBOUNDED),
-            (ended([2.0, 0.0], f=3.0), 2.9, Status.WORSE),
-            (ended([2.0, 0.0], f=3.0), 3.0, Status.CONVERGED),
-            (ended([0.3, 0.0], f=1.0), 0.5, Status.INACCURATE),  # a point that is not exact is never solved
-            (ended([0.3, 0.0], Status.STALLED), 0.5, Status.STALLED),
-            (ended([0.3, 0.0], Status.UNBOUNDED), 0.5, Status.UNBOUNDED),
+            (ended([2.0, 0.0], S.UNBOUNDED, -1e20), np.inf, S.UNBOUNDED),
+            (ended([2.0, 0.0], f=3.0), 2.9, S.WORSE),
+            (ended([2.0, 0.0], f=3.0), 3.0, S.CONVERGED),
+            (ended([0.3, 0.0], f=1.0), 0.5, S.INACCURATE),  # a point that is not exact is never solved
+            (ended([0.3, 0.0], S.STALLED), 0.5, S.STALLED),
+            (ended([0.3, 0.0], S.UNBOUNDED), 0.5, S.UNBOUNDED),
         ],
     )
     def test_end_says_why_it_is_none(self, result, ceiling, status, monkeypatch):
         end = self.finish(result, ceiling=ceiling)
-        assert (end.status, end.f) == (status, result.f)
+        assert (end.status, end.f, self.projected) == (status, result.f, [])
         assert (end.stationarity is None) == (len(self.tightened) == 0) == (not end.solved)
-        assert self.projected is None
         monkeypatch.setattr(finishing, "_other_branch", lambda run, z, fix_G, result: (result, fix_G))
         self.finish(result, search=True, ceiling=ceiling)
         # with a search the relaxed point itself is tried at last
-        assert (self.projected is not None) == (result.x[0] != 2.0)
+        assert bool(self.projected) == (result.x[0] != 2.0)
 
     def test_only_a_search_looks_for_another_branch(self, monkeypatch):
         monkeypatch.setattr(finishing, "_other_branch", lambda run, z, fix_G, result: (self.GOOD, ON_H))
-        assert not self.finish(self.BAD).solved
-        assert self.finish(self.BAD, search=True).solved
+        assert [self.finish(self.BAD, search=search).solved for search in (False, True)] == [False, True]
         assert self.tightened == [ON_H]
 
 
 class TestPivot:
     """A descent over branches, each lower than the one before."""
 
-    @pytest.fixture
-    def descend(self, monkeypatch):
-        waiting = []
-        monkeypatch.setattr(finishing, "_descend", lambda *_: waiting.pop(0))
-        monkeypatch.setattr(finishing, "_tighten", lambda run, result, fix_G: result)
-        return waiting
-
     @pytest.mark.parametrize(
         ("ends", "stationary_at", "expected"),
         [
-            ([3.0, 2.0, 1.0], 1.0, (1.0, 3, 4, Status.CONVERGED)),  # f, pivots, lpecs
-            ([None], 1.0, (4.0, 0, 1, Status.STALLED)),  # no branch is lower
-            ([3.0, 2.0, 1.0, 0.0, -1.0], -9.0, (1.0, 3, 4, Status.ITERATION_LIMIT)),
-            ([-1e20], 1.0, (-1e20, 1, 1, Status.UNBOUNDED)),
+            ([3.0, 2.0, 1.0], 1.0, (1.0, 3, 4, S.CONVERGED)),  # f, pivots, lpecs
+            ([None], 1.0, (4.0, 0, 1, S.STALLED)),  # no branch is lower
+            ([3.0, 2.0, 1.0, 0.0, -1.0], -9.0, (1.0, 3, 4, S.ITERATION_LIMIT)),
+            ([-1e20], 1.0, (-1e20, 1, 1, S.UNBOUNDED)),
         ],
     )
     def test_it_ends_where_no_branch_descends_or_at_its_limit(
-        self, ends, stationary_at, expected, descend, monkeypatch
+        self, ends, stationary_at, expected, monkeypatch
     ):
-        monkeypatch.setattr(
-            finishing, "_labelled",
-            lambda run, z, f, lam: labelled(f, *((Status.STALLED, DOWN) if f > stationary_at else ())),
-        )  # fmt: skip
-        unbounded = Status.UNBOUNDED if ends == [-1e20] else Status.CONVERGED
-        descend += [None if f is None else ended([0, 0], unbounded, f) for f in ends]
+        def label(run, z, f, lam):
+            return labelled(f) if f <= stationary_at else labelled(f, S.STALLED, DOWN)
+
+        unbounded = S.UNBOUNDED if ends == [-1e20] else S.CONVERGED
+        waiting = [None if f is None else ended([0, 0], unbounded, f) for f in ends]
+        monkeypatch.setattr(finishing, "_descend", lambda *_: waiting.pop(0))
+        monkeypatch.setattr(finishing, "_tighten", lambda run, result, fix_G: result)
+        monkeypatch.setattr(finishing, "_labelled", label)
         limit = 3 if stationary_at < 0 else 30
-        end = pivot(ScriptedRun(max_pivots=limit), labelled(4.0, Status.STALLED, DOWN))
+        end = pivot(ScriptedRun(max_pivots=limit), labelled(4.0, S.STALLED, DOWN))
         assert (end.f, end.pivots, end.lpecs, end.status) == expected
-        assert (end.stationarity is None) == (unbounded is Status.UNBOUNDED)
-        inexact = Finish(np.zeros(2), 1.0, Status.STALLED)
-        assert pivot(ScriptedRun(), inexact).status is Status.STALLED
+        assert (end.stationarity is None) == (unbounded is S.UNBOUNDED)
+
+    def test_inexact_point_is_left_as_it_is(self):
+        assert pivot(ScriptedRun(), Finish(np.zeros(2), 1.0, S.STALLED)).status is S.STALLED
 
     @pytest.mark.parametrize(
         ("ends", "tries"),
         [([(True, 0.9)], 1), ([(False, 0.5), (True, 0.9)], 2), ([(True, 1.5), (True, 1.0), (True, 0.9)], 3),
          ([(True, 1.0 - 1e-9), (True, 1.0), (False, 0.0)], 3)],
     )  # fmt: skip
-    def test_a_lower_point_is_sought_far_away_and_then_in_smaller_boxes(self, ends, tries):
-        here = Finish(np.array([3.0, 0.0]), 1.0, Status.STALLED)
-        waiting = [ended([float(exact), 0.0], f=f) for exact, f in ends]
-        run = ScriptedRun(branches=lambda call: waiting.pop(0), exact=lambda z: bool(z[0]))
-        found = finishing._descend(run, here, DOWN)
+    def test_lower_point_is_sought_far_away_and_then_within_smaller_radii(self, ends, tries):
+        run = scripted(*(ended([float(exact), 0.0], f=f) for exact, f in ends), exact=lambda z: bool(z[0]))
+        found = finishing._descend(run, Finish(np.array([3.0, 0.0]), 1.0, S.STALLED), DOWN)
         assert (found is not None and found.f) == (ends[-1][0] and 0.9)
-        boxes = [call.options["radius"] for call in run.branch_calls]
-        assert (len(boxes), boxes[0]) == (tries, None)
-        for box, reach in zip(boxes[1:], (0.1, 1e-3), strict=False):
-            np.testing.assert_allclose(box, [4 * reach, reach])  # relative to 1 + |z|
+        radii = [call.options["radius"] for call in run.branch_calls]
+        assert (len(radii), radii[0]) == (tries, None)
+        for radius, reach in zip(radii[1:], (0.1, 1e-3), strict=False):
+            np.testing.assert_allclose(radius, [4 * reach, reach])  # relative to 1 + |z|
         assert all(call.fix_G is ON_H for call in run.branch_calls)
 
-    def test_a_fall_by_rounding_is_none(self):
-        here = Finish(np.zeros(2), -99.0, Status.STALLED)
-        for f, accepted in ((-99.0 - 5e-8, False), (-99.0 - 2e-7, True)):
-            run = ScriptedRun(branches=lambda call, f=f: ended([0, 0], f=f), exact=lambda z: True)
-            assert (finishing._descend(run, here, DOWN) is not None) == accepted
+    @pytest.mark.parametrize(("f", "accepted"), [(-99.0 - 5e-8, False), (-99.0 - 2e-7, True)])
+    def test_fall_by_rounding_is_none(self, f, accepted):
+        here = Finish(np.zeros(2), -99.0, S.STALLED)
+        assert (finishing._descend(scripted(ended([0, 0], f=f)), here, DOWN) is not None) == accepted
 
-    def test_a_wrong_branch_is_left_by_the_descent(self):
+    def test_wrong_branch_is_left_by_the_descent(self):
         """The finish started on the arm x = 0 of a problem whose corner is not B-stationary crosses it."""
-        end = finish(
-            run_of(MPCC(XY, (x - 1) ** 2 + (y + 1) ** 2, None, x, y)), np.array([0.0, 0.5]), search=False
-        )
+        run = run_of(MPCC(XY, (x - 1) ** 2 + (y + 1) ** 2, None, x, y))
+        end = finish(run, np.array([0.0, 0.5]), search=False)
         assert (end.solved, end.pivots, end.z) == (True, 1, pytest.approx([1, 0], abs=1e-8))
 
 
 def test_projected_point_counts_if_it_is_better_than_the_end_it_replaces():
     """The relaxed point next to the minimum (2, 0) of two minima: on its branch and stationary."""
-    run, lost = run_of(two_minima()), Finish(np.ones(2), 0.0, Status.STALLED)
+    run, lost = run_of(two_minima()), Finish(np.ones(2), 0.0, S.STALLED)
     found = finishing._projected(run, np.array([2.0, 1e-6]), lost)
     assert (found.solved, found.f, run.steps[-1].phase) == (True, pytest.approx(1.0), "polished")
     assert found.z == pytest.approx([2.0, 0.0], abs=1e-12)
-    best = Finish(np.ones(2), 0.0, Status.CONVERGED, found.stationarity)
+    best = Finish(np.ones(2), 0.0, S.CONVERGED, found.stationarity)
     assert finishing._projected(run, np.array([2.0, 1e-6]), best) is best
 
 
-def test_exact_point_above_the_ceiling_is_left():
-    z = np.array([1e-3, 1.0])  # next to the minimum 4
-    assert finish(run_of(two_minima()), z, search=False, ceiling=3.0).status is Status.WORSE
-    assert finish(run_of(two_minima()), z, search=False, ceiling=5.0).solved
+@pytest.mark.parametrize(("ceiling", "status"), [(3.0, S.WORSE), (5.0, S.CONVERGED)])
+def test_exact_point_above_the_ceiling_is_left(ceiling, status):
+    """Next to the minimum 4."""
+    end = finish(run_of(two_minima()), np.array([1e-3, 1.0]), search=False, ceiling=ceiling)
+    assert end.status is status
 
 
 def test_feasible_branch_is_found_when_the_sides_are_unclear():
     """x = y - 1e-3: at x = y the sides are a coin toss and one of them is infeasible."""
-    run = run_of(MPCC(XY, (x - y) ** 2 + x, y - x - 1e-3, x, y, lbg=0, ubg=0))
+    run = run_of(MPCC(XY, (x - y) ** 2 + x, y - x - 1e-3, x, y, **EQUATION))
     z = np.array([2e-3, 1e-3])  # fixes y, which is infeasible
     assert not finish(run, z, search=False).solved
     end = finish(run, z, search=True)
@@ -286,42 +268,36 @@ class TestOtherBranch:
 
     @pytest.fixture
     def nearest(self, monkeypatch):
-        self.answer, radii = (np.array([2.0, 0.0]), ON_H), []
+        self.answer, self.by_signs, radii = (np.array([2.0, 0.0]), ON_H), None, []
         monkeypatch.setattr(
-            finishing,
-            "nearest_branch",
-            lambda lifted, z, p, radius, seconds: radii.append(radius) or self.answer,
+            finishing, "nearest_branch", lambda lifted, z, p, radius, _: radii.append(radius) or self.answer
         )
-        monkeypatch.setattr(finishing, "_follow_signs", lambda *_: None)
+        monkeypatch.setattr(finishing, "_follow_signs", lambda *_: self.by_signs)
         return radii
 
     @staticmethod
-    def other(run, z):
-        return finishing._other_branch(run, np.array(z), ON_G, ended([9.0, 9.0], Status.INFEASIBLE))
+    def other(run, *z):
+        return finishing._other_branch(run, np.array(z), ON_G, ended([9.0, 9.0], S.INFEASIBLE))
 
     def test_it_is_sought_at_a_distance_like_that_of_the_pairs_then_further(self, nearest):
-        good = ScriptedRun(branches=lambda call: ended([2.0, 0.0]), exact=lambda z: True)
-        result, fix_G = self.other(good, (0.3, 0.5))
+        result, fix_G = self.other(scripted(ended([2.0, 0.0])), 0.3, 0.5)
         assert (list(result.x), fix_G, nearest) == ([2.0, 0.0], ON_H, pytest.approx([0.6]))
-        bad = ScriptedRun(branches=lambda call: ended([1.0, 1.0]), exact=lambda z: False)
-        self.other(bad, (0.5, 0.3))
+        bad = scripted(ended([1.0, 1.0]), exact=False)
+        self.other(bad, 0.5, 0.3)
         assert nearest[1:] == pytest.approx([0.6, 6.0])
         assert len(bad.branch_calls) == 1  # the second time it is the same branch again
-        self.other(bad, (0.0, 1.0))  # a point on its branch: units of the corner's size
+        self.other(bad, 0.0, 1.0)  # a point on its branch: units of the corner's size
         assert nearest[3:] == pytest.approx([2e-6, 2e-5])
 
-    def test_the_branch_that_is_known_to_fail_is_not_solved_again(self, nearest):
-        self.answer = (np.array([2.0, 0.0]), ON_G)
-        run = ScriptedRun(branches=lambda call: ended([2.0, 0.0]), exact=lambda z: True)
-        result, fix_G = self.other(run, (0.3, 0.5))
+    @pytest.mark.parametrize("answer", [None, (np.array([2.0, 0.0]), ON_G)])
+    def test_branch_that_is_known_to_fail_is_not_solved_again(self, answer, nearest):
+        self.answer, run = answer, scripted(ended([2.0, 0.0]))
+        result, fix_G = self.other(run, 0.3, 0.5)
         assert (run.branch_calls, list(result.x), fix_G) == ([], [9.0, 9.0], ON_G)
-        self.answer = None
-        assert self.other(run, (0.3, 0.5))[1] is ON_G
 
-    def test_signs_come_first(self, nearest, monkeypatch):
-        by_signs = (ended([2.0, 0.0]), ON_H)
-        monkeypatch.setattr(finishing, "_follow_signs", lambda *_: by_signs)
-        assert self.other(ScriptedRun(), (0.3, 0.5)) is by_signs
+    def test_signs_come_first(self, nearest):
+        self.by_signs = (ended([2.0, 0.0]), ON_H)
+        assert self.other(ScriptedRun(), 0.3, 0.5) is self.by_signs
         assert nearest == []
 
 
@@ -339,54 +315,50 @@ class TestOtherBranch:
     ],
 )
 def test_pairs_follow_the_signs_of_their_free_members(ends, exact, on_G, found):
-    waiting = [ended([0, -0.5], Status.STALLED) if end is None else ended(end) for end in ends]
-    run = ScriptedRun(branches=lambda call: waiting.pop(0), exact=lambda z: exact)
+    run = scripted(*(ended([0, -0.5], S.STALLED) if end is None else ended(end) for end in ends), exact=exact)
     answer = finishing._follow_signs(run, np.array([0.1, 0.2]), ON_G)
     assert [bool(call.fix_G[0]) for call in run.branch_calls] == on_G
     assert (None if answer is None else bool(answer[1][0])) == found
-    signs = {"phase": "signs", "free_signs": True}
-    done = answer is not None or not exact
+    signs, done = {"phase": "signs", "free_signs": True}, answer is not None or not exact
     assert [call.options for call in run.branch_calls] == [signs] * (len(on_G) - done) + [{}] * done
     for end, call in zip(ends, run.branch_calls[1:], strict=False):
         assert list(call.z) == end  # each starts at the solution of the one before
 
 
-class TestTighten:
-    """Pairs next to the corner are put into it where that costs nothing."""
+@pytest.mark.parametrize(
+    ("at", "f", "exact", "closes", "taken"),
+    [
+        (1e-5, 1.0 + 1e-9, True, True, True),
+        (1e-5, 1.0 + 3e-9, True, True, False),  # costs too much
+        (1e-5, 0.0, False, True, False),
+        (1e-5, 0.0, True, False, False),
+        (1e-9, 0.0, True, True, False),  # in the corner already
+        (1e-4, 0.0, True, True, False),  # far from it
+    ],
+)
+def test_pairs_next_to_the_corner_are_put_into_it_where_that_is_free(
+    at, f, exact, closes, taken, monkeypatch
+):
+    monkeypatch.setattr(finishing, "_can_close", lambda *_: closes)
+    tight, before = ended([0.0, 0.0], f=f), ended([0.0, at], f=1.0)
+    run = scripted(tight, exact=exact)
+    assert finishing._tighten(run, before, ON_G) is (tight if taken else before)
+    calls = [(call.fix_G[0], call.fix_H[0], call.options) for call in run.branch_calls]
+    assert calls == [(True, True, {"phase": "tightened"})] * (closes and at == 1e-5)
 
-    @pytest.mark.parametrize(
-        ("at", "f", "exact", "closes", "taken"),
-        [
-            (1e-5, 1.0 + 1e-9, True, True, True),
-            (1e-5, 1.0 + 3e-9, True, True, False),  # costs too much
-            (1e-5, 0.0, False, True, False),
-            (1e-5, 0.0, True, False, False),
-            (1e-9, 0.0, True, True, False),  # in the corner already
-            (1e-4, 0.0, True, True, False),  # far from it
-        ],
-    )
-    def test_both_members_are_fixed_where_that_is_free(self, at, f, exact, closes, taken, monkeypatch):
-        monkeypatch.setattr(finishing, "_can_close", lambda *_: closes)
-        tight, before = ended([0.0, 0.0], f=f), ended([0.0, at], f=1.0)
-        run = ScriptedRun(branches=lambda call: tight, exact=lambda z: exact)
-        assert finishing._tighten(run, before, ON_G) is (tight if taken else before)
-        assert len(run.branch_calls) == (closes and at == 1e-5)
-        for call in run.branch_calls:
-            assert (call.fix_G[0], call.fix_H[0], call.options) == (True, True, {"phase": "tightened"})
 
-    @pytest.mark.parametrize(
-        ("row", "ratio", "bounds", "closes"),
-        [
-            (None, 1.0, {}, True),
-            (y - 1e-5, 1.0, {"lbg": 0, "ubg": 0}, False),  # held open by an equation
-            (y - 1e-2 * w, 1e-2, {"lbg": 0, "ubg": 0}, True),  # w moves by a hundred times the gap
-            (y - 1e-5 * w, 1e-5, {"lbg": 0, "ubg": 0}, False),  # by 1e5 times the gap
-            (1e6 * (y - 1e-2 * w), 1e-2, {"lbg": 0, "ubg": 0}, True),  # the size of a row does not matter
-            (y + w, 1.0, {"lbg": -1}, True),  # a row that is not active does not hold
-            (y, 1.0, {"lbg": 1e-5}, False),
-        ],
-    )
-    def test_step_that_closes_the_pair_must_exist_and_be_small(self, row, ratio, bounds, closes):
-        run = run_of(MPCC(XYW, (x - 1) ** 2 + y**2 + w**2, row, x, y, **bounds))
-        z = np.array([0.0, 1e-5, 1e-5 / ratio])
-        assert finishing._can_close(run, z, ON_G, np.array([True])) == closes
+@pytest.mark.parametrize(
+    ("row", "ratio", "bounds", "closes"),
+    [
+        (None, 1.0, {}, True),
+        (y - 1e-5, 1.0, EQUATION, False),  # held open by an equation
+        (y - 1e-2 * w, 1e-2, EQUATION, True),  # w goes a hundred times as far as the gap
+        (y - 1e-5 * w, 1e-5, EQUATION, False),  # 1e5 times as far
+        (1e6 * (y - 1e-2 * w), 1e-2, EQUATION, True),  # the size of a row does not matter
+        (y + w, 1.0, {"lbg": -1}, True),  # a row that is not active does not hold
+        (y, 1.0, {"lbg": 1e-5}, False),
+    ],
+)
+def test_step_that_closes_a_pair_must_exist_and_be_small(row, ratio, bounds, closes):
+    run = run_of(MPCC(XYW, (x - 1) ** 2 + y**2 + w**2, row, x, y, **bounds))
+    assert finishing._can_close(run, np.array([0.0, 1e-5, 1e-5 / ratio]), ON_G, np.array([True])) == closes

@@ -1,24 +1,21 @@
 """The paths of the relaxations: which t follows which, when they retreat, and when they end."""
 
-import casadi as ca
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, Options, homotopy, solve
+from rmesh_nlp.mpcc import MPCC, homotopy, solve
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path, follow, second_path
-from rmesh_nlp.mpcc.nlps import CompiledNLPs
-from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import Answer, ScriptedRun, ended, two_minima
+from support.scripted_run import START, XY, Answer, ScriptedRun, ended, run_of, two_minima, x, y
 
-START = np.array([0.5, 0.5])
-SOLVED = Finish(np.array([2.0, 0.0]), 1.0, Status.CONVERGED)
-UNSOLVED = Finish(np.array([2.0, 0.0]), 1.0, Status.STALLED)
+S = Status
+SOLVED, UNSOLVED = (Finish(np.array([2.0, 0.0]), 1.0, status) for status in (S.CONVERGED, S.STALLED))
 TENTHS = [10.0**-k for k in range(9)]
-x, y = ca.SX.sym("x"), ca.SX.sym("y")
-XY = ca.vertcat(x, y)
+HALVES = [10.0 ** (-k / 2) for k in range(17)]
 
 
 class Finishes:
@@ -59,10 +56,10 @@ def followed(answers, **options):
     return run, path
 
 
-def restless(call):
+def restless(call, product=None):
     """Sides that change from step to step, products that follow t."""
     even = round(np.log10(call.t)) % 2 == 0
-    return Answer((1.0, 0.5) if even else (0.5, 1.0), product=call.t)
+    return Answer((1.0, 0.5) if even else (0.5, 1.0), product=call.t if product is None else product)
 
 
 def settled(objective=1.0, lam_x=(0.0, 0.0)):
@@ -70,85 +67,101 @@ def settled(objective=1.0, lam_x=(0.0, 0.0)):
 
 
 def failing(status, bad):
-    return lambda call: Answer(status=status) if bad(call.t) else restless(call)
+    return lambda call: Answer(status=status) if bad(call) else restless(call)
 
 
-def test_t_goes_down_to_the_end_and_the_last_point_is_finished_with_a_search(finishes):
-    run, path = followed(restless)
-    assert run.ts == pytest.approx(TENTHS)
-    (last,) = finishes.of("finish")
-    assert (last["search"], last["corner"]) == (True, pytest.approx(3e-4))
-    assert last["warm"] is not None
-    assert finishes.of("polished") == []  # sides that change are not finished early
-    assert (path.finish, path.failure) == (UNSOLVED, None)
-    assert [list(call.z) for call in run.calls[:4]] == [[0.5, 0.5], [1.0, 0.5], [0.5, 1.0], [1.0, 0.5]]
-    assert [call.first for call in run.calls] == [True] + [False] * 8
-    assert not any(call.warm for call in run.calls)
+def failing_below(status, t):
+    return failing(status, lambda call: call.t < t)
 
 
-def test_warm_duals_hand_the_multipliers_on(finishes):
-    run, _ = followed(restless, warm_duals=True)
-    assert [call.warm is not None for call in run.calls] == [False] + [True] * 8
+def stuck(fall):
+    return lambda call: restless(call, fall ** round(-np.log10(call.t)))
 
 
-def test_exact_relaxed_point_is_the_end_of_the_path(finishes):
-    run, _ = followed(restless, exact=lambda z: z[0] == 0.5)
-    assert run.ts == pytest.approx([1.0, 0.1])
-    assert finishes.searches == [True]
+LONG = failing_below(S.ITERATION_LIMIT, 0.5e-2)
+STALLED_FAR = failing(S.STALLED, lambda call: call.t < 1 and not np.array_equal(call.z, START))
 
 
-@pytest.mark.parametrize(("crossover", "steps"), [(1e-2, 3), (1e-3, 4), (1.0, 2)])
-def test_settled_sides_are_finished_early_from_the_crossover_on(crossover, steps, finishes):
-    """Two steps are needed to see that nothing changes."""
-    finishes.near = SOLVED
-    run, path = followed(settled(), crossover=crossover)
-    assert run.ts == pytest.approx(TENTHS[:steps])
-    assert finishes.of("polished")[0]["corner"] == pytest.approx(3 * 10 ** (-(steps - 1) / 2))
-    assert path.finish is SOLVED
-
-
-@pytest.mark.parametrize("near", [None, UNSOLVED])
-def test_early_finish_that_proves_nothing_lets_the_path_go_on(near, finishes):
-    finishes.near = finishes.pivoted = near
-    finishes.full = SOLVED
-    run, path = followed(settled())
-    assert run.ts == pytest.approx(TENTHS)
-    assert path.finish is SOLVED
+def retreats(powers, twice=False):
+    return [1.0, *(0.1**power for power in powers for _ in range(1 + twice))]
 
 
 @pytest.mark.parametrize(
-    ("answers", "weight", "ends"),
+    ("answers", "options", "ends", "ts", "searches", "failure", "end"),
     [
-        (settled(1.0), 1.0, True),
-        (settled(1.5), 1.0, True),
-        (settled(0.9), 1.0, False),  # the finish, f = 1, is above what the path foretells
-        (settled(0.01), 100.0, True),  # weighted as that of a finish
-        (settled(2.0, (9.0, -2.0)), 1.0, True),  # H = 0.5 is to be closed with the multiplier -2
-        (settled(1.5, (0.0, -2.0)), 1.0, False),
+        (restless, {}, {}, TENTHS, [True], None, UNSOLVED),  # sides that change are not finished early
+        (restless, {"exact": lambda z: z[0] == 0.5}, {}, TENTHS[:2], [True], None, UNSOLVED),
+        # settled sides are finished early from the crossover on; two steps are needed to see that they are
+        (settled(), {}, {"near": SOLVED}, TENTHS[:3], [], None, SOLVED),
+        (settled(), {"crossover": 1e-3}, {"near": SOLVED}, TENTHS[:4], [], None, SOLVED),
+        (settled(), {"crossover": 1.0}, {"near": SOLVED}, TENTHS[:2], [], None, SOLVED),
+        # an early finish that proves nothing lets the path go on
+        (settled(), {}, {"near": None, "pivoted": None, "full": SOLVED}, TENTHS, [True], None, SOLVED),
+        (settled(), {}, {"near": UNSOLVED, "pivoted": UNSOLVED, "full": SOLVED}, TENTHS, [True], None,
+         SOLVED),
+        # and so does one with f = 1 above what the path foretells, but the better of the two is kept
+        (settled(1.5), {}, {"near": SOLVED}, TENTHS[:3], [], None, SOLVED),
+        (settled(0.9), {}, {"near": SOLVED}, TENTHS, [True], None, SOLVED),
+        (settled(0.01), {"weight": 100.0}, {"near": SOLVED}, TENTHS[:3], [], None, SOLVED),
+        # H = 0.5 is to be closed with the multiplier -2
+        (settled(2.0, (9.0, -2.0)), {}, {"near": SOLVED}, TENTHS[:3], [], None, SOLVED),
+        (settled(1.5, (0.0, -2.0)), {}, {"near": SOLVED}, TENTHS, [True], None, SOLVED),
+        # without Newton an early finish is that by the interior point, without a search
+        (settled(), {"newton_finish": False}, {"full": SOLVED}, TENTHS[:3], [False], None, SOLVED),
+        # a first step that fails ends the path; its point is finished without a search if it is one
+        (failing_below(S.STALLED, 9), {}, {}, [1.0], [False], S.STALLED, UNSOLVED),
+        (lambda _: Answer((np.nan, 1), S.FAILED), {}, {}, [1.0], [], S.FAILED, None),
+        # a step that ran long is not repeated from the start, others are; infeasible ones count twice
+        (failing_below(S.ITERATION_LIMIT, 1), {}, {}, retreats([1, 0.5, 0.25, 0.125]), [True],
+         S.ITERATION_LIMIT, UNSOLVED),
+        (failing_below(S.ITERATION_LIMIT, 1), {"patience": 0}, {}, TENTHS[:2], [True], S.ITERATION_LIMIT,
+         UNSOLVED),
+        (failing_below(S.STALLED, 1), {"patience": 0}, {}, retreats([1], True), [True], S.STALLED, UNSOLVED),
+        (failing_below(S.INFEASIBLE, 1), {}, {}, retreats([1, 0.5], True), [True], S.INFEASIBLE, UNSOLVED),
+        (STALLED_FAR, {}, {}, retreats(range(1, 9), True), [True], None, UNSOLVED),
+        # a failure below the crossover is finished from the point before it
+        (LONG, {}, {"full": SOLVED}, TENTHS[:4], [False], S.ITERATION_LIMIT, SOLVED),
+        (LONG, {"patience": 1}, {}, [*TENTHS[:4], HALVES[5]], [False] * 2, S.ITERATION_LIMIT, UNSOLVED),
+        # products ten times t from t = 0.01 on that do not fall by a tenth: the third in turn is the last
+        (stuck(1.0), {}, {}, TENTHS[:5], [True], S.INFEASIBLE, UNSOLVED),
+        (stuck(0.95), {}, {}, TENTHS[:5], [True], S.INFEASIBLE, UNSOLVED),
+        (stuck(0.8), {}, {}, TENTHS, [True], None, UNSOLVED),
     ],
-)
-def test_early_finish_above_what_the_path_foretells_is_not_yet_final(answers, weight, ends, finishes):
+)  # fmt: skip
+def test_path_goes_down_retreats_and_ends(answers, options, ends, ts, searches, failure, end, finishes):
+    vars(finishes).update(ends)
+    run, path = followed(answers, **options)
+    assert run.ts == pytest.approx(ts)
+    assert (finishes.searches, path.failure, path.finish) == (searches, failure, end)
+
+
+def test_each_step_starts_at_the_one_before_and_a_finish_knows_t_and_multipliers(finishes):
+    run, _ = followed(restless)
+    (last,) = finishes.of("finish")
+    assert (last["corner"], last["warm"] is None) == (pytest.approx(3e-4), False)
+    assert finishes.of("polished") == []
+    assert [list(call.z) for call in run.calls[:4]] == [[0.5, 0.5], [1.0, 0.5], [0.5, 1.0], [1.0, 0.5]]
+    assert [call.first for call in run.calls] == [True] + [False] * 8
+    assert not any(call.warm for call in run.calls)
+    run, _ = followed(restless, warm_duals=True)
+    assert [call.warm is not None for call in run.calls] == [False] + [True] * 8
+    run, _ = followed(STALLED_FAR)
+    assert [call.first for call in run.calls[1:4]] == [False, True, False]
+    assert [list(call.z) for call in run.calls[1:4]] == [[1.0, 0.5], [0.5, 0.5], [0.5, 1.0]]
+
+
+@pytest.mark.parametrize(("crossover", "corner"), [(1e-2, 0.3), (1e-3, 3 * 10**-1.5), (1.0, 3 * 10**-0.5)])
+def test_corner_of_an_early_finish_is_of_size_sqrt_t(crossover, corner, finishes):
     finishes.near = SOLVED
-    run, path = followed(answers, weight=weight)
-    assert (len(run.ts) == 3) == ends
-    assert path.finish is SOLVED  # the better of the two
+    followed(settled(), crossover=crossover)
+    assert finishes.of("polished")[0]["corner"] == pytest.approx(corner)
 
 
 @pytest.mark.parametrize(("f", "descends"), [(1.0, True), (1.04, True), (1.2, False)])
 def test_branches_are_descended_over_from_a_good_point_at_small_t_only(f, descends, finishes):
-    finishes.near = finishes.pivoted = Finish(np.array([2.0, 0.0]), f, Status.STALLED)
+    finishes.near = finishes.pivoted = replace(UNSOLVED, f=f)
     followed(settled())
-    ts = [call["t"] for call in finishes.of("pivot")]
-    assert ts == pytest.approx(TENTHS[5:8] if descends else [])
-
-
-def test_without_newton_an_early_finish_is_that_by_the_interior_point_without_a_search(finishes):
-    finishes.full = SOLVED
-    run, path = followed(settled(), newton_finish=False)
-    assert run.ts == pytest.approx([1.0, 0.1, 0.01])
-    assert finishes.searches == [False]
-    assert finishes.of("finish")[0]["warm"] is not None
-    assert path.finish is SOLVED
+    assert [call["t"] for call in finishes.of("pivot")] == pytest.approx(TENTHS[5:8] if descends else [])
 
 
 def test_step_that_fails_retreats_half_of_the_way_and_goes_on_by_smaller_steps(finishes):
@@ -158,118 +171,61 @@ def test_step_that_fails_retreats_half_of_the_way_and_goes_on_by_smaller_steps(f
     def once(call):
         if call.t < 0.5 and len(failed) < 2:  # from the last solution, and from the start
             failed.append(call.t)
-            return Answer(status=Status.STALLED)
+            return Answer(status=S.STALLED)
         return Answer((1.0, 0.5) if len(failed) % 2 else (0.5, 1.0), product=call.t)
 
     run, path = followed(once, crossover=1e-12)
-    half = 10**-0.5
-    assert run.ts[:6] == pytest.approx([1.0, 0.1, 0.1, half, 0.1, 0.1 * half])
-    assert run.ts[-1] == pytest.approx(1e-8)
+    assert run.ts == pytest.approx([1.0, 0.1, *HALVES[2:3], *HALVES[1:]])
     assert path.failure is None
-    assert (list(run.calls[2].z), run.calls[2].first) == ([0.5, 0.5], True)
 
 
-@pytest.mark.parametrize(
-    ("status", "patience", "powers", "twice"),
-    [
-        (Status.ITERATION_LIMIT, 3, [1, 0.5, 0.25, 0.125], False),  # one that ran long is not repeated
-        (Status.ITERATION_LIMIT, 0, [1], False),
-        (Status.STALLED, 0, [1], True),  # others are tried from the start
-        (Status.INFEASIBLE, 3, [1, 0.5], True),  # and count twice
-    ],
-)
-def test_retreats_are_counted(status, patience, powers, twice, finishes):
-    run, path = followed(failing(status, lambda t: t < 1.0), patience=patience)
-    assert run.ts[1:] == pytest.approx([0.1**power for power in powers for _ in range(1 + twice)])
-    assert path.failure is status
+def test_points_of_failed_paths_are_finished_from_the_last_relaxed_solution(finishes):
+    _, path = followed(failing_below(S.STALLED, 1), patience=0)
+    np.testing.assert_array_equal(finishes.of("finish")[0]["z"], path.relaxed.x)
     assert path.relaxed.converged
-    (call,) = finishes.of("finish")  # what there is, with a search
-    assert call["search"] is True
-    np.testing.assert_array_equal(call["z"], path.relaxed.x)
-
-
-def test_step_that_succeeds_from_the_start_is_taken(finishes):
-    def far(call):
-        return (
-            restless(call) if call.t == 1 or np.array_equal(call.z, START) else Answer(status=Status.STALLED)
-        )
-
-    run, path = followed(far)
-    assert run.ts == pytest.approx([1.0, *(t for t in TENTHS[1:] for _ in "ab")])
-    assert path.failure is None
-
-
-def test_first_step_that_fails_ends_the_path_and_its_point_is_finished_without_a_search(finishes):
-    run, path = followed(failing(Status.STALLED, lambda t: True))
-    assert (run.ts, path.failure, path.relaxed.status) == ([1.0], Status.STALLED, Status.STALLED)
-    assert finishes.searches == [False]
-    _, path = followed(lambda call: Answer((np.nan, 1.0), Status.EVALUATION_ERROR))
-    assert (len(finishes.searches), path.finish) == (1, None)
-
-
-def test_failure_below_the_crossover_is_finished_from_the_point_before_it(finishes):
-    finishes.full = SOLVED
-    run, path = followed(failing(Status.ITERATION_LIMIT, lambda t: t < 0.5e-2))
-    assert run.ts == pytest.approx([1.0, 0.1, 0.01, 1e-3])
-    (call,) = finishes.of("finish")
-    assert (call["search"], call["corner"]) == (False, pytest.approx(0.3))  # of the last t that was solved
-    assert list(call["z"]) == [1.0, 0.5]
-    assert path.finish is SOLVED
-    above, _ = followed(failing(Status.ITERATION_LIMIT, lambda t: t < 0.5), patience=0)
-    assert above.ts == pytest.approx([1.0, 0.1])
-    assert finishes.searches[1:] == [True]  # only when retreats are used up
-    finishes.full = UNSOLVED
-    run, path = followed(failing(Status.ITERATION_LIMIT, lambda t: t < 0.5e-2), patience=1)
-    assert run.ts[4:] == pytest.approx([1e-3 * 10**0.5])
-    assert finishes.searches[2:] == [False, False]
-    assert path.finish is UNSOLVED
-
-
-@pytest.mark.parametrize(("fall", "ends"), [(1.0, True), (0.95, True), (0.8, False)])
-def test_products_that_do_not_fall_end_at_a_violation(fall, ends, finishes):
-    """They count from t = 0.01 on, where they are ten times t, and the third in turn is the last."""
-
-    def stuck(call):
-        k = round(-np.log10(call.t))
-        return Answer((1.0, 0.5) if k % 2 else (0.5, 1.0), product=fall**k)
-
-    run, path = followed(stuck)
-    assert (path.failure is Status.INFEASIBLE) == ends
-    assert run.ts == pytest.approx(TENTHS[:5] if ends else TENTHS)
-    assert finishes.searches == [True]
+    assert not followed(failing_below(S.STALLED, 9))[1].relaxed.converged
+    followed(LONG, patience=0)
+    call = finishes.of("finish")[-1]
+    assert (call["corner"], list(call["z"])) == (pytest.approx(0.3), [1.0, 0.5])  # of t = 0.01
+    finishes.near = SOLVED  # stationary, but above what the path foretells: it will do if the path fails
+    late = lambda call: settled(0.9)(call) if call.t > 0.5e-2 else Answer(status=S.ITERATION_LIMIT)  # noqa: E731
+    run, path = followed(late)
+    assert (run.ts, path.finish) == (pytest.approx(TENTHS[:4]), SOLVED)
 
 
 def test_known_multipliers_start_the_first_step_with_zeros_for_the_relaxation_s_own_rows(finishes):
     known = ended([0.5, 0.5], lam_x=np.array([1.0, 2.0]), lam_g=np.zeros(0))
-    run, _ = followed(restless, first=known)
-    assert run.calls[0].first
-    assert (list(run.calls[0].warm.lam_x), list(run.calls[0].warm.lam_g)) == ([1.0, 2.0], [0.0])
-    assert run.calls[1].warm is None
+    first, second = followed(restless, first=known)[0].calls[:2]
+    assert (list(first.warm.lam_x), list(first.warm.lam_g)) == ([1.0, 2.0], [0.0])
+    assert (first.first, second.warm) == (True, None)
 
 
-def exact(f, status=Status.STALLED):
+def exact(f, status=S.STALLED):
     return Finish(np.zeros(2), f, status, Stationarity("W"))
 
 
-def test_of_two_ends_the_solved_then_the_exact_then_the_lower_is_kept():
-    inexact = Finish(np.zeros(2), -9.0, Status.STALLED)
-    for better, worse in (
-        (SOLVED, exact(0.0)), (exact(5.0), inexact), (exact(1.0), exact(2.0)), (exact(1.0), exact(np.nan)),
-    ):  # fmt: skip
-        for one, other in ((worse, better), (better, worse)):
-            path = Path(one)
-            assert path.keep(other) == other.solved
-            assert path.finish is better
-    twin, path = exact(1.0), Path()
-    path.keep(twin)
-    path.keep(exact(1.0))
-    assert path.finish is twin
+INEXACT, UNBOUNDED = (Finish(np.zeros(2), *end) for end in ((-9.0, S.STALLED), (-1e20, S.UNBOUNDED)))
 
 
-def test_path_ends_with_a_stationary_point_or_without_a_bound():
-    unbounded = Finish(np.zeros(2), -1e20, Status.UNBOUNDED)
-    ends = [Path(finish=end).ended for end in (SOLVED, unbounded, UNSOLVED, None)]
-    assert ends == [True, True, False, False]
+@pytest.mark.parametrize(
+    ("better", "worse"),
+    [(SOLVED, exact(0.0)), (exact(5.0), INEXACT), (exact(1.0), exact(2.0)), (exact(1.0), exact(np.nan))],
+)
+def test_of_two_ends_the_solved_then_the_exact_then_the_lower_is_kept(better, worse):
+    for one, other in ((worse, better), (better, worse)):
+        path = Path(one)
+        assert path.keep(other) == other.solved
+        assert path.finish is better
+    path = Path(better)
+    path.keep(replace(better))
+    assert path.finish is better  # of equals the first
+
+
+@pytest.mark.parametrize(
+    ("end", "ended"), [(SOLVED, True), (UNBOUNDED, True), (UNSOLVED, False), (None, False)]
+)
+def test_path_ends_with_a_stationary_point_or_without_a_bound(end, ended):
+    assert Path(finish=end).ended == ended
 
 
 @pytest.mark.parametrize(
@@ -281,10 +237,9 @@ def test_end_is_where_the_path_was_going_to_a_thousandth_or_lower(finished, expe
     assert homotopy._at_the_limit(finished, expected, 1e-3) == within
 
 
-def test_sides_are_settled_if_one_in_a_hundred_changes():
-    before = np.zeros(200, dtype=bool)
-    for changes, is_settled in ((0, True), (2, True), (3, False)):
-        assert homotopy._settled(before, np.arange(200) < changes) == is_settled
+@pytest.mark.parametrize(("changes", "is_settled"), [(0, True), (2, True), (3, False)])
+def test_sides_are_settled_if_one_in_a_hundred_changes(changes, is_settled):
+    assert homotopy._settled(np.zeros(200, dtype=bool), np.arange(200) < changes) == is_settled
 
 
 @pytest.mark.parametrize(
@@ -304,87 +259,86 @@ def test_t_of_a_solve_is_that_of_its_options():
 class TestSecondPath:
     """The trajectory in the unknowns as they were given; minima (0, 1) with f = 4 and (2, 0) with f = 1."""
 
+    @pytest.fixture
+    def scripted(self, monkeypatch):
+        """Follow it with relaxed points that a test gives; the run's asks, and what is finished how."""
+
+        def look(end, known=None):
+            run, path, asks, ends = ScriptedRun(), Path(), [], []
+            monkeypatch.setattr(run, "unlifted", lambda x, t: asks.append((list(x), t)) or end)
+            monkeypatch.setattr(homotopy, "finish", lambda run, z, **names: ends.append(names) or UNSOLVED)
+            second_path(run, path, START, known)
+            return path, asks, ends
+
+        return look
+
     @staticmethod
     def looked(first, **options):
-        run, path = Run(CompiledNLPs(two_minima(), Options(**options)), np.zeros(0)), Path()
+        run, path = run_of(two_minima(), **options), Path()
         second_path(run, path, START, first)
-        return run, path
-
-    def test_a_lower_minimum_than_the_first_is_found(self):
-        run, path = self.looked(Finish(np.array([0.0, 1.0]), 4.0, Status.CONVERGED))
-        assert (path.finish.solved, path.finish.f) == (True, pytest.approx(1.0))
-        ts = [step.t for step in run.steps if step.phase == "second"]
-        assert ts == pytest.approx([1.0, 0.1, 0.01])  # to the crossover, no further
-        run, path = self.looked(None, crossover=0.1)
-        assert [step.t for step in run.steps if step.phase == "second"] == pytest.approx([1.0, 0.1])
-        assert path.finish.f == pytest.approx(1.0)
+        return path.finish, [step.t for step in run.steps if step.phase == "second"]
 
     @pytest.mark.parametrize(
-        ("known", "f", "steps"),
-        [([2, 0], 0.0, 1), ([2, 0], 1 + 1e-4, 3), ([2, 0], 0.9, 2)],  # it lies above; ends in the same branch
-    )
-    def test_it_ends_where_it_cannot_help(self, known, f, steps):
-        run, path = self.looked(Finish(np.array(known, float), f, Status.CONVERGED))
-        assert path.finish is None
-        assert [step.phase for step in run.steps][:1] == ["second"]
-        assert len(run.steps) <= steps
+        ("known", "options", "ts"),
+        [(Finish(np.array([0.0, 1.0]), 4.0, S.CONVERGED), {}, TENTHS[:3]), (None, {}, TENTHS[:3]),
+         (None, {"crossover": 0.1}, TENTHS[:2])],
+    )  # fmt: skip
+    def test_lower_minimum_than_the_first_is_found_at_the_crossover(self, known, options, ts):
+        end, seen = self.looked(known, **options)
+        assert (end.solved, end.f, seen) == (True, pytest.approx(1.0), pytest.approx(ts))
+
+    @pytest.mark.parametrize(("f", "steps"), [(0.0, 1), (1 + 1e-4, 3), (0.9, 2)])
+    def test_it_ends_where_it_cannot_help(self, f, steps):
+        """It lies above, or ends in the same branch."""
+        end, seen = self.looked(Finish(np.array([2.0, 0.0]), f, S.CONVERGED))
+        assert end is None
+        assert 1 <= len(seen) <= steps
 
     @pytest.mark.parametrize(
         ("z", "known", "same"), [((0, 1), (0, 2), True), ((1, 0), (0, 2), False), ((0, 1), (0, 0), False)]
     )
-    def test_a_known_corner_is_no_branch(self, z, known, same):
+    def test_known_corner_is_no_branch(self, z, known, same):
         assert homotopy._same_branch(ScriptedRun(), np.array(z), np.array(known)) is same
 
     @pytest.mark.parametrize(
         ("status", "point", "asked", "failure", "finished"),
-        [(Status.STALLED, [1.0, 0.5], 3, Status.STALLED, 1), (Status.FAILED, [1.0, 0.5], 1, Status.FAILED, 0),
-         (Status.STALLED, [np.nan, 1.0], 1, Status.STALLED, 0), (Status.CONVERGED, [1.0, 0.5], 3, None, 1)],
+        [(S.STALLED, [1.0, 0.5], 3, S.STALLED, 1), (S.FAILED, [1.0, 0.5], 1, S.FAILED, 0),
+         (S.STALLED, [np.nan, 1.0], 1, S.STALLED, 0), (S.CONVERGED, [1.0, 0.5], 3, None, 1)],
     )  # fmt: skip
     def test_steps_that_fail_end_it_unless_they_stalled(
-        self, status, point, asked, failure, finished, monkeypatch
+        self, status, point, asked, failure, finished, scripted
     ):
-        run, path, ends = ScriptedRun(), Path(), []
-        asks = []
-        monkeypatch.setattr(run, "unlifted", lambda x, t: asks.append((list(x), t)) or ended(point, status))
-        monkeypatch.setattr(homotopy, "finish", lambda run, z, **names: ends.append(names) or UNSOLVED)
-        second_path(run, path, START, None)
-        assert len(asks) == asked
-        assert asks[0] == ([0.5, 0.5], 1.0)
-        assert all(ask == (point, pytest.approx(10.0**-k)) for k, ask in enumerate(asks) if k)
-        assert path.failure is failure
-        assert len(ends) == finished
+        path, asks, ends = scripted(ended(point, status))
+        expected = [([0.5, 0.5], 1.0), (point, pytest.approx(0.1)), (point, pytest.approx(0.01))]
+        assert (asks, path.failure, len(ends)) == (expected[:asked], failure, finished)
         assert all(end["search"] and end["corner"] == pytest.approx(0.3) for end in ends)
 
-    def test_its_finish_must_not_lose_what_it_has_gained(self, monkeypatch):
+    def test_its_finish_must_not_lose_what_it_has_gained(self, scripted):
         """Known: f = 4 on the other branch; the relaxed point (2, 0.1) has f = 0.81."""
-        ends = []
-        run = ScriptedRun()
-        monkeypatch.setattr(run, "unlifted", lambda x, t: ended([2.0, 0.1]))
-        monkeypatch.setattr(homotopy, "finish", lambda run, z, **names: ends.append(names) or UNSOLVED)
-        second_path(run, Path(), START, Finish(np.array([0.0, 1.0]), 4.0, Status.CONVERGED))
+        _, _, ends = scripted(ended([2.0, 0.1]), Finish(np.array([0.0, 1.0]), 4.0, S.CONVERGED))
         assert (ends[0]["search"], ends[0]["ceiling"]) == (False, pytest.approx(8 - 0.81))
 
-    def test_it_is_an_option_and_needs_pairs(self):
-        def phases(mpcc=None, **options):
-            return {step.phase for step in solve(mpcc or two_minima(), [0.5, 0.5], **options).history}
-
-        assert "second" in phases()
-        assert "second" not in phases(second_path=False)
-        assert "second" not in phases(MPCC(XY, x**2 + y**2, None, None, None))
+    @pytest.mark.parametrize(
+        ("mpcc", "options", "looks"),
+        [(two_minima(), {}, True), (two_minima(), {"second_path": False}, False),
+         (MPCC(XY, x**2 + y**2, None, None, None), {}, False)],
+    )  # fmt: skip
+    def test_it_is_an_option_and_needs_pairs(self, mpcc, options, looks):
+        history = solve(mpcc, START, **options).history
+        assert any(step.phase == "second" for step in history) == looks
 
 
 @pytest.mark.slow
 def test_penalty_that_ends_at_a_violation_is_not_followed_to_the_end():
     """Both members at least 0.2: empty for every t below 0.04, not for t = 1."""
     empty = MPCC(XY, (x - 1) ** 2 + y**2, XY, x, y, lbg=0.2)
-    run, path = Run(CompiledNLPs(empty, Options()), np.zeros(0)), Path()
+    run, path = run_of(empty), Path()
     follow(run, path, "l1-penalty", START, 1.0)
-    assert path.failure is Status.INFEASIBLE
+    assert path.failure is S.INFEASIBLE
     assert min(step.t for step in run.steps if step.phase == "relaxed") > 1e-8
     result = solve(empty, START)
-    assert (result.status, result.success) == (Status.INFEASIBLE, False)
+    assert (result.status, result.success) == (S.INFEASIBLE, False)
     assert result.counts["nlp_solves"] <= 25
     assert result.counts["rescues"] > 0  # another relaxation was asked all the same
-    run, path = Run(CompiledNLPs(two_minima(), Options()), np.zeros(0)), Path()
-    follow(run, path, "l1-penalty", START, 1.0)
+    follow(run_of(two_minima()), path := Path(), "l1-penalty", START, 1.0)
     assert path.finish.solved

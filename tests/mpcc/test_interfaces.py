@@ -8,26 +8,22 @@ import pytest
 
 from mpcc_library.families import FAMILIES
 from rmesh_nlp.mpcc import MPCC, MultiStart, interfaces, mpccsol, multistart, solve
+from support.scripted_run import XY, x, y
 
-x, y, p = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("p")
-XY = ca.vertcat(x, y)
+p = ca.SX.sym("p")
 
 
 def end(success, f=0.0, violation=0.0, complementarity=0.0):
-    return SimpleNamespace(
-        success=success, f=f, constraint_violation=violation, complementarity=complementarity
-    )
+    residuals = {"constraint_violation": violation, "complementarity": complementarity}
+    return SimpleNamespace(success=success, f=f, **residuals)
 
 
 @pytest.mark.parametrize(
     ("ends", "best", "spread"),
     [
         ([end(True, 2.0), end(True, 1.0), end(False, -9.0)], 1, (1.0, 2.0)),
-        (
-            [end(False, 0, 0, 1), end(False, 0, 0.1), end(False, -9, 0.2)],
-            1,
-            (np.nan, np.nan),
-        ),  # nearly feasible
+        # the most nearly feasible one
+        ([end(False, 0, 0, 1), end(False, 0, 0.1), end(False, -9, 0.2)], 1, (np.nan, np.nan)),
     ],
 )
 def test_best_is_the_lowest_success_else_the_most_feasible(ends, best, spread):

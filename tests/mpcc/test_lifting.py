@@ -6,9 +6,9 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, Duals
 from rmesh_nlp.mpcc.lifting import automatic_derivatives, lift, warm_start
+from support.scripted_run import XYW, w, x, y
 
-x, y, w, p = (ca.SX.sym(name) for name in ("x", "y", "w", "p"))
-XYW = ca.vertcat(x, y, w)
+p = ca.SX.sym("p")
 NONE = np.zeros(0)
 
 

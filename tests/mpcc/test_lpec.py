@@ -10,17 +10,10 @@ from scipy.optimize import linprog
 
 from rmesh_nlp.mpcc import MPCC, lpec
 from rmesh_nlp.mpcc.lifting import lift
-from rmesh_nlp.mpcc.lpec import descent, linearise, nearest_branch, steepness
+from rmesh_nlp.mpcc.lpec import descent, nearest_branch, steepness
+from support.scripted_run import XY, XYW, linearised, w, x, y
 
-x, y, w = (ca.SX.sym(name) for name in "xyw")
-XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
 ONE = np.ones(1)
-
-
-def at(mpcc, point):
-    lifted = lift(mpcc)
-    z = lifted.start(np.asarray(point, dtype=float), np.zeros(0))
-    return lifted, linearise(lifted, z, ONE, 1e-5, 1e-6)
 
 
 def test_what_is_active_by_hand():
@@ -30,7 +23,7 @@ def test_what_is_active_by_hand():
                 lbx=[-1, 2e-6, -1, -1, 9, -np.inf], ubx=[1, 1, 9, 0, 20, 0],
                 lbg=[0, -1, -9], ubg=[0, 1e3 * 2e-5, 20])  # fmt: skip
     point = np.array([1e-6, 1.1e-6, 0.5, 0.0, 9 + 9e-5, 1e-5])
-    lifted, lin = at(mpcc, point)
+    lifted, lin = linearised(mpcc, point)
     z = lifted.start(point, np.zeros(0))
     assert list(np.flatnonzero(lin.G_zero)) == [0]  # 1e-6 is zero
     assert list(lifted.second) == [6, 3]  # 2e-6 <= v_1 leaves no zero: a slack
@@ -45,7 +38,7 @@ def test_what_is_active_by_hand():
 
 
 def test_steepness_is_the_largest_entry_of_a_row_and_at_least_one():
-    _, lin = at(MPCC(XYW, x, ca.vertcat(3 * x - 7 * y, 0.5 * x, 0 * x), None, None), [1, 1, 1])
+    _, lin = linearised(MPCC(XYW, x, ca.vertcat(3 * x - 7 * y, 0.5 * x, 0 * x), None, None), [1, 1, 1])
     assert list(steepness(lin.jacobian)) == [7, 1, 1]
     assert lin.scale == 1.0
 
@@ -70,7 +63,7 @@ CASES = [
 )
 def test_direction_of_closed_form(name, f, changes, point, decrease, step, milp, monkeypatch):
     monkeypatch.setattr(lpec, "_ENUMERATE", -1 if milp else 3)
-    found = descent(*at(MPCC(**{"x": XY, "f": f, "g": None, "G": x, "H": y} | changes), point))
+    found = descent(*linearised(MPCC(**{"x": XY, "f": f, "g": None, "G": x, "H": y} | changes), point))
     assert found.decrease == pytest.approx(decrease, abs=1e-9)
     assert found.step[:2] == pytest.approx(step, abs=1e-9)
     if decrease:
@@ -83,16 +76,8 @@ def test_milp_and_enumeration_find_the_best_branch(seed, monkeypatch):
     k, m = 4, 3
     v = ca.SX.sym("v", 2 * k + 1)
     c, A = random.normal(size=2 * k + 1), random.normal(size=(m, 2 * k + 1))
-    mpcc = MPCC(
-        v,
-        ca.dot(ca.DM(c), v),
-        ca.mtimes(ca.DM(A), v),
-        v[:k],
-        v[k : 2 * k],
-        lbg=[0, -np.inf, 0],
-        ubg=[0, 0, 9],
-    )
-    lifted, lin = at(mpcc, np.zeros(2 * k + 1))
+    f, rows, limits = ca.DM(c).T @ v, ca.DM(A) @ v, {"lbg": [0, -np.inf, 0], "ubg": [0, 0, 9]}
+    lifted, lin = linearised(MPCC(v, f, rows, v[:k], v[k : 2 * k], **limits), np.zeros(2 * k + 1))
     best = 0.0
     for sides in itertools.product((True, False), repeat=k):
         top = [0.0 if s else 1.0 for s in sides] + [1.0 if s else 0.0 for s in sides] + [1.0]
@@ -119,19 +104,21 @@ def test_search_that_was_given_up_decides_only_by_a_descent(pairs, x_is, status,
     options = []
     monkeypatch.setattr(lpec, "milp", lambda *_, **names: options.append(names["options"]) or answer)
     u, v = ca.SX.sym("u", pairs), ca.SX.sym("v", pairs)
-    found = descent(*at(MPCC(ca.vertcat(u, v), ca.sum1(u), None, u, v), np.zeros(2 * pairs)), seconds=2.5)
+    mpcc = MPCC(ca.vertcat(u, v), ca.sum1(u), None, u, v)
+    found = descent(*linearised(mpcc, np.zeros(2 * pairs)), seconds=2.5)
     assert (found is not None) == decided
     assert ("time_limit" in options[0]) == (pairs > 3)
 
 
-def test_nearest_branch_meets_the_rows_first_and_then_lowers_the_objective():
+@pytest.mark.parametrize(
+    ("mpcc", "radius", "end"),
+    [(MPCC(XY, -x, y - x - 1e-3, x, y, lbg=0, ubg=0), 2e-3, 1e-3),
+     (MPCC(XY, -x - 2 * y, None, x, y), 4e-3, 5e-3)],
+)  # fmt: skip
+def test_nearest_branch_meets_the_rows_first_and_then_lowers_the_objective(mpcc, radius, end):
     """y = x + 1e-3 holds on x = 0 alone, though the point is nearer to y = 0."""
-    lifted = lift(MPCC(XY, -x, y - x - 1e-3, x, y, lbg=0, ubg=0))
-    z, fix_G = nearest_branch(lifted, np.array([2e-3, 1e-3]), ONE, 2e-3)
-    assert (z, list(fix_G)) == (pytest.approx([0, 1e-3], abs=1e-12), [True])
-    free = lift(MPCC(XY, -x - 2 * y, None, x, y))
-    z, fix_G = nearest_branch(free, np.array([2e-3, 1e-3]), ONE, 4e-3)
-    assert (z, list(fix_G)) == (pytest.approx([0, 5e-3], abs=1e-12), [True])
+    z, fix_G = nearest_branch(lift(mpcc), np.array([2e-3, 1e-3]), ONE, radius)
+    assert (z, list(fix_G)) == (pytest.approx([0, end], abs=1e-12), [True])
 
 
 def test_nearest_branch_keeps_bounds_and_pairs_far_from_the_corner():

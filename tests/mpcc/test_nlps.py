@@ -8,13 +8,10 @@ from rmesh_nlp.mpcc import MPCC, Options, nlps, solve
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.result import excess, residuals
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import ended, two_minima
+from support.scripted_run import ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
 
-x, y, w, p = (ca.SX.sym(name) for name in ("x", "y", "w", "p"))
-XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
-ONE = np.ones(1)
-ON_G, ON_H = np.array([True]), np.array([False])
-INF = np.inf
+p = ca.SX.sym("p")
+ONE, INF = np.ones(1), np.inf
 
 
 def compiled(mpcc=None, **options):
@@ -94,11 +91,11 @@ def test_measure_is_of_the_source_problem():
 
 def test_branch_fixes_one_member_of_each_pair():
     own = compiled()
-    on_first = own.branch(np.array([0.5, 0.5]), ONE, ON_G, ~ON_G)
-    on_second = own.branch(np.array([0.5, 0.5]), ONE, ON_H, ~ON_H)
+    on_first = own.branch(START, ONE, ON_G, ~ON_G)
+    on_second = own.branch(START, ONE, ON_H, ~ON_H)
     assert (on_first.x, on_first.f) == (pytest.approx([0, 1], abs=1e-7), pytest.approx(4))
     assert (on_second.x, on_second.f) == (pytest.approx([2, 0], abs=1e-7), pytest.approx(1))
-    corner = own.branch(np.array([0.5, 0.5]), ONE, ON_G, ~ON_H)
+    corner = own.branch(START, ONE, ON_G, ~ON_H)
     assert (list(corner.x), corner.f) == ([0, 0], 5)
     boxed = own.branch(np.array([0.5, 0.0]), ONE, ON_H, ~ON_H, radius=np.array([0.25, 0.1]))
     assert boxed.x == pytest.approx([0.75, 0], abs=1e-7)
@@ -119,9 +116,9 @@ def test_nothing_is_compiled_twice(monkeypatch):
     own = compiled()
     result = None
     for t in (1.0, 0.1, 0.01):
-        result = own.relaxed("scholtes", np.array([0.5, 0.5]), ONE, t, first=True)
-        own.unlifted(np.array([0.5, 0.5]), ONE, t)
-        own.branch(np.array([0.5, 0.5]), ONE, ON_G, ~ON_G)
+        result = own.relaxed("scholtes", START, ONE, t, first=True)
+        own.unlifted(START, ONE, t)
+        own.branch(START, ONE, ON_G, ~ON_G)
     assert len(made) == 3
     own.relaxed("scholtes", result.x, ONE, 1e-3)  # not the first: another barrier
     own.relaxed("scholtes", result.x, ONE, 1e-3, result)

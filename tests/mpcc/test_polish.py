@@ -8,11 +8,8 @@ from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
 from rmesh_nlp.mpcc.polish import _Branch, polish, project
 from rmesh_nlp.optimize.nlp import Derivatives
-from support.scripted_run import run_of, two_minima
+from support.scripted_run import ON_G, XY, XYW, run_of, two_minima, w, x, y
 
-x, y, w = (ca.SX.sym(name) for name in "xyw")
-XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
-ON_G, ON_H = np.array([True]), np.array([False])
 INF = np.inf
 
 
@@ -25,11 +22,9 @@ def overdetermined():
     return MPCC(XYW, (x - 1) ** 2 + y**2, g, x, y, lbg=0, ubg=0)
 
 
-def branch(lbg=(), ubg=(), lbx=-INF, ubx=INF):
-    rows = ca.vertcat(*[w + k for k in range(len(lbg))]) if lbg else None
-    limits = {"lbg": lbg, "ubg": ubg} if lbg else {}
-    mpcc = MPCC(XYW, x, rows, x, y, lbx=lbx, ubx=ubx, **limits)
-    return _Branch(run_of(mpcc).lifted, ON_G, ON_H)
+def branch(lbg, ubg, lbx=-INF, ubx=INF):
+    mpcc = MPCC(XYW, x, w, x, y, lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
+    return _Branch(run_of(mpcc).lifted, ON_G, ~ON_G)
 
 
 def test_bounds_of_a_branch_are_those_of_the_lifted_problem_and_zero_where_fixed():

@@ -11,9 +11,10 @@ from rmesh_nlp.mpcc import MPCC, Options, multistart, solve
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
 from rmesh_nlp.optimize.nlp import Derivatives
 from support.formulations import joint, mpcc
+from support.scripted_run import XY, x, y
 
-x, y, z, stray = (ca.SX.sym(name) for name in ("x", "y", "z", "stray"))
-XY, XYZ = ca.vertcat(x, y), ca.vertcat(x, y, z)
+z, stray = ca.SX.sym("z"), ca.SX.sym("stray")
+XYZ = ca.vertcat(XY, z)
 INF = np.inf
 
 

@@ -8,9 +8,7 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, read, solve
 from rmesh_nlp.mpcc.__main__ import main
-
-x, y, z = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("z")
-XY, XYZ = ca.vertcat(x, y), ca.vertcat(x, y, z)
+from support.scripted_run import XY, x, y
 
 # min (x - 1)^2 + exp(y) - 2 z,  x + z <= 5,  0 <= y _|_ x + y - 1 >= 0,  -1 <= z <= 2 _|_ x^2 + z - 3
 NL = """g3 1 1 0	# problem handmade

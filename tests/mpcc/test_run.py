@@ -8,16 +8,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, Duals, MPCCSolver, Options, solve
-from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc import MPCC, Duals, MPCCSolver, solve
 from rmesh_nlp.mpcc.result import Step
-from rmesh_nlp.mpcc.run import LimitReachedError, Run
+from rmesh_nlp.mpcc.run import LimitReachedError
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import ended, two_minima
-
-x, y = ca.SX.sym("x"), ca.SX.sym("y")
-XY = ca.vertcat(x, y)
+from support.scripted_run import XY, ended, run_of, two_minima, x, y
 
 
 def obstacle(n=40):
@@ -29,6 +25,11 @@ def obstacle(n=40):
     balance = (2 * padded[1:-1] - padded[:-2] - padded[2:]) / h**2 + load - force
     f = h * ca.sumsqr(u + 0.02) + 0.01 * (load - 1) ** 2
     return MPCC(v, f, balance, force, u + 0.05, lbg=0, ubg=0)
+
+
+@pytest.fixture(scope="module")
+def solved():
+    return solve(two_minima(), 0.5)
 
 
 @pytest.mark.parametrize("mpcc", [two_minima(), pytest.param(obstacle(), marks=pytest.mark.slow)])
@@ -62,15 +63,14 @@ def test_history_is_a_table_and_lines_are_shown(capsys):
     solve(two_minima(), 0.5, progress=True)
     assert "relaxed" in capsys.readouterr().out
     measured = {"objective": 1.0, "constraint_violation": 0.0, "complementarity": 0.0, "product": 0.0}
-    step = Step(phase="branch", t=0.0, **measured, iterations=3, status=Status.CONVERGED, seconds=0.1)
-    assert (step.biactive, step.multiplier) == (0, 0.0)
-    assert step.line().split() == ["branch", "0.0e+00", "1.00000000e+00", *["0.0e+00"] * 3, "3", "converged"]
+    line = Step(phase="branch", t=0.0, **measured, iterations=3).line()
+    assert line.split() == ["branch", "0.0e+00", "1.00000000e+00", *["0.0e+00"] * 3, "3", "converged"]
 
 
 def test_step_measures_pairs_near_the_corner_and_multipliers_of_the_relaxation():
     """Pairs (0.01, 0.1) and (0.3, 0.5): near at t = 0.01 are those below 0.2, at t = 0 below 1e-6."""
     v = ca.SX.sym("v", 4)
-    run = Run(CompiledNLPs(MPCC(v, ca.sumsqr(v), None, v[:2], v[2:]), Options()), np.zeros(0))
+    run = run_of(MPCC(v, ca.sumsqr(v), None, v[:2], v[2:]))
     for z, t, near in (((0.01, 0.3, 0.1, 0.5), 0.01, 1), ((0.01, 0.3, 0.1, 0.5), 0.1, 2),
                        ((0, 0.3, 1e-6, 0.5), 0.0, 1), ((0, 0.3, 1.1e-6, 0.5), 0.0, 0)):  # fmt: skip
         run.solved("relaxed", t, lambda z=z: ended(z, lam_g=np.array([0.2, 0.7])))
@@ -100,21 +100,23 @@ def test_only_rows_of_a_relaxation_have_a_multiplier():
     assert relaxed[-1].multiplier == pytest.approx(1.0, rel=1e-2)
 
 
-def test_label_in_words():
-    result = solve(MPCC(XY, x + 2 * y, None, x, y), [0.3, 0.4])
-    two, none = np.array([0, 1]), np.zeros(0, dtype=np.int64)
-    for pairs, stationarity, b, words in (
-        (result.biactive, "S", True, "S (1 biactive pair, B-stationary)"),
-        (two, "W", False, "W (2 biactive pairs, not B-stationary)"),
-        (two, "", None, "no label (2 biactive pairs, B not computed)"),
-        (none, "S", True, "S (no biactive pair: a KKT point)"),
-        (none, "W", True, "W (0 biactive pairs, B-stationary)"),
-    ):
-        assert replace(result, biactive=pairs, stationarity=stationarity, b_stationary=b).label == words
+@pytest.mark.parametrize(
+    ("pairs", "stationarity", "b", "words"),
+    [
+        (1, "S", True, "S (1 biactive pair, B-stationary)"),
+        (2, "W", False, "W (2 biactive pairs, not B-stationary)"),
+        (2, "", None, "no label (2 biactive pairs, B not computed)"),
+        (0, "S", True, "S (no biactive pair: a KKT point)"),
+        (0, "W", True, "W (0 biactive pairs, B-stationary)"),
+    ],
+)
+def test_label_in_words(pairs, stationarity, b, words, solved):
+    known = replace(solved, biactive=np.arange(pairs), stationarity=stationarity, b_stationary=b)
+    assert known.label == words
 
 
 def test_nearest_point_is_the_most_feasible_and_of_exact_ones_the_lowest():
-    run = Run(CompiledNLPs(two_minima(), Options()), np.zeros(0))
+    run = run_of(two_minima())
     points = [([1, 0.1], 3.0), ([1, 1e-3], 5.0), ([1, 1e-2], 0.0), ([1, 0], 2.0), ([1, 9e-9], 1.0),
               ([1, 0], 1.5), ([np.inf, 1], -9.0)]  # fmt: skip
     kept = []
@@ -131,30 +133,35 @@ def test_nearest_point_is_the_most_feasible_and_of_exact_ones_the_lowest():
      ({"time_limit_s": 1e-9}, 0, Status.TIME_LIMIT), ({"time_limit_s": 100.0}, 0, None)],
 )  # fmt: skip
 def test_limits_are_checked_between_nlps_and_after_iterations(limits, iterations, status):
-    run = Run(CompiledNLPs(two_minima(), Options(**limits)), np.zeros(0))
-    assert run.nlps.only_clock == ("time_limit_s" in limits)
+    run, stops = run_of(two_minima(), **limits), []
     run.iterations = iterations
+
+    def nlp():
+        stops.extend(run.nlps.watch.monitor(0, np.zeros(2), 0.0) for _ in range(2))
+        return replace(ended([0.5, 0.5]), iterations=0)
+
+    assert run.nlps.only_clock == ("time_limit_s" in limits)
     assert run.seconds_left > 0
     if status is None:
-        stops = []
-
-        def solve_():
-            stops.extend(run.nlps.watch.monitor(0, np.zeros(2), 0.0) for _ in range(2))
-            return replace(ended([0.5, 0.5]), iterations=0)
-
-        run.solved("relaxed", 1.0, solve_)
+        run.solved("relaxed", 1.0, nlp)
         assert stops == [False, "max_iterations" in limits]
     else:
         with pytest.raises(LimitReachedError) as error:
-            run.solved("relaxed", 1.0, lambda: pytest.fail("an NLP begins"))
-        assert error.value.status is status
+            run.solved("relaxed", 1.0, nlp)
+        assert (error.value.status, stops) == (status, [])
+
+
+def test_limit_that_an_nlp_reaches_ends_the_solve_after_its_point_is_kept():
+    run = run_of(two_minima(), max_iterations=3)
+    with pytest.raises(LimitReachedError):
+        run.solved("relaxed", 1.0, lambda: ended([0.5, 0.25]))
+    assert (len(run.steps), list(run.nearest[0])) == (1, [0.5, 0.25])
 
 
 def test_without_limits_and_observers_nothing_is_watched():
-    run = Run(CompiledNLPs(two_minima(), Options()), np.zeros(0))
+    run = run_of(two_minima())
     run.solved("relaxed", 1.0, lambda: ended([0.5, 0.5]))
-    assert run.nlps.watch.monitor is None
-    assert run.seconds_left == np.inf
+    assert (run.nlps.watch.monitor, run.seconds_left) == (None, np.inf)
 
 
 @pytest.mark.slow
@@ -212,7 +219,7 @@ def test_ctrl_c_in_the_middle_of_a_solve_is_not_a_failed_result():
         if iteration == 2:
             signal.raise_signal(signal.SIGINT)
 
-    nlp = CompiledNLPs(two_minima(), Options()).lifted.nlp
+    nlp = run_of(two_minima()).lifted.nlp
     with pytest.raises(KeyboardInterrupt):
         Solver(nlp, monitor=press)(np.full(nlp.n_x, 0.5))
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

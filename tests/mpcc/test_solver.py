@@ -16,16 +16,15 @@ from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.solver import _choose, _end, _failure
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import ScriptedRun, ended, two_minima
+from support.scripted_run import START, XY, XYW, ScriptedRun, ended, two_minima, w, x, y
 from support.switch_detection import switch_detection
 
 KINDS = [ca.SX, ca.MX]
 S = Status
-HERE, START = np.array([2.0, 0.0]), np.array([0.5, 0.5])
+HERE = np.array([2.0, 0.0])
 LABELLED = Stationarity("W")
-x, y, w = (ca.SX.sym(name) for name in "xyw")
-XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
 ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y)
+EQUATION = {"lbg": 0, "ubg": 0}
 
 
 def end_of(f, status=Status.CONVERGED, label=LABELLED):
@@ -57,16 +56,15 @@ def test_better_end_is_chosen_in_either_order(better, worse):
 @pytest.mark.parametrize("f", [0.0, 1.0, -1000.0])
 def test_of_ends_that_differ_by_rounding_the_earlier_is_chosen(f):
     first, second, lower = (end_of(f - part * 1e-7 * (1 + abs(f))) for part in (0, 0.5, 2))
-    assert _choose([first, second]) is first.finish
-    assert _choose([first, lower]) is lower.finish
-    assert _choose([Path(), Path()]) is None
+    for paths, best in (([first, second], first), ([first, lower], lower), ([Path(), Path()], Path())):
+        assert _choose(paths) is best.finish
 
 
 class TestEnd:
     """The point and the status that are returned."""
 
-    def end(self, *paths, limit=None, run=None, **names):
-        return _end(run or ScriptedRun(**names), list(paths), START, limit)
+    def end(self, path, limit=None, run=None, **names):
+        return _end(run or ScriptedRun(**names), [path], START, limit)
 
     @pytest.mark.parametrize(
         ("path", "limit", "exact", "said"),
@@ -79,22 +77,22 @@ class TestEnd:
         ],
     )
     def test_exact_end_is_returned_with_its_label(self, path, limit, exact, said):
-        found = self.end(path, limit=limit, exact=lambda z: exact)
+        found = self.end(path, limit, exact=lambda z: exact)
         assert (found.status, found.f, found.stationarity) == (said, 1.0, LABELLED)
 
     @pytest.mark.parametrize(
-        ("path", "limit", "known", "said"),
+        ("path", "limit", "nearest", "said"),
         [
-            (Path(), S.ITERATION_LIMIT, True, S.ITERATION_LIMIT),
-            (Path(failure=S.INFEASIBLE), None, True, S.INFEASIBLE),
-            (Path(failure=S.STALLED), None, False, S.INFEASIBLE),  # before any NLP has ended
+            (Path(), S.ITERATION_LIMIT, (HERE, 1.0, 5.0), S.ITERATION_LIMIT),
+            (Path(failure=S.INFEASIBLE), None, (HERE, 1.0, 5.0), S.INFEASIBLE),
+            (Path(failure=S.STALLED), None, None, S.INFEASIBLE),  # before any NLP has ended
         ],
     )
-    def test_else_the_point_with_the_smallest_residuals_is_returned(self, path, limit, known, said):
+    def test_else_the_point_with_the_smallest_residuals_is_returned(self, path, limit, nearest, said):
         run = ScriptedRun()
-        run.nearest = (HERE, 1.0, 5.0) if known else None
-        found = self.end(path, limit=limit, run=run)
-        assert found.z is (HERE if known else START)
+        run.nearest = nearest
+        found = self.end(path, limit, run)
+        assert found.z is (HERE if nearest else START)
         assert (found.stationarity, found.status) == (None, said)
 
     @pytest.mark.parametrize(
@@ -153,19 +151,24 @@ class TestAttempts:
     def solved(self, **options):
         return solve(two_minima(), [0.5, 0.6], **options)
 
-    def test_each_is_tried_once_and_rescues_reckon_with_dependent_equations(self, attempts):
-        result = self.solved(rescues=(("l1-penalty", 1.0), ("scholtes", 1.0), ("scholtes", 1e-3)))
-        assert attempts == [
-            ("scholtes", 1.0, False, 3),
-            ("l1-penalty", 1.0, True, 3),
-            ("scholtes", 1e-3, True, 3),
-        ]
-        assert (result.counts["rescues"], self.looks) == (2, 1)  # a look after the first path alone
-
-    def test_relaxation_that_was_empty_is_not_tried_from_a_smaller_t(self, attempts):
-        self.ends["scholtes"] = Path(failure=S.INFEASIBLE)
-        self.solved(rescues=(("scholtes", 1e-3), ("l1-penalty", 1.0)), second_path=False)
-        assert attempts == [("scholtes", 1.0, False, 3), ("l1-penalty", 1.0, True, 0)]
+    @pytest.mark.parametrize(
+        ("failure", "rescues", "expected"),
+        [
+            (S.STALLED, [("l1-penalty", 1.0), ("scholtes", 1.0), ("scholtes", 1e-3)],
+             [("scholtes", 1.0, False, 3), ("l1-penalty", 1.0, True, 3), ("scholtes", 1e-3, True, 3)]),
+            # a relaxation that was empty is not tried from a smaller t
+            (S.INFEASIBLE, [("scholtes", 1e-3), ("l1-penalty", 1.0)],
+             [("scholtes", 1.0, False, 3), ("l1-penalty", 1.0, True, 0)]),
+        ],
+    )  # fmt: skip
+    def test_each_is_tried_once_and_rescues_reckon_with_dependent_equations(
+        self, failure, rescues, expected, attempts
+    ):
+        self.ends["scholtes"] = Path(failure=failure)
+        looks = failure is S.STALLED
+        result = self.solved(rescues=tuple(rescues), second_path=looks)
+        assert (attempts, self.looks) == (expected, looks)  # a look after the first path alone
+        assert result.counts["rescues"] == 2
 
     @pytest.mark.parametrize(
         ("end", "status", "looks"), [(end_of(1.0), S.CONVERGED, 1), (UNBOUNDED, S.UNBOUNDED, 0)]
@@ -180,22 +183,19 @@ class TestAttempts:
 
     def test_second_path_needs_as_much_time_as_is_spent_and_expressions(self, attempts, monkeypatch):
         self.ends["scholtes"] = end_of(1.0)
-        column = ca.vertcat(x, y)
-        own = automatic_derivatives(XY, ca.SX(0, 1), x + y, column)
+        own = automatic_derivatives(XY, ca.SX(0, 1), x + y, XY)
         solve(MPCC(XY, x + y, None, x, y, derivatives=own), [0.5, 0.6])
-        assert self.looks == 0
         monkeypatch.setattr(solving.Run, "seconds_left", property(lambda run: 1e-6))
         self.solved()
         assert self.looks == 0
 
     def test_known_multipliers_are_tried_at_once_and_an_end_is_the_answer(self, attempts, monkeypatch):
-        known = Duals(np.zeros(2), np.zeros(0), np.zeros(1), np.zeros(1))
-        monkeypatch.setattr(solving, "polished", lambda *_: end_of(1.0).finish)
-        result = MPCCSolver(two_minima())([2.0, 0.0], start=known)
-        assert (attempts, result.status) == ([], S.CONVERGED)
-        monkeypatch.setattr(solving, "polished", lambda *_: None)
-        MPCCSolver(two_minima(), Options(rescues=()))([2.0, 0.0], start=known)
-        assert [name for name, *_ in attempts] == ["scholtes"]
+        known, solver = Duals(*map(np.zeros, (2, 0, 1, 1))), MPCCSolver(two_minima(), Options(rescues=()))
+        for end, tried in ((end_of(1.0).finish, []), (None, ["scholtes"])):
+            monkeypatch.setattr(solving, "polished", lambda *_, end=end: end)
+            result = solver([2.0, 0.0], start=known)
+            assert [name for name, *_ in attempts] == tried
+            assert (result.status is S.CONVERGED) == (end is not None)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-4])
@@ -243,29 +243,26 @@ def test_seconds_are_those_of_the_steps_by_phase():
     assert 0 < again.seconds["total"] < 60
 
 
-def bilevel(kind, derive=False):
+def bilevel(kind, form):
     """``min (x - 3)^2 + (y - 2)^2`` with y the solution of ``min (y - x)^2 / 2, 0 <= y <= 1``.
 
-    The lower level clips x to [0, 1]: y = 1 for x >= 1, so x = 3, y = 1, f = 1.
+    The lower level clips x to [0, 1]: y = 1 for x >= 1, so x = 3, y = 1, f = 1. Unknowns are one symbol or
+    several; derivatives CasADi's own, or assembled.
     """
-    v = kind.sym("v", 4)
+    v = kind.sym("v", 4) if form != "symbols" else ca.vertcat(*map(kind.sym, ("x", "y", "low", "high")))
     x, y, low, high = ca.vertsplit(v)
     f, g = (x - 3) ** 2 + (y - 2) ** 2, y - x - low + high
     G, H = ca.vertcat(low, high), ca.vertcat(y, 1 - y)
-    own = automatic_derivatives(v, kind(0, 1), f, ca.vertcat(g, G, H)) if derive else None
-    unknowns = v if derive or kind is ca.SX else None
-    if unknowns is None:  # an MX of several symbols
-        parts = [kind.sym(name) for name in ("x", "y", "low", "high")]
-        unknowns = ca.vertcat(*parts)
-        f, g, G, H = ca.Function("oracle", [v], [f, g, G, H]).call([unknowns], True, False)
-    return MPCC(unknowns, f, g, G, H, lbg=0, ubg=0, derivatives=own)
+    assembled = form == "assembled"
+    own = automatic_derivatives(v, kind(0, 1), f, ca.vertcat(g, G, H)) if assembled else None
+    return MPCC(v, f, g, G, H, **EQUATION, derivatives=own)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("derive", [False, True])
+@pytest.mark.parametrize("form", ["symbols", "assembled"])
 @pytest.mark.parametrize("relaxation", RELAXATIONS)
-def test_every_relaxation_solves_the_bilevel_problem(kind, derive, relaxation):
-    result = solve(bilevel(kind, derive), [0.2, 0.5, 0.1, 0.1], relaxation=relaxation)
+def test_every_relaxation_solves_the_bilevel_problem(kind, form, relaxation):
+    result = solve(bilevel(kind, form), [0.2, 0.5, 0.1, 0.1], relaxation=relaxation)
     assert (result.success, result.status, result.stationarity) == (True, S.CONVERGED, "S")
     assert result.x == pytest.approx([3, 1, 0, 2], abs=1e-7)
     assert result.f == pytest.approx(1, abs=1e-8)
@@ -282,20 +279,17 @@ def test_biactive_corner_and_the_two_arms(start):
     arms = solve(ARMS, start)
     assert sorted(arms.x) == pytest.approx([0, 1], abs=1e-8)
     assert (corner.stationarity, arms.stationarity) == ("S", "S")
-    stays = solve(MPCC(XY, (x - 1) ** 2 + (y - 0.5) ** 2, None, x, y), [1, 0])
-    assert stays.x == pytest.approx([1, 0], abs=1e-9)
+
+
+LCP = y - 2 * x + 1
 
 
 @pytest.mark.parametrize(
     ("mpcc", "start", "x_end"),
     [
-        (MPCC(XY, 0, y - 2 * x + 1, x, y, lbg=0, ubg=0), [1, 1], [0.5, 0]),  # an LCP, alone
-        # and with redundant rows
-        (
-            MPCC(XY, x, ca.vertcat(y - 2 * x + 1, 2 * y - 4 * x + 2, x - 0.5), x, y, lbg=0, ubg=0),
-            [1, 1],
-            [0.5, 0],
-        ),
+        (MPCC(XY, (x - 1) ** 2 + (y - 0.5) ** 2, None, x, y), [1, 0], [1, 0]),  # stays on its arm
+        (MPCC(XY, 0, LCP, x, y, **EQUATION), [1, 1], [0.5, 0]),  # an LCP, alone and with redundant rows
+        (MPCC(XY, x, ca.vertcat(LCP, 2 * LCP, x - 0.5), x, y, **EQUATION), [1, 1], [0.5, 0]),
         (MPCC(XY, x - y, None, x, y, lbx=[1, -np.inf]), [2, 1], [1, 0]),
         (MPCC(XY, (1e-4 * x - 1) ** 2 + (1e3 * y - 2) ** 2, None, 1e-4 * x, 1e3 * y), [0, 0], [0, 2e-3]),
         (MPCC(XY, (x - 1) ** 2 + y**2, x + y, None, None, ubg=0.5), [0, 1], [0.75, -0.25]),
@@ -389,7 +383,7 @@ def test_equations_that_follow_from_each_other_do_not_hide_that_a_point_is_not_s
     row = v[1] - 2 * v[2] + 2 * v[3] + 3 * v[4] + v[5] + 3
     f = ca.sum1((v - ca.DM([-2, 1, 2, -3, -2, 3])) ** 4)
     start = [1.27509206, 0.59510941, -0.25152303, -0.40165235, 0.84203573, 1.82822258]
-    result = solve(MPCC(v, f, ca.vertcat(row, 2 * row), None, None, lbx=-5, ubx=5, lbg=0, ubg=0), start)
+    result = solve(MPCC(v, f, ca.vertcat(row, 2 * row), None, None, lbx=-5, ubx=5, **EQUATION), start)
     assert result.success
     assert result.f == pytest.approx(4.467838, rel=1e-5)
 

@@ -10,18 +10,30 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.mpcc import MPCC, Options
+from rmesh_nlp.mpcc.lifting import Lifted, lift
+from rmesh_nlp.mpcc.lpec import Linearisation, linearise
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.result import Step
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
-X, Y = ca.SX.sym("x"), ca.SX.sym("y")
+x, y, w = (ca.SX.sym(name) for name in "xyw")
+XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
+ON_G, ON_H = np.array([True]), np.array([False])
+START = np.array([0.5, 0.5])
 
 
 def two_minima() -> MPCC:
     """Minima (0, 1) with f = 4 and (2, 0) with f = 1."""
-    return MPCC(ca.vertcat(X, Y), (X - 2) ** 2 + (Y - 1) ** 2, None, X, Y)
+    return MPCC(XY, (x - 2) ** 2 + (y - 1) ** 2, None, x, y)
+
+
+def linearised(mpcc: MPCC, point: Sequence[float]) -> tuple[Lifted, Linearisation]:
+    """The lifted problem and its linearisation at a point, with tolerances 1e-5 and 1e-6."""
+    lifted = lift(mpcc)
+    z = lifted.start(np.asarray(point, dtype=float), np.zeros(0))
+    return lifted, linearise(lifted, z, np.ones(1), 1e-5, 1e-6)
 
 
 def run_of(mpcc: MPCC, **options: Any) -> Run:
@@ -93,18 +105,9 @@ class ScriptedRun(Run):
         assert self.relaxations is not None
         self.calls.append(Call(name, z, t, warm, first))
         answer = self.relaxations(self.calls[-1])
+        measured = {"objective": answer.objective, "constraint_violation": 0.0, "complementarity": 0.0}
         self.steps.append(
-            Step(
-                phase="relaxed",
-                t=t,
-                objective=answer.objective,
-                constraint_violation=0.0,
-                complementarity=0.0,
-                product=answer.product,
-                iterations=1,
-                status=answer.status,
-                seconds=0.1,
-            )
+            Step(phase="relaxed", t=t, **measured, product=answer.product, status=answer.status)
         )
         return ended(answer.x, answer.status, lam_x=np.array(answer.lam_x, float))
 
