@@ -143,6 +143,7 @@ def test_each_step_starts_at_the_one_before_and_a_finish_knows_t_and_multipliers
     assert [list(call.z) for call in run.calls[:4]] == [[0.5, 0.5], [1.0, 0.5], [0.5, 1.0], [1.0, 0.5]]
     assert [call.first for call in run.calls] == [True] + [False] * 8
     assert not any(call.warm for call in run.calls)
+    assert {call.name for call in run.calls} == {"scholtes"}
     run, _ = followed(restless, warm_duals=True)
     assert [call.warm is not None for call in run.calls] == [False] + [True] * 8
     run, _ = followed(STALLED_FAR)

@@ -224,12 +224,3 @@ def test_models_of_contact_have_parts_by_name_and_can_be_extended():
     energy = joint.build(EXAMPLES["6.3"]((4, 2)))
     assert list(energy.parts) == ["q", "u", "slip"]
     assert sum(part.shape[0] for part in energy.parts.values()) == energy.n_x
-
-
-def test_extended_mpcc_is_solved_with_its_new_row():
-    v = ca.SX.sym("v", 2)
-    program = MPCC(v, (v[0] - 1) ** 2 + (v[1] - 2) ** 2, None, v[0], v[1])
-    assert solve(program, [0.1, 1.0]).x[1] > 1.9
-    result = solve(program.extended(g=v[1], ubg=0.5), [0.1, 0.4])
-    assert result.success
-    assert result.x[1] <= 0.5 + 1e-8

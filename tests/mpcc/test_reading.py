@@ -71,68 +71,69 @@ G0 3
 """
 
 
-def solution_of_nl():
-    """z wants to grow, so z = 2 with x^2 + z - 3 <= 0, |x| <= 1; x = 1 and y = 0: f = 0 + 1 - 4."""
-    return [1, 0, 2], -3.0
+SOLUTION = [1, 0, 2], -3.0
+"""z wants to grow, so z = 2 with x^2 + z - 3 <= 0, |x| <= 1; x = 1 and y = 0: f = 0 + 1 - 4."""
 
 
-def test_an_nl_file_with_complementarity_rows(tmp_path):
-    path = tmp_path / "handmade.nl"
-    path.write_text(NL)
-    problem = read(path)
-    assert problem.name == "handmade"
-    assert (problem.mpcc.n_own, problem.mpcc.n_x, problem.mpcc.n_pairs, problem.mpcc.n_g) == (3, 5, 3, 2)
-    assert list(problem.x0) == [0.5, 0.2, 0]
+@pytest.fixture
+def nl(tmp_path):
+    """Write a .nl file, the one above by default."""
+
+    def written(text=NL, name="handmade.nl"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return written
+
+
+def values(mpcc, parts, *at):
+    """Expressions of an MPCC at a point (and parameters)."""
+    found = ca.Function("v", [mpcc.x, mpcc.p][: len(at)], [getattr(mpcc, part) for part in parts])(*at)
+    return [part.full().ravel().tolist() for part in (found if len(parts) > 1 else [found])]
+
+
+def test_nl_file_with_complementarity_rows(nl):
+    problem = read(nl())
     mpcc = problem.mpcc
-    values = ca.Function("v", [mpcc.x], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])
+    assert (problem.name, list(problem.x0)) == ("handmade", [0.5, 0.2, 0])
+    assert (mpcc.n_own, mpcc.n_x, mpcc.n_pairs, mpcc.n_g) == (3, 5, 3, 2)
     # x, y, z, up, down; rows: x + z <= 5, and x^2 + z - 3 = up - down
-    f, g, G, H = (part.full().ravel().tolist() for part in values([3.0, 0.0, 0.5, 1.0, 2.0]))
+    f, g, G, H = values(mpcc, "fgGH", [3.0, 0.0, 0.5, 1.0, 2.0])
     assert (f, g) == ([4 + 1 - 1], [3.5, 9 + 0.5 - 3 - 1 + 2])
     assert (G, H) == ([1, 2, 2], [1.5, 1.5, 0])  # up, down; x + y - 1 with y
     assert (list(mpcc.lbg), list(mpcc.ubg)) == ([-np.inf, 0], [5, 0])
     assert (list(mpcc.lbx[:3]), list(mpcc.ubx[:3])) == ([-np.inf, 0, -1], [np.inf, np.inf, 2])
     result = solve(mpcc, problem.x0)
-    at, f = solution_of_nl()
     assert result.success
-    assert result.x[:3] == pytest.approx(at, abs=1e-6)
-    assert result.f == pytest.approx(f, abs=1e-7)
+    assert (result.x[:3], result.f) == (pytest.approx(SOLUTION[0], abs=1e-6), pytest.approx(SOLUTION[1]))
 
 
 @pytest.mark.parametrize(
     ("bits", "bound", "G", "H"),
     [(1, "2 0", 4, 1), (1, "0 0 7", 4, 1), (2, "1 3", -4, 2), (2, "0 0 3", -4, 2), (3, "4 1", None, None)],
 )
-def test_bits_of_a_complementarity_row_say_which_bound_takes_part(bits, bound, G, H, tmp_path):
+def test_bits_of_a_complementarity_row_say_which_bound_takes_part(bits, bound, G, H, nl):
     """The row is >= 0 at a lower bound of y and <= 0 at an upper one; x + y = 4 at (3, 1)."""
-    text = NL.replace("5 1 2	# compl", f"5 {bits} 2	# compl").replace(
-        "\n2 0\n0 -1 2", f"\n{bound}\n0 -1 2"
-    )
-    path = tmp_path / "one.nl"
-    path.write_text(text.replace("C1	# orthant\nn-1", "C1	# orthant\nn0"))
-    mpcc = read(path).mpcc
-    values = ca.Function("v", [mpcc.x], [mpcc.G, mpcc.H])(np.append([3.0, 1.0, 0.0], [9.0, 9.0]))
-    pairs = list(zip(*(part.full().ravel() for part in values), strict=True))
+    text = NL.replace("5 1 2	# compl", f"5 {bits} 2	# compl")
+    text = text.replace("\n2 0\n0 -1 2", f"\n{bound}\n0 -1 2")
+    mpcc = read(nl(text.replace("C1	# orthant\nn-1", "C1	# orthant\nn0"))).mpcc
+    pairs = list(zip(*values(mpcc, "GH", np.append([3.0, 1.0, 0.0], [9.0, 9.0])), strict=True))
     assert ((G, H) in pairs) == (G is not None)
     assert len(pairs) == 2 + (G is not None)
 
 
-def test_only_the_first_objective_of_an_nl_file_counts(tmp_path):
-    path = tmp_path / "two.nl"
-    path.write_text(NL + "O1 0\nn7\nG1 1\n0 5\n")
-    mpcc = read(path).mpcc
-    assert float(ca.Function("f", [mpcc.x], [mpcc.f])([3, 0, 0, 0, 0])) == pytest.approx((3 - 1) ** 2 + 1)
+def test_only_the_first_objective_of_an_nl_file_counts(nl):
+    mpcc = read(nl(NL + "O1 0\nn7\nG1 1\n0 5\n")).mpcc
+    assert values(mpcc, "f", [3, 0, 0, 0, 0]) == [[pytest.approx((3 - 1) ** 2 + 1)]]
 
 
-def test_a_maximised_objective_and_a_deep_sum(tmp_path):
+def test_maximised_objective_and_a_deep_sum(nl):
     """3000 nested additions are deeper than Python's own stack."""
     deep = "o0\nn1\n" * 3000 + "v1\n"
-    text = NL.replace("O0 0", "O0 1").replace("o44	# exp\nv1\n", deep)
-    path = tmp_path / "deep.nl"
-    path.write_text(text)
-    problem = read(str(path))
-    f = ca.Function("f", [problem.mpcc.x], [problem.mpcc.f])
-    at = np.array([3.0, 0.5, 0.25, 0, 0])
-    assert problem.sign * float(f(at)) == pytest.approx((3 - 1) ** 2 + 3000 + 0.5 - 2 * 0.25)
+    problem = read(str(nl(NL.replace("O0 0", "O0 1").replace("o44	# exp\nv1\n", deep))))
+    ((f,),) = values(problem.mpcc, "f", [3.0, 0.5, 0.25, 0, 0])
+    assert problem.sign * f == pytest.approx((3 - 1) ** 2 + 3000 + 0.5 - 2 * 0.25)
 
 
 OPERATIONS = {
@@ -148,12 +149,9 @@ OPERATIONS = {
 
 
 @pytest.mark.parametrize("code", OPERATIONS)
-def test_every_operation_of_an_nl_file(tmp_path, code):
-    path = tmp_path / "operation.nl"
-    path.write_text(NL.replace("o44	# exp\nv1\n", code + "\n"))
-    mpcc = read(path).mpcc
-    at = np.zeros(mpcc.n_x)
-    assert float(ca.Function("f", [mpcc.x], [mpcc.f])(at)) == pytest.approx(1 + OPERATIONS[code])
+def test_every_operation_of_an_nl_file(nl, code):
+    mpcc = read(nl(NL.replace("o44	# exp\nv1\n", code + "\n"))).mpcc
+    assert values(mpcc, "f", np.zeros(mpcc.n_x)) == [[pytest.approx(1 + OPERATIONS[code])]]
 
 
 @pytest.mark.parametrize(
@@ -172,12 +170,10 @@ def test_every_operation_of_an_nl_file(tmp_path, code):
         ("0 -1 2", "3", "infinite bound"),
     ],
 )
-def test_a_malformed_nl_file_is_refused_with_its_place(tmp_path, old, new, words):
-    path = tmp_path / "bad.nl"
+def test_malformed_nl_file_is_refused_with_its_place(nl, old, new, words):
     assert old in NL
-    path.write_text(NL.replace(old, new, 1))
     with pytest.raises(ValueError, match=words) as error:
-        read(path)
+        read(nl(NL.replace(old, new, 1), "bad.nl"))
     assert "bad.nl" in str(error.value)
 
 
@@ -201,8 +197,7 @@ def test_nosbench_file_has_its_numbers_and_functions(tmp_path):
     assert (problem.name, list(problem.x0), list(problem.p0), problem.sign) == ("p", [0.5, 0.25], [3], 1)
     assert (list(read_.lbx), list(read_.ubx)) == ([-np.inf, -np.inf], [5, np.inf])
     assert (list(read_.lbg), list(read_.ubg)) == ([-9], [8])
-    values = ca.Function("v", [read_.x, read_.p], [read_.f, read_.g, read_.G, read_.H])([1, 2], 3)
-    assert [float(value) for value in values] == [4 + 1, 5, 1, 6]
+    assert values(read_, "fgGH", [1, 2], 3) == [[4 + 1], [5], [1], [6]]
     assert solve(read_, problem.x0, p=problem.p0).x == pytest.approx([3, 0], abs=1e-7)
     plain = read(write_nosbench(tmp_path / "plain.json", MPCC(XY, x, x - 1, x, y))).mpcc
     assert (list(plain.lbx), list(plain.ubx)) == ([-np.inf] * 2, [np.inf] * 2)
@@ -242,7 +237,7 @@ def test_a_pyomo_model():
     assert problem.name == "pyomo"
     result = solve(problem.mpcc, problem.x0)
     assert result.success
-    assert result.f == pytest.approx(solution_of_nl()[1], abs=1e-7)
+    assert result.f == pytest.approx(SOLUTION[1], abs=1e-7)
     assert m.orthant.active  # the model is left as it was
 
 
@@ -253,9 +248,8 @@ def test_what_cannot_be_read_is_named(tmp_path):
         read({})
 
 
-def test_the_command_solves_files(tmp_path, capsys):
-    path = tmp_path / "handmade.nl"
-    path.write_text(NL)
+def test_command_solves_files(nl, capsys):
+    path = nl()
     assert main([str(path), "--log"]) == 0
     out = capsys.readouterr().out
     assert "converged: Converged to the tolerance." in out
@@ -265,7 +259,7 @@ def test_the_command_solves_files(tmp_path, capsys):
     assert main([str(path), "--json"]) == 0
     row = json.loads(capsys.readouterr().out)
     assert row["success"]
-    assert row["x"] == pytest.approx(solution_of_nl()[0], abs=1e-6)
+    assert row["x"] == pytest.approx(SOLUTION[0], abs=1e-6)
     assert main([str(path), "--max-iterations", "2"]) == 1
     assert "iteration_limit" in capsys.readouterr().out
 

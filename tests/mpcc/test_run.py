@@ -13,7 +13,7 @@ from rmesh_nlp.mpcc.result import Step
 from rmesh_nlp.mpcc.run import LimitReachedError
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import XY, ended, run_of, two_minima, x, y
+from support.scripted_run import ended, run_of, two_minima
 
 
 def obstacle(n=40):
@@ -68,36 +68,20 @@ def test_history_is_a_table_and_lines_are_shown(capsys):
 
 
 def test_step_measures_pairs_near_the_corner_and_multipliers_of_the_relaxation():
-    """Pairs (0.01, 0.1) and (0.3, 0.5): near at t = 0.01 are those below 0.2, at t = 0 below 1e-6."""
+    """Pairs (0.01, 0.1) and (0.3, 0.5): near at t = 0.01 are those below 0.2, at t = 0 below 1e-6.
+
+    The first multiplier belongs to a row of the problem.
+    """
     v = ca.SX.sym("v", 4)
-    run = run_of(MPCC(v, ca.sumsqr(v), None, v[:2], v[2:]))
+    run = run_of(MPCC(v, ca.sumsqr(v), ca.sum1(v), v[:2], v[2:]))
     for z, t, near in (((0.01, 0.3, 0.1, 0.5), 0.01, 1), ((0.01, 0.3, 0.1, 0.5), 0.1, 2),
                        ((0, 0.3, 1e-6, 0.5), 0.0, 1), ((0, 0.3, 1.1e-6, 0.5), 0.0, 0)):  # fmt: skip
-        run.solved("relaxed", t, lambda z=z: ended(z, lam_g=np.array([0.2, 0.7])))
+        run.solved("relaxed", t, lambda z=z: ended(z, lam_g=np.array([9.0, 0.2, 0.7])))
         assert (run.steps[-1].biactive, run.steps[-1].multiplier) == (near, 0.7 if t else 0.0)
     assert (run.iterations, run.steps[0].product) == (12, pytest.approx(0.15))
     run.record("polished", 0.0, np.zeros(4))
     last = run.steps[-1]
     assert (last.phase, last.iterations, last.seconds, last.status) == ("polished", 0, 0.0, Status.CONVERGED)
-
-
-def test_biactive_pairs_are_counted_in_relaxed_steps():
-    """The corner of ``(x + 1)^2 + (y + 1)^2`` is biactive, the other pair is not."""
-    v = ca.SX.sym("v", 4)
-    f = (v[0] + 1) ** 2 + (v[1] + 1) ** 2 + (v[2] - 1) ** 2 + v[3] ** 2
-    result = solve(MPCC(v, f, None, v[[0, 2]], v[[1, 3]]), 0.5)
-    assert [step.biactive for step in result.history if step.t < 1e-2 and step.phase == "relaxed"][-1] == 1
-    assert (result.n_biactive, result.label) == (1, "S (1 biactive pair, B-stationary)")
-
-
-def test_only_rows_of_a_relaxation_have_a_multiplier():
-    """Near (0, 2) the row ``x y <= t`` holds x back against the pull 2 of ``(x - 1)^2``: 2 = mu y."""
-    result = solve(MPCC(XY, (x - 1) ** 2 + (y - 2) ** 2, None, x, y), 0.5)
-    relaxed = [step for step in result.history if step.phase == "relaxed"]
-    others = [step for step in result.history if step.phase not in ("relaxed", "second")]
-    assert others
-    assert all(step.multiplier == 0 for step in others)
-    assert relaxed[-1].multiplier == pytest.approx(1.0, rel=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,14 @@
 """Solves of problems with solutions in closed form, and what a solve makes of the ends of its paths."""
 
-import sys
-from dataclasses import replace
-
 import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, Options, homotopy, solve
+from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, Options, solve
 from rmesh_nlp.mpcc import solver as solving
-from rmesh_nlp.mpcc.finish import Finish, finish
+from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.solver import _choose, _end, _failure
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
@@ -339,16 +335,6 @@ def test_success_is_never_said_of_a_point_without_multipliers():
     assert solve(MPCC(XY, x, None, x, y, lbx=[1, 0], ubx=[1, 0]), [1, 0]).success  # all unknowns are fixed
 
 
-@pytest.mark.slow
-def test_without_a_label_nothing_is_called_a_success(monkeypatch):
-    """The multiplier programs fail numerically: the point may be right, but it is not shown to be."""
-    module = sys.modules["rmesh_nlp.mpcc.stationarity"]
-    monkeypatch.setattr(module, "proof_of_s", lambda *_: None)
-    monkeypatch.setattr(module, "strongest", lambda *_: ("", None))
-    result = solve(ARMS, [0.5, 0.6])
-    assert (result.success, result.stationarity, result.status) == (False, "", S.STALLED)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_parameters_are_values_of_one_compiled_problem(kind):
     v, p = kind.sym("v", 2), kind.sym("p")
@@ -401,56 +387,6 @@ def test_dynamics_whose_branches_leave_no_freedom_are_solved(seed):
     result = solve(instance.mpcc, instance.x0)
     assert result.success
     assert result.constraint_violation <= 1e-8
-
-
-def test_exact_relaxed_point_is_not_thrown_away(monkeypatch):
-    """Neither Newton nor a branch NLP ends: the relaxed point, projected, is labelled all the same."""
-    branch = CompiledNLPs.branch
-
-    def lost(self, z, p, *rest, **names):
-        result = branch(self, z, p, *rest, **names)
-        return replace(result, x=result.x + 1.0, status=S.STALLED)
-
-    monkeypatch.setattr(CompiledNLPs, "branch", lost)
-    monkeypatch.setattr("rmesh_nlp.mpcc.finish.polish", lambda *_: None)
-    g = ca.vertcat(x + y + w - 1, y - w - 0.5 + x, 2 * y - 1.5 + 2 * x)  # one point per branch
-    result = solve(MPCC(XYW, (x - 1) ** 2 + y**2, g, x, y, lbg=0, ubg=0), 0.5)
-    assert result.success
-    assert result.f == pytest.approx(min(1 + 0.75**2, (0.75 - 1) ** 2), abs=1e-7)
-
-
-def test_early_finish_must_be_where_the_path_leads(monkeypatch):
-    """A finish that is much worse than the relaxed solutions foretell is not taken before t_final."""
-    honest = homotopy.polished
-
-    def poor(*arguments):
-        found = honest(*arguments)
-        return None if found is None else replace(found, f=found.f + 1.0)
-
-    monkeypatch.setattr(homotopy, "polished", poor)
-    result = solve(ARMS, [0.5, 0.6])
-    assert min(step.t for step in result.history if step.phase == "relaxed") == pytest.approx(1e-8)
-
-
-def test_another_relaxation_comes_to_the_rescue(monkeypatch):
-    relaxed, names = CompiledNLPs.relaxed, set()
-
-    def shy(self, name, *rest):
-        names.add(name)
-        result = relaxed(self, name, *rest)
-        return replace(result, status=S.STALLED) if name == "scholtes" else result
-
-    def only_after_a_relaxation(run, point, **options):
-        """The finish, except from the start of the solve, where it would succeed without any relaxation."""
-        end = finish(run, point, search=False)
-        solved = any(step.status is S.CONVERGED for step in run.steps if step.phase == "relaxed")
-        return end if solved else replace(end, status=S.STALLED, stationarity=None)
-
-    monkeypatch.setattr(CompiledNLPs, "relaxed", shy)
-    monkeypatch.setattr(homotopy, "finish", only_after_a_relaxation)
-    result = solve(ARMS, [0.5, 0.6], second_path=False)
-    assert (result.success, result.counts["rescues"]) == (True, 1)
-    assert "steffensen-ulbrich" in names
 
 
 @pytest.mark.slow

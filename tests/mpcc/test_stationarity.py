@@ -151,21 +151,6 @@ def test_label_is_the_strongest_that_a_search_over_all_signs_finds(seed):
         assert found.direction.decrease == pytest.approx(least)
 
 
-def test_random_problems_have_every_label():
-    """Or the test above would prove less than it seems to."""
-    problems = [random_mpcc(seed, 1 + seed % 3, seed % 5, 0.1 * (seed % 2)) for seed in range(60)]
-    labels = [label_by_search(*problem) for problem in problems]
-    assert min(labels.count(name) for name in ("S", "M", "C", "W", "none")) >= 2
-
-
-def test_one_pair_of_many_spoils_the_label():
-    """Eight independent corners: more than the LPEC enumerates, so the MILP is asked."""
-    u, v = ca.SX.sym("u", 8), ca.SX.sym("v", 8)
-    assert classify(MPCC(ca.vertcat(u, v), ca.sum1(u) + ca.sum1(v), None, u, v), 0.0).stationarity == "S"
-    found = classify(MPCC(ca.vertcat(u, v), ca.sum1(u) + ca.sum1(v) - 2 * v[3], None, u, v), 0.0)
-    assert (found.stationarity, found.b_stationary) == ("W", False)
-
-
 TINY = 1e-12 * ((x - 1) ** 2 + (y - 2) ** 2)
 
 
