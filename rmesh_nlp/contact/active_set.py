@@ -51,10 +51,7 @@ PATIENCE = 3
 """Block changes of the active set without fewer violations before single changes begin."""
 
 GAIN = 1e-10
-"""Part of the gain so far below which a further decrease of the dual is not looked for.
-
-Nodes at the edge of the contact say little, and each that is guessed wrong costs a factorisation.
-"""
+"""Part of the gain so far below which a further decrease of the dual is not looked for."""
 
 DUAL_ITERATIONS = 20
 
@@ -72,21 +69,10 @@ RANK = 1e-9
 def solve(
     system: ContactSystem, start: ActiveSet | None = None, max_iterations: int = MAX_ITERATIONS
 ) -> Equilibrium:
-    """Solve the contact system exactly for its active set.
+    """Solve the contact system for its active set, from ``start`` or by default from :func:`first_set`.
 
-    Parameters
-    ----------
-    system : ContactSystem
-    start : ActiveSet, optional
-        Warm start; by default :func:`rmesh_nlp.contact.active_set.first_set`.
-    max_iterations : int
-        Limit on factorisations.
-
-    Returns
-    -------
-    Equilibrium
-        Gaps of touching nodes and slips of sticking nodes are exactly zero up to rounding of
-        the change of coordinates. If the status is not CONVERGED the last iterate is returned.
+    Gaps of touching nodes and slips of sticking nodes are zero up to rounding of the change of coordinates.
+    If the status is not CONVERGED the last iterate is returned.
     """
     active = start or first_set(system)
     fewest, patience = np.inf, PATIENCE
@@ -147,18 +133,15 @@ def first_set(system: ContactSystem) -> ActiveSet:
     With few contact nodes those with an initial gap of zero or less touch, and all stick. Where only
     contact holds the body all touch.
     """
-    n, frictional = system.offset.size, bool(system.slip_bound.size)
-    if system.rigid is None and n >= FEW * (4 if frictional else 1):
+    n, n_bounds = system.offset.size, system.slip_bound.size
+    if system.rigid is None and n >= (4 * FEW if n_bounds else FEW):
         return predicted_set(system)
     touching = system.offset <= 0 if system.rigid is None else np.ones(n, bool)
-    return ActiveSet(touching, np.zeros(system.slip_bound.size, dtype=np.int8))
+    return ActiveSet(touching, np.zeros(n_bounds, dtype=np.int8))
 
 
 def touching_set(system: ContactSystem, touching: NDArray[np.bool_]) -> ActiveSet | None:
-    """The active set of contact nodes (gaps,) that touched on a similar mesh; None where friction acts.
-
-    Which nodes slide is then not known, and a guess of the whole set is better.
-    """
+    """The active set of contact nodes (gaps,) that touched on a similar mesh; None where friction acts."""
     return None if system.slip_bound.size else ActiveSet(np.array(touching), np.zeros(0, dtype=np.int8))
 
 
@@ -181,14 +164,7 @@ def predicted_set(system: ContactSystem) -> ActiveSet:
 
 
 class DualEnergy:
-    """The dual function, and itself its Hessian.
-
-    Parameters
-    ----------
-    system : ContactSystem
-    slip : array, optional
-        Slips at zero displacement, where displacements are counted from some other state.
-    """
+    """The dual function, and itself its Hessian; ``slip`` at zero displacement is zero by default."""
 
     def __init__(self, system: ContactSystem, slip: Array | None = None) -> None:
         frictional = system.slip_bound.size > 0
@@ -197,10 +173,9 @@ class DualEnergy:
         at_rest = np.zeros(system.slip_bound.size) if slip is None or not frictional else slip
         self._load, self._gap = system.load, np.concatenate([system.offset, at_rest])
         self._stiffness = K = system.stiffness
-        self._order = slice(None) if system.order is None else system.order
-        self._factor = factorised(
-            K if system.order is None else K[:, system.order][system.order], ordered=system.order is not None
-        )
+        ordered = system.order is not None
+        self._order = system.order if ordered else slice(None)
+        self._factor = factorised(K[:, self._order][self._order] if ordered else K, ordered=ordered)
         compliance = 1 / K.diagonal()
         self._diagonal = self._rows.multiply(self._rows) @ compliance + 1e-3 * np.max(compliance)
 
@@ -243,14 +218,10 @@ def check_load(system: ContactSystem) -> None:
     if system.rigid is None:
         return
     work, gaps = system.rigid.T @ system.load, system.normals @ system.rigid
-    scale = max(float(np.max(np.abs(work))), 1e-12 * system.force_scale)
-    work = work / scale
-    n = work.size
-    for sign, k in ((s, k) for k in range(n) for s in (1.0, -1.0)):
-        goal = np.zeros(n)
-        goal[k] = -sign
-        rows, right = np.vstack([-gaps, -work[None, :]]), np.zeros(len(gaps) + 1)
-        answer = linprog(goal, rows, right, bounds=[(-1, 1)] * n)
+    work = work / max(float(np.max(np.abs(work))), 1e-12 * system.force_scale)
+    rows = np.vstack([-gaps, -work])
+    for goal in np.vstack([np.eye(work.size), -np.eye(work.size)]):
+        answer = linprog(goal, rows, np.zeros(len(rows)), bounds=[(-1, 1)] * work.size)
         if answer.status == 0 and -answer.fun > 1e-6:
             raise ProblemError(
                 "dirichlet",

@@ -25,12 +25,9 @@ def penetration(problem: ContactProblem, nodes: Array, displacement: Array) -> f
 
 
 def penetrations(body: Body, obstacle: Obstacle, displacement: Array) -> tuple[Array, Array]:
-    """Deepest penetration of each contact edge, or triangle of an interior contact set, and its length.
+    """(cells,) deepest penetration >= 0 of each contact edge, or triangle of an interior contact set.
 
-    Returns
-    -------
-    depth, length : (cells,) arrays
-        Depth >= 0 in units of the gap; the length of the edge, or of the first edge of the triangle.
+    And the length of the edge, or of the first edge of the triangle.
     """
     if obstacle.boundary is Place.INTERIOR:
         cells, points = body.triangles, ON_TRIANGLE

@@ -12,18 +12,11 @@ from rmesh_nlp.optimize.activity import both_vanish
 
 
 def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Array, Array, Array]:
-    """Adjoint of the contact solution with its active set held.
+    """Adjoint of the contact solution with its active set held: p, reaction and friction.
 
-    Solves ``K p = right`` over the displacements that the active set leaves free, p = 0 in
-    the normal direction of touching and in the tangential direction of sticking nodes.
-
-    Returns
-    -------
-    p : (m,) array
-    reaction : (contact nodes,) array
-        ``right - K p`` in the normal direction of touching nodes, zero at the others.
-    friction : (contact nodes,) array
-        The same in the tangential direction of sticking nodes.
+    Solves ``K p = right`` over the displacements that the active set leaves free, p = 0 in the normal
+    direction of touching and in the tangential direction of sticking nodes. There ``right - K p`` is the
+    reaction and the friction (contact nodes,), which are zero at the other nodes.
     """
     rotated = system.rotated
     turned = rotated.turned(right)
@@ -38,16 +31,8 @@ def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Arr
 class TangentResponse:
     """First-order change of displacement and contact forces with the active set held.
 
-    Parameters
-    ----------
-    system : ContactSystem
-    active : ActiveSet
-
-    Attributes
-    ----------
-    held : (held,) int array
-        Displacements in the coordinates of the system (:class:`~rmesh_nlp.contact.system.RotatedSystem`) that
-        touching and sticking nodes hold.
+    ``held`` numbers the displacements, as :class:`~rmesh_nlp.contact.system.RotatedSystem` has them, that
+    touching and sticking nodes hold.
     """
 
     def __init__(self, system: ContactSystem, active: ActiveSet) -> None:
@@ -66,13 +51,8 @@ class TangentResponse:
     def __call__(self, force: Array, gap: Array, slip: Array) -> tuple[Array, Array, Array]:
         """Changes of ``u``, of normal and of tangential forces; zero at nodes that do not touch or stick.
 
-        Parameters
-        ----------
-        force : (m,) or (m, k) array
-            Change of the out-of-balance force ``K u - F`` at fixed displacement; columns of a matrix are
-            dealt with one by one.
-        gap, slip : (contact nodes,) or (contact nodes, k) arrays
-            Those of gaps and slips at fixed displacement.
+        They follow from the changes at fixed displacement of the out-of-balance ``force`` K u - F, (m,) or
+        (m, k), and of ``gap`` and ``slip``, (contact nodes,) or (contact nodes, k).
         """
         rotated, held, inside = self._rotated, self.held, self._inside
         turned = rotated.turned(force)
@@ -86,10 +66,9 @@ class TangentResponse:
 
 
 def weakly_active(system: ContactSystem, state: Equilibrium) -> NDArray[np.bool_]:
-    """Contact nodes where strict complementarity fails, in scaled units.
+    """Contact nodes where strict complementarity fails: there u(X) has one-sided derivatives only.
 
     Gap and normal force both vanish, or slip vanishes while the friction is at its bound.
-    There u(X) has only one-sided derivatives.
     """
     force = system.force_scale
     length = max(float(np.max(np.abs(state.u), initial=0.0)), 1e-300)

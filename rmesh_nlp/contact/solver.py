@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +15,7 @@ from rmesh_nlp.contact.active_set import check_load, check_unique, solve
 from rmesh_nlp.contact.system import LARGE, ActiveSet, ContactSystem, Equilibrium, elimination_order
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
-from rmesh_nlp.fem.fields import Field
+from rmesh_nlp.fem.fields import ElementTerm, Field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.obstacle import NO_NORMAL
@@ -22,15 +23,7 @@ from rmesh_nlp.problem.obstacle import NO_NORMAL
 
 @dataclass(frozen=True)
 class Directions:
-    """Normals and tangents at the contact nodes of a space.
-
-    Attributes
-    ----------
-    space : DisplacementSpace
-    displacement : Field
-        (components, nodes), the displacement as a function of the unknowns u.
-    n_u : int
-    """
+    """Normals and tangents at the contact nodes of a space, with the displacement a function of u (n_u,)."""
 
     space: DisplacementSpace
     displacement: Field
@@ -62,20 +55,13 @@ class Directions:
 class ContactSolver:
     """Builds and solves the contact system of a problem for any positions of the vertices.
 
-    Parameters
-    ----------
-    problem : ContactProblem or Discretisation
-
-    Raises
-    ------
-    ProblemError
-        If only contact holds the body and the load does not press it on, or not in one place.
+    It raises a ProblemError if only contact holds the body and the load does not press it on, or not in one
+    place.
 
     Attributes
     ----------
     displacement : Field
-        (components, nodes), the displacement as a function of the unknowns u.
-    n_u : int
+        (components, nodes), the displacement as a function of the unknowns u (n_u,).
     contact_nodes : int array
         The node of every gap.
     frictional : bool array
@@ -89,31 +75,14 @@ class ContactSolver:
         self.problem = problem = parts.problem
         self.displacement, self.n_u = parts.displacement, parts.n_u
         self.contact_nodes = parts.contact_nodes
-        n_gaps = parts.n_contact
-        positions, X = parts.vertices.positions, parts.vertices.symbol
-        u = ca.MX.sym("u", self.n_u)
-        groups = [term.on(positions, self.displacement) for term in (*parts.strain, *parts.gaps)]
-        inner = parts.assemble(groups, u, X, n_gaps)
-        self._kept = [inner]  # CasADi does not own the callbacks of its derivatives
-        zero = ca.MX.zeros(self.n_u)
-        value, gradient = inner.grad_f(zero, X)
-        gap = ca.Function("gap", [u, X], [inner.g])(zero, X)
-        hessian = inner.hess_lag(zero, X, 1.0, ca.MX.zeros(n_gaps))
-        dense = [ca.densify(part) for part in (-gradient, value, gap)]  # a constant gap may be a sparse zero
-        self._evaluate = Evaluator(ca.Function("contact_system", [X], [hessian, *dense]))
-        self._loads = _Loads(parts)
-        self._stiffness = Symmetric(numbered(hessian.sparsity()))
+        self._elastic = _AtZero(parts, (*parts.strain, *parts.gaps), self.displacement, self.n_u)
+        self._loads = _AtZero(parts, parts.loads, self.displacement, self.n_u)
+        self._friction = _AtZero(parts, parts.friction, parts.slip, parts.n_s)
         self._curved = any(part.level is not None for part in problem.obstacles)
         self._directions = Directions(parts.space, self.displacement, self.n_u)
         self.normals, self.tangents = self._directions.rows(problem.mesh.p)
-        self.frictional = np.zeros(n_gaps, dtype=bool)
+        self.frictional = np.zeros(parts.n_contact, dtype=bool)
         self.frictional[parts.friction_rows] = True
-        if problem.frictional:  # the friction energy is linear in the slips: its gradient is their bounds
-            s = ca.MX.sym("s", parts.n_s)
-            friction = parts.assemble([term.on(positions, parts.slip) for term in parts.friction], s, X, 0)
-            self._kept.append(friction)
-            bounds = ca.densify(friction.grad_f(ca.MX.zeros(parts.n_s), X)[1])
-            self._bounds = Evaluator(ca.Function("bounds", [X], [bounds]))
         self._check()
 
     def with_rule(self, rule: str | int) -> ContactSolver:
@@ -121,7 +90,7 @@ class ContactSolver:
         other = copy(self)
         other.discretisation = self.discretisation.with_rule(rule)
         other.problem = other.discretisation.problem
-        other._loads = _Loads(other.discretisation)
+        other._loads = _AtZero(other.discretisation, other.discretisation.loads, self.displacement, self.n_u)
         other._check()
         return other
 
@@ -135,15 +104,15 @@ class ContactSolver:
     def system(self, nodes: Array) -> ContactSystem:
         """The quadratic program at vertex positions (2, vertices)."""
         given = self.discretisation.vertices.values(nodes)
-        hessian, held, constant, offset = self._evaluate(given)
-        work, load = self._loads(given)
+        value, pull, offset, stiffness = self._elastic.quadratic(given)
+        work, push = self._loads(given)
         normals, tangents = self.normals, self.tangents
         if self._curved:
             normals, tangents = self._directions.rows(nodes)
         return ContactSystem(
-            stiffness=self._stiffness(hessian),
-            load=held + load,
-            constant=float(constant[0]) + work,
+            stiffness=stiffness,
+            load=-pull - push,
+            constant=value + work,
             normals=normals,
             tangents=tangents,
             offset=offset,
@@ -160,8 +129,8 @@ class ContactSolver:
     def strain_and_friction(self, nodes: Array, u: Array) -> tuple[float, float]:
         """Strain energy and friction energy of a displacement at vertex positions."""
         given = self.discretisation.vertices.values(nodes)
-        hessian, pull, constant, _ = self._evaluate(given)
-        strain = 0.5 * float(u @ (self._stiffness(hessian) @ u)) - float(pull @ u) + float(constant[0])
+        value, pull, _, stiffness = self._elastic.quadratic(given)
+        strain = 0.5 * float(u @ (stiffness @ u)) + float(pull @ u) + value
         bound = self._slip_bound(given)
         return strain, float(bound @ np.abs(self.slips(nodes, u))) if bound.size else 0.0
 
@@ -173,8 +142,8 @@ class ContactSolver:
     def _slip_bound(self, given: Array) -> Array:
         """(gaps,) the largest friction forces; empty without friction."""
         bound = np.zeros(self.frictional.size if self.problem.frictional else 0)
-        if bound.size:
-            bound[self.frictional] = self._bounds(given)[0]
+        if bound.size:  # the friction energy is linear in the slips: its gradient is their bounds
+            bound[self.frictional] = self._friction(given)[1]
         return bound
 
     @cached_property
@@ -186,16 +155,36 @@ class ContactSolver:
         return elimination_order(space.points(mesh.p), space.nodes_of(mesh.facets), self.displacement.index)
 
 
-class _Loads:
-    """Minus the work of the loads on the given displacements, and the nodal forces (n_u,), by one rule."""
+class _AtZero:
+    """A sum over elements as a function of the vertex positions, its unknowns zero."""
 
-    def __init__(self, parts: Discretisation) -> None:
-        positions, X, u = parts.vertices.positions, parts.vertices.symbol, ca.MX.sym("u", parts.n_u)
-        groups = [term.on(positions, parts.displacement) for term in parts.loads]
-        self._kept = parts.assemble(groups, u, X, 0)
-        value, gradient = self._kept.grad_f(ca.MX.zeros(parts.n_u), X)
-        self._evaluate = Evaluator(ca.Function("loads", [X], [ca.densify(value), -ca.densify(gradient)]))
+    def __init__(self, parts: Discretisation, terms: Iterable[ElementTerm], field: Field, n: int) -> None:
+        positions, X = parts.vertices.positions, parts.vertices.symbol
+        self._x, self._zero, self._X = ca.MX.sym("x", n), ca.MX.zeros(n), X
+        # kept, for CasADi does not own the callbacks of its derivatives
+        self._sums = parts.assemble(
+            [term.on(positions, field) for term in terms], self._x, X, parts.n_contact
+        )
+        self._linear = [ca.densify(part) for part in self._sums.grad_f(self._zero, X)]
+        self._evaluate = Evaluator(ca.Function("at_zero", [X], self._linear))
 
     def __call__(self, given: Array) -> tuple[float, Array]:
-        value, force = self._evaluate(given)
-        return float(value[0]), force
+        """Value and gradient of the energy."""
+        value, gradient = self._evaluate(given)
+        return float(value[0]), gradient
+
+    @cached_property
+    def _second(self) -> tuple[Evaluator, Symmetric]:
+        gap = ca.Function("gap", [self._x, self._X], [self._sums.g])(self._zero, self._X)
+        hessian = self._sums.hess_lag(self._zero, self._X, 1.0, ca.MX.zeros(gap.shape[0]))
+        # a constant gap may be a sparse zero
+        results = [*self._linear, ca.densify(gap), hessian]
+        return Evaluator(ca.Function("quadratic", [self._X], results)), Symmetric(
+            numbered(hessian.sparsity())
+        )
+
+    def quadratic(self, given: Array) -> tuple[float, Array, Array, sp.csc_array]:
+        """Value and gradient of the energy, the rows, and the Hessian of the energy."""
+        evaluate, symmetric = self._second
+        value, gradient, gap, hessian = evaluate(given)
+        return float(value[0]), gradient, gap, symmetric(hessian)

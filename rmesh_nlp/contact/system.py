@@ -22,7 +22,7 @@ from rmesh_nlp.fem.space import Index
 from rmesh_nlp.optimize.status import Status
 
 LARGE = 5000
-"""Nodes above which it is used: smaller meshes are factorised fast enough in any order."""
+"""Nodes above which an order of elimination is used: smaller meshes are factorised fast enough in any."""
 
 LEAF = 64
 """Nodes that are not halved any more."""
@@ -30,23 +30,19 @@ LEAF = 64
 
 @dataclass(frozen=True)
 class ContactSystem:
-    """The quadratic program of the inner problem at fixed node positions.
+    """The quadratic program of the inner problem at fixed node positions, over displacement unknowns (m,).
 
     Attributes
     ----------
-    stiffness : (m, m) sparse array
-        K, over the displacement unknowns.
-    load : (m,) array
-        F.
-    constant : float
-        Energy at zero displacement.
-    normals, tangents : (contact nodes, m) sparse arrays
-        Rows with unit vectors; a scalar problem has no tangents.
-    offset : (contact nodes,) array
+    stiffness, load, constant : (m, m) sparse array, (m,) array, float
+        K, F, and the energy at zero displacement.
+    normals, tangents : (gaps, m) sparse arrays
+        N and T, rows with unit vectors; a scalar problem has no tangents.
+    offset : (gaps,) array
         gamma, the gap at zero displacement.
-    slip_bound : (contact nodes,) array
+    slip_bound : (gaps,) array
         b = g omega, the largest tangential force; empty without friction.
-    frictional : (contact nodes,) bool array, optional
+    frictional : (gaps,) bool array, optional
         Where friction may act if there is any; everywhere by default.
     rigid : (m, motions) array, optional
         Rigid motions that only contact prevents; none by default.
@@ -94,11 +90,7 @@ class ContactSystem:
 
     @property
     def force_scale(self) -> float:
-        """Unit of nodal forces, to make residuals dimensionless.
-
-        The largest applied one; where a foundation alone deforms the body, the force that its initial
-        overlap would take.
-        """
+        """Unit of nodal forces: the largest applied one, or the force that an initial overlap would take."""
         applied = max(np.max(np.abs(self.load), initial=0.0), np.max(self.slip_bound, initial=0.0))
         if applied == 0:
             overlap = -np.min(self.offset, initial=0.0)
@@ -124,14 +116,10 @@ class Equilibrium:
 
     Attributes
     ----------
-    u : (m,) array
-        Displacement unknowns.
-    energy : float
-    normal_force : (contact nodes,) array
+    normal_force : (gaps,) array
         Multipliers of the gaps, nodal forces >= 0 pushing the body off the foundation.
-    tangential_force : (contact nodes,) array
+    tangential_force : (gaps,) array
         Friction on the body, -b <= force <= b, opposite to the slip.
-    active : ActiveSet
     status : Status
         CONVERGED, CYCLED or ITERATION_LIMIT.
     iterations : int
@@ -201,10 +189,9 @@ class RotatedSystem:
 
 
 def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, Index, Index]:
-    """Change of unknowns ``u = basis @ w`` after which N u and T u are single entries of w.
+    """Basis of ``u = basis @ w`` (None for the identity), and the entries of w that are N u and T u.
 
-    Returns the basis (None for the identity) and the entries of w that hold N u and T u; -1 where
-    T u is given, or no friction acts.
+    They are -1 where T u is given, or no friction acts.
     """
     N, T, n = sp.csr_array(system.normals), sp.csr_array(system.tangents), system.load.size
     sticky = np.full(N.shape[0], system.slip_bound.size > 0)
@@ -269,15 +256,7 @@ def _entries(matrix: sp.csr_array, rows: Index, columns: Index) -> Array:
 
 
 def elimination_order(points: Array, edges: NDArray[np.integer], index: Index) -> Index:
-    """The unknowns of a nodal field in the order of their elimination.
-
-    Parameters
-    ----------
-    points : (2, nodes) array
-    edges : (2, edges) array
-    index : (components, nodes) array
-        Number of the unknown behind each component, or ``CONSTANT``.
-    """
+    """The unknowns of a nodal field, ``index`` (components, nodes), in the order of their elimination."""
     unknowns = index[:, dissected(points, edges)].T.ravel()
     unknowns = unknowns[unknowns != CONSTANT]
     _, first = np.unique(unknowns, return_index=True)  # tied nodes have one unknown
