@@ -52,14 +52,9 @@ class Audit:
 
 
 class Assessor:
-    """Assesses meshes of one problem.
+    """Assesses meshes of one problem by the contact solver of its formulations.
 
-    Parameters
-    ----------
-    model : ContactSolver
-        That of the formulations, whose solutions are assessed.
-    given : Equilibrium
-        Its solution on the mesh as given.
+    ``given`` is the solution of ``model`` on the mesh as given.
     """
 
     def __init__(self, model: ContactSolver, given: Equilibrium) -> None:
@@ -134,14 +129,13 @@ def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Arr
     Both vanish exactly where the laws hold, and count penetration and tension as well.
     """
     length = max(float(np.max(np.abs(u), initial=0.0)), 1e-300)
-    force = system.force_scale
+    force, bound = system.force_scale, system.slip_bound
     gap = system.normals @ u + system.offset
-    parts = [np.abs(np.minimum(gap / length, normal / force))]
-    if system.slip_bound.size:
+    found = np.abs(np.minimum(gap / length, normal / force))
+    if bound.size:
         slip = (system.tangents @ u) * force / length
-        friction = tangential + np.clip(slip - tangential, -system.slip_bound, system.slip_bound)
-        parts.append(np.abs(friction) / force)
-    return float(np.max(np.concatenate(parts), initial=0.0))  # not a number if one part is none
+        found = np.append(found, np.abs(tangential + np.clip(slip - tangential, -bound, bound)) / force)
+    return float(np.max(found, initial=0.0))  # not a number if one part is none
 
 
 CLEAR = 0.01
@@ -150,22 +144,11 @@ CLEAR = 0.01
 
 @dataclass(frozen=True)
 class Quantities:
-    """Quantities of a contact solution.
+    """Quantities of a contact solution."""
 
-    Attributes
-    ----------
-    peak_pressure : float
-        Largest nodal force over the share omega_i of its node, in N/m^2.
-    resultant : float
-        Size of the sum of all contact forces on the body, friction included, in N/m.
-    contact_length : float
-        Length of the contact boundary at nodes that press on the foundation (an area for an obstacle in the
-        interior), in m.
-    """
-
-    peak_pressure: float
-    resultant: float
-    contact_length: float
+    peak_pressure: float  # largest nodal force over the share omega_i of its node, in N/m^2
+    resultant: float  # size of the sum of all contact forces on the body, friction included, in N/m
+    contact_length: float  # of the boundary at nodes that press, in m (an area for an interior obstacle)
 
     def entries(self, suffix: str = "") -> dict[str, float]:
         """Entries of a record."""
@@ -195,12 +178,7 @@ def quantities(
 def worse(before: Quantities, after: Quantities, refined: Quantities) -> list[str]:
     """A sentence for each quantity that is farther from its value on a refined mesh than before."""
     found = []
-    names = {
-        "peak_pressure": "largest pressure",
-        "resultant": "resultant",
-        "contact_length": "length of contact",
-    }
-    for name, label in names.items():
+    for name, label in zip(vars(before), ("largest pressure", "resultant", "length of contact"), strict=True):
         one, two, true = (float(getattr(part, name)) for part in (before, after, refined))
         if abs(two - true) > abs(one - true) + CLEAR * abs(true):
             found.append(

@@ -45,46 +45,19 @@ LIMITS = (Status.ITERATION_LIMIT, Status.TIME_LIMIT, Status.INTERRUPTED, Status.
 
 @dataclass(frozen=True)
 class Measured:
-    """What the assessment has measured.
-
-    Attributes
-    ----------
-    audit : Audit
-    contact : Status
-        Of the contact solves on the given and the final mesh, the formulation's own and those for admissible
-        displacements: CONVERGED if all of them have.
-    consistent : bool
-        Whether the formulation's own energy is that of the contact solve.
-    gain, gain_audited : float
-        Decrease of the energy by the formulation's own measure and of the continuous one.
-    decrease : float
-        Decrease of the minimised objective, measured by the assessment.
-    size : float
-        Size of the minimised objective, in units of which ``ROUNDING`` is.
-    is_energy : bool
-        Whether the energy is minimised, perhaps with terms in the positions.
-    stationary : bool
-    corrections : mapping of str to float
-        What the continuous energy rose by from the given to the final mesh beyond the formulation's own,
-        by :data:`rmesh_nlp.assessment.assessor.EXPLOITS`.
-    """
+    """What the assessment has measured."""
 
     audit: Audit
-    contact: Status
-    consistent: bool
-    gain: float
-    gain_audited: float
-    decrease: float
-    size: float
-    is_energy: bool
+    contact: Status  # of all contact solves, on both meshes: CONVERGED if all of them have
+    consistent: bool  # whether the formulation's own energy is that of the contact solve
+    gain: float  # decrease of the energy by the formulation's own measure
+    gain_audited: float  # decrease of the continuous energy
+    decrease: float  # of the minimised objective, measured by the assessment
+    size: float  # of the minimised objective, in units of which ``ROUNDING`` is
+    is_energy: bool  # whether the energy is minimised, perhaps with terms in the positions
     stationary: bool
+    # what the continuous energy rose by beyond the formulation's own, by the names in EXPLOITS
     corrections: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def is_known(self) -> bool:
-        """Whether every figure that is compared is a number."""
-        figures = (self.gain, self.gain_audited, self.decrease, self.size)
-        return all(math.isfinite(figure) for figure in figures)
 
     @property
     def fault(self) -> Status | None:
@@ -97,7 +70,8 @@ class Measured:
         residuals = audit.equilibrium_residual, audit.complementarity_residual
         if not all(residual <= TOLERANCE for residual in residuals):  # also if one is no number
             return Status.INACCURATE
-        return None if self.is_known else Status.EVALUATION_ERROR
+        figures = self.gain, self.gain_audited, self.decrease, self.size
+        return None if all(map(math.isfinite, figures)) else Status.EVALUATION_ERROR
 
     @property
     def improved(self) -> bool:
