@@ -13,7 +13,7 @@ from formulations.confirmed import Confirmed
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.models.cascade import CascadeResult, CascadeSettings, cascade
+from rmesh_nlp.models.cascade import CascadeSettings, cascade
 from rmesh_nlp.models.levels import COARSER, prolonged
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES
@@ -82,8 +82,7 @@ class Maps(Formulation):
     settings: CascadeSettings = field(default_factory=CascadeSettings)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        chosen = self.settings
-        levels = _Levels(outer, chosen, monitor)
+        chosen, levels = self.settings, _Levels(outer, self.settings, monitor)
         weight, distortion = chosen.regularisation, chosen.distortion
         minimised = f"the energy with {distortion} weighted {weight:g} of its estimated error"
         figures = CascadeFigures("newton", weight, distortion, minimised)
@@ -93,26 +92,17 @@ class Maps(Formulation):
             return Outcome(outer, levels.best(outer), monitor.end, details=(figures,))
         figures = replace(figures, cascade=found.record(), gain_estimate=found.gain_estimate)
         with monitor.clock.during("build"):
-            end = (
-                outer.minimising(found.objective)
-                if found.built is None
-                else Outer.around(found.built, outer.tolerance)
-            )
-        end = monitor.tracked(end)
+            if found.built is None:
+                end = outer.minimising(found.objective)
+            else:
+                end = Outer.around(found.built, outer.tolerance)
+        monitor.tracked(end).gain = found.gain_estimate
         q = found.q if end.is_valid(found.q) else np.zeros(end.n)
-        end.gain = found.gain_estimate
-        return Outcome(end, q, found.status, details=(figures,), remarks=_said(found))
-
-
-def _said(found: CascadeResult) -> tuple[str, ...]:
-    """What else there is to say of what was chosen."""
-    said = [f"over meshes of {', '.join(str(level.nodes) for level in found.levels)} nodes"]
-    parts = [f"{level.taken:g} on {level.nodes} nodes" for level in found.levels if level.taken < 1]
-    if parts:
-        said.append(
-            f"of a prolonged map a part was taken ({', '.join(parts)}), since more did not lower the energy"
-        )
-    return tuple(said)
+        said = [f"over meshes of {', '.join(str(level.nodes) for level in found.levels)} nodes"]
+        if parts := [f"{level.taken:g} on {level.nodes} nodes" for level in found.levels if level.taken < 1]:
+            taken = f"of a prolonged map a part was taken ({', '.join(parts)})"
+            said.append(f"{taken}, since more did not lower the energy")
+        return Outcome(end, q, found.status, details=(figures,), remarks=tuple(said))
 
 
 class _Levels:
@@ -121,9 +111,8 @@ class _Levels:
     def __init__(self, outer: Outer, settings: CascadeSettings, monitor: Monitor) -> None:
         self._outer, self._settings, self._monitor = outer, settings, monitor
         self._track: Track | None = None
-        self._began = 0.0
-        self._first = self._before = 0
-        self._last: tuple[float, Array] | None = None
+        self._began, self._first = 0.0, 0
+        self._last: Array | None = None
         self._map: tuple[Array, NDArray[np.int64], Array] | None = None
 
     def __call__(self, iteration: int, energy: ReducedEnergy, q: Array, value: float) -> bool:
@@ -135,11 +124,10 @@ class _Levels:
             self._first = iteration
         mesh = energy.relocation.problem.mesh
         if mesh.p.shape[1] == self._outer.problem.mesh.p.shape[1]:
-            self._last = value, np.array(q)
+            self._last = np.array(q)
         else:
             self._map = mesh.p, energy.relocation.problem.triangles, energy.relocation.nodes(q) - mesh.p
-        given = track.outer.given.energy
-        done = iteration - self._first
+        given, done = track.outer.given.energy, iteration - self._first
         left = self._seconds_left(int(mesh.p.shape[1]), done)
         return track.exact(done, q, energy(q), energy_given=given, seconds_left=left)
 
@@ -159,7 +147,7 @@ class _Levels:
     def best(self, outer: Outer) -> Array:
         """The last ones on the given mesh, which are the best; if it was not reached, the map so far."""
         if self._last is not None:
-            return self._last[1]
+            return self._last
         if self._map is None:
             return np.zeros(outer.n)
         q = prolonged(*self._map, outer.discretisation)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -79,11 +80,10 @@ class Flips(Wrapper):
             with monitor.clock.during("build"):
                 there = first.outer.on(last)
             found = Outcome(there, there.variables(), found.status)
-        before = {tuple(t) for t in np.sort(given.triangles, axis=0).T}
-        after = np.sort(found.outer.problem.triangles, axis=0).T
+        before, after = ({*map(frozenset, one.triangles.T)} for one in (given, found.outer.problem))
         figures = FlipFigures(
             flips=sum(one.flips for one in rounds),
-            changed_triangles=sum(tuple(t) not in before for t in after),
+            changed_triangles=len(after - before),
             flip_rounds=tuple(asdict(one) for one in rounds),
         )
         return found.after(first).having(figures)
@@ -93,8 +93,7 @@ def _again(flips: Flips) -> Any:
     """What relocates after flips: of a schedule only its end, since the last weight is kept."""
     if flips.then is not None:
         return flips.then
-    inner = flips.inner
-    return inner.inner if hasattr(inner, "distortion") and hasattr(inner, "inner") else inner
+    return flips.inner.inner if isinstance(flips.inner, Schedule) else flips.inner
 
 
 def _moved(found: Outcome) -> ContactProblem:

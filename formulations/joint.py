@@ -144,11 +144,10 @@ class Joint(Formulation):
         status = Status.CONVERGED if result.converged else result.status
         if not result.converged and not outer.is_valid(end):
             return Outcome(outer, track.best(q), status)
-        if result.status is not Status.ITERATION_LIMIT:
-            before = monitor.iterations
-            last = self._finished(outer, end, monitor)
-            if last is not end:
-                return Outcome(outer, last, status, details=(NewtonSteps(monitor.iterations - before),))
+        before = monitor.iterations
+        last = end if status is Status.ITERATION_LIMIT else self._finished(outer, end, monitor)
+        if last is not end:
+            return Outcome(outer, last, status, details=(NewtonSteps(monitor.iterations - before),))
         return Outcome(outer, end, status, own=_own(outer, end, result), claimed=result.f)
 
     def minimised(self, outer: Outer, q: Array, track: Track) -> NLPResult:
@@ -176,11 +175,9 @@ class Joint(Formulation):
     def _finished(self, outer: Outer, q: Array, monitor: Monitor) -> Array:
         """Newton steps from where an interior point stopped, if a stationary point is near; else ``q``.
 
-        Where move limits are weakly active an interior point meets them to the square root of its tolerance
-        only, and where many elements are at their least area rounding can hold its multipliers off the
-        tolerance. From there Newton's method on the reduced energy takes one to five steps, each an exact
-        contact solve. What they lead to is taken if its first-order residual is lower and its energy is not
-        higher.
+        An interior point meets weakly active move limits to the square root of its tolerance only, and
+        rounding can hold the multipliers of many least areas off it. Newton's method on the reduced energy
+        then takes one to five steps, kept if the first-order residual falls and the energy does not rise.
         """
         energy, measure = outer.energy, outer.residual
         if not q.size or energy.relocation.objective.has_barrier or not outer.is_valid(q):

@@ -9,7 +9,7 @@ levels do not collapse.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -48,6 +48,18 @@ on the given mesh times its largest nodal load."""
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 """Ipopt options that push a start off its bounds."""
 
+COMMON: Mapping[str, Any] = {
+    "nlp_scaling_method": "none",
+    "mu_strategy": "monotone",
+    # METIS: the KKT matrix of equilibrium, outer variables and displacements fills in five times
+    # less than with the ordering that MUMPS takes of itself
+    "mumps_pivot_order": 5,
+    # the least shift of an indefinite Hessian within a factor 1.5, as in joint
+    "perturb_dec_fact": 0.2,
+    "perturb_inc_fact": 1.5,
+}
+"""Ipopt options of all stages."""
+
 BARRIER_ENERGY, BARRIER = 2.0, 0.1
 """Ipopt's first barrier: in units of the pull for the energy, as in ``joint``, in units of the objective for
 others."""
@@ -72,7 +84,6 @@ TIGHT_OTHERS = 1e-12
 1e-10 left first-order residuals of 2e-6 to 7e-6 on 6.1 with 6 and 10 squares (error-l2, error-h1), 1e-12
 less than 1e-7, for one or two iterations more."""
 
-
 FACTOR_OTHERS = 0.01
 """By how much t falls from stage to stage for objectives other than the energy.
 
@@ -80,73 +91,37 @@ There the relaxed solution moves with t, so an exact finish after 1e-2 and 1e-3 
 With 0.1 seven solves took 392 iterations, with 0.01 310, to the same ends (error-l2 on 6.1 with 5, 6, 10
 and 12 squares, error-h1 with 6 and 10, energy+0.1*quality on 6.2 with 8 x 4)."""
 
-
-def other_options() -> dict[str, Any]:
-    """Options of the homotopy for objectives other than the energy, on top of ``OPTIONS``."""
-    return {**ipopt_options(1.0, BARRIER, TIGHT_OTHERS), "factor": FACTOR_OTHERS}
-
-
-def energy_options(scaling: float, limited: bool) -> dict[str, dict[str, Any]]:
-    """Those of :func:`ipopt_options` for the energy, ``limited`` where all nodes have move limits."""
-    if not limited:
-        return ipopt_options(scaling, BARRIER_WITHOUT_LIMITS)
-    options = ipopt_options(scaling, BARRIER_ENERGY)
-    return {**options, "ipopt_relaxed": {**options["ipopt_relaxed"], **SLOWLY}}
-
-
-def ipopt_options(scaling: float, barrier: float, tight: float = TIGHT) -> dict[str, dict[str, Any]]:
-    """Ipopt's options by stage: the first relaxation, those after it, the exact finish.
-
-    Each stage begins with the multipliers and about the barrier that the one before ended with, so
-    that Ipopt goes on and does not centre anew.
-
-    Parameters
-    ----------
-    scaling : float
-        Factor of the objective. For the energy it brings the mean gradient in the outer variables to a third
-        (:func:`formulations.joint.pull`): Ipopt's barrier and tolerances are absolute.
-    barrier : float
-    tight : float
-        Tolerance of the exact finish.
-    """
-    common = {
-        "nlp_scaling_method": "none",
-        "obj_scaling_factor": scaling,
-        # METIS: the KKT matrix of equilibrium, outer variables and displacements fills in five times
-        # less than with the ordering that MUMPS takes of itself
-        "mumps_pivot_order": 5,
-        # the least shift of an indefinite Hessian within a factor 1.5, as in joint
-        "perturb_dec_fact": 0.2,
-        "perturb_inc_fact": 1.5,
-    }
-    first = {"mu_init": barrier, "bound_mult_init_method": "mu-based", "tol": LOOSE}
-    return {
-        "ipopt_relaxed": {**common, "mu_strategy": "monotone", **first},
-        "ipopt_warm": {"mu_strategy": "monotone", "mu_init": LOOSE / 100, "tol": BETWEEN},
-        "ipopt_exact": {
-            **common,
-            "mu_strategy": "monotone",
-            "mu_init": tight,
-            "tol": tight,
-            # where rounding stops it before, this will do
-            "acceptable_tol": 1e-7,
-        },
-    }
-
-
 AFTER: Mapping[str, Any] = {"t0": 1e-9, "t_final": 1e-9}
-"""Options after another NLP: only the relaxation at the final t, and the exact finish."""
+"""Options from a start near a minimiser: only the relaxation at the final t, and the exact finish."""
 
 BARRIER_AFTER = 1e-10
 """Ipopt's barrier at the end of the energy NLP: its tolerance there."""
+
+ACCEPTABLE = 1e-7
+"""Ipopt's tolerance in the exact finish where rounding stops it before the tight one."""
+
+
+def homotopy_options(scaling: float, first: Mapping[str, Any], tight: float) -> dict[str, Any]:
+    """Ipopt's options by stage: the first relaxation, those after it, the exact finish.
+
+    Each stage begins with the multipliers and about the barrier that the one before ended with, so that Ipopt
+    goes on and does not centre anew. ``scaling`` is the factor of the objective: for the energy it brings the
+    mean gradient in the outer variables to a third (:func:`formulations.joint.pull`), since Ipopt's barrier
+    and tolerances are absolute. ``first`` are further options of the first stage.
+    """
+    common = {**COMMON, "obj_scaling_factor": scaling}
+    return {
+        "ipopt_relaxed": {**common, "bound_mult_init_method": "mu-based", "tol": LOOSE, **first},
+        "ipopt_warm": {"mu_strategy": "monotone", "mu_init": LOOSE / 100, "tol": BETWEEN},
+        "ipopt_exact": {**common, "mu_init": tight, "tol": tight, "acceptable_tol": ACCEPTABLE},
+    }
 
 
 def after_energy(scaling: float) -> dict[str, Any]:
     """Options from the minimiser of the energy NLP, or another formulation's, on.
 
-    With the objective scaled and the barrier left about where that NLP left them, each
-    slack times its multiplier is still the barrier: Ipopt goes on from there, as if it had been
-    given the multipliers.
+    With the objective scaled and the barrier left about where that NLP left them, each slack times its
+    multiplier is still the barrier: Ipopt goes on as if it had been given the multipliers.
     """
     ipopt = {
         "tol": 1e-8,
@@ -157,7 +132,7 @@ def after_energy(scaling: float) -> dict[str, Any]:
         **dict.fromkeys(PUSHES, 1e-13),
     }
     # many move limits are weakly active: an interior point meets those only to the root of its tolerance
-    exact = {**ipopt, "tol": 1e-11, "acceptable_tol": 1e-7}
+    exact = {**ipopt, "tol": 1e-11, "acceptable_tol": ACCEPTABLE}
     return {**AFTER, "ipopt_relaxed": ipopt, "ipopt_exact": exact}
 
 
@@ -247,7 +222,7 @@ class AllAtOnce(Formulation):
             )
         track = monitor.track(outer, program.value)
         if is_energy:
-            track.state_residual = _residual(outer, program)
+            track.state_residual = lambda x: outer.residual.of_state(*_state(program, x))
         x, near = program.point(q, here.equilibrium, here.system), outer.is_near
         solves = 0
         if self.without_first:
@@ -257,12 +232,7 @@ class AllAtOnce(Formulation):
             monitor.check()
             x, near, solves = first.x, True, 1
             track = monitor.track(outer, program.value)
-        limited = bool(np.all(np.isfinite(outer.bound)))
-        own: Mapping[str, Any]
-        if near:
-            own = after_energy(program.value / scaling) if is_energy else AFTER
-        else:
-            own = energy_options(program.value / scaling, limited) if is_energy else other_options()
+        own = _options(outer, program.value / scaling, near)
         limits = {"time_limit_s": max(monitor.remaining, 1e-3), "max_iterations": monitor.iterations_left}
         with monitor.clock.during("build"):
             solver = MPCCSolver(
@@ -274,16 +244,27 @@ class AllAtOnce(Formulation):
         relaxation = Relaxation(self.relaxation)
         if result.status in LIMITS:
             return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))
-        end, u, normal, tangential = program.split(result.x)
         return Outcome(
             outer,
-            np.clip(end, -outer.bound, outer.bound),
+            np.clip(program.split(result.x)[0], -outer.bound, outer.bound),
             result.status,
-            own=_equilibrium(outer, end, u, normal, tangential, result),
+            own=_equilibrium(outer, program, result),
             decides=True,
             label=result.stationarity,
             details=(relaxation, _figures(outer, program, solves, result)),
         )
+
+
+def _options(outer: Outer, scaling: float, near: bool) -> Mapping[str, Any]:
+    """Options on top of ``OPTIONS``; ``scaling`` is that of the energy, ``near`` a start near a minimiser."""
+    if not outer.objective.is_energy:
+        stages = homotopy_options(1.0, {"mu_init": BARRIER}, TIGHT_OTHERS)
+        return AFTER if near else {**stages, "factor": FACTOR_OTHERS}
+    if near:
+        return after_energy(scaling)
+    if np.all(np.isfinite(outer.bound)):
+        return homotopy_options(scaling, {"mu_init": BARRIER_ENERGY, **SLOWLY}, TIGHT)
+    return homotopy_options(scaling, {"mu_init": BARRIER_WITHOUT_LIMITS}, TIGHT)
 
 
 def _in_step(outer: Outer, q: Array) -> Array:
@@ -299,36 +280,27 @@ def _in_step(outer: Outer, q: Array) -> Array:
     return alternated(outer.relocation, q, outer.energy(q).gradient, usual.alternating, outer.is_valid)
 
 
-def _residual(outer: Outer, program: Bilevel) -> Callable[[Array], float]:
-    """The first-order residual of the energy at unknowns of the MPCC, by its own displacement and forces."""
-    residual, rows = outer.residual, program.friction_rows
+def _state(program: Bilevel, x: Array) -> tuple[Array, Array, Array, Array]:
+    """Outer variables, displacement, and normal and tangential forces where there is friction."""
+    q, u, normal, tangential = program.split(x)
+    return q, u, normal, tangential[program.friction_rows]
 
-    def at(x: Array) -> float:
-        q, u, normal, tangential = program.split(x)
-        return residual.of_state(q, u, normal, tangential[rows])
 
-    return at
+STAGE = ("phase", "t", "product", "biactive", "multiplier", "iterations", "seconds")
 
 
 def _figures(outer: Outer, program: Bilevel, solves: int, result: MPCCResult) -> Homotopy:
+    gaps, slips = outer.contact.contact_nodes, outer.contact.contact_nodes[program.friction_rows]
+    of_pair = np.concatenate([gaps, slips, slips])
     return Homotopy(
         stages=[
-            {
-                "phase": nlp.phase,
-                "t": nlp.t,
-                "product": nlp.product,
-                "biactive": nlp.biactive,
-                "multiplier": nlp.multiplier,
-                "iterations": nlp.iterations,
-                "seconds": nlp.seconds,
-                "status": nlp.status.value,
-            }
-            for nlp in result.history
+            {**{name: getattr(one, name) for name in STAGE}, "status": one.status.value}
+            for one in result.history
         ],
         label=result.label,
         b_stationary=result.b_stationary,
         biactive=int(result.biactive.size),
-        biactive_nodes=_nodes(outer, program, result),
+        biactive_nodes=np.unique(of_pair[result.biactive]).tolist(),
         equilibrium_multiplier=float(np.max(np.abs(result.lam_g[: program.n_u]))),
         constraint_violation=result.constraint_violation,
         complementarity=result.complementarity,
@@ -337,18 +309,10 @@ def _figures(outer: Outer, program: Bilevel, solves: int, result: MPCCResult) ->
     )
 
 
-def _equilibrium(
-    outer: Outer, q: Array, u: Array, normal: Array, tangential: Array, result: MPCCResult
-) -> Equilibrium:
+def _equilibrium(outer: Outer, program: Bilevel, result: MPCCResult) -> Equilibrium:
     """The MPCC's own displacement and forces, to be audited as they are."""
+    q, u, normal, tangential = program.split(result.x)
     system = outer.contact.system(outer.nodes(q))
     slip = system.tangents @ u if system.slip_bound.size else np.zeros(0)
     active = ActiveSet(normal > 0, np.sign(slip).astype(np.int8))
     return Equilibrium(u, system.energy(u), normal, tangential, active, result.status, 0)
-
-
-def _nodes(outer: Outer, program: Bilevel, result: MPCCResult) -> list[int]:
-    """Mesh nodes of the biactive pairs."""
-    gaps, slips = outer.contact.contact_nodes, outer.contact.contact_nodes[program.friction_rows]
-    of_pair = np.concatenate([gaps, slips, slips])
-    return sorted({int(node) for node in of_pair[result.biactive]})
