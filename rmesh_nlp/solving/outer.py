@@ -16,7 +16,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping.validity import is_valid
-from rmesh_nlp.models.energy_nlp import Relocation, relocation
+from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, outer_function
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
@@ -68,9 +68,8 @@ class Outer:
 
     def _minimise(self, objective: Objective) -> None:
         self.objective = objective
-        of_program = objective if objective.collapses else ENERGY
-        self.relocation: Relocation = relocation(self.discretisation, of_program)
-        self.energy = ReducedEnergy(self.relocation, self.contact)
+        self.energy = ReducedEnergy.of(self.contact, objective if objective.collapses else ENERGY)
+        self.relocation: Relocation = self.energy.relocation
 
     @classmethod
     def around(cls, energy: ReducedEnergy, tolerance: float = TOLERANCE) -> Outer:

@@ -23,9 +23,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models import cascade as of_cascade
 from rmesh_nlp.models.cascade import CascadeResult, cascade
-from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularised_descent import Finish, finished
 from rmesh_nlp.optimize.status import Status
@@ -39,7 +37,6 @@ from rmesh_nlp.problem import (
     Traction,
     signed_areas,
 )
-from rmesh_nlp.solving import outer as of_outer
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
@@ -206,25 +203,29 @@ def test_steps_of_a_cascade_say_residual_gain_and_time_left() -> None:
     assert min(guesses) >= 0
 
 
-def test_nothing_more_is_stated_once_the_time_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    stated = []
-    for module in (of_cascade, of_outer):
-        monkeypatch.setattr(module, "relocation", lambda *a, make=relocation: stated.append(a) or make(*a))
+@pytest.fixture
+def built(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Reduced models that were built."""
+    found: list[Any] = []
+    make = ReducedEnergy.__init__
+    monkeypatch.setattr(ReducedEnergy, "__init__", lambda *given: found.append(given) or make(*given))
+    return found
+
+
+def test_nothing_more_is_built_once_the_time_is_up(built: list[Any]) -> None:
     problem = no_boxes(EXAMPLES["6.1"](n=16))
     row = auto.solve(problem, time_limit_s=1e-9).record()
     assert row["status"] == "time_limit"
     assert row["valid"]
     assert row["gain"] == 0
     assert row.get("error_reduction") is None
-    assert len(stated) == 1  # that of the audit
+    assert len(built) == 1  # that of the outer problem
 
 
-def test_a_cascade_that_is_late_prolongs_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
-    stated = []
-    monkeypatch.setattr(of_cascade, "relocation", lambda *a: stated.append(a) or relocation(*a))
+def test_a_cascade_that_is_late_prolongs_what_it_has(built: list[Any]) -> None:
     problem = replace(no_boxes(EXAMPLES["6.1"](n=16)), quadrature=6)
-    result = cascade(problem, is_late=lambda: len(stated) > 0)
-    assert len(stated) == 1  # the first weight on the coarsest mesh
+    result = cascade(problem, is_late=lambda: len(built) > 0)
+    assert len(built) == 1  # the first weight on the coarsest mesh
     assert [level.nodes for level in result.levels] == [81]
     assert result.status is Status.INTERRUPTED
     assert np.any(result.q != 0)
