@@ -6,7 +6,6 @@ as CasADi Functions, so that derivatives of the positions are exact to second or
 
 from __future__ import annotations
 
-import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,6 +26,8 @@ SAMPLES = 4000
 PERIODS = 3
 """Times that a closed spline runs around: a node may slide across the place where it begins."""
 
+Pair = tuple[ca.Function, ca.Function]
+
 
 class Curve(ABC):
     """A curve ``t -> (x, y)``.
@@ -44,12 +45,16 @@ class Curve(ABC):
 
     @cached_property
     @abstractmethod
-    def functions(self) -> tuple[ca.Function, ca.Function]:
+    def functions(self) -> Pair:
         """``t -> x`` and ``t -> y``."""
 
     @cached_property
-    def _derivatives(self) -> tuple[tuple[ca.Function, ca.Function], ...]:
-        return tuple(_two_derivatives(function) for function in self.functions)
+    def _first(self) -> Pair:
+        return _derivatives(self.functions)
+
+    @cached_property
+    def _second(self) -> Pair:
+        return _derivatives(self._first)
 
     def at(self, t: Array) -> Array:
         """Points (2, n) at parameters (n,)."""
@@ -57,7 +62,7 @@ class Curve(ABC):
 
     def velocity(self, t: Array) -> Array:
         """Derivatives (2, n) by the parameter."""
-        return np.stack([on_values(first, t) for first, _ in self._derivatives])
+        return np.stack([on_values(function, t) for function in self._first])
 
     def nearest(self, points: Array) -> Array:
         """Parameters (n,) of the points of the curve nearest to ``points`` (2, n)."""
@@ -68,7 +73,7 @@ class Curve(ABC):
         for _ in range(20):
             off = self.at(t) - points
             velocity = self.velocity(t)
-            second = np.stack([on_values(function, t) for _, function in self._derivatives])
+            second = np.stack([on_values(function, t) for function in self._second])
             slope, square = np.sum(off * velocity, axis=0), np.sum(velocity**2, axis=0)
             curvature = square + np.sum(off * second, axis=0)
             move = -slope / np.where(curvature > 0.1 * square, curvature, square)
@@ -95,11 +100,10 @@ def on_values(function: ca.Function, t: Array) -> Array:
     return np.asarray(function(ca.DM(t).T).full(), dtype=float).ravel()
 
 
-def _two_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function]:
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
-    t = kind.sym("t")
-    first = ca.jacobian(function(t), t)
-    return ca.Function("first", [t], [first]), ca.Function("second", [t], [ca.jacobian(first, t)])
+def _derivatives(functions: Pair) -> Pair:
+    t = (ca.SX if functions[0].is_a("SXFunction") else ca.MX).sym("t")
+    one, two = (ca.Function("slope", [t], [ca.jacobian(function(t), t)]) for function in functions)
+    return one, two
 
 
 @dataclass(frozen=True)
@@ -120,14 +124,12 @@ class Circle(Curve):
     closed = True
 
     @cached_property
-    def functions(self) -> tuple[ca.Function, ca.Function]:
-        """``t -> x`` and ``t -> y``."""
+    def functions(self) -> Pair:  # noqa: D102
         t = ca.SX.sym("t")
         (x, y), r = self.centre, self.radius
         return ca.Function("x", [t], [x + r * ca.cos(t)]), ca.Function("y", [t], [y + r * ca.sin(t)])
 
-    def nearest(self, points: Array) -> Array:
-        """Parameters (n,) of the points of the curve nearest to ``points`` (2, n)."""
+    def nearest(self, points: Array) -> Array:  # noqa: D102
         return np.asarray(np.arctan2(points[1] - self.centre[1], points[0] - self.centre[0]))
 
 
@@ -149,8 +151,7 @@ class Spline(Curve):
         p = np.asarray(self.points, dtype=float)
         if p.ndim != 2 or p.shape[0] < 4 or p.shape[1] != 2 or not np.all(np.isfinite(p)):
             raise ValueError("a spline needs four or more points of two finite numbers each")
-        step = np.diff(self._through, axis=0)
-        if np.min(np.linalg.norm(step, axis=1)) == 0:
+        if not np.all(np.any(np.diff(self._through, axis=0) != 0, axis=1)):
             raise ValueError("two points of a spline that follow each other are the same")
 
     @property
@@ -159,43 +160,34 @@ class Spline(Curve):
         return np.vstack([p, p[:1]]) if self.closed else p
 
     @cached_property
-    def interval(self) -> tuple[float, float]:  # type: ignore[override]
-        """Parameters of its ends."""
+    def interval(self) -> tuple[float, float]:  # type: ignore[override]  # noqa: D102
         return float(self._knots[0]), float(self._knots[-1])
 
     @cached_property
     def _knots(self) -> Array:
         """Parameters of the points: lengths of the spline between them, found in a few rounds."""
-        p = self._through
-        t = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+        t = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(self._through, axis=0), axis=1)))
         for _ in range(3):
-            fine = np.concatenate(
-                [np.linspace(a, b, 20, endpoint=False) for a, b in itertools.pairwise(t)] + [t[-1:]]
-            )
-            length = np.linalg.norm(np.diff(self._spline(t)(fine), axis=0), axis=1)
-            t = np.concatenate([[0.0], np.cumsum(length.reshape(-1, 20).sum(axis=1))])
+            fine = np.append(np.linspace(t[:-1], t[1:], 20, endpoint=False, axis=1), t[-1])
+            length = np.linalg.norm(np.diff(self._spline(t, self._through)(fine), axis=0), axis=1)
+            t = np.append(0.0, np.cumsum(length.reshape(-1, 20).sum(axis=1)))
         return t
 
-    def _spline(self, t: Array) -> BSpline:
-        p = self._through
+    def _spline(self, t: Array, p: Array) -> BSpline:
         return make_interp_spline(t, p, k=3, bc_type="periodic" if self.closed else "natural")
 
     @cached_property
-    def functions(self) -> tuple[ca.Function, ca.Function]:
-        """``t -> x`` and ``t -> y``."""
-        spline = self._spline(self._knots)
+    def functions(self) -> Pair:  # noqa: D102
+        t, p = self._knots, self._through
         if self.closed:  # around several times, so that no node comes to an end
-            low, high = self.interval
+            period = t[-1] - t[0]
             turns = np.arange(PERIODS) - PERIODS // 2
-            t = np.concatenate([*(self._knots[:-1] + turn * (high - low) for turn in turns)])
-            ends = turns[-1] * (high - low) + high
-            p = np.vstack([*(self._through[:-1] for _ in turns), self._through[:1]])
-            spline = make_interp_spline(np.append(t, ends), p, k=3, bc_type="periodic")
-        t = ca.MX.sym("t")
-        return tuple(
-            ca.Function(name, [t], [ca.bspline(t, column.tolist(), [spline.t.tolist()], [3], 1)])
-            for name, column in zip("xy", spline.c.T, strict=True)
-        )
+            t = np.append(np.add.outer(turns * period, t[:-1]), turns[-1] * period + t[-1])
+            p = np.vstack([*(p[:-1] for _ in turns), p[:1]])
+        spline, s = self._spline(t, p), ca.MX.sym("t")
+        knots = [spline.t.tolist()]
+        one, two = (ca.bspline(s, column.tolist(), knots, [3], 1) for column in spline.c.T)
+        return ca.Function("x", [s], [one]), ca.Function("y", [s], [two])
 
 
 @dataclass(frozen=True)
@@ -219,15 +211,15 @@ class Parametrised(Curve):
         low, high = self.interval
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise ValueError(f"the interval of a curve must increase and be finite, got {self.interval}")
-        ends = self.at(np.array([low, high]))
-        if not np.all(np.isfinite(self.at(np.linspace(low, high, 50)))):
+        points = self.at(np.linspace(low, high, 50))
+        if not np.all(np.isfinite(points)):
             raise ValueError("a curve must be finite over its interval")
+        ends = points[:, [0, -1]]
         if self.closed and np.max(np.abs(ends[:, 0] - ends[:, 1])) > 1e-9 * np.max(np.abs(ends) + 1e-300):
             raise ValueError("a closed curve must end where it begins")
 
     @cached_property
-    def functions(self) -> tuple[ca.Function, ca.Function]:
-        """``t -> x`` and ``t -> y``."""
+    def functions(self) -> Pair:  # noqa: D102
         t = ca.SX.sym("t")
         return ca.Function("x", [t], [self.x(t)]), ca.Function("y", [t], [self.y(t)])
 
@@ -249,12 +241,6 @@ def fitted_circle(points: Array) -> Circle:
 
 def spline_through(points: Array, edges: NDArray) -> Spline:
     """The spline through the nodes of a boundary, its edges (2, edges) between columns of ``points``."""
-    order, closed = _chain(np.asarray(edges))
-    return Spline(tuple((float(a), float(b)) for a, b in points[:, order].T), closed)
-
-
-def _chain(edges: NDArray) -> tuple[list[int], bool]:
-    """Node numbers along a boundary of one piece, and whether it is closed."""
     neighbours: dict[int, list[int]] = {}
     for a, b in edges.T.tolist():
         neighbours.setdefault(a, []).append(b)
@@ -262,14 +248,9 @@ def _chain(edges: NDArray) -> tuple[list[int], bool]:
     ends = [node for node, near in neighbours.items() if len(near) == 1]
     if any(len(near) > 2 for near in neighbours.values()) or len(ends) not in (0, 2):
         raise ValueError("a spline needs a boundary of one piece without branches")
-    first = min(ends) if ends else min(neighbours)
-    order, last, here = [first], -1, first
-    while True:
-        further = [node for node in neighbours[here] if node != last]
-        if not further or further[0] == first:
-            break
-        last, here = here, further[0]
-        order.append(here)
+    order = [min(ends or neighbours)]
+    while further := [node for node in neighbours[order[-1]] if node not in (*order[-2:-1], order[0])]:
+        order.append(further[0])
     if len(order) < len(neighbours):
         raise ValueError("a spline needs a boundary of one piece")
-    return order, not ends
+    return Spline(tuple((float(a), float(b)) for a, b in points[:, order].T), not ends)
