@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.geometry import signed_areas
 
-Worth = Callable[[NDArray[np.int64], NDArray[np.int64]], Array]
+Index = NDArray[np.int64]
+Worth = Callable[[Index, Index], Array]
 """``(triangles (3, n), elements (n,)) -> values (n,)``: a sum over triangles that flips are to lower. The
 second argument are the elements that the triangles are, or take the place of."""
 
@@ -29,7 +30,7 @@ LEAST_AREA = 1e-3
 class Flipped:
     """Triangles (3, elements) after flips, in the places of those before; number of flips and their worth."""
 
-    triangles: NDArray[np.int64]
+    triangles: Index
     flips: int
     gain: float
 
@@ -40,7 +41,7 @@ def flipped(
     fixed: NDArray,
     worth: Worth,
     least_gain: float = 0.0,
-    allowed: Callable[[NDArray[np.int64]], NDArray[np.bool_]] | None = None,
+    allowed: Callable[[Index], NDArray[np.bool_]] | None = None,
 ) -> Flipped:
     """Flip edges as long as it lowers the sum of ``worth``, by more than ``least_gain`` a flip.
 
@@ -57,13 +58,11 @@ def flipped(
     """
     t = np.array(triangles, dtype=np.int64)
     n = nodes.shape[1]
-    low, high = np.sort(fixed, axis=0)
-    fixed_keys = low * n + high
+    fixed_keys = np.min(fixed, axis=0) * n + np.max(fixed, axis=0)
     value = worth(t, np.arange(t.shape[1]))
     count, total = 0, 0.0
     for _ in range(MAX_ROUNDS):
-        left, right, quad = _interior_edges(t, n, fixed_keys)
-        a, b, c, d = quad
+        left, right, (a, b, c, d) = _interior_edges(t, n, fixed_keys)
         one, two = np.stack([c, d, b]), np.stack([d, c, a])
         area = signed_areas(nodes, np.hstack([one, two])).reshape(2, -1)
         convex = np.min(area, axis=0) > LEAST_AREA * np.sum(area, axis=0)
@@ -83,33 +82,28 @@ def flipped(
     return Flipped(t, count, total)
 
 
-def _interior_edges(t: NDArray, n: int, fixed_keys: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Elements left and right of the edges that may be flipped, and (4, edges): ends a, b, then the vertex
-    left and the vertex right of the way from a to b.
-    """  # noqa: D205
-    first, second, third = t
-    a, b = np.concatenate([first, second, third]), np.concatenate([second, third, first])
-    opposite = np.concatenate([third, first, second])
-    element = np.tile(np.arange(t.shape[1]), 3)
+def _interior_edges(t: Index, n: int, fixed_keys: Index) -> tuple[Index, Index, Index]:
+    """Elements left and right of the edges that may be flipped, and their vertices (4, edges).
+
+    These are the ends a and b, then the vertex left and the vertex right of the way from a to b.
+    """
+    a, b, opposite = t.ravel(), t[[1, 2, 0]].ravel(), t[[2, 0, 1]].ravel()
     key = np.minimum(a, b) * n + np.maximum(a, b)
     order = np.argsort(key, kind="stable")
     pair = np.flatnonzero(key[order][1:] == key[order][:-1])
+    pair = pair[~np.isin(key[order[pair]], fixed_keys)]
     one, two = order[pair], order[pair + 1]
-    free = ~np.isin(key[one], fixed_keys)
-    one, two = one[free], two[free]
-    return element[one], element[two], np.stack([a[one], b[one], opposite[one], opposite[two]])
+    return one % t.shape[1], two % t.shape[1], np.stack([a[one], b[one], opposite[one], opposite[two]])
 
 
-def _independent(gain: Array, left: NDArray, right: NDArray, n: int, least: float) -> NDArray[np.int64]:
-    """Flips that gain, each more than any other that shares a triangle with it."""
-    best = np.full(n, -np.inf)
-    np.maximum.at(best, left, gain)
-    np.maximum.at(best, right, gain)
-    rank = np.full(n, gain.size)
-    tied = (gain >= best[left]) & (gain >= best[right]) & (gain > least)
-    number = np.flatnonzero(tied)
-    np.minimum.at(rank, left[number], number)
-    np.minimum.at(rank, right[number], number)
+def _independent(gain: Array, left: Index, right: Index, n: int, least: float) -> Index:
+    """Flips that gain, each more than any other that shares a triangle with it; the first of equals."""
+    best, rank = np.full(n, -np.inf), np.full(n, gain.size)
+    for side in (left, right):
+        np.maximum.at(best, side, gain)
+    number = np.flatnonzero((gain >= best[left]) & (gain >= best[right]) & (gain > least))
+    for side in (left, right):
+        np.minimum.at(rank, side[number], number)
     return number[(rank[left[number]] == number) & (rank[right[number]] == number)]
 
 

@@ -37,25 +37,23 @@ def rectangle(
     for name, n in (("nx", nx), ("ny", ny)):
         if not isinstance(n, (int, np.integer)) or n < 1:
             raise ValueError(f"{name} must be a whole number of at least 1, got {n!r}")
-    _increasing("x", x)
-    _increasing("y", y)
+    for name, ends in (("x", x), ("y", y)):
+        if len(ends) != 2 or not (np.all(np.isfinite(ends)) and ends[0] < ends[1]):
+            raise ValueError(f"{name} must be two increasing numbers, got {ends}")
     _affordable(2 * nx * ny)
     if diagonal not in DIAGONALS:
         raise ValueError(f"diagonal must be one of {', '.join(DIAGONALS)}, got {diagonal!r}")
-    px, py = np.meshgrid(np.linspace(*x, nx + 1), np.linspace(*y, ny + 1), indexing="ij")
-    number = np.arange(px.size).reshape(px.shape)
+    nodes = np.stack(np.meshgrid(np.linspace(*x, nx + 1), np.linspace(*y, ny + 1), indexing="ij"), axis=-1)
+    number = np.arange((nx + 1) * (ny + 1)).reshape(nx + 1, ny + 1)
     ll, lr, ul, ur = (a.ravel() for a in (number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]))
     cells = [(ll, lr, ur), (ll, ur, ul)] if diagonal == "rising" else [(ll, lr, ul), (lr, ur, ul)]
-    return from_arrays(
-        np.column_stack([px.ravel(), py.ravel()]),
-        np.vstack([np.column_stack(cell) for cell in cells]),
-        {
-            "left": lambda z: z[0] == x[0],
-            "right": lambda z: z[0] == x[1],
-            "bottom": lambda z: z[1] == y[0],
-            "top": lambda z: z[1] == y[1],
-        },
-    )
+    sides = {
+        "left": lambda z: z[0] == x[0],
+        "right": lambda z: z[0] == x[1],
+        "bottom": lambda z: z[1] == y[0],
+        "top": lambda z: z[1] == y[1],
+    }
+    return from_arrays(nodes.reshape(-1, 2), np.hstack(cells).T, sides)
 
 
 def l_shape(h: float, *, size: float = 1.0) -> MeshTri:
@@ -78,16 +76,12 @@ def plate_with_hole(h: float, *, size: float = 10.0, radius: float = 2.5) -> Mes
 
     def draw(gmsh: Any) -> None:
         geo = gmsh.model.geo
-        lines = _loop(geo, [(0, 0), (size, 0), (size, size), (0, size)], [h] * 4)
-        c = size / 2
+        lines = _lines(geo, [(0, 0), (size, 0), (size, size), (0, size)], h)
+        c, r = size / 2, radius
         centre = geo.addPoint(c, c, 0)
-        ring = [
-            geo.addPoint(c + a * radius, c + b * radius, 0, h) for a, b in ((1, 0), (0, 1), (-1, 0), (0, -1))
-        ]
+        ring = [geo.addPoint(x, y, 0, h) for x, y in ((c + r, c), (c, c + r), (c - r, c), (c, c - r))]
         arcs = [geo.addCircleArc(ring[i], centre, ring[(i + 1) % 4]) for i in range(4)]
-        surface = geo.addPlaneSurface([geo.addCurveLoop(lines), geo.addCurveLoop(arcs)])
-        names = {name: [line] for name, line in zip(("bottom", "right", "top", "left"), lines, strict=True)}
-        _name(gmsh, {**names, "hole": arcs}, surface)
+        _surface(gmsh, [lines, arcs], {**_each(("bottom", "right", "top", "left"), lines), "hole": arcs})
 
     return _with_gmsh(draw)
 
@@ -117,9 +111,7 @@ def half_disc(h: float, *, radius: float = 1.0, contact: float = 0.1, h_contact:
             geo.addLine(right, centre),
             geo.addLine(centre, bottom),
         ]
-        surface = geo.addPlaneSurface([geo.addCurveLoop(lines)])
-        names = {name: [line] for name, line in zip(("contact", "arc", "top", "axis"), lines, strict=True)}
-        _name(gmsh, names, surface)
+        _surface(gmsh, [lines], _each(("contact", "arc", "top", "axis"), lines))
 
     return _with_gmsh(draw)
 
@@ -160,20 +152,26 @@ def polygon(
 
 def _polygon(points: list[tuple[float, float]], h: float, boundaries: dict[str, list[int]]) -> MeshTri:
     def draw(gmsh: Any) -> None:
-        lines = _loop(gmsh.model.geo, points, [h] * len(points))
-        surface = gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(lines)])
-        _name(gmsh, {name: [lines[i] for i in edges] for name, edges in boundaries.items()}, surface)
+        lines = _lines(gmsh.model.geo, points, h)
+        _surface(gmsh, [lines], {name: [lines[i] for i in edges] for name, edges in boundaries.items()})
 
     return _with_gmsh(draw)
 
 
-def _loop(geo: Any, points: list[tuple[float, float]], sizes: list[float]) -> list[int]:
-    tags = [geo.addPoint(x, y, 0, size) for (x, y), size in zip(points, sizes, strict=True)]
+def _lines(geo: Any, points: list[tuple[float, float]], h: float) -> list[int]:
+    tags = [geo.addPoint(x, y, 0, h) for x, y in points]
     return [geo.addLine(tags[i], tags[(i + 1) % len(tags)]) for i in range(len(tags))]
 
 
-def _name(gmsh: Any, boundaries: dict[str, list[int]], surface: int) -> None:
-    gmsh.model.geo.synchronize()
+def _each(names: tuple[str, ...], lines: list[int]) -> dict[str, list[int]]:
+    return {name: [line] for name, line in zip(names, lines, strict=True)}
+
+
+def _surface(gmsh: Any, loops: list[list[int]], boundaries: dict[str, list[int]]) -> None:
+    """The surface within the first loop and outside the others, with its boundaries named."""
+    geo = gmsh.model.geo
+    surface = geo.addPlaneSurface([geo.addCurveLoop(lines) for lines in loops])
+    geo.synchronize()
     for name, lines in boundaries.items():
         gmsh.model.addPhysicalGroup(1, lines, name=name)
     gmsh.model.addPhysicalGroup(2, [surface], name="body")
@@ -212,8 +210,3 @@ def _positive(**values: float) -> None:
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} must be positive, got {value}")
-
-
-def _increasing(name: str, ends: tuple[float, float]) -> None:
-    if len(ends) != 2 or not (np.all(np.isfinite(ends)) and ends[0] < ends[1]):
-        raise ValueError(f"{name} must be two increasing numbers, got {ends}")
