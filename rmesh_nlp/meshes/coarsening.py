@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.flips import flipped, sum_of_cotangents
 from rmesh_nlp.meshes.geometry import counter_clockwise, shape_quality
-from rmesh_nlp.meshes.reading import from_arrays
 
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]

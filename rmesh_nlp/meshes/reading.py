@@ -1,9 +1,4 @@
-"""Meshes in: arrays, and any file that meshio reads, with their groups as names.
-
-What can be repaired without guessing is repaired and said so by a :class:`MeshRepairWarning`:
-clockwise triangles are turned, duplicate nodes merged, unused nodes dropped. Anything else
-that is wrong is a ValueError. Names of boundaries may overlap (a load on a part of the top).
-"""
+"""Meshes from any file that meshio reads, with their groups as names."""
 
 from __future__ import annotations
 
@@ -14,18 +9,19 @@ import signal
 import threading
 import warnings
 import xml.etree.ElementTree
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as TimedOutError
 from pathlib import Path
 from typing import Any
 
 import meshio
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
+from numpy.typing import NDArray
 from skfem import MeshTri
 
-from rmesh_nlp.meshes.embedding import fault
-from rmesh_nlp.meshes.geometry import counter_clockwise, overlapping, signed_areas
+from rmesh_nlp.meshes.arrays import SAME_NODE, from_arrays
+from rmesh_nlp.meshes.geometry import counter_clockwise
 
 LARGEST_FILE = 500_000_000
 """Bytes that a mesh file may have: some five million nodes as text."""
@@ -62,7 +58,9 @@ def read_file(path: Path) -> meshio.Mesh:
     seconds = SECONDS + SECONDS_PER_BYTE * size
     said = io.StringIO()  # meshio prints what it dislikes
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()), _no_warnings():
+        quiet = contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO())
+        with quiet[0], quiet[1], warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             return _limited(lambda: meshio.read(path, kind), seconds)
     except _TooLongError:
         raise ValueError(
@@ -104,13 +102,6 @@ def _reason(error: BaseException, said: str) -> str:
     return text.rstrip(".") + AGAIN
 
 
-@contextlib.contextmanager
-def _no_warnings() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
-
-
 def _format(path: Path) -> str:
     """The format of the extension; ``.msh`` has two, told apart by their first line."""
     suffix = path.suffix.lower()
@@ -131,7 +122,20 @@ def _limited(read: Callable[[], meshio.Mesh], seconds: float) -> meshio.Mesh:
     if hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread():
         with _alarm(seconds):
             return read()
-    return _in_a_thread(read, seconds)
+    # where no signal can interrupt, a reader that hangs is left behind in its thread
+    result: Future[meshio.Mesh] = Future()
+
+    def work() -> None:
+        try:
+            result.set_result(read())
+        except BaseException as error:
+            result.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    try:
+        return result.result(seconds)
+    except TimedOutError:
+        raise _TooLongError from None
 
 
 @contextlib.contextmanager
@@ -149,91 +153,7 @@ def _alarm(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
-def _in_a_thread(read: Callable[[], meshio.Mesh], seconds: float) -> meshio.Mesh:
-    """The same where no signal can interrupt: a reader that hangs is left behind in its thread."""
-    result: list[Any] = []
-
-    def work() -> None:
-        try:
-            result.append((read(), None))
-        except BaseException as error:
-            result.append((None, error))
-
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    if not result:
-        raise _TooLongError
-    value, error = result[0]
-    if error is not None:
-        raise error
-    return value
-
-
-SAME_NODE = 1e-10
-"""Nodes closer than this times the size of the mesh are one."""
-
 PLAIN_CELLS = ("triangle", "line", "vertex")
-
-
-class MeshRepairWarning(UserWarning):
-    """A mesh was repaired; the message says how."""
-
-
-def from_arrays(
-    nodes: ArrayLike,
-    triangles: ArrayLike,
-    boundaries: Mapping[str, Any] | None = None,
-    subdomains: Mapping[str, Any] | None = None,
-) -> MeshTri:
-    """A mesh from ``nodes`` (nodes, 2) and ``triangles`` (elements, 3).
-
-    Parameters
-    ----------
-    boundaries, subdomains : mappings, optional
-        Names of edges, each an (edges, 2) array of node numbers or a predicate of the edge
-        midpoints ``x`` (2, edges) of the outer boundary; names of triangles, each an array of
-        numbers or a predicate of their midpoints.
-
-    Raises
-    ------
-    ValueError
-        If an array has the wrong shape or a value that is not finite, a triangle has a
-        missing or repeated node, no area, or covers another, a node hangs on an edge, or a name is empty.
-    """
-    p, t = _nodes(nodes), _triangles(triangles, len(np.asarray(nodes)))
-    p, t, number = _without_duplicates(p, t)
-    used = np.unique(t)
-    if used.size < p.shape[1]:
-        _warn(f"dropped {p.shape[1] - used.size} nodes that belong to no triangle")
-        new = np.full(p.shape[1], -1)
-        new[used] = np.arange(used.size)
-        p, t, number = p[:, used], new[t], new[number]
-    areas = signed_areas(p, t)
-    size = float(np.max(np.ptp(p, axis=1)))
-    flat = np.flatnonzero(np.abs(areas) <= 1e-14 * size**2)
-    if flat.size:
-        raise ValueError(f"triangle {flat[0]} has no area")
-    if np.any(areas < 0):
-        _warn(f"turned {np.sum(areas < 0)} clockwise triangles")
-        t = counter_clockwise(p, t)
-    mesh = MeshTri(np.ascontiguousarray(p), np.ascontiguousarray(t))
-    edge = overlapping(t)
-    if edge is not None:
-        raise ValueError(f"triangles overlap at the edge between nodes {edge[0]} and {edge[1]}")
-    wrong = fault(mesh)
-    if wrong is not None:
-        raise ValueError(wrong)
-    return _named(mesh, boundaries or {}, subdomains or {}, number)
-
-
-def named(
-    mesh: MeshTri,
-    boundaries: Mapping[str, Any] | None = None,
-    subdomains: Mapping[str, Any] | None = None,
-) -> MeshTri:
-    """The mesh with further names, given as in :func:`from_arrays`."""
-    return _named(mesh, boundaries or {}, subdomains or {}, np.arange(mesh.p.shape[1]))
 
 
 def read_mesh(path: str | Path) -> MeshTri:
@@ -253,153 +173,67 @@ def read_mesh(path: str | Path) -> MeshTri:
         mesh = MeshTri.load(path)  # scikit-fem's own way to keep names
         edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
         return from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, edges, mesh.subdomains)
-    kinds = {block.type: sum(len(b.data) for b in file.cells if b.type == block.type) for block in file.cells}
-    other = [kind for kind in kinds if kind not in PLAIN_CELLS]
-    if other:
-        raise ValueError(
-            f"{path}: has {kinds[other[0]]} cells of type {other[0]!r}: only triangles with straight edges "
-            "can be used"
-        )
+    try:
+        return _mesh(file)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _mesh(file: meshio.Mesh) -> MeshTri:
+    kinds = [block.type for block in file.cells]
+    for kind in kinds:
+        if kind not in PLAIN_CELLS:
+            count = sum(len(block.data) for block in file.cells if block.type == kind)
+            raise ValueError(
+                f"has {count} cells of type {kind!r}: only triangles with straight edges can be used"
+            )
     if "triangle" not in kinds:
-        raise ValueError(f"{path}: has no triangles{_hint_of_gmsh(file)}")
+        # gmsh may have left them out
+        made_by_gmsh = any(key.startswith("gmsh:") for key in file.cell_data)
+        raise ValueError(f"has no triangles{HINT_OF_GMSH if made_by_gmsh else ''}")
     points = np.asarray(file.points, dtype=float)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
-        raise ValueError(
-            f"{path}: its points have shape {points.shape}: expected two or three coordinates each"
-        )
+        raise ValueError(f"its points have shape {points.shape}: expected two or three coordinates each")
     if points.shape[1] == 3 and np.ptp(points[:, 2]) > SAME_NODE * np.max(np.ptp(points, axis=0)):
-        raise ValueError(f"{path}: is not plane: z runs from {points[:, 2].min()} to {points[:, 2].max()}")
-    try:
-        boundaries, subdomains = _groups(file)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise ValueError(f"is not plane: z runs from {points[:, 2].min()} to {points[:, 2].max()}")
+    groups = _groups(file)
     triangles = np.vstack([block.data for block in file.cells if block.type == "triangle"])
-    try:
-        return from_arrays(points[:, :2], triangles, boundaries, subdomains)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    return from_arrays(points[:, :2], triangles, groups["line"], groups["triangle"])
 
 
-def _hint_of_gmsh(file: meshio.Mesh) -> str:
-    """Why a file of gmsh may have lines alone, and how to mend it."""
-    if not any(key.startswith("gmsh:") for key in file.cell_data):
-        return ""
-    return (
-        ": gmsh saves only what is in a physical group once there is one; add a physical surface, "
-        'Physical Surface("body") = {1}; or gmsh.model.addPhysicalGroup(2, [1], name="body")'
-    )
+HINT_OF_GMSH = (
+    ": gmsh saves only what is in a physical group once there is one; add a physical surface, "
+    'Physical Surface("body") = {1}; or gmsh.model.addPhysicalGroup(2, [1], name="body")'
+)
+
+GROUPS = {"line": (1, "boundary"), "triangle": (2, "subdomain")}
+"""Dimension of the groups of cells of one kind, and what they are called without a name."""
 
 
-def _nodes(nodes: ArrayLike) -> NDArray[np.float64]:
-    p = np.array(nodes, dtype=float)
-    if p.ndim != 2 or p.shape[1] != 2:
-        raise ValueError(f"nodes must be an array of shape (nodes, 2), got {p.shape}")
-    if not np.all(np.isfinite(p)):
-        bad = int(np.flatnonzero(~np.all(np.isfinite(p), axis=1))[0])
-        raise ValueError(f"node {bad} is at ({p[bad, 0]}, {p[bad, 1]})")
-    return p.T
-
-
-def _triangles(triangles: ArrayLike, n_nodes: int) -> NDArray[np.int64]:
-    t = np.array(triangles)
-    if t.ndim != 2 or t.shape[1] != 3 or t.shape[0] == 0:
-        raise ValueError(f"triangles must be an array of shape (elements, 3), got {t.shape}")
-    if not np.issubdtype(t.dtype, np.integer):
-        raise ValueError(f"triangles must hold node numbers, got values of type {t.dtype}")
-    if t.min() < 0 or t.max() >= n_nodes:
-        bad = int(np.flatnonzero(np.any((t < 0) | (t >= n_nodes), axis=1))[0])
-        raise ValueError(f"triangle {bad} has nodes {t[bad].tolist()}, but nodes run from 0 to {n_nodes - 1}")
-    return t.astype(np.int64).T
-
-
-def _without_duplicates(p: NDArray, t: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Nodes at one place merged; also the new number of each old node."""
-    pairs = cKDTree(p.T).query_pairs(SAME_NODE * float(np.max(np.ptp(p, axis=1))), output_type="ndarray")
-    number = np.arange(p.shape[1])
-    for a, b in pairs[np.argsort(pairs[:, 1])]:
-        number[b] = number[a]
-    merged = np.unique(number)
-    if merged.size < p.shape[1]:
-        used = np.isin(np.flatnonzero(number != np.arange(number.size)), t)
-        if np.any(used):
-            _warn(f"merged {p.shape[1] - merged.size} duplicate nodes")
-        number = np.searchsorted(merged, number)
-        p, t = p[:, merged], number[t]
-    repeated = np.flatnonzero((t[0] == t[1]) | (t[1] == t[2]) | (t[0] == t[2]))
-    if repeated.size:
-        raise ValueError(f"triangle {repeated[0]} has a repeated node")
-    return p, t, number
-
-
-def _named(
-    mesh: MeshTri, boundaries: Mapping[str, Any], subdomains: Mapping[str, Any], number: NDArray
-) -> MeshTri:
-    lookup = {tuple(pair): facet for facet, pair in enumerate(np.sort(mesh.facets, axis=0).T.tolist())}
-    facets, elements = {}, {}
-    for name, value in boundaries.items():
-        if callable(value):
-            facets[name] = _chosen(mesh.p[:, mesh.facets].mean(axis=1), value, mesh.boundary_facets())
-        else:
-            facets[name] = _facet_numbers(name, np.asarray(value), lookup, number)
-    for name, value in subdomains.items():
-        if callable(value):
-            elements[name] = _chosen(mesh.p[:, mesh.t].mean(axis=1), value, np.arange(mesh.t.shape[1]))
-        else:
-            elements[name] = np.unique(np.asarray(value, dtype=np.int64))
-            if np.any((elements[name] < 0) | (elements[name] >= mesh.t.shape[1])):
-                raise ValueError(f"the subdomain {name!r} has a triangle that the mesh has not")
-    for kind, names in (("boundary", facets), ("subdomain", elements)):
-        for name, value in names.items():
-            if np.size(value) == 0:
-                raise ValueError(f"the {kind} {name!r} is empty")
-    # with_boundaries would drop empty ones silently
-    mesh = mesh.with_boundaries({**(mesh.boundaries or {}), **facets}) if facets else mesh
-    return mesh.with_subdomains({**(mesh.subdomains or {}), **elements}) if elements else mesh
-
-
-def _chosen(midpoints: NDArray, predicate: Callable[[Any], Any], among: NDArray) -> NDArray[np.int64]:
-    inside = np.broadcast_to(np.asarray(predicate(midpoints[:, among]), dtype=bool), among.shape)
-    return np.asarray(among[inside], dtype=np.int64)
-
-
-def _facet_numbers(name: str, edges: NDArray, lookup: dict, number: NDArray) -> NDArray[np.int64]:
-    if edges.size and (edges.ndim != 2 or edges.shape[1] != 2):
-        raise ValueError(f"the boundary {name!r} must be an array of shape (edges, 2), got {edges.shape}")
-    result = []
-    for a, b in edges.reshape(-1, 2):
-        facet = lookup.get((min(number[a], number[b]), max(number[a], number[b])))
-        if facet is None:
-            raise ValueError(f"the boundary {name!r} has the edge ({a}, {b}), which is no edge of a triangle")
-        result.append(facet)
-    return np.unique(np.array(result, dtype=np.int64))
-
-
-def _groups(file: meshio.Mesh) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
-    """Named edges and triangles of a meshio mesh."""
-    parts: dict[str, dict[str, list[NDArray]]] = {"line": {}, "triangle": {}}
-    title = {"line": "boundary", "triangle": "subdomain"}
-    dimension = {"line": 1, "triangle": 2}
+def _groups(file: meshio.Mesh) -> dict[str, dict[str, NDArray]]:
+    """Named edges ("line"), as pairs of nodes, and named triangles by their numbers."""
+    parts: dict[str, dict[str, list[NDArray]]] = {kind: {} for kind in GROUPS}
     names = {(int(i), int(dim)): name for name, (i, dim) in (file.field_data or {}).items()}
     offset = 0
     for position, block in enumerate(file.cells):
-        if block.type not in parts:
+        if block.type not in GROUPS:
             continue
-        count = len(block.data)
+        (dimension, title), part, count = GROUPS[block.type], parts[block.type], len(block.data)
         cells = np.asarray(block.data) if block.type == "line" else offset + np.arange(count)
         offset += count if block.type == "triangle" else 0
         for key in ("gmsh:physical", "medit:ref"):
             tags = np.asarray(file.cell_data[key][position]) if key in file.cell_data else np.zeros(count)
             for tag in np.unique(tags[tags > 0]).astype(int):
-                name = names.get((tag, dimension[block.type]), f"{title[block.type]}-{tag}")
-                parts[block.type].setdefault(name, []).append(cells[tags == tag])
+                name = names.get((tag, dimension), f"{title}-{tag}")
+                part.setdefault(name, []).append(cells[tags == tag])
         for name, chosen in (file.cell_sets or {}).items():
             # gmsh's own sets repeat its physical groups; the others are none of the user's
-            if str(name).startswith("gmsh:") or name in parts[block.type]:
+            if str(name).startswith("gmsh:") or name in part:
                 continue
             members = _members(name, chosen, position)
             if members.size:
-                parts[block.type].setdefault(name, []).append(cells[members])
-    return tuple({n: np.concatenate(v) for n, v in parts[k].items()} for k in ("line", "triangle"))  # type: ignore[return-value]
+                part.setdefault(name, []).append(cells[members])
+    return {kind: {name: np.concatenate(found) for name, found in parts[kind].items()} for kind in parts}
 
 
 def _members(name: Any, chosen: Any, position: int) -> NDArray[np.int64]:
@@ -413,7 +247,3 @@ def _members(name: Any, chosen: Any, position: int) -> NDArray[np.int64]:
     raise ValueError(
         f"the set {name!r} is no list of cells, perhaps one of sets: write out its cells, or leave it out"
     )
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, MeshRepairWarning, stacklevel=4)

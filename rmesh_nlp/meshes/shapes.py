@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.meshes.reading import from_arrays, read_mesh
+from rmesh_nlp.meshes.arrays import from_arrays
+from rmesh_nlp.meshes.reading import read_mesh
 
 DIAGONALS = ("rising", "falling")
 

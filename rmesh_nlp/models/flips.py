@@ -24,9 +24,9 @@ from rmesh_nlp.fem.distortion import reference_shapes
 from rmesh_nlp.fem.element import plain
 from rmesh_nlp.fem.energy import load_energy, strain_energy
 from rmesh_nlp.mapping.validity import least_angles
+from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.flips import flipped
 from rmesh_nlp.meshes.geometry import shape_quality
-from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.coefficients import is_nonzero
 from rmesh_nlp.problem.lines import line_facets

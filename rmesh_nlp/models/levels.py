@@ -12,9 +12,9 @@ from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.coarsening import Coarse, Lines, decimated, unrefined
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.problem import ContactProblem, Relative, signed_areas

@@ -14,8 +14,8 @@ from skfem import MeshTri
 
 from rmesh_nlp.display import Rows, describe, figure, html_table, plain_table, rich_table
 from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise
-from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.problem.checks import check
 from rmesh_nlp.problem.conditions import Dirichlet, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.data import ProblemData

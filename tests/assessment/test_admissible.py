@@ -214,7 +214,7 @@ def test_a_body_on_a_curve_touches_with_its_true_shape() -> None:
 
 
 def _fan(rim: np.ndarray) -> object:
-    from rmesh_nlp.meshes.reading import from_arrays
+    from rmesh_nlp.meshes.arrays import from_arrays
 
     n = rim.shape[1]
     points = np.vstack([rim.T, [(0.0, 1.0)]])

@@ -10,8 +10,8 @@ import pytest
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.edge_gaps import POWER, SAMPLES, with_edge_gaps
+from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.curves import Circle
-from rmesh_nlp.meshes.reading import from_arrays
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, Traction
 from support.contact_geometry import LAW, block_between_two_foundations
