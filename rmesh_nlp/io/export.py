@@ -49,12 +49,10 @@ def point_data(solution: Solution) -> dict[str, Array]:
     3 tied, ``box_multiplier`` (of move limits) as in :class:`rmesh_nlp.models.residual.Multipliers`.
     """
     space, fields = DisplacementSpace.of(solution.problem), fields_of(solution)
-    data = fields.point_data()
+    data, mobility = fields.point_data(), MeshMap.of(solution.problem).mobility
     data["gap"] = gaps(space, fields.nodes, solution.displacement)
     data["motion"] = three(fields.nodes - fields.initial)
-    data["mobility"] = space.of_linear(MeshMap.of(solution.problem).mobility[None].astype(float))[0].astype(
-        np.int32
-    )
+    data["mobility"] = space.of_linear(mobility[None].astype(float))[0].astype(np.int32)
     if solution.multipliers is not None:
         data["box_multiplier"] = space.of_linear(solution.multipliers.limit[None])[0]
     return data

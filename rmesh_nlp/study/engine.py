@@ -32,6 +32,13 @@ START_S = 120.0
 NO_CLUSTER = (OSError, ValueError, RuntimeError, asyncio.TimeoutError, concurrent.futures.TimeoutError)
 """What dask.distributed raises if a cluster cannot be reached, or its processes do not start."""
 
+OWN_SETTINGS = {
+    "distributed.scheduler.preload": [workers.__name__],  # its dask_setup
+    "distributed.worker.preload": [workers.__name__],
+    "distributed.worker.profile.enabled": False,
+}
+"""A cluster that is started here serves no pages, and its workers do not look at their own stack."""
+
 
 def missing(plan: Sequence[PlannedSolve], folder: Path) -> list[PlannedSolve]:
     """Planned solves without a row."""
@@ -101,12 +108,16 @@ def distributed_rows(
     """
     if not plan:
         return
-    distributed, place = _distributed_module(), str(folder.resolve())
+    try:
+        import distributed
+    except ImportError:
+        said = "--jobs above 1 and --scheduler need dask.distributed: pip install 'rmesh-nlp[study]'"
+        raise BadInputError(said) from None
     with _client(distributed, min(jobs, len(plan)), scheduler) as client:
         futures = client.map(
             workers.task,
             [solve.plain() for solve in plan],
-            folder=place,
+            folder=str(folder.resolve()),
             whole=whole,
             key=[f"rmesh-{solve.key}" for solve in plan],
             pure=False,
@@ -131,6 +142,8 @@ def distributed_rows(
 @contextmanager
 def _client(distributed: Any, jobs: int, scheduler: str | None) -> Iterator[Any]:
     """A client of the cluster; a local one ends with it."""
+    import dask
+
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     if hasattr(signal, "SIGPIPE") and threading.current_thread() is threading.main_thread():
         # as Python has it: libraries such as gmsh may have set it so that a lost connection ends this process
@@ -138,15 +151,12 @@ def _client(distributed: Any, jobs: int, scheduler: str | None) -> Iterator[Any]
     cluster = client = None
     try:
         try:
-            with _own_settings():
+            with dask.config.set(OWN_SETTINGS):
                 if scheduler is None:
                     cluster = _own_cluster(distributed)
                     _start_workers(cluster, jobs)
-                elif scheduler.startswith("tls:") and not _has_certificate(distributed):
-                    raise BadInputError(
-                        f"{scheduler} asks for a certificate: name it in dask's configuration, "
-                        "distributed.comm.tls.client, or in DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT"
-                    )
+                elif scheduler.startswith("tls:"):
+                    _check_certificate(distributed, scheduler)
                 client = distributed.Client(cluster or scheduler, timeout=START_S, set_as_default=False)
                 client.wait_for_workers(1, timeout=START_S)
         except BadInputError:
@@ -167,8 +177,12 @@ def _client(distributed: Any, jobs: int, scheduler: str | None) -> Iterator[Any]
                 cluster.shutdown_on_close = False
 
 
-def _has_certificate(distributed: Any) -> bool:
-    return distributed.Security().get_connection_args("client").get("ssl_context") is not None
+def _check_certificate(distributed: Any, scheduler: str) -> None:
+    if distributed.Security().get_connection_args("client").get("ssl_context") is None:
+        raise BadInputError(
+            f"{scheduler} asks for a certificate: name it in dask's configuration, "
+            "distributed.comm.tls.client, or in DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT"
+        )
 
 
 def _own_cluster(distributed: Any) -> Any:
@@ -221,27 +235,3 @@ def _deaf_to_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _own_settings() -> Iterator[None]:
-    """A cluster that is started now serves no pages, and its workers do not look at their own stack."""
-    import dask
-
-    own = {
-        "distributed.scheduler.preload": [workers.__name__],  # its dask_setup
-        "distributed.worker.preload": [workers.__name__],
-        "distributed.worker.profile.enabled": False,
-    }
-    with dask.config.set(own):
-        yield
-
-
-def _distributed_module() -> Any:
-    try:
-        import distributed
-    except ImportError:
-        raise BadInputError(
-            "--jobs above 1 and --scheduler need dask.distributed: pip install 'rmesh-nlp[study]'"
-        ) from None
-    return distributed

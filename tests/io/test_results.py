@@ -7,7 +7,6 @@ import errno
 import json
 import os
 import warnings
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,53 +30,35 @@ from rmesh_nlp.io.results import (
 )
 from support.reporting import failed_61, fixed_61, joint_61
 
+ROW = to_json(fixed_61(key="a")) + "\n"
+SINGLE = {RECORD: ROW, "solution.vtu": "x", "history.csv": "x"}
+OWN = {
+    RECORDS: ROW + "not a record\n" + to_json(joint_61(key="b_c")) + "\n",
+    **dict.fromkeys(("solutions/a.vtu", "solutions/a.csv", "solutions/b_c.vtu"), "x"),
+    **dict.fromkeys((f"{FIGURES}/a-grid.png", f"{FIGURES}/a-grid.pdf"), "x"),
+    **{"table.md": "# Comparison of formulations\n", "table.csv": "a,b\n", "table.tex": "% made by rmesh\n"},
+}
+MINE = {
+    **dict.fromkeys(("solutions/other.vtu", f"{FIGURES}/mine.png", "thesis.txt", "solution.vtu"), "x"),
+    "record.json": "{}",
+}
 
-def fill(folder: Path, files: dict[str, str]) -> None:
+
+def fill(folder, files):
     for name, text in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
 
 
-ROW = to_json(fixed_61(key="a")) + "\n"
-OWN = {
-    RECORDS: ROW + "not a record\n" + to_json(joint_61(key="b_c")) + "\n",
-    "solutions/a.vtu": "x",
-    "solutions/a.csv": "x",
-    "solutions/b_c.vtu": "x",
-    f"{FIGURES}/a-grid.png": "x",
-    f"{FIGURES}/a-grid.pdf": "x",
-    "table.md": "# Comparison of formulations\n",
-    "table.csv": "a,b\n",
-    "table.tex": "% made by rmesh\n",
-}
-MINE = {
-    "solutions/other.vtu": "x",
-    f"{FIGURES}/mine.png": "x",
-    "thesis.txt": "x",
-    "record.json": "{}",
-    "solution.vtu": "x",
-}
-
-
-def test_what_an_earlier_version_wrote_is_known_by_its_records_and_its_heads(tmp_path):
-    fill(tmp_path, OWN | MINE)
-    assert sorted(Results(tmp_path).manifest.names()) == sorted(OWN)
-    Results(tmp_path).manifest.set_aside()
-    assert {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()} == {
-        *MINE, *(f"previous/{name}" for name in OWN), f"previous/{MANIFEST}"
-    }  # fmt: skip
-
-
-def test_the_list_of_a_folder_is_not_made_anew(tmp_path):
-    Manifest(tmp_path).claim("mine.txt")
-    fill(tmp_path, OWN)
-    assert Results(tmp_path).manifest.names() == ["mine.txt"]
+def lines(*rows):
+    return "".join(to_json(row) + "\n" for row in rows)
 
 
 @pytest.mark.parametrize(
     ("files", "adopted"),
     [
-        ({RECORD: ROW, "solution.vtu": "x", "history.csv": "x"}, [RECORD, "solution.vtu", "history.csv"]),
+        (OWN | MINE, [*OWN]),
+        (SINGLE, [*SINGLE]),
         ({RECORD: "{}", "solution.vtu": "x"}, []),
         ({RECORDS: "my own\n", "table.csv": "a,b\n"}, []),
         ({"table.md": "# My table\n", "table.csv": "a,b\n"}, []),
@@ -87,49 +68,56 @@ def test_the_list_of_a_folder_is_not_made_anew(tmp_path):
         ({}, []),
     ],
 )
-def test_single_solve_and_tables_are_known_too_and_nothing_else(tmp_path, files, adopted):
+def test_what_an_earlier_version_wrote_is_known_by_its_records_and_its_heads(tmp_path, files, adopted):
     fill(tmp_path, files)
-    assert sorted(Results(tmp_path).manifest.names()) == sorted(adopted)
-    assert (tmp_path / MANIFEST).exists() == bool(adopted)
+    manifest = Results(tmp_path).manifest
+    assert sorted(manifest.names()) == sorted(adopted)
+    assert manifest.exists == bool(adopted)
+    manifest.set_aside()
+    moved = {*adopted, MANIFEST} if adopted else set()
+    found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert found == {*files} - moved | {f"previous/{name}" for name in moved}
 
 
-def study(folder: Path, *files: list[Any]) -> None:
-    fill(folder, {f"rows/records-{k}.jsonl": "".join(to_json(row) + "\n" for row in rows)
-                  for k, rows in enumerate(files)})  # fmt: skip
+def test_the_list_of_a_folder_is_not_made_anew(tmp_path):
+    Manifest(tmp_path).claim("mine.txt")
+    fill(tmp_path, OWN)
+    assert Results(tmp_path).manifest.names() == ["mine.txt"]
 
 
 def test_of_rows_of_a_study_with_one_key_the_first_success_counts_else_the_first(tmp_path):
-    study(
-        tmp_path,
-        [fixed_61(key="a", gain=1.0), failed_61(key="b", message="one"), failed_61(key="c", message="one")],
-        [fixed_61(key="a", gain=2.0), failed_61(key="b", message="two"), fixed_61(key="c", gain=3.0)],
-        [failed_61(key="a"), fixed_61(key="c", gain=4.0)],
-    )
+    fine, broken = fixed_61, failed_61
+    files = [
+        [fine(key="a", gain=1.0), broken(key="b", message="one"), broken(key="c", message="one")],
+        [fine(key="a", gain=2.0), broken(key="b", message="two"), fine(key="c", gain=3.0)],
+        [broken(key="a"), fine(key="c", gain=4.0)],
+    ]
+    fill(tmp_path, {f"rows/records-{k}.jsonl": lines(*rows) for k, rows in enumerate(files)})
     assert len(row_files(tmp_path)) == 3
-    rows = {row["key"]: row for row in read_rows(tmp_path)}
-    assert list(rows) == ["a", "b", "c"]
-    assert (rows["a"]["gain"], rows["b"]["message"], rows["c"]["gain"]) == (1.0, "one", 3.0)
-    assert [result.record["key"] for result in read_results(tmp_path)] == ["a", "b", "c"]
+    rows = read_rows(tmp_path)
+    assert [(row["key"], row["gain"], row.get("message")) for row in rows] == [
+        ("a", 1.0, None),
+        ("b", None, "one"),
+        ("c", 3.0, None),
+    ]
+    assert [result.record for result in read_results(tmp_path)] == rows
 
 
 def test_which_of_several_records_a_folder_is_read_from(tmp_path):
-    single, campaign, both = (tmp_path / name for name in ("single", "campaign", "both"))
-    fill(single, {RECORD: ROW})
-    (result,) = read_results(single)
-    assert (result.record["key"], result.vtu, result.history) == (
-        "a", single / "solution.vtu", single / "history.csv"
-    )  # fmt: skip
-    fill(campaign, {RECORD: ROW, RECORDS: to_json(joint_61(key="b")) + "\n"})
-    (result,) = read_results(campaign)
-    assert (result.record["key"], result.vtu) == ("b", campaign / "solutions" / "b.vtu")
-    # a campaign is noted, but only the record of a single solve is there
-    fill(both, {RECORD: ROW})
-    Manifest(both).claim(RECORDS)
-    assert [result.record["key"] for result in read_results(both)] == ["a"]
-    noted = tmp_path / "noted"
-    noted.mkdir()
-    Manifest(noted).claim(RECORDS)
-    assert read_results(noted) == []
+    def read(name, files, claimed=()):
+        fill(tmp_path / name, {**files, "mine": ""})
+        if claimed:
+            Manifest(tmp_path / name).claim(*claimed)
+        found = [(one.record["key"], one.vtu, one.history) for one in read_results(tmp_path / name)]
+        return [(key, *(str(path.relative_to(tmp_path / name)) for path in paths)) for key, *paths in found]
+
+    single = ("a", "solution.vtu", "history.csv")
+    assert read("single", {RECORD: ROW}) == [single]
+    several = {RECORD: ROW, RECORDS: lines(joint_61(key="b"))}
+    assert read("several", several) == [("b", "solutions/b.vtu", "solutions/b.csv")]
+    # a comparison is noted, but only the record of a single solve is there
+    assert read("both", {RECORD: ROW}, [RECORDS]) == [single]
+    assert read("noted", {}, [RECORDS]) == []
 
 
 def test_single_solve_is_recorded_after_its_files(tmp_path):
@@ -165,29 +153,18 @@ def test_history_comes_back_and_unknown_values_are_nan(tmp_path):
 
 
 def test_damaged_line_is_moved_away_before_the_next_row(tmp_path):
-    results = Results(tmp_path)
-    results.append(fixed_61())
-    with (tmp_path / RECORDS).open("a") as file:
-        file.write('{"example": "cut')
-    with pytest.warns(DamagedRecordsWarning):
-        results.append(joint_61())
-    assert results.read() == [fixed_61(), joint_61()]
-    assert (tmp_path / "records-damaged.txt").read_text() == '{"example": "cut\n'
-
-
-def test_mending_cuts_the_file_at_its_last_whole_line(tmp_path):
-    results = Results(tmp_path)
+    results, path = Results(tmp_path), tmp_path / RECORDS
     results.append(fixed_61(key="a"))
-    whole = (tmp_path / RECORDS).read_bytes()
+    whole = path.read_bytes()
     results.mend()
     assert not (tmp_path / "records-damaged.txt").exists()
-    for _ in range(2):
-        with (tmp_path / RECORDS).open("ab") as file:
-            file.write(b'{"half')
+    for mend in (results.mend, results.mend, lambda: results.append(joint_61())):
+        path.write_bytes(path.read_bytes() + b'{"half')
         with pytest.warns(DamagedRecordsWarning, match="is moved to"):
-            results.mend()
-    assert (tmp_path / RECORDS).read_bytes() == whole
-    assert (tmp_path / "records-damaged.txt").read_text() == '{"half\n' * 2
+            mend()
+        assert path.read_bytes().startswith(whole)
+    assert results.read() == [fixed_61(key="a"), joint_61()]
+    assert (tmp_path / "records-damaged.txt").read_text() == '{"half\n' * 3
     assert "records-damaged.txt" in results.manifest.names()
 
 
