@@ -15,14 +15,9 @@ from filelock import FileLock, Timeout
 
 from rmesh_nlp.errors import BadInputError
 
-LONGEST_NAME = 150
-"""Bytes of a file name without its suffix and those of figures; file systems allow 255."""
-
-TEMPORARY = ".rmesh-writing-"
-"""Head of the folders in which files are written before they are put in place."""
-
-LOCK = ".rmesh-lock"
-"""File that a process locks while it writes in the folder."""
+LONGEST_NAME = 150  # bytes of a file name without its suffix and those of figures; file systems allow 255
+TEMPORARY = ".rmesh-writing-"  # head of the folders in which files are written before they are put in place
+LOCK = ".rmesh-lock"  # file that a process locks while it writes in the folder
 
 
 def safe_name(text: str) -> str:

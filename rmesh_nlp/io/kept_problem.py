@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import meshio
 import numpy as np
 from skfem import MeshTri
 
@@ -23,8 +22,7 @@ from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.problem import ContactProblem
 
 PROBLEM = "problem.toml"
-MESH = "given-mesh"
-"""Name, without its ending, of the copy of the mesh file."""
+MESH = "given-mesh"  # name, without its ending, of the copy of the mesh file
 
 
 @dataclass(frozen=True)
@@ -66,16 +64,12 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     problem = build(table, path)
     if record.get("quadrature") is not None:  # some formulations raise it
         problem = replace(problem, quadrature=record["quadrature"])
-    vtu = folder / "solution.vtu"
-    fields = read_vtu(vtu)
+    fields = read_vtu(folder / "solution.vtu")
     space = DisplacementSpace.of(problem)
     if not np.array_equal(fields.triangles, space.elements):
         return None
-    data = meshio.vtu.read(str(vtu))
-    multipliers = None
-    if "box_multiplier" in data.point_data:
-        cells = (data.cell_data[name][0] for name in ("area_multiplier", "angle_multiplier"))
-        multipliers = Multipliers(data.point_data["box_multiplier"], *cells)
-    vertices = space.nodes_of(np.arange(problem.mesh.p.shape[1]))
+    vertices, multipliers = space.nodes_of(np.arange(problem.mesh.p.shape[1])), fields.multipliers
+    if multipliers is not None:
+        multipliers = replace(multipliers, limit=multipliers.limit[vertices])
     mesh = relocated_mesh(problem.mesh, fields.nodes[:, vertices])
     return KeptSolution(problem, mesh, fields.displacement, fields.pressure, multipliers)

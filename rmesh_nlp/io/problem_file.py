@@ -56,12 +56,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib  # type: ignore[import-not-found,unused-ignore]
 
-LARGEST_FILE = 1_000_000
-"""Bytes that a problem file may have."""
-
-DEEPEST = 20
-"""How deep tables and lists may be nested; a valid file needs five."""
-
+LARGEST_FILE = 1_000_000  # bytes that a problem file may have
+DEEPEST = 20  # how deep tables and lists may be nested; a valid file needs five
 SAME_PLACE = 1e-6
 """Distance, in units of the extent of the mesh, at which a node is at the place that a load names."""
 

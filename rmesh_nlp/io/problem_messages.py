@@ -13,11 +13,8 @@ from pydantic import BaseModel, ValidationError
 
 from rmesh_nlp.errors import BadInputError
 
-LISTS = ("contact", "point_loads")
-"""Tables of which a file may have several."""
-
-NAMED = ("materials", "formulations")
-"""Tables of tables by names."""
+LISTS = ("contact", "point_loads")  # tables of which a file may have several
+NAMED = ("materials", "formulations")  # tables of tables by names
 
 
 class ProblemFileError(BadInputError):

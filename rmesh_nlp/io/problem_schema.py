@@ -13,14 +13,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from rmesh_nlp.expressions import Expression
 
-LARGEST = 1e100
-"""Numbers must be smaller than this, so that their squares are finite."""
-
-FREE = "free"
-"""Written in ``[dirichlet]`` for a component that is not given."""
-
-SYMMETRY = "symmetry"
-"""Written in ``[dirichlet]`` for a straight boundary whose nodes stay on it."""
+LARGEST = 1e100  # numbers must be smaller than this, so that their squares are finite
+FREE = "free"  # written in ``[dirichlet]`` for a component that is not given
+SYMMETRY = "symmetry"  # written in ``[dirichlet]`` for a straight boundary whose nodes stay on it
 
 
 def _kind(expected: str, read: Callable[..., Any], *bounds: float) -> BeforeValidator:

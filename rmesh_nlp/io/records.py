@@ -6,6 +6,7 @@ import json
 import math
 import os
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,12 +18,8 @@ from rmesh_nlp.io.files import safe_name
 Record = dict[str, Any]
 """One solve as plain JSON values, see :meth:`rmesh_nlp.solving.solution.Solution.record`."""
 
-LONGEST_LINE = 10_000_000
-"""Characters that a record may have."""
-
-LARGEST_WHOLE = 2**63
-"""Whole numbers in records are smaller."""
-
+LONGEST_LINE = 10_000_000  # characters that a record may have
+LARGEST_WHOLE = 2**63  # whole numbers in records are smaller
 OLD_NAMES = {
     "strategy": "variant",
     "referee_equilibrium_residual": "assessed_equilibrium_residual",
@@ -55,8 +52,7 @@ def _rule(value: Any) -> Any:
     return value
 
 
-IN_A_SUCCESS = "a number in every row of a success"
-"""Mark of an entry, which elsewhere may be null."""
+IN_A_SUCCESS = "a number in every row of a success"  # mark of an entry, which elsewhere may be null
 
 Number = float | None
 Seconds = Annotated[float | None, Field(ge=0)]
@@ -237,6 +233,17 @@ def read_lines(path: Path) -> list[Record]:
     return [read_record(line, f"{path}, line {i}") for i, line in lines if line.strip()]
 
 
+def one_per_key(rows: Iterable[Record], *, latest: bool) -> list[Record]:
+    """One row for each key: of its successes, else of its failures, the first or the latest."""
+    chosen: dict[Any, Record] = {}
+    for position, row in enumerate(rows):
+        key = row.get("key", position)
+        kept = chosen.setdefault(key, row)
+        if row["success"] > kept["success"] or (latest and row["success"] == kept["success"]):
+            chosen[key] = row
+    return list(chosen.values())
+
+
 def damaged_last_line(path: Path) -> tuple[int, bytes]:
     """How many bytes of a file of records are whole lines, and the damaged line after them.
 
@@ -257,11 +264,9 @@ def damaged_last_line(path: Path) -> tuple[int, bytes]:
 def _last_line(path: Path) -> tuple[int, bytes]:
     """Where the last line begins, and the line; only the end of the file is read."""
     with path.open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        length = 4096
+        size, length = file.seek(0, os.SEEK_END), 4096
         while True:
-            begin = max(0, size - length)
-            file.seek(begin)
+            begin = file.seek(max(0, size - length))
             tail = file.read()
             start = tail.rfind(b"\n", 0, max(len(tail) - 1, 0)) + 1
             if start or not begin:

@@ -16,16 +16,20 @@ import numpy as np
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import append_whole, folder_lock, read_text, safe_name, write_text
 from rmesh_nlp.io.manifest import Manifest
-from rmesh_nlp.io.records import Record, damaged_last_line, read_lines, read_record, to_json, warn_of
+from rmesh_nlp.io.records import (
+    Record,
+    damaged_last_line,
+    one_per_key,
+    read_lines,
+    read_record,
+    to_json,
+    warn_of,
+)
 from rmesh_nlp.io.vtu import read_vtu
 
 RECORDS, SOLUTIONS, RECORD = "records.jsonl", "solutions", "record.json"
-DAMAGED = "records-damaged.txt"
-"""Where lines of records go that a full disk or a power cut left half written."""
-
-ROWS = "rows"
-"""Sub-folder of a study with one file of records per worker process."""
-
+DAMAGED = "records-damaged.txt"  # where lines of records go that a full disk or a power cut left half written
+ROWS = "rows"  # sub-folder of a study with one file of records per worker process
 TABLES = ("table.md", "table.tex", "table.csv")
 FIGURES = "figures"
 HISTORY_FIELDS = (
@@ -33,8 +37,7 @@ HISTORY_FIELDS = (
     *("contact_solves", "seconds", "stationarity"),
 )
 
-LATER_FIELDS = ("stationarity",)
-"""Columns that histories of older versions do not have."""
+LATER_FIELDS = ("stationarity",)  # columns that histories of older versions do not have
 
 
 @dataclass(frozen=True)
@@ -145,14 +148,10 @@ class Results:
         """
         self.mend()
         rows = self.read()
-        chosen: dict[Any, Record] = {}
-        for position, row in enumerate(rows):
-            key = row.get("key", position)
-            if key not in chosen or row["success"] or not chosen[key]["success"]:
-                chosen[key] = row
-        if len(chosen) < len(rows):
-            self.replace_all(list(chosen.values()))
-        return list(chosen.values())
+        kept = one_per_key(rows, latest=True)
+        if len(kept) < len(rows):
+            self.replace_all(kept)
+        return kept
 
 
 def row_files(folder: Path) -> list[Path]:
@@ -162,12 +161,7 @@ def row_files(folder: Path) -> list[Path]:
 
 def read_rows(folder: Path) -> list[Record]:
     """The rows of a study joined by key: of several with one key the first success, else the first."""
-    chosen: dict[str, Record] = {}
-    for row in (row for path in row_files(folder) for row in read_lines(path)):
-        key = str(row.get("key", ""))
-        if key not in chosen or (row["success"] and not chosen[key]["success"]):
-            chosen[key] = row
-    return list(chosen.values())
+    return one_per_key((row for path in row_files(folder) for row in read_lines(path)), latest=False)
 
 
 def read_results(folder: Path) -> list[Result]:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.solving.solution import Solution
 
-CELLS = {3: "triangle", 6: "triangle6"}
-"""What VTU files call elements, by their number of nodes."""
+CELLS = {3: "triangle", 6: "triangle6"}  # what VTU files call elements, by their number of nodes
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,8 @@ class Fields:
         and for scalar problems.
     error_bound, error_bound_initial : (elements,) arrays or None
         What each element adds to the bound of half the squared error; None without a certificate.
+    multipliers : Multipliers or None
+        As read from a file; those of move limits are at the nodes.
     """
 
     nodes: Array
@@ -53,6 +55,7 @@ class Fields:
     foundation: Array
     error_bound: Array | None = None
     error_bound_initial: Array | None = None
+    multipliers: Multipliers | None = None
 
     def point_data(self) -> dict[str, NDArray]:
         """The fields of the nodes as VTU files have them, by name."""
@@ -119,10 +122,11 @@ def read_vtu(path: Path) -> Fields:
     """
     try:
         mesh = meshio.vtu.read(str(path))  # meshio.read ends the process where it cannot read
-        data = mesh.point_data
-        bounds = {
-            name: mesh.cell_data.get(name, [None])[0] for name in ("error_bound", "error_bound_initial")
-        }
+        data, of_cells = mesh.point_data, {name: blocks[0] for name, blocks in mesh.cell_data.items()}
+        multipliers = None
+        if "box_multiplier" in data and {"area_multiplier", "angle_multiplier"} <= of_cells.keys():
+            of_elements = of_cells["area_multiplier"], of_cells["angle_multiplier"]
+            multipliers = Multipliers(data["box_multiplier"], *of_elements)
         fields = Fields(
             nodes=mesh.points[:, :2].T,
             initial=data["initial_position"][:, :2].T,
@@ -133,7 +137,9 @@ def read_vtu(path: Path) -> Fields:
             friction_bound=data["friction_bound"],
             contact=data["contact"].astype(bool),
             foundation=data["foundation"][:, :2].T,
-            **bounds,
+            error_bound=of_cells.get("error_bound"),
+            error_bound_initial=of_cells.get("error_bound_initial"),
+            multipliers=multipliers,
         )
         _check(fields)
     except Exception as error:  # meshio lets through whatever its parsers meet

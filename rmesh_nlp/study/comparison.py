@@ -37,17 +37,12 @@ from rmesh_nlp.study.plan import (
 )
 from rmesh_nlp.study.runner import INTERRUPTED, perform
 
-SUFFIX = ".toml"
-"""End of the name of a problem file."""
-
+SUFFIX = ".toml"  # end of the name of a problem file
 HARMLESS = {*LIMITS, "tolerance"}
 """Options that no formulation need take: one that does not iterate needs no limits."""
 
-REFINEMENTS = 2
-"""Uniform refinements that the problem of a file is compared with, ..."""
-
-LARGEST = 20_000
-"""... as long as they have no more nodes than this."""
+REFINEMENTS = 2  # uniform refinements that the problem of a file is compared with
+LARGEST = 20_000  # nodes that they may have
 
 Ended = tuple[PlannedSolve, Record, Callable[[Result], object]]
 """A solve, its row, and what puts its fields and history into their places."""

@@ -33,12 +33,9 @@ GRACE = 1.25
 """A solve is killed after its time limit times ``GRACE`` plus ``GRACE_S``: formulations that keep the limit
 themselves then still return their best point."""
 
-START_S = 300.0
-"""Longest time that a process may take to begin, on a loaded machine."""
-
+START_S = 300.0  # longest time that a process may take to begin, on a loaded machine
 POLL_S = 0.05
-ATTEMPTS = 2
-"""A solve whose process is killed from outside is tried once more, then it is a row."""
+ATTEMPTS = 2  # a solve whose process is killed from outside is tried once more, then it is a row
 
 
 class Contained:
@@ -85,12 +82,9 @@ class Contained:
         process, self._process = self._process, None
         if process is None:
             return None
-        process.kill()
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with suppress(OSError):
-                    pipe.close()
-        return process.wait()
+        with suppress(OSError), process:  # which closes its pipes and waits for it
+            process.kill()
+        return process.returncode
 
     def _ready(self) -> subprocess.Popen[bytes]:
         if self._process is not None and self._process.poll() is None:

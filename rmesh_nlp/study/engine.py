@@ -20,15 +20,9 @@ from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import Keys, RowsFile, set_failures_aside, wait_for_workers
 from rmesh_nlp.study.runner import failure
 
-BATCH = 1000
-"""Solves that are handed to the scheduler in one message."""
-
-WAIT_S = 120.0
-"""Longest wait for workers that outlived an earlier client."""
-
-START_S = 120.0
-"""Longest wait for the workers of a cluster."""
-
+BATCH = 1000  # solves that are handed to the scheduler in one message
+WAIT_S = 120.0  # longest wait for workers that outlived an earlier client
+START_S = 120.0  # longest wait for the workers of a cluster
 NO_CLUSTER = (OSError, ValueError, RuntimeError, asyncio.TimeoutError, concurrent.futures.TimeoutError)
 """What dask.distributed raises if a cluster cannot be reached, or its processes do not start."""
 

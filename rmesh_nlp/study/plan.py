@@ -26,14 +26,11 @@ from rmesh_nlp.solving.formulation import Chooser, Formulation, find
 from rmesh_nlp.solving.options import accepted
 from rmesh_nlp.study.study_file import StudyTable
 
-UNLIMITED = {"time_s": 7 * 86400.0, "memory_mb": 1e9}
-"""Limits of a solve for which none is asked."""
-
+UNLIMITED = {"time_s": 7 * 86400.0, "memory_mb": 1e9}  # limits of a solve for which none is asked
 RULE_S = {"fixed": 0.1, "joint": 0.5, "nested": 1.5, "mpcc": 2.5}
 """Seconds of a solve with 128 triangles on a processor of 2020, audit included (Example 6.1, n = 8)."""
 
-GROWTH = 1.3
-"""Times grow at least like this power of the number of triangles."""
+GROWTH = 1.3  # times grow at least like this power of the number of triangles
 
 
 @dataclass(frozen=True)

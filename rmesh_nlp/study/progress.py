@@ -23,11 +23,8 @@ from rmesh_nlp.solving.clock import TOLERANCE, Falling, Limits
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.study.plan import PlannedSolve
 
-EVERY_S = 10.0
-"""Seconds between lines about a solve that goes on, where there is no terminal."""
-
-EVERY = 100
-"""Solves between lines about a study, where there is no terminal."""
+EVERY_S = 10.0  # seconds between lines about a solve that goes on, where there is no terminal
+EVERY = 100  # solves between lines about a study, where there is no terminal
 
 
 class SolvesProgress:

@@ -33,9 +33,7 @@ STARTS, QUICK_STARTS = 40, 1
 LARGER = {"6.2": (1.5, 2.0), "6.3": (2.0, 4.0)}
 """Factors by which move limits are enlarged where the printed energy is not reached."""
 
-LARGER_STARTS = 5
-"""Random starts under enlarged move limits, and with friction weights held fixed."""
-
+LARGER_STARTS = 5  # random starts under enlarged move limits, and with friction weights held fixed
 USABLE = ("exploited",)
 """Ends other than success whose energy, by the problem's own rule, is that of a valid mesh."""
 

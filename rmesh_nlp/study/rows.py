@@ -26,8 +26,7 @@ except ImportError:  # Windows: no such locks there
     fcntl = None  # type: ignore[assignment]
 
 HEAD = "records-"
-FAILED = "failed.jsonl"
-"""Rows of failures that were tried again."""
+FAILED = "failed.jsonl"  # rows of failures that were tried again
 
 
 class RowsFile:

@@ -125,8 +125,7 @@ class StudyTable(Table):
         return self
 
 
-OLD = "strategies"
-"""What ``formulations`` was called up to 0.1."""
+OLD = "strategies"  # what ``formulations`` was called up to 0.1
 
 
 def read_study(path: str | Path) -> StudyTable:

@@ -16,9 +16,7 @@ from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import Keys, RowsFile
 
-ALONE = 0.9
-"""A solve that got less of its time from the processor shared it with something."""
-
+ALONE = 0.9  # a solve that got less of its time from the processor shared it with something
 SHORT = ("key", "example", "variant", "status", "success", "wall_time_s", "message")
 """What a client is told of a row."""
 
