@@ -48,21 +48,16 @@ class Relocation:
 
     Attributes
     ----------
-    discretisation : Discretisation
-    x : MX symbol
-        The unknowns ``(q, u, s)``.
     assembled : Assembled
-        Objective, rows and their derivatives, each built when it is first asked for: a descent in q alone
+        Objective, rows and derivatives by ``x``, each built when it is first asked for: a descent in q alone
         needs the first derivatives only.
     displacement, slip : Field
-        (components, nodes) and (obstacles, nodes), functions of the unknowns; slip is zero where there
-        is no friction.
+        (components, nodes) and (obstacles, nodes), functions of ``x``; slip is zero where there is no
+        friction.
     validity : Validity
         The validity rows by themselves; none where a barrier stands in their place.
-    objective : Objective
-        The energy, and terms in the positions alone if there are any.
     position_groups : tuple of ElementGroup
-        The element groups of those terms.
+        Of the terms of the objective in the positions alone.
     """
 
     discretisation: Discretisation
@@ -173,26 +168,17 @@ def with_lower_rule(own: Relocation, rule: int) -> Relocation:
 def relocation(problem: ContactProblem | Discretisation, objective: Objective = ENERGY) -> Relocation:
     """Build the energy NLP of a problem, with assembled derivatives.
 
-    Parameters
-    ----------
-    problem : ContactProblem or Discretisation
-    objective : Objective
-        The energy, to which terms in the positions alone may be added: the levels collapse with them
-        too. A distortion is infinite where an element degenerates and undefined beyond; it then stands in
-        the place of the element areas, which are constraints only if a least angle is asked for as well.
-
-    Raises
-    ------
-    ValueError
-        If the objective has another term: the inner problem must then stay a constraint.
+    The objective is the energy, to which terms in the positions alone may be added: the levels collapse with
+    them too. With any other term, a ValueError, the inner problem must stay a constraint. A distortion is
+    infinite where an element degenerates and undefined beyond; it then stands in the place of the element
+    areas, which are constraints only if a least angle is asked for as well.
     """
     if not objective.collapses:
         raise ValueError(f"{objective.text!r} is not the energy with terms in the positions alone")
     parts = discretise(problem)
     free, n_u, n_s, n_contact = parts.mesh_map, parts.n_u, parts.n_s, parts.n_contact
-    validity = parts.validity
-    if objective.has_barrier and parts.problem.motion.min_angle == 0:
-        validity = validity.without_rows()
+    replaced = objective.has_barrier and parts.problem.motion.min_angle == 0
+    validity = parts.validity.without_rows() if replaced else parts.validity
     displacement = parts.displacement.numbered_from(free.n)
     slip = parts.slip.numbered_from(free.n + n_u)
     position_groups = parts.objective(objective.in_positions, free.positions, displacement, slip)
@@ -214,13 +200,8 @@ def relocation(problem: ContactProblem | Discretisation, objective: Objective = 
 class Blocks:
     """Blocks of the Hessian of ``J - lambda . gap - tau . u_t`` in q, displacement u and slip s.
 
-    Attributes
-    ----------
-    qq, qu, qs : sparse arrays
-    gap : (contact nodes, n_q) sparse array
-        Derivative of the gaps by q.
-    slip : (n_s, n_q) sparse array
-        Derivative of the slips u_t by q; zero where no foundation is curved.
+    ``gap`` (contact nodes, n_q) and ``slip`` (n_s, n_q) are the derivatives of the gaps and of the slips u_t
+    by q; those of slips are zero where no foundation is curved.
     """
 
     qq: sp.csc_array
@@ -233,11 +214,8 @@ class Blocks:
 class SecondDerivatives:
     """Evaluates the blocks; where they are in the whole is found once.
 
-    Parameters
-    ----------
-    relocation : Relocation
-    rule : int, optional
-        Degree of the quadrature rule of the loads in the Hessian, if that of the problem is higher.
+    ``rule`` is the degree of the quadrature rule of the loads in the Hessian, if that of the problem is
+    higher.
     """
 
     def __init__(self, relocation: Relocation, rule: int | None = None) -> None:

@@ -37,20 +37,7 @@ from rmesh_nlp.problem import ContactProblem
 
 @dataclass(frozen=True)
 class Bilevel:
-    """The MPCC and where its parts are.
-
-    Attributes
-    ----------
-    mpcc : MPCC
-    n_q, n_u, n_contact : int
-        Numbers of outer variables, displacement unknowns and gaps.
-    friction_rows : int array
-        Numbers of those gaps at which friction may act.
-    length, force : float
-        Units of displacements and of nodal forces in ``x``.
-    value : float
-        Unit of the objective.
-    """
+    """The MPCC and where its parts are; ``length``, ``force`` and ``value`` are the units of the model."""
 
     mpcc: MPCC
     n_q: int
@@ -110,13 +97,7 @@ def bilevel(
 ) -> Bilevel:
     """Build the bilevel problem as an MPCC with assembled derivatives.
 
-    Parameters
-    ----------
-    problem : ContactProblem or Discretisation
-    objective : Objective
-        Outer objective; the energy by default.
-    length, force, value : float
-        Units of displacement, of nodal force, and of the objective.
+    ``length``, ``force`` and ``value`` are units of displacement, of nodal force, and of the outer objective.
     """
     parts = discretise(problem)
     free, n_u, n_c, n_s = parts.mesh_map, parts.n_u, parts.n_contact, parts.n_s
@@ -171,19 +152,15 @@ def bilevel(
         lbg=np.concatenate([np.zeros(n_equations), area_bound]),
         ubg=np.concatenate([np.zeros(n_equations), np.full(area_bound.size, np.inf)]),
         derivatives=assembled.derivatives,
-        parts=_parts(x, free.n, n_u, n_c, n_s),
+        parts=_by_name(x, [free.n, n_u, n_c, *([n_s] * 3 if n_s else ())]),
     )
     return Bilevel(mpcc, free.n, n_u, n_c, parts.friction_rows, length, force, value)
 
 
-def _parts(x: ca.MX, n_q: int, n_u: int, n_c: int, n_s: int) -> dict[str, ca.MX]:
-    """The unknowns by name, in the units of the model; those of friction only where there is some."""
-    names = ["q", "u", "normal_force"]
-    sizes = [n_q, n_u, n_c]
-    if n_s:
-        names += ["slip", "friction_minus", "friction_plus"]
-        sizes += [n_s] * 3
-    return dict(zip(names, ca.vertsplit(x, np.cumsum([0, *sizes]).tolist()), strict=True))
+def _by_name(x: ca.MX, sizes: list[int]) -> dict[str, ca.MX]:
+    """The unknowns in the units of the model; the last three are those of friction."""
+    names = ("q", "u", "normal_force", "slip", "friction_minus", "friction_plus")
+    return dict(zip(names, ca.vertsplit(x, np.cumsum([0, *sizes]).tolist()), strict=False))
 
 
 def _in_units_of_rows(group: ElementGroup, unit: float) -> ElementGroup:

@@ -76,8 +76,7 @@ def reduced_nlp(
     tolerance: float,
 ) -> ReducedNLP:
     """The NLP ``min F(q)`` within move limits and element areas; its objective is a contact solve."""
-    q, p = rel.validity.q, ca.MX(0, 1)
-    areas, bound = rel.validity.assembled, rel.validity.bound
+    q, p, areas, bound = rel.validity.q, ca.MX(0, 1), rel.validity.assembled, rel.validity.bound
     scale = abs(function(np.zeros(rel.n_q)).value) or 1.0
     oracle = _Oracle(function, rel, scale)
     value, gradient = oracle(q)
@@ -105,24 +104,17 @@ class _Oracle(PythonFunction):
 
     def __init__(self, function: Reduced, relocation: Relocation, scale: float) -> None:
         self._function, self._scale, self._relocation = function, scale, relocation
-        self._n = n = relocation.n_q
-        super().__init__(
-            "reduced_objective", [ca.Sparsity.dense(n)], [ca.Sparsity.dense(1), ca.Sparsity.dense(n)]
-        )
+        one, n = ca.Sparsity.dense(1), ca.Sparsity.dense(relocation.n_q)
+        super().__init__("reduced_objective", [n], [one, n])
 
     def eval(self, arg: list[ca.DM]) -> list[Any]:
-        q = arg[0].full().ravel()
-        if not self._is_defined(q):
-            return [np.nan, np.full(self._n, np.nan)]  # Ipopt then takes a shorter step
+        q, rel = arg[0].full().ravel(), self._relocation
+        # the contact problem of a mesh with inverted elements has no meaning
+        upright = not rel.n_valid or is_upright(rel.problem, rel.nodes(q))
+        if not (upright and self._function.is_defined(q)):
+            return [np.nan, np.full(q.size, np.nan)]  # Ipopt then takes a shorter step
         point = self._function(q)
         return [point.value / self._scale, point.gradient / self._scale]
-
-    def _is_defined(self, q: Array) -> bool:
-        """Whether the objective is: the contact problem of a mesh with inverted elements has no meaning."""
-        rel = self._relocation
-        if rel.n_valid and not is_upright(rel.problem, rel.nodes(q)):
-            return False
-        return self._function.is_defined(q)
 
 
 class _SecondOracle(PythonFunction):
@@ -179,20 +171,19 @@ class _Lifted(_SecondOracle):
     def _matrix(self, q: Array, factor: float, rows: sp.csc_array | None) -> sp.csc_array:
         """The upper triangle over all unknowns."""
         found = self._curvature.at(self._function.energy(q)).lifted()
-        moves = factor * found.moves
+        outer = factor * found.outer
         if rows is not None:
-            moves = moves + rows
-        size = float(np.max(np.abs(moves.data), initial=0.0)) or 1.0
+            outer = outer + rows
+        size = float(np.max(np.abs(outer.data), initial=0.0)) or 1.0
         # in these units of w the factor, which may be 0, need not be divided by
         unit = sp.diags_array(np.sqrt(STIFF * size / found.stiffness.diagonal()))
         stiffness, mixed = unit @ found.stiffness @ unit, np.sqrt(factor) * (unit @ found.mixed)
         diagonal = np.full(found.n_u, STIFF * size)  # of unknowns that contact determines
         diagonal[found.free] = 0.0
-        shape = (found.n_u, found.free.size)
-        put = sp.csc_array((np.ones(found.free.size), (found.free, np.arange(found.free.size))), shape=shape)
+        put = sp.csc_array(_incidence(found.free, np.arange(found.free.size), found.n_u, found.free.size))
         corner = put @ stiffness @ put.T + sp.diags_array(diagonal)
         mixed = put @ mixed
-        matrix = sp.csc_array(sp.triu(sp.block_array([[moves, mixed.T], [mixed, corner]])))
+        matrix = sp.csc_array(sp.triu(sp.block_array([[outer, mixed.T], [mixed, corner]])))
         matrix.sum_duplicates()
         return matrix
 
@@ -245,46 +236,45 @@ def _pattern(relocation: Relocation) -> sp.csc_array:
     meet = _elements(relocation)
     follows = sp.csr_array(sp.eye_array(meet.shape[0]) + _beside(relocation))
     moved = meet @ follows
-    to_moves = _to_unknowns(relocation.mesh_map.positions.index, relocation.n_q)
+    to_outer = _to_unknowns(relocation.mesh_map.positions.index, relocation.n_q)
     to_others = _to_unknowns(relocation.displacement.index - relocation.n_q, relocation.n_u)
-    moves = to_moves.T @ (follows.T @ moved) @ to_moves + sp.eye_array(relocation.n_q)
-    mixed = to_others.T @ moved @ to_moves
+    outer = to_outer.T @ (follows.T @ moved) @ to_outer + sp.eye_array(relocation.n_q)
+    mixed = to_others.T @ moved @ to_outer
     others = to_others.T @ meet @ to_others + sp.eye_array(relocation.n_u)
-    pattern = sp.csc_array(sp.triu(sp.block_array([[moves, mixed.T], [mixed, others]])))
+    pattern = sp.csc_array(sp.triu(sp.block_array([[outer, mixed.T], [mixed, others]])))
     pattern.sum_duplicates()
     pattern.sort_indices()
     return pattern
 
 
+def _incidence(rows: Index, columns: Index, *shape: int) -> sp.csr_array:
+    """A sparse matrix with ones at these places."""
+    return sp.csr_array((np.ones(rows.size), (rows, columns)), shape=shape)
+
+
 def _elements(relocation: Relocation) -> sp.csr_array:
     """(nodes, nodes) Whether two nodes are of one element, or the same."""
-    triangles = relocation.problem.triangles
-    n = relocation.problem.mesh.p.shape[1]
-    element = np.broadcast_to(np.arange(triangles.shape[1]), triangles.shape)
-    ones = np.ones(triangles.size)
-    belongs = sp.csr_array((ones, (triangles.ravel(), element.ravel())), shape=(n, triangles.shape[1]))
+    triangles, n = relocation.problem.triangles, relocation.problem.mesh.p.shape[1]
+    element = np.tile(np.arange(triangles.shape[1]), 3)
+    belongs = _incidence(triangles.ravel(), element, n, triangles.shape[1])
     return sp.csr_array(belongs @ belongs.T + sp.eye_array(n))
 
 
 def _beside(relocation: Relocation) -> sp.csr_array:
     """(nodes, nodes) Which other nodes the gap of a node depends on."""
-    problem = relocation.problem
-    n = problem.mesh.p.shape[1]
+    problem, n = relocation.problem, relocation.problem.mesh.p.shape[1]
     found = sp.csr_array((n, n))
     for part in problem.contact_sets:
         if holds_along_edges(problem, part.obstacle):
             one, two = Body(problem, problem.mesh.p).edges_of(part.obstacle).ends
-            pairs = np.append(one, two), np.append(two, one)
-            found = found + sp.csr_array((np.ones(pairs[0].size), pairs), shape=(n, n))
+            found = found + _incidence(np.append(one, two), np.append(two, one), n, n)
     return found
 
 
 def _to_unknowns(index: Index, n: int) -> sp.csr_array:
     """(nodes, n) Which unknowns a field has at each node; ``index`` is (components, nodes)."""
-    node = np.broadcast_to(np.arange(index.shape[1]), index.shape)
-    inside = index >= 0
-    pairs = node[inside], index[inside]
-    return sp.csr_array((np.ones(pairs[0].size), pairs), shape=(index.shape[1], n))
+    component, node = np.nonzero(index >= 0)
+    return _incidence(node, index[component, node], index.shape[1], n)
 
 
 def _keys(matrix: sp.csc_array) -> Array:

@@ -66,14 +66,7 @@ def _scaling(matrix: sp.sparray) -> Array:
 
 
 class Curvature:
-    """Evaluates L'' at contact solutions of one problem.
-
-    Parameters
-    ----------
-    energy : ReducedEnergy
-    rule : int, optional
-        See :class:`~rmesh_nlp.models.energy_nlp.SecondDerivatives`; None for exact second derivatives.
-    """
+    """Evaluates L'' at contact solutions of one problem; for ``rule`` see :class:`SecondDerivatives`."""
 
     def __init__(self, energy: ReducedEnergy, rule: int | None = None) -> None:
         self._energy, self._derivatives = energy, SecondDerivatives(energy.relocation, rule)
@@ -87,23 +80,14 @@ class Curvature:
 
 @dataclass(frozen=True)
 class Lifted:
-    """L'' as a Schur complement, ``moves - mixed^T stiffness^-1 mixed``, all three of them sparse.
+    """L'' as a Schur complement, ``outer - mixed^T stiffness^-1 mixed``, all three of them sparse.
 
     Where the change of a displacement is known from that of q, at touching and at sticking nodes, it is put
-    in; what is left is the stiffness over the displacements that contact leaves free.
-
-    Attributes
-    ----------
-    moves : (n_q, n_q) sparse array
-    mixed : (free, n_q) sparse array
-    stiffness : (free, free) sparse array
-    free : (free,) int array
-        Numbers of these displacements, in the coordinates of the contact system.
-    n_u : int
-        Number of all displacements.
+    in; what is left is the stiffness over the displacements that contact leaves free, ``free`` their numbers
+    in the coordinates of the contact system. ``n_u`` is the number of all displacements.
     """
 
-    moves: sp.csc_array
+    outer: sp.csc_array
     mixed: sp.csc_array
     stiffness: sp.csc_array
     free: Index
@@ -115,15 +99,15 @@ class Hessian:
 
     def __init__(self, point: ReducedPoint, blocks: Blocks, friction_rows: Index) -> None:
         self.qq = blocks.qq.T  # the same matrix, but by rows: a product takes half the time
-        self._qu, self._qs = blocks.qu, blocks.qs
-        self._uq, self._sq, self._gap, self._gap_q = blocks.qu.T, blocks.qs.T, blocks.gap, blocks.gap.T
-        self._slip, self._slip_q = blocks.slip, blocks.slip.T
-        self._active = point.equilibrium.active
-        self._rows = friction_rows
-        self._tangents = point.system.tangents[friction_rows]
-        self._sliding = (
-            self._active.sliding[friction_rows].astype(float) if friction_rows.size else np.zeros(0)
+        self._qu, self._qs, self._gap, self._slip = blocks.qu, blocks.qs, blocks.gap, blocks.slip
+        self._uq, self._sq, self._gap_q, self._slip_q = (
+            part.T for part in (blocks.qu, blocks.qs, blocks.gap, blocks.slip)
         )
+        self._active, self._rows = point.equilibrium.active, friction_rows
+        self._tangents = point.system.tangents[friction_rows]
+        self._sliding = np.zeros(0)
+        if friction_rows.size:
+            self._sliding = self._active.sliding[friction_rows].astype(float)
         self._respond = TangentResponse(point.system, self._active)
         self._rotated = point.system.rotated
         self._whole: Array | None = None
@@ -134,41 +118,40 @@ class Hessian:
 
     def lifted(self) -> Lifted:
         """The sparse matrix in q and displacements whose Schur complement is L''."""
-        rotated, active = self._rotated, self._active
-        mixed, moves = self._uq, self.qq
-        n_contact, n_q = active.touching.size, moves.shape[0]
-        slip = sp.csr_array((n_contact, n_q))
+        rotated, active, mixed, outer = self._rotated, self._active, self._uq, self.qq
+        n_contact = active.touching.size
+        slip = sp.csr_array((n_contact, outer.shape[0]))
         if self._rows.size:
             slip = sp.csr_array(sp.csr_array(sp.eye_array(n_contact))[:, self._rows] @ self._slip)
             friction = self._qs @ sp.diags_array(self._sliding)
             mixed = mixed + self._tangents.T @ friction.T
-            moves = moves + friction @ self._slip + (friction @ self._slip).T
+            outer = outer + friction @ self._slip + (friction @ self._slip).T
         if rotated.basis is not None:
             mixed = rotated.basis.T @ mixed
         mixed = sp.csr_array(mixed)
-        held, by_moves = self._respond.held, sp.csr_array(self._respond.held_by(self._gap, slip))
+        held, follows = self._respond.held, sp.csr_array(self._respond.held_by(self._gap, slip))
         inside, _ = rotated.factor(active)
         stiffness = sp.csr_array(rotated.K)
-        coupled = by_moves.T @ mixed[held]
-        moves = moves - coupled - coupled.T + by_moves.T @ stiffness[held][:, held] @ by_moves
-        mixed = mixed[inside] - stiffness[inside][:, held] @ by_moves
+        coupled = follows.T @ mixed[held]
+        outer = outer - coupled - coupled.T + follows.T @ stiffness[held][:, held] @ follows
+        mixed = mixed[inside] - stiffness[inside][:, held] @ follows
         corner = rotated.K[:, inside][inside]
-        return Lifted(sp.csc_array(moves), sp.csc_array(mixed), corner, inside, rotated.F.size)
+        return Lifted(sp.csc_array(outer), sp.csc_array(mixed), corner, inside, rotated.F.size)
 
     def joint(self, width: Array) -> tuple[sp.csc_array, int]:
         """The matrix of :meth:`lifted` with q in units of ``width``, and n: its first n unknowns are q."""
         lifted, scale = self.lifted(), sp.diags_array(width)
         mixed = lifted.mixed @ scale
-        matrix = sp.block_array([[scale @ lifted.moves @ scale, mixed.T], [mixed, lifted.stiffness]])
+        matrix = sp.block_array([[scale @ lifted.outer @ scale, mixed.T], [mixed, lifted.stiffness]])
         return sp.csc_array(matrix), width.size
 
     def __call__(self, d: Array) -> Array:
         """``L'' d`` for a vector (n,), or for each column of a matrix (n, k)."""
-        if d.ndim == 1 and d.size <= DENSE:
-            if self._whole is None:
-                self._whole = self._products(np.eye(d.size))
-            return np.asarray(self._whole @ d)
-        return self._products(d)
+        if d.ndim == 2 or d.size > DENSE:
+            return self._products(d)
+        if self._whole is None:
+            self._whole = self._products(np.eye(d.size))
+        return np.asarray(self._whole @ d)
 
     def _products(self, d: Array) -> Array:
         sliding = self._sliding if d.ndim == 1 else self._sliding[:, None]
@@ -186,13 +169,7 @@ class Hessian:
 
 
 class ObjectiveCurvature:
-    """Evaluates F'' at contact solutions of one problem.
-
-    Parameters
-    ----------
-    energy : ReducedEnergy
-    objective : Objective
-    """
+    """Evaluates F'' at contact solutions of one problem."""
 
     def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
         start = energy(np.zeros(energy.relocation.n_q))
@@ -203,17 +180,16 @@ class ObjectiveCurvature:
             force=start.system.force_scale or 1.0,
         )
         mpcc = self._program.mpcc
-        assert mpcc.derivatives is not None
-        assert mpcc.derivatives.hess_lag is not None
-        self._kept = mpcc.derivatives
+        self._kept = kept = mpcc.derivatives
+        assert kept is not None
+        assert kept.hess_lag is not None
         self._n_g, self._n_pairs = mpcc.n_g, mpcc.n_pairs
         self._equations = np.flatnonzero(np.asarray(mpcc.lbg) == np.asarray(mpcc.ubg))
-        self._gradient = Evaluator(mpcc.derivatives.grad_f)
-        self._jacobian = Evaluator(mpcc.derivatives.jac_g)
-        self._hessian = Evaluator(mpcc.derivatives.hess_lag)
-        rows, columns = mpcc.derivatives.jac_g.sparsity_out(1).get_triplet()
+        self._gradient, self._jacobian = Evaluator(kept.grad_f), Evaluator(kept.jac_g)
+        self._hessian = Evaluator(kept.hess_lag)
+        rows, columns = kept.jac_g.sparsity_out(1).get_triplet()
         self._jacobian_at = np.asarray(rows), np.asarray(columns)
-        self._symmetric = Symmetric(numbered(mpcc.derivatives.hess_lag.sparsity_out(0)))
+        self._symmetric = Symmetric(numbered(kept.hess_lag.sparsity_out(0)))
 
     def at(self, point: ReducedPoint) -> ObjectiveHessian:
         """F'' at a point, ready for products."""
@@ -237,13 +213,7 @@ class ObjectiveCurvature:
 
 
 class ObjectiveHessian:
-    """F'' at one point.
-
-    Attributes
-    ----------
-    gradient : (n_q,) array
-        F', by the same adjoint.
-    """
+    """F'' at one point, and F' by the same adjoint."""
 
     def __init__(
         self, gradient: Array, lagrangian: sp.csr_matrix, of_q: sp.csr_matrix, factors: splu
@@ -267,12 +237,7 @@ class ObjectiveHessian:
 
 
 class SecantCurvature:
-    """Evaluates the approximation at the points of a descent, one after the other.
-
-    Parameters
-    ----------
-    function : ReducedCertificate
-    """
+    """Evaluates the approximation at the points of a descent, one after the other."""
 
     def __init__(self, function: ReducedCertificate) -> None:
         self._function, self._upper = function, Curvature(function.upper)
