@@ -1,8 +1,6 @@
 """Outer solvers of the nested formulation, by name: trust-region Newton-CG and interior points (Ipopt).
 
-They take any outer objective. "newton" and "ipopt" use the second derivative of the reduced
-energy, and that of any other objective by a second-order adjoint, or for the bound of the error partly by
-secants (:mod:`rmesh_nlp.models.second_derivatives`).
+They take any outer objective, with its second derivatives (:mod:`rmesh_nlp.models.second_derivatives`).
 """
 
 from __future__ import annotations
@@ -20,7 +18,6 @@ from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.newton_step import Model
-from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status, StoppedError
 from rmesh_nlp.optimize.trust_region import Evaluation, NewtonResult, NewtonSettings, minimise
@@ -97,24 +94,22 @@ class NestedSettings(Settings):
 
     def limited_memory(self, has_limits: bool) -> dict[str, Any]:
         """Ipopt's options without Hessians."""
-        found = {
+        return {
             "hessian_approximation": "limited-memory",
             "limited_memory_max_history": MEMORY,
             # after two skipped updates in a row Ipopt forgets the memory, and then crawls
             "limited_memory_max_skipping": 1_000_000,
+            **({"limited_memory_init_val": CURVATURE_IN_LIMITS} if has_limits else {}),
             "tol": self.tol,
             "max_iter": self.max_iterations or 500,
+            **self.ipopt,
         }
-        if has_limits:
-            found["limited_memory_init_val"] = CURVATURE_IN_LIMITS
-        return {**found, **self.ipopt}
 
     def exact(self, problem: ReducedNLP) -> dict[str, Any]:
         """Ipopt's options with exact Hessians."""
         names = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
-        near = {"mu_init": WARM_BARRIER, **dict.fromkeys(names, WARM_PUSH)}
         return {
-            **(near if problem.warm else {}),
+            **({"mu_init": WARM_BARRIER, **dict.fromkeys(names, WARM_PUSH)} if problem.warm else {}),
             "tol": max(LEAST_TOL, problem.tolerance**2),
             "acceptable_tol": max(LEAST_ACCEPTABLE_TOL, problem.tolerance**2),
             "max_iter": self.max_iterations or 500,
@@ -126,10 +121,7 @@ class NestedSettings(Settings):
 
 @dataclass(frozen=True)
 class OuterResult:
-    """Where an outer solver stopped.
-
-    ``method`` names what it ran, where its name leaves that open.
-    """
+    """Where an outer solver stopped; ``method`` is what it ran, where its name leaves that open."""
 
     q: Array
     status: Status
@@ -144,43 +136,34 @@ def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nest
     """Ipopt with second derivatives where they can be had, else with limited memory; never above the start.
 
     Those of the energy are sparse in outer variables and displacements together
-    (:mod:`rmesh_nlp.models.reduced_nlp`); those of other objectives are a dense matrix, for up to
-    ``LARGEST_DENSE`` outer variables.
+    (:mod:`rmesh_nlp.models.reduced_nlp`), those of other objectives a dense matrix. It ends as soon as the
+    outer variables are stationary by the first-order residual: Ipopt's own test is of its multipliers, and
+    where rounding keeps them from its tolerance it would go on for dozens of contact solves.
     """
-    if isinstance(problem.function, ReducedEnergy):
-        larger = lifted(problem)
-        first = np.append(start, np.zeros(larger.n_x - start.size))
-        return _run(problem, larger, first, monitor, settings.exact(problem), EXACT)
-    if problem.nlp.n_x <= LARGEST_DENSE:
-        return _run(problem, with_hessian(problem).nlp, start, monitor, settings.exact(problem), EXACT)
-    options = settings.limited_memory(has_limits=bool(np.all(np.isfinite(problem.nlp.ubx))))
-    return _run(problem, problem.nlp, start, monitor, options, LIMITED_MEMORY)
-
-
-def _run(
-    problem: ReducedNLP, nlp: NLP, first: Array, monitor: Monitor, options: dict[str, Any], method: str
-) -> OuterResult:
-    """A solve from ``first``, whose leading unknowns are the outer variables.
-
-    It ends as soon as they are stationary by the first-order residual. Ipopt's own test is of its
-    multipliers, and where rounding keeps them from its tolerance it would go on for dozens of contact solves.
-    """
-    n, stationary = problem.nlp.n_x, False
-    start, function = first[:n], problem.function
+    nlp, options, method, function = problem.nlp, settings.exact(problem), EXACT, problem.function
+    if isinstance(function, ReducedEnergy):
+        nlp = lifted(problem)
+    elif nlp.n_x <= LARGEST_DENSE:
+        nlp = with_hessian(problem).nlp
+    else:
+        options, method = settings.limited_memory(bool(np.all(np.isfinite(nlp.ubx)))), LIMITED_MEMORY
+    n, stationary = start.size, False
     most = function(start).value
     most += RISE * abs(most)
 
+    def clipped(x: Array) -> Array:
+        return np.asarray(np.clip(x[:n], problem.nlp.lbx, problem.nlp.ubx))
+
     def watch(iteration: int, x: Array, f: float) -> bool:
         nonlocal stationary
-        stop = bool(monitor(iteration, x[:n], f))
-        q = np.clip(x[:n], problem.nlp.lbx, problem.nlp.ubx)
+        stop, q = bool(monitor(iteration, x[:n], f)), clipped(x)
         if not stop and iteration > 0 and problem.is_valid(q):
             point = function(q)
             stationary = point.value <= most and problem.residual(point) <= problem.tolerance
         return stop or stationary
 
-    result = Solver(nlp, options=options, monitor=watch)(first)
-    q = np.clip(result.x[:n], problem.nlp.lbx, problem.nlp.ubx)
+    result = Solver(nlp, options=options, monitor=watch)(np.append(start, np.zeros(nlp.n_x - n)))
+    q = clipped(result.x)
     if not (np.isfinite(result.f) and function(q).value <= most):
         status = Status.STALLED if result.converged else result.status
         return OuterResult(start, status, result.iterations, method)
@@ -198,10 +181,9 @@ def _ipopt(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nested
     tried = result.status in (Status.CONVERGED, Status.STALLED)
     if result.method != LIMITED_MEMORY or not tried or problem.nlp.n_g:
         return result
-    end = _descend(problem, result.q, monitor, settings, before=result.iterations)
-    return OuterResult(
-        end.x, end.status, result.iterations + end.iterations, f"{LIMITED_MEMORY}, then newton"
-    )
+    end = _descend(problem, result.q, _counted_on(monitor, result.iterations), settings)
+    iterations = result.iterations + end.iterations
+    return OuterResult(end.x, end.status, iterations, f"{LIMITED_MEMORY}, then newton")
 
 
 def _newton(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
@@ -231,15 +213,15 @@ def _newton_cg(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Ne
     found = _descend(problem, start, monitor, replace(settings, max_iterations=ALONG_AREAS))
     if found.status in (Status.CONVERGED, Status.INTERRUPTED):
         return OuterResult(found.x, found.status, found.iterations, CONJUGATE_GRADIENTS)
-    near = found.status is Status.STALLED and not found.crowded
-    end = interior(
-        replace(problem, warm=near),
-        found.x,
-        lambda iteration, q, value: monitor(found.iterations + iteration, q, value),
-        settings,
-    )
+    near = replace(problem, warm=found.status is Status.STALLED and not found.crowded)
+    end = interior(near, found.x, _counted_on(monitor, found.iterations), settings)
     method = f"{CONJUGATE_GRADIENTS}, then {end.method}"
     return replace(end, iterations=found.iterations + end.iterations, method=method)
+
+
+def _counted_on(monitor: Monitor, before: int) -> Monitor:
+    """A monitor of the solver that goes on after so many iterations."""
+    return lambda iteration, q, value: monitor(before + iteration, q, value)
 
 
 def _descend(
@@ -247,12 +229,10 @@ def _descend(
     start: Array,
     monitor: Monitor,
     settings: NestedSettings,
-    *,
     gain: float = TIGHT,
     tolerance: float | None = None,
-    before: int = 0,
 ) -> NewtonResult:
-    """Newton-CG on the reduced objective; iterations are counted on from ``before``."""
+    """Newton-CG on the reduced objective."""
     function, nlp, curvature = problem.function, problem.nlp, curvature_of(problem.function)
     guarded = nlp.n_g > 0 or function.objective.has_barrier
 
@@ -275,7 +255,7 @@ def _descend(
         max_iterations=settings.max_iterations or 200,
         constraints=function.energy.validity if nlp.n_g else None,
         settings=settings.newton,
-        on_step=lambda iteration, q, here: monitor(before + iteration, q, here.value),
+        on_step=lambda iteration, q, here: monitor(iteration, q, here.value),
     )
 
 
@@ -299,8 +279,4 @@ class _Timed:
         return self.model.diagonal()
 
 
-OUTER_SOLVERS: dict[str, OuterSolver] = {
-    "ipopt": _ipopt,
-    "newton": _newton,
-    "newton-cg": _newton_cg,
-}
+OUTER_SOLVERS: dict[str, OuterSolver] = {"ipopt": _ipopt, "newton": _newton, "newton-cg": _newton_cg}

@@ -63,24 +63,17 @@ def descend(
 ) -> NewtonResult:
     """Descend from outer variables ``q``; see :func:`rmesh_nlp.optimize.trust_region.minimise`.
 
-    Parameters
-    ----------
-    energy : ReducedEnergy
-        Its objective must have a distortion, which keeps the elements valid.
-    approximate : bool
-        Second derivatives with loads by a lower rule, see ``MODEL_RULE``: for descents that are not followed
-        to a stationary point.
+    The objective must have a distortion, which keeps the elements valid. ``approximate`` second derivatives,
+    with loads by a lower rule, serve descents that are not followed to a stationary point.
     """
-    relocation = energy.relocation
+    relocation, bound = energy.relocation, energy.relocation.mesh_map.bound
     if not relocation.objective.has_barrier:
         raise ValueError("without a distortion in the objective elements would be inverted")
-    curvature, bound = Curvature(energy, MODEL_RULE if approximate else None), relocation.mesh_map.bound
+    curvature = Curvature(energy, MODEL_RULE if approximate else None)
 
     def evaluate(x: Array) -> Evaluation | None:
-        if not is_upright(relocation.problem, relocation.nodes(x)):
-            return None
-        point = energy(x)
-        if not np.isfinite(point.value):
+        point = energy(x) if is_upright(relocation.problem, relocation.nodes(x)) else None
+        if point is None or not np.isfinite(point.value):
             return None
         return Evaluation(point.value, point.gradient, lambda: curvature.at(point))
 
@@ -146,15 +139,9 @@ def longest_valid(relocation: Relocation, q: Array, step: Array) -> float:
 
 @dataclass(frozen=True)
 class Finish:
-    """Where :func:`finished` ended.
+    """Where :func:`finished` ended: CONVERGED if the residual is at most the tolerance.
 
-    Attributes
-    ----------
-    result : NewtonResult
-        CONVERGED if the residual is at most the tolerance.
-    residual : float
-    factorisations : int
-        Of second derivatives in outer variables and displacements together.
+    ``factorisations`` are those of second derivatives in outer variables and displacements together.
     """
 
     result: NewtonResult
@@ -172,21 +159,10 @@ def finished(
     max_iterations: int,
     on_step: OnPoint | None = None,
 ) -> Finish:
-    """Descend from ``q`` until the first-order residual is at most ``tolerance``.
+    """Descend from ``q``, with a distortion, until the first-order residual is at most ``tolerance``.
 
-    Parameters
-    ----------
-    energy : ReducedEnergy
-        With a distortion.
-    q : (n,) array
-    residual : callable
-        See :class:`rmesh_nlp.models.residual.OuterResidual`.
-    tolerance : float
-    reference : float
-        Value above which a decrease is a gain.
-    max_iterations : int
-    on_step : callable, optional
-        The descent stops if it returns True.
+    ``reference`` is the value above which a decrease is a gain; the descent stops if ``on_step`` returns
+    True.
     """
     here, factorisations = float("inf"), 0
 
@@ -214,8 +190,7 @@ def finished(
         forcing=FORCING,
         preconditioner=factorised,
     )
-    here = residual(energy(result.x))
-    q, status = result.x, result.status
+    q, status, here = result.x, result.status, residual(energy(result.x))
     if status in (Status.CONVERGED, Status.STALLED) and tolerance < here <= NEAR:
         q, here, more = _polished(energy, q, residual, here, tolerance)
         factorisations += more
@@ -238,9 +213,9 @@ def _polished(
             break
         count += factor.factorisations
         step = BoxStep(Scaled(model, width), width * energy(q).gradient, factor)
-        low, high = (-bound - q) / width, (bound - q) / width
-        move, _ = step.within(np.maximum(low, -1.0), np.minimum(high, 1.0), EXACT_FORCING)
-        there = np.clip(q + width * move, -bound, bound)
+        low, high = np.maximum((-bound - q) / width, -1.0), np.minimum((bound - q) / width, 1.0)
+        y, _ = step.within(low, high, EXACT_FORCING)
+        there = np.clip(q + width * y, -bound, bound)
         if not energy.is_defined(there) or not residual(energy(there)) < here:
             break
         q, here = there, residual(energy(there))
