@@ -1,18 +1,15 @@
 """The cascade of meshes: which end of several counts, how long descents are, and what it notes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 import pytest
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.models import cascade as module
-from rmesh_nlp.models.cascade import CascadeSettings, Schedules, cascade
-from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.models.cascade import CascadeSettings, cascade
 from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.optimize.status import Status, StoppedError
 from rmesh_nlp.problem import ContactProblem
@@ -25,46 +22,39 @@ def square(n: int) -> ContactProblem:
 
 @pytest.mark.parametrize("schedules", [((3.0,), (0.01,)), ((0.01,), (3.0,))])
 def test_of_several_schedules_the_best_end_counts_and_weights_are_continued(
-    schedules: Schedules, monkeypatch: pytest.MonkeyPatch
+    schedules: tuple, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "CHEAP", 1.0)
-    descents: list[tuple[ReducedEnergy, list[Array], list[float]]] = []
-
-    def note(iteration: int, energy: ReducedEnergy, q: Array, value: float) -> None:
-        if not descents or descents[-1][0] is not energy:
-            descents.append((energy, [], []))
-        descents[-1][1].append(q)
-        descents[-1][2].append(value)
-
-    result = cascade(square(3), CascadeSettings(schedules=schedules, iterations=4), note)
-    final = result.energy.relocation.objective.text
-    ends = [values[-1] for energy, _, values in descents if energy.relocation.objective.text == final]
+    seen: list[tuple] = []
+    settings = CascadeSettings(schedules=schedules, iterations=4)
+    result = cascade(square(3), settings, lambda iteration, *step: seen.append(step))
+    descents = [list(steps) for _, steps in groupby(seen, key=lambda step: id(step[0]))]
+    final = result.energy.objective.text
+    ends = [steps[-1][2] for steps in descents if steps[0][0].objective.text == final]
     assert len(ends) >= 2
     assert result.energy(result.q).value <= min(ends)
     for heavier, lighter in ((0, 1), (2, 3)):
-        np.testing.assert_array_equal(descents[lighter][1][0], descents[heavier][1][-1])
+        np.testing.assert_array_equal(descents[lighter][0][1], descents[heavier][-1][1])
 
 
 def test_levels_have_the_weight_of_their_error_and_add_up() -> None:
     problem, seen = square(8), []
-    settings = CascadeSettings(coarsest=20, iterations=6)
-    result = cascade(problem, settings, lambda iteration, energy, *_: seen.append((iteration, energy)))
+    result = cascade(problem, CascadeSettings(coarsest=20, iterations=6), lambda i, *_: seen.append(i))
     coarse, fine = result.levels
-    assert (coarse.nodes, fine.nodes) == (25, 81)
+    assert (coarse.nodes, fine.nodes, coarse.triangles, fine.triangles) == (25, 81, 32, 128)
     # the error falls like the number of nodes
     error = gain_estimate(module.coarsened(problem, 20)).value
     assert coarse.weight == pytest.approx(0.003 * error)
     assert fine.weight == pytest.approx(0.003 * error * 25 / 81)
     assert result.gain_estimate == pytest.approx(error * 25 / 81)
-    assert np.isnan(coarse.prolonged)
-    assert np.isnan(coarse.taken)
+    assert np.isnan([coarse.prolonged, coarse.taken]).all()
     assert fine.taken == 1
     assert fine.energy == result.energy(result.q).equilibrium.energy < fine.prolonged
     # the last iterate of each descent is reported with the number of those before it
-    numbers = [iteration for iteration, _ in seen]
-    assert numbers == sorted(numbers)
-    assert numbers[-1] == coarse.iterations + fine.iterations
+    assert seen == sorted(seen)
+    assert seen[-1] == coarse.iterations + fine.iterations
     assert min(coarse.contact_solves, fine.contact_solves, coarse.products, fine.products) > 0
+    assert result.energy.contact_solves >= fine.contact_solves > 0
     assert result.record()[1]["nodes"] == 81
 
 
