@@ -1,28 +1,24 @@
 """Maps between the levels of a cascade: prolongation exact on linear maps, and what is accepted of a map."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rmesh_nlp.assessment.admissible import admissible
-from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.levels import accepted, coarsened, interpolated, located, prolonged
 from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.models.regularisation import gain_estimate, regularised
 from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
 from support.curved import HOLE, plate
 from support.problems import no_boxes
+from support.reduced import reduced, with_distortion
 
 
 def free_square(n: int, shake: float = 0.0) -> ContactProblem:
@@ -79,27 +75,20 @@ def test_a_map_that_would_invert_elements_of_the_finer_mesh_is_smoothed_or_dampe
     assert np.max(np.abs(prolonged(one.mesh.p, one.triangles, move, bounded))) == pytest.approx(1.0)
 
 
-def energy_of(problem: ContactProblem) -> ReducedEnergy:
-    return ReducedEnergy.of(ContactSolver(problem), regularised(gain_estimate(problem).value, 0.01))
-
-
 def continuous(energy: ReducedEnergy, q: Array) -> float:
     rel = energy.relocation
     return admissible(rel.problem, rel.nodes(q), energy(q).equilibrium.active).energy
 
 
 def test_a_map_is_halved_until_it_lowers_the_energy() -> None:
-    energy = energy_of(replace(no_boxes(EXAMPLES["6.1"](n=3)), quadrature=4))
+    energy = with_distortion(replace(no_boxes(EXAMPLES["6.1"](n=3)), quadrature=4))
     zero = np.zeros(energy.relocation.n_q)
-    downhill = -energy(zero).gradient
-    downhill = 1e-2 / np.max(np.abs(downhill)) * downhill
-    whole, part = accepted(energy, downhill)
-    assert part == 1
-    np.testing.assert_array_equal(whole, downhill)
-    uphill, part = accepted(energy, -downhill)
-    assert part == 0
-    np.testing.assert_array_equal(uphill, zero)
-    far = downhill
+    slope = energy(zero).gradient
+    far = downhill = -1e-2 / np.max(np.abs(slope)) * slope
+    for q, expected in ((downhill, 1), (-downhill, 0)):
+        taken, part = accepted(energy, q)
+        assert part == expected
+        np.testing.assert_array_equal(taken, expected * q)
     while energy.is_defined(far) and continuous(energy, far) < continuous(energy, zero):
         far = 2 * far
     taken, part = accepted(energy, far)
@@ -119,7 +108,7 @@ def test_a_map_that_gains_by_penetration_is_not_taken() -> None:
         obstacle=Obstacle.curve("bottom", lambda x, y: y + 0.05 * (x - 1) ** 2),
         motion=Motion(None),
     )
-    energy = energy_of(problem)
+    energy = with_distortion(problem)
     zero = np.zeros(energy.relocation.n_q)
     found = descend(energy, zero, gain_tolerance=0, max_iterations=4).x
     assert energy(found).equilibrium.energy < energy(zero).equilibrium.energy
@@ -128,7 +117,7 @@ def test_a_map_that_gains_by_penetration_is_not_taken() -> None:
 
 def test_no_map_is_taken_where_an_arc_cuts_through_its_triangle() -> None:
     problem = plate({"hole": HOLE})
-    energy = ReducedEnergy.of(ContactSolver(problem), parse_objective("energy + shape-size"))
+    energy = reduced(problem, "energy + shape-size")
     facet = int(problem.mesh.boundaries["hole"][0])
     ends, element = problem.mesh.facets[:, facet], problem.mesh.f2t[0, facet]
     inner = int(np.setdiff1d(problem.triangles[:, element], ends)[0])
