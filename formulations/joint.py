@@ -14,7 +14,7 @@ import numpy as np
 from formulations.nested import Nested
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.models.alternating import alternated
 from rmesh_nlp.models.energy_nlp import Relocation, relocation
@@ -71,7 +71,8 @@ class Joint(Formulation):
     """Minimises the energy over node positions and displacement together, by Ipopt.
 
     Where Ipopt stops close to a stationary point but not at one, Newton steps on the reduced energy follow.
-    The record then has their number as ``newton_steps``. docs/notes/speed.md has the benchmarks that chose
+    The record then has their number as ``newton_steps``. Where it ends above its start, Newton's method
+    begins again from there, which never rises. docs/notes/speed.md has the benchmarks that chose
     the settings.
 
     Attributes
@@ -144,6 +145,8 @@ class Joint(Formulation):
         status = Status.CONVERGED if result.converged else result.status
         if not result.converged and not outer.is_valid(end):
             return Outcome(outer, track.best(q), status)
+        if is_above(outer, end, q):
+            return Nested().run(outer, q, monitor)
         before = monitor.iterations
         last = end if status is Status.ITERATION_LIMIT else self._finished(outer, end, monitor)
         if last is not end:
@@ -200,6 +203,15 @@ def build(problem: ContactProblem) -> NLP:
     CasADi solver.
     """
     return relocation(problem).nlp
+
+
+def is_above(outer: Outer, end: Array, start: Array) -> bool:
+    """Whether the energy at a valid end is above that at the start, whose valley a barrier may leave."""
+    energy = outer.energy
+    if not (outer.is_valid(end) and energy.is_defined(end)):
+        return False
+    given = energy(start).value
+    return energy(end).value > given + ROUNDING * abs(given)
 
 
 def _own(outer: Outer, q: Array, result: NLPResult) -> Equilibrium:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from formulations.joint import Joint, pull
+from formulations.joint import Joint, is_above, pull
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
@@ -176,7 +176,8 @@ class AllAtOnce(Formulation):
     """Solves the MPCC by a homotopy of relaxations, and an exact finish.
 
     From a start that is close to a minimiser, the end of another formulation, only the last relaxation and
-    the exact finish follow, which certify that end as a solution of the MPCC, or leave it.
+    the exact finish follow, which certify that end as a solution of the MPCC, or leave it. So they do from
+    the start itself where the homotopy has ended at a minimiser of the energy above it.
 
     Attributes
     ----------
@@ -207,7 +208,7 @@ class AllAtOnce(Formulation):
         return super().having(own)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        scaling = pull(outer.energy(q).gradient)
+        start, scaling = q, pull(outer.energy(q).gradient)
         is_energy = outer.objective.is_energy
         if is_energy and not outer.is_near:
             q = _in_step(outer, q)
@@ -244,9 +245,12 @@ class AllAtOnce(Formulation):
         relaxation = Relaxation(self.relaxation)
         if result.status in LIMITS:
             return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))
+        q = np.clip(program.split(result.x)[0], -outer.bound, outer.bound)
+        if is_energy and not near and is_above(outer, q, start):
+            return self.run(outer.near(), start, monitor)
         return Outcome(
             outer,
-            np.clip(program.split(result.x)[0], -outer.bound, outer.bound),
+            q,
             result.status,
             own=_equilibrium(outer, program, result),
             decides=True,

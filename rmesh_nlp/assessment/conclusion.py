@@ -6,6 +6,8 @@ Valid
 Improved
     The minimised objective, measured by the assessment, is not above its value on the mesh as given. The
     energy is the continuous one of an admissible displacement (:mod:`rmesh_nlp.assessment.admissible`).
+    Nor is the energy of the displacement in the files above both energies on the mesh as given, the
+    formulation's own and the continuous one: a minimiser of a barrier may lie above its start.
 Stationary
     The first-order residual of the outer problem (:mod:`rmesh_nlp.models.residual`) is at most the
     tolerance of the solve.
@@ -52,6 +54,7 @@ class Measured:
     consistent: bool  # whether the formulation's own energy is that of the contact solve
     gain: float  # decrease of the energy by the formulation's own measure
     gain_audited: float  # decrease of the continuous energy
+    gain_computed: float  # to the formulation's own energy, from the larger of both on the given mesh
     decrease: float  # of the minimised objective, measured by the assessment
     size: float  # of the minimised objective, in units of which ``ROUNDING`` is
     is_energy: bool  # whether the energy is minimised, perhaps with terms in the positions
@@ -76,7 +79,9 @@ class Measured:
     @property
     def improved(self) -> bool:
         """Whether the minimised objective is not above its value on the given mesh, up to rounding."""
-        return self.decrease >= -ROUNDING * self.size and not self.is_exploited
+        rounding = ROUNDING * self.size
+        rose = self.is_energy and self.gain_computed < -rounding
+        return self.decrease >= -rounding and not rose and not self.is_exploited
 
     @property
     def is_exploited(self) -> bool:

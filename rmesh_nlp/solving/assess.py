@@ -177,6 +177,7 @@ def _measured(ends: _Ends, outcome: Outcome, ratio: float, stationary: bool) -> 
         consistent=claimed is None or unit == 0 or abs(claimed - expected) <= ENERGY_AGREEMENT * unit,
         gain=begin.given.energy - found.energy,
         gain_audited=ends.start.energy - after.energy,
+        gain_computed=max(begin.given.energy, ends.start.energy) - found.energy,
         decrease=decrease,
         size=size,
         is_energy=is_energy,

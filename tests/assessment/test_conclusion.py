@@ -46,12 +46,17 @@ def with_audit(**changes: Any) -> Measured:
         (replace(GOOD, gain=0.0, gain_audited=-1e-8, decrease=0.1), Status.EXPLOITED, True, False),
         (replace(GOOD, gain=-0.1, gain_audited=-0.1, decrease=-0.1), Status.WORSE, True, False),
         (replace(GOOD, is_energy=False, decrease=-1e-8), Status.WORSE, True, False),
+        (replace(GOOD, gain=-0.1, gain_computed=-1e-8), Status.WORSE, True, False),
     ],
 )
 def test_each_finding_has_a_status_and_is_no_success(
     measured: Measured, status: Status, valid: bool, improved: bool
 ) -> None:
     assert conclusion(Status.CONVERGED, measured) == Conclusion(valid, improved, True, False, status)
+
+
+def test_another_objective_may_be_lowered_at_the_cost_of_the_energy() -> None:
+    assert conclusion(Status.CONVERGED, replace(GOOD, is_energy=False, gain=-1.0, gain_computed=-1.0)).success
 
 
 @pytest.mark.parametrize("name", EXPLOITS)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from formulations.joint import Joint
+from formulations.mpcc import AllAtOnce
 from formulations.nested import Nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping.validity import is_valid
@@ -69,6 +70,18 @@ def test_newton_steps_to_a_higher_energy_are_not_taken(rise: float, monkeypatch:
     monkeypatch.setattr(Nested, "run", lambda *_: Outcome(outer, end, Status.CONVERGED))
     found = Joint()._finished(outer, begin, Monitor())
     np.testing.assert_array_equal(found, begin if rise else end)
+
+
+@pytest.mark.parametrize(
+    ("formulation", "n", "delta", "seed"), [(Joint(), 3, 0.15, 3), (AllAtOnce(), 4, 0.05, 1)]
+)
+def test_from_a_minimiser_the_barrier_leads_to_none_above_it(
+    formulation: Joint | AllAtOnce, n: int, delta: float, seed: int
+) -> None:
+    outer = Outer(EXAMPLES["6.1"](n, delta))
+    least = Nested().run(outer, outer.variables(seed=seed), Monitor()).q
+    found = formulation.run(outer, least, Monitor())
+    assert outer.energy(found.q).value <= outer.energy(least).value * (1 - 1e-9)  # both are negative
 
 
 def block(length: float) -> ContactProblem:

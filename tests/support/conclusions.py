@@ -12,6 +12,7 @@ GOOD = Measured(
     consistent=True,
     gain=0.1,
     gain_audited=0.1,
+    gain_computed=0.1,
     decrease=0.1,
     size=1.0,
     is_energy=True,
