@@ -81,7 +81,7 @@ def multistart(
     if n < 1:
         raise ValueError(f"n = {n} starts: at least 1 is needed")
     solver = MPCCSolver(mpcc, options, **changes)
-    centre = mpcc.start(x0)
+    centre = mpcc.start(x0, p)
     lower, upper, unit = np.asarray(mpcc.lbx), np.asarray(mpcc.ubx), 1 + np.abs(centre)
     near = (upper - lower) <= 20 * unit
     random = np.random.default_rng(seed)

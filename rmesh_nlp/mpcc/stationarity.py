@@ -35,8 +35,12 @@ from rmesh_nlp.optimize.status import Status
 
 _NODES, _LEAST_NODES, _WORK = 500, 20, 200_000  # linear programs of a search, fewer of large ones
 _OPTIMAL, _INFEASIBLE = 0, 2  # words of linprog
-_PIECES = {"M": ((-1, -1), (0, 2), (2, 0)), "C": ((-1, -1), (1, 1))}
-"""Signs of the two multipliers of a biactive pair: -1 (<= 0), 0 (= 0), 1 (>= 0), 2 (free)."""
+Range = tuple[float, float]
+Piece = tuple[Range, Range]
+"""Ranges of the two multipliers of a biactive pair."""
+
+_LOW, _ZERO, _HIGH, _FREE = (-np.inf, 0.0), (0.0, 0.0), (0.0, np.inf), (-np.inf, np.inf)
+_PIECES = {"M": ((_LOW, _LOW), (_ZERO, _FREE), (_FREE, _ZERO)), "C": ((_LOW, _LOW), (_HIGH, _HIGH))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,18 +175,13 @@ class _MultiplierLP:
         self.lower, self.upper = np.where(below, -np.inf, 0.0), np.where(above, np.inf, 0.0)
         self.cost = np.append(np.zeros(below.size - copies.size), copies)
 
-    def solve(self, pieces: dict[int, tuple[int, int]]) -> tuple[Multipliers, float] | None:
-        """Multipliers whose signs on the biactive pairs follow ``pieces``, or None if there are none.
-
-        ``pieces[k]`` restricts the k-th biactive pair, see ``_PIECES``.
-        """
+    def solve(self, pieces: dict[int, Piece]) -> tuple[Multipliers, float] | None:
+        """Multipliers within ``pieces[k]`` on the k-th biactive pair, and their cost, if there are any."""
         lower, upper = self.lower.copy(), self.upper.copy()
-        for k, signs in pieces.items():
-            for side, (sign, zero) in enumerate(zip(signs, (self.G, self.H), strict=True)):
-                if sign in (0, 1):
-                    lower[self.ends[1 + side] + int(np.searchsorted(zero, self.pairs[k]))] = 0.0
-                if sign in (-1, 0):
-                    upper[self.ends[3 + side] + k] = 0.0
+        for k, piece in pieces.items():
+            for side, ((low, high), zero) in enumerate(zip(piece, (self.G, self.H), strict=True)):
+                lower[self.ends[1 + side] + np.searchsorted(zero, self.pairs[k])] = low
+                upper[self.ends[3 + side] + k] = high
         if lower.size == 0:
             return (self._multipliers(lower), 0.0) if np.all(self.right >= 0) else None
         answer = linprog(
@@ -222,9 +221,9 @@ def strongest(
     return "W", weak[0]
 
 
-def _search(programs: _MultiplierLP, pieces: tuple[tuple[int, int], ...], zero: float) -> Multipliers | None:
+def _search(programs: _MultiplierLP, pieces: tuple[Piece, ...], zero: float) -> Multipliers | None:
     """Depth-first search for multipliers that lie in one of ``pieces`` on every biactive pair."""
-    stack: list[dict[int, tuple[int, int]]] = [{}]
+    stack: list[dict[int, Piece]] = [{}]
     for _ in range(int(np.clip(_WORK / max(programs.cost.size, 1), _LEAST_NODES, _NODES))):
         if not stack:
             return None
@@ -241,9 +240,8 @@ def _search(programs: _MultiplierLP, pieces: tuple[tuple[int, int], ...], zero: 
     return None
 
 
-def _inside(value: Array, sign: int, zero: float) -> BoolArray:
-    tests = {-1: value <= zero, 0: np.abs(value) <= zero, 1: value >= -zero, 2: np.ones(value.shape, bool)}
-    return np.asarray(tests[sign])
+def _inside(value: Array, within: Range, zero: float) -> BoolArray:
+    return np.asarray((value >= within[0] - zero) & (value <= within[1] + zero))
 
 
 @dataclass(frozen=True, eq=False)

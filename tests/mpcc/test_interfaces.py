@@ -49,6 +49,13 @@ def test_starts_are_seeded_within_bounds_and_the_first_is_given(monkeypatch):
     assert 5 < np.median(np.abs(drawn[1:, 1] - 7)) < 60  # 8 times 10^-1 to 10^1.5
 
 
+def test_start_of_a_mixed_problem_is_completed_with_its_parameters(monkeypatch):
+    """-1 <= y <= 2 _|_ x - p: at x = 1 and p = 3 the new unknowns are 0 and 2."""
+    monkeypatch.setattr(interfaces, "MPCCSolver", lambda *_: lambda start, **_: end(True))
+    mpcc = MPCC.mixed(XY, x, None, x - p, y, lbH=-1, ubH=2, p=p)
+    assert list(multistart(mpcc, [1, 0], n=2, p=3).starts[0]) == [1, 0, 0, 2]
+
+
 @pytest.mark.slow
 def test_multistart_finds_the_better_arm():
     mpcc = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2 - 0.1 * y, None, x, y, lbx=-2, ubx=3)
