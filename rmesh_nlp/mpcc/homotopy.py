@@ -117,7 +117,7 @@ def _step(
     if last is None:
         warm = None if first is None else run.nlps.padded(relaxation, first)
         return run.relaxed(relaxation, z0, t, warm, first=True)
-    result = run.relaxed(relaxation, last.x, t, last if run.options.warm_duals else None)
+    result = run.relaxed(relaxation, last.x, t, last if run.options.warm_duals else None, first=False)
     if not result.converged and result.status is not Status.ITERATION_LIMIT:
         cold = run.relaxed(relaxation, z0, t, first=True)
         return cold if cold.converged else result

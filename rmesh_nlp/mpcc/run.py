@@ -65,7 +65,7 @@ class Run:
             progress(Step.HEADER)
 
     def relaxed(
-        self, name: str, z: Array, t: float, warm: NLPResult | None = None, *, first: bool = False
+        self, name: str, z: Array, t: float, warm: NLPResult | None = None, *, first: bool
     ) -> NLPResult:
         """Solve the relaxation ``name`` at ``t``, see :meth:`CompiledNLPs.relaxed`."""
         return self.solved("relaxed", t, lambda: self.nlps.relaxed(name, z, self.p, t, warm, first))

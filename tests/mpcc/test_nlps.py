@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, Options, nlps, solve
+from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Options, nlps, solve
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.result import excess, residuals
 from rmesh_nlp.optimize.status import Status
@@ -130,7 +130,7 @@ def test_nothing_is_compiled_twice(monkeypatch):
     assert [options.get("perturb_always_cd") for options in made] == [None] * 5 + ["yes"]
 
 
-@pytest.mark.parametrize("relaxation", ["scholtes", "fischer-burmeister", "l1-penalty", "lin-fukushima"])
+@pytest.mark.parametrize("relaxation", RELAXATIONS)
 def test_multipliers_without_the_relaxation_make_the_lifted_lagrangian_stationary(relaxation):
     own = compiled(MPCC(XYW, (x - 1) ** 2 + (y - 2) ** 2 + w**2, x + w, x, y + w, lbg=0.25))
     result = own.relaxed(relaxation, own.lifted.start(np.array([0.5, 0.5, 0.1]), np.zeros(0)), ONE, 1e-2)

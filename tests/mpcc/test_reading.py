@@ -128,6 +128,16 @@ def test_only_the_first_objective_of_an_nl_file_counts(nl):
     assert values(mpcc, "f", [3, 0, 0, 0, 0]) == [[pytest.approx((3 - 1) ** 2 + 1)]]
 
 
+def test_defined_variables_of_an_nl_file_are_numbered_after_the_unknowns(nl):
+    """v3 = 2 x + 3 z + y^2, which v4 = v3 - 1 uses; the objective is (x - 1)^2 + v4 - 2 z."""
+    defined = "V3 2 0\n0 2\n2 3\no76\nv1\nV4 1 0\n3 1\nn-1\n"
+    text = NL.replace("C0	# mixed", defined + "C0	# mixed").replace("o44	# exp\nv1\n", "v4\n")
+    f = 4 + (2 * 3 + 3 * 0.5 + 2**2 - 1) - 2 * 0.5
+    assert values(read(nl(text)).mpcc, "f", [3, 2, 0.5, 0, 0]) == [[pytest.approx(f)]]
+    with pytest.raises(ValueError, match="defined variable v5 out of order"):
+        read(nl(text.replace("V4", "V5")))
+
+
 def test_maximised_objective_and_a_deep_sum(nl):
     """3000 nested additions are deeper than Python's own stack."""
     deep = "o0\nn1\n" * 3000 + "v1\n"

@@ -133,17 +133,3 @@ def test_relaxed_nlp_has_the_rows_and_signs_of_its_relaxation(name):
     assert np.all(nlp.lbg[g0.size :] == -np.inf)
     own = [-5, -5, -5, -np.inf, -np.inf, -np.inf]
     assert list(nlp.lbx) == (own if name == "lin-fukushima" else [-5, -5, 0, 0, 0, 0])
-
-
-@pytest.mark.parametrize("name", RELAXATIONS)
-def test_pull_on_the_members_is_the_slope_of_penalty_and_rows(name):
-    nlps = CompiledNLPs(nonlinear(ca.SX), Options())
-    _, pull = nlps._relaxed(name)
-    lam = np.array([0.7, -1.3, 0.4, 0.9])[: at(name)[0].size]
-    forces = pull(A, B, T, lam)
-    for side in (0, 1):
-        for i in range(2):
-            step = 1e-6 * np.eye(2)[i]
-            ends = [at(name, A + s * step * (side == 0), B + s * step * (side == 1)) for s in (1, -1)]
-            up, down = (float(lam @ rows) + penalty for rows, penalty in ends)
-            assert forces[side][i] == pytest.approx((up - down) / 2e-6, abs=1e-7)
