@@ -22,40 +22,20 @@ CELLS = {3: "triangle", 6: "triangle6"}  # what VTU files call elements, by thei
 
 @dataclass(frozen=True)
 class Fields:
-    """What a VTU file holds. Arrays run over the nodes of the displacement in their last axis.
+    """What a VTU file holds, at the nodes of the displacement and on the elements."""
 
-    Attributes
-    ----------
-    nodes, initial : (2, nodes) arrays
-        Positions after and before the relocation.
-    triangles : (nodes per element, elements) array
-        The vertices first.
-    displacement : (components, nodes) array
-    pressure, tangential_stress, friction_bound : (nodes,) arrays
-        In N/m^2, zero off the contact nodes.
-    contact : (nodes,) array of bool
-        Whether a node may come in contact.
-    foundation : (2, nodes) array
-        The point of the foundation that a contact node would meet; the node itself elsewhere
-        and for scalar problems.
-    error_bound, error_bound_initial : (elements,) arrays or None
-        What each element adds to the bound of half the squared error; None without a certificate.
-    multipliers : Multipliers or None
-        As read from a file; those of move limits are at the nodes.
-    """
-
-    nodes: Array
-    initial: Array
-    triangles: NDArray[np.int64]
-    displacement: Array
-    pressure: Array
+    nodes: Array  # (2, nodes) positions after the relocation
+    initial: Array  # (2, nodes) positions before
+    triangles: NDArray[np.int64]  # (nodes per element, elements), the vertices first
+    displacement: Array  # (components, nodes)
+    pressure: Array  # (nodes,) in N/m^2, zero off the contact nodes, as are the next two
     tangential_stress: Array
     friction_bound: Array
-    contact: NDArray[np.bool_]
-    foundation: Array
-    error_bound: Array | None = None
+    contact: NDArray[np.bool_]  # (nodes,) whether a node may come in contact
+    foundation: Array  # (2, nodes) point that a contact node would meet; elsewhere, and if scalar, the node
+    error_bound: Array | None = None  # (elements,) parts of the bound of half the squared error, if certified
     error_bound_initial: Array | None = None
-    multipliers: Multipliers | None = None
+    multipliers: Multipliers | None = None  # as read from a file; those of move limits are at the nodes
 
     def point_data(self) -> dict[str, NDArray]:
         """The fields of the nodes as VTU files have them, by name."""

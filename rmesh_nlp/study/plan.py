@@ -38,50 +38,23 @@ class PlannedSolve:
     """One solve to be done: of a study, of a comparison, or by itself.
 
     All but ``built`` and ``made`` are plain JSON values, which travel to other processes and machines.
-
-    Attributes
-    ----------
-    problem : dict
-        ``kind`` (example, file, random) and what states it, see :func:`build`; empty where ``built`` is all.
-    name, family, size : str
-        Of the problem; a family is what summaries join.
-    variant : str
-        Its name in a study; empty in a comparison.
-    formulation : str
-        Name of an installed formulation, or what rows call ``made``.
-    options : mapping
-        Of :func:`rmesh_nlp.solving.driver.solve_by_options`: ``objective``, ``seed``, ...
-    repeat : int
-        Number of the repetition in a study, from 0.
-    time_s, memory_mb : float
-        Limits, above which a process of its own is killed.
-    fields : bool
-        Whether meshes and fields are kept.
-    certify : bool
-        Whether the error is bounded.
-    repeats : int
-        How often it is solved for one row, whose times are then medians.
-    built : ContactProblem, optional
-        The problem itself, in this process.
-    made : Formulation or Chooser, optional
-        An object in the place of the installed formulation, in this process.
     """
 
-    problem: Mapping[str, Any]
+    problem: Mapping[str, Any]  # kind (example, file, random) and what states it; empty where built is all
     name: str
-    family: str
+    family: str  # of problems that summaries join
     size: str
-    variant: str
-    formulation: str
-    options: Mapping[str, Any] = field(default_factory=dict)
-    repeat: int = 0
-    time_s: float = 60.0
+    variant: str  # its name in a study; empty in a comparison
+    formulation: str  # name of an installed one, or what rows call made
+    options: Mapping[str, Any] = field(default_factory=dict)  # of solve_by_options: objective, seed, ...
+    repeat: int = 0  # number of the repetition in a study
+    time_s: float = 60.0  # limits, above which a process of its own is killed
     memory_mb: float = 4000.0
-    fields: bool = True
+    fields: bool = True  # meshes and fields are kept
     certify: bool = False
-    repeats: int = 1
-    built: ContactProblem | None = field(default=None, repr=False)
-    made: Formulation | Chooser | None = None
+    repeats: int = 1  # solves for one row, whose times are then medians
+    built: ContactProblem | None = field(default=None, repr=False)  # the problem itself, in this process
+    made: Formulation | Chooser | None = None  # in the place of the installed formulation, in this process
 
     @property
     def key(self) -> str:

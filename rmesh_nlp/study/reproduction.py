@@ -80,23 +80,23 @@ def reproduce(*, quick: bool = False, say: Say = lambda text: None) -> list[Stat
 
 def _given(example: str) -> list[Statement]:
     paper, solution = PAPER[example], solve(EXAMPLES[example](), "fixed")
-    how = f"contact solve on the given mesh, {solution.status.value}"
-    u, ours = solution.displacement, solution.energy
-    met = truncated(ours) == truncated(paper.energy_initial)
-    found = [_compared(example, "initial energy", paper.energy_initial, ours, met, how)]
-    for what, printed, value in (
+    u = solution.displacement
+    figures = [
+        ("initial energy", paper.energy_initial, solution.energy),
         ("least initial displacement", paper.u_min_initial, float(u.min())),
         ("largest initial displacement", paper.u_max_initial, float(u.max())),
-    ):
-        if printed is not None:
-            # one unit in the last place: the paper truncates some of its figures and rounds others
-            met = abs(value - printed) < 10.0**-PRINTED_DIGITS
-            found.append(_compared(example, what, printed, value, met, how))
+    ]
+    found = []
+    for what, printed, ours in figures:
+        if printed is None:
+            continue
+        # of displacements one unit in the last place: the paper truncates some figures and rounds others
+        near = abs(ours - printed) < 10.0**-PRINTED_DIGITS
+        met = truncated(ours) == truncated(printed) if what == "initial energy" else near
+        how = f"contact solve on the given mesh, {solution.status.value}"
+        outcome = MET if met else NOT_MET
+        found.append(Statement(example, what, f"{printed:.4f}", f"{ours:.6f}", outcome, how))
     return found
-
-
-def _compared(example: str, what: str, printed: float, ours: float, met: bool, evidence: str) -> Statement:
-    return Statement(example, what, f"{printed:.4f}", f"{ours:.6f}", MET if met else NOT_MET, evidence)
 
 
 def _descents(example: str, factor: float, starts: int, say: Say, *, nested: bool) -> dict[str, float]:
