@@ -14,8 +14,6 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -44,16 +42,22 @@ def bad(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([place, os.environ.get("PYTHONPATH", "")]))
 
 
-def solve_of(formulation: str, **changes: float) -> PlannedSolve:
+def solve_of(formulation, **changes):
     content = {"kind": "random", "seed": 1, "of": "scalar"}
-    return PlannedSolve(content, "random-1", "random", "", formulation, formulation, **changes)  # type: ignore[arg-type]
+    return PlannedSolve(content, "random-1", "random", "", formulation, formulation, **changes)
 
 
-def rows_of(folder: Path) -> list[dict]:
+def rows_of(folder):
     return [json.loads(line) for path in row_files(folder) for line in path.read_text().splitlines()]
 
 
+def study_file(folder, text=SMALL):
+    (folder / "study.toml").write_text(text)
+    return str(folder / "study.toml")
+
+
 PLAN = [solve_of("fixed", time_s=float(i)) for i in (21, 22, 23)]
+SOLVED = []
 
 
 @pytest.fixture
@@ -61,7 +65,7 @@ def answers(monkeypatch):
     """Statuses by key, with which contained solves end; ``SOLVED`` has the keys that were solved."""
     statuses = dict.fromkeys((one.key for one in PLAN), "converged")
 
-    def solve(self: Contained, one: PlannedSolve, folder: Path) -> dict:
+    def solve(self, one, folder):
         status = statuses[one.key]
         SOLVED.append(one.key)
         return {"key": one.key, "success": status == "converged", "status": status}
@@ -69,9 +73,6 @@ def answers(monkeypatch):
     monkeypatch.setattr(Contained, "solve", solve)
     SOLVED.clear()
     return statuses
-
-
-SOLVED: list[str] = []
 
 
 @pytest.mark.slow
@@ -98,14 +99,13 @@ def test_a_hang_a_leak_and_a_crash_are_a_row_each_and_the_next_solve_runs(tmp_pa
 
 @pytest.mark.slow
 def test_a_study_by_command_runs_once_and_has_fields(tmp_path, capsys):
-    path, out = tmp_path / "study.toml", tmp_path / "out"
-    path.write_text(SMALL)
-    arguments = ["study", str(path), "--out", str(out), "--json"]
+    path, out = study_file(tmp_path), tmp_path / "out"
+    arguments = ["study", path, "--out", str(out), "--json"]
     assert cli.run(arguments) == 0
     first = json.loads(capsys.readouterr().out)
     assert first == {"folder": str(out), "planned": 3, "rows": 3, "succeeded": 3, "refused": 0, "failed": 0}
     rows = rows_of(out)
-    assert [row["key"] for row in rows] == [solve.key for solve in make_plan(read_study(path), path)]
+    assert [row["key"] for row in rows] == [one.key for one in make_plan(read_study(path), tmp_path / "x")]
     assert all(isinstance(row["shared"], bool) and row["contact_time_s"] > 0 for row in rows)
     for result in read_results(out):
         assert read_vtu(result.vtu).nodes.shape[1] == result.record["nodes"]
@@ -160,15 +160,14 @@ def test_a_solve_that_did_not_have_its_core_alone_is_marked(cpu, busy, tmp_path,
 def test_a_study_succeeds_if_what_was_not_refused_did(statuses, code, tmp_path, monkeypatch):
     left = [*statuses]
 
-    def solve(self: Contained, one: PlannedSolve, folder: Path) -> dict:
+    def solve(self, one, folder):
         row = failure(one, left.pop(0), "as planned")
-        measured = dict.fromkeys(MEASURED, 1)
-        return {**row, **measured, "success": True} if row["status"] == "converged" else row
+        measured = {**dict.fromkeys(MEASURED, 1), "success": True}
+        return row | measured if row["status"] == "converged" else row
 
     monkeypatch.setattr(Contained, "solve", solve)
-    path = tmp_path / "study.toml"
-    path.write_text(SMALL.replace("3", "2"))
-    assert cli.run(["study", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == code
+    path = study_file(tmp_path, SMALL.replace("3", "2"))
+    assert cli.run(["study", path, "--out", str(tmp_path / "out"), "--quiet"]) == code
     assert [row["status"] for row in rows_of(tmp_path / "out")] == [*statuses]
 
 
@@ -212,7 +211,7 @@ def test_failures_are_tried_again_when_that_is_asked_for(tmp_path, answers):
         assert outlives.perform(PLAN[1]) == {"key": PLAN[1].key, "found": True}
 
 
-def rmesh(*arguments: str) -> subprocess.Popen[str]:
+def rmesh(*arguments):
     """``rmesh`` as a process that heeds Ctrl-C, also where this one does not."""
     return subprocess.Popen(
         [sys.executable, "-W", "ignore", "-c", "from rmesh_nlp.cli.app import main; main()", *arguments],
@@ -240,7 +239,7 @@ def test_an_own_cluster_refuses_strangers_and_serves_no_page():
         assert not any(serves_pages(*port) for port in ports)
 
 
-def serves_pages(host: str, port: int) -> bool:
+def serves_pages(host, port):
     try:
         page = http.client.HTTPConnection(host, port, timeout=5)
         page.request("GET", "/sitemap.json")
@@ -249,12 +248,18 @@ def serves_pages(host: str, port: int) -> bool:
         return False
 
 
-def starting(path: Path, out: Path) -> tuple[subprocess.Popen[str], list[Any]]:
+LONG = 'random = { count = 300 }\nformulations = ["fixed"]\nfields = false\n'
+on_posix = pytest.mark.skipif(sys.platform == "win32", reason="signals")
+
+
+def two_jobs(folder):
+    return rmesh("study", study_file(folder, LONG), "--out", str(folder / "out"), "--jobs", "2")
+
+
+def starting(folder):
     """A study on two jobs and its two worker processes, which have just been started."""
     psutil = pytest.importorskip("psutil")
-    path.write_text('random = { count = 300 }\nformulations = ["fixed"]\nfields = false\n')
-    process = rmesh("study", str(path), "--out", str(out), "--jobs", "2")
-    found: list[Any] = []
+    process, found = two_jobs(folder), []
     while len(found) < 2 and process.poll() is None:
         children = psutil.Process(process.pid).children()
         found = [one for one in children if "--multiprocessing-fork" in one.cmdline()]
@@ -263,11 +268,11 @@ def starting(path: Path, out: Path) -> tuple[subprocess.Popen[str], list[Any]]:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@on_posix
 @pytest.mark.parametrize("presses", [1, 2])
 def test_ctrl_c_while_workers_start_ends_the_study(tmp_path, presses):
     """As on a terminal, where all processes get it: nothing is solved, and none is left over."""
-    process, workers = starting(tmp_path / "study.toml", tmp_path / "out")
+    process, workers = starting(tmp_path)
     for _ in range(presses):
         for one in (process, *workers):
             one.send_signal(signal.SIGINT)
@@ -280,9 +285,9 @@ def test_ctrl_c_while_workers_start_ends_the_study(tmp_path, presses):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@on_posix
 def test_workers_killed_while_they_start_are_one_line(tmp_path):
-    process, workers = starting(tmp_path / "study.toml", tmp_path / "out")
+    process, workers = starting(tmp_path)
     for one in workers:
         one.kill()
     _, said = process.communicate(timeout=60)
@@ -292,22 +297,20 @@ def test_workers_killed_while_they_start_are_one_line(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@on_posix
 def test_ctrl_c_with_two_jobs_keeps_what_is_finished_in_one_line(tmp_path):
     pytest.importorskip("distributed")
-    path, out = tmp_path / "study.toml", tmp_path / "out"
-    path.write_text('random = { count = 300 }\nformulations = ["fixed"]\nfields = false\n')
-    with rmesh("study", str(path), "--out", str(out), "--jobs", "2") as process:
+    with two_jobs(tmp_path) as process:
         end = time.monotonic() + 100
-        while not rows_of(out) and time.monotonic() < end:
+        while not rows_of(tmp_path / "out") and time.monotonic() < end:
             time.sleep(0.1)
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
     assert process.returncode == 130
     (line,) = [line for line in said.splitlines() if "interrupted" in line]
     assert "Traceback" not in said
-    kept = int(re.search(r"(\d+) of 300 solves are kept", line)[1])  # type: ignore[index]
-    rows = [row["key"] for row in rows_of(out)]
+    kept = int(re.search(r"(\d+) of 300 solves are kept", line)[1])
+    rows = [row["key"] for row in rows_of(tmp_path / "out")]
     assert 1 <= kept <= len(rows) < 300
     assert len(set(rows)) == len(rows)
 
@@ -315,14 +318,13 @@ def test_ctrl_c_with_two_jobs_keeps_what_is_finished_in_one_line(tmp_path):
 @pytest.mark.slow
 def test_a_scheduler_that_is_there_already_is_used(tmp_path):
     distributed = pytest.importorskip("distributed")
-    path, out = tmp_path / "study.toml", tmp_path / "out"
-    path.write_text(SMALL)
+    path, out = study_file(tmp_path), tmp_path / "out"
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
     ) as cluster:
         for _ in range(2):  # the cluster goes on, and nothing is solved again
             address = cluster.scheduler_address
-            assert cli.run(["study", str(path), "--out", str(out), "--scheduler", address]) == 0
+            assert cli.run(["study", path, "--out", str(out), "--scheduler", address]) == 0
             assert len(rows_of(out)) == 3
 
 
@@ -330,12 +332,11 @@ def test_a_scheduler_that_is_there_already_is_used(tmp_path):
 def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, monkeypatch, capsys):
     pytest.importorskip("distributed")
     monkeypatch.setattr(engine, "START_S", 0.5)
-    path = tmp_path / "study.toml"
-    path.write_text(SMALL)
+    path, out = study_file(tmp_path), tmp_path / "out"
     places = {"tcp://127.0.0.1:1": "no cluster at {}", "nonsense://x": "no cluster at {}"}
     places["tls://127.0.0.1:1"] = "{} asks for a certificate"
     for address, message in places.items():
-        assert cli.run(["study", str(path), "--out", str(tmp_path / "out"), "--scheduler", address]) == 2
+        assert cli.run(["study", path, "--out", str(out), "--scheduler", address]) == 2
         (line,) = capsys.readouterr().err.strip().splitlines()
         assert message.format(address) in line
 
@@ -347,13 +348,11 @@ CORES = {900_001, 900_002}
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are pinned on Linux")
 def test_no_core_is_given_twice_and_a_core_given_back_is_free(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: CORES)
-    held = [worker._own_core() for _ in CORES]
-    assert {core[0] for core in held if core is not None} == CORES
+    (number, holder), other = worker._own_core(), worker._own_core()
+    assert {number, other[0]} == CORES
     assert worker._own_core() is None
-    number, holder = held[0]  # type: ignore[misc]
     holder.close()
     again = worker._own_core()
-    assert again is not None
     assert again[0] == number
-    for _, each in (again, held[1]):  # type: ignore[misc]
+    for _, each in (again, other):
         each.close()

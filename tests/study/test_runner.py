@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -95,41 +94,32 @@ def test_theorem_41_is_not_evaluated_on_a_broken_mesh(one, monkeypatch):
     assert perform(one).row["status"] == "invalid_mesh"
 
 
-class TestRepeats:
-    @pytest.fixture
-    def calls(self, monkeypatch):
-        calls: list[PlannedSolve] = []
-        self.statuses: list[str] = []
+@pytest.mark.parametrize(
+    ("statuses", "count"),
+    [(["failed"], 1), (["interrupted"], 1), (["converged", "interrupted"], 2), (["converged"] * 3, 3)],
+)
+def test_repeats_are_bare_and_end_with_a_failure_or_an_interrupted_run(one, statuses, count, monkeypatch):
+    calls = []
 
-        def once(solve: PlannedSolve, on_step: Any) -> Done:
-            calls.append(solve)
-            status = self.statuses.pop(0) if self.statuses else "converged"
-            record = {"status": status, "build_time_s": 1.0 * len(calls), "solve_time_s": 1.0}
-            return Done(record, None if status == "failed" else object())  # type: ignore[arg-type]
+    def once(solve, on_step):
+        calls.append(solve.certify)
+        status = statuses[len(calls) - 1]
+        record = {"status": status, "build_time_s": 1.0 * len(calls), "solve_time_s": 1.0}
+        return Done(record, None if status == "failed" else object())
 
-        monkeypatch.setattr(runner, "_once", once)
-        return calls
+    monkeypatch.setattr(runner, "_once", once)
+    row = perform(replace(one, certify=True, repeats=3)).row
+    assert calls == [True, False, False][:count]
+    assert row["status"] == statuses[-1]
+    joined_times = (row["build_time_s"], row.get("repeats"))
+    assert joined_times == ((2.0, 3) if count == 3 else (count, None))
 
-    def test_they_are_bare_and_joined(self, calls, one):
-        row = perform(replace(one, certify=True, repeats=3)).row
-        assert [solve.certify for solve in calls] == [True, False, False]
-        assert (row["build_time_s"], row["repeats"]) == (2.0, 3)
 
-    @pytest.mark.parametrize(
-        ("statuses", "count"),
-        [(["failed"], 1), (["interrupted"], 1), (["converged", "interrupted"], 2)],
-    )
-    def test_a_failure_or_an_interrupted_run_is_the_last(self, calls, one, statuses, count):
-        self.statuses = [*statuses]
-        row = perform(replace(one, repeats=3)).row
-        assert (len(calls), row["status"]) == (count, statuses[-1])
-        assert "repeats" not in row
-
-    def test_times_are_medians_with_their_range(self):
-        first = {"energy": -1.0, **dict.fromkeys(TIMES, 3.0), "contact_time_s": None}
-        row = joined([first, {**first, "build_time_s": 1.0, "energy": -9.0}, {**first, "build_time_s": 2.0}])
-        assert (row["build_time_s"], row["build_time_range_s"]) == (2.0, [1.0, 3.0])
-        assert (row["wall_time_s"], row["wall_time_range_s"]) == (3.0, [3.0, 3.0])
-        assert (row["energy"], row["repeats"], row["first_cost_s"]) == (-1.0, 3, 6.0)
-        assert "contact_time_range_s" not in row
-        assert joined([first]) is first
+def test_times_are_medians_with_their_range():
+    first = {"energy": -1.0, **dict.fromkeys(TIMES, 3.0), "contact_time_s": None}
+    row = joined([first, {**first, "build_time_s": 1.0, "energy": -9.0}, {**first, "build_time_s": 2.0}])
+    assert (row["build_time_s"], row["build_time_range_s"]) == (2.0, [1.0, 3.0])
+    assert (row["wall_time_s"], row["wall_time_range_s"]) == (3.0, [3.0, 3.0])
+    assert (row["energy"], row["repeats"], row["first_cost_s"]) == (-1.0, 3, 6.0)
+    assert "contact_time_range_s" not in row
+    assert joined([first]) is first
