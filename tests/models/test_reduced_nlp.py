@@ -1,7 +1,5 @@
 """The NLP in the outer variables: its Hessian as a dense matrix and as a sparse Schur complement."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -48,12 +46,12 @@ def whole(upper: ca.DM) -> Array:
 @pytest.mark.parametrize("name", OBJECTIVES)
 def test_derivatives_are_those_of_the_lagrangian(name: str) -> None:
     make, objective = OBJECTIVES[name]
-    problem = with_hessian(nlp_of(make(), objective))
-    derivatives, rng = problem.nlp.derivatives, np.random.default_rng(4)
-    q, d = 0.02 * rng.uniform(-1, 1, problem.nlp.n_x), rng.uniform(-1, 1, problem.nlp.n_x)
+    problem, rng = with_hessian(nlp_of(make(), objective)), np.random.default_rng(4)
+    derivatives, n = problem.nlp.derivatives, problem.nlp.n_x
+    q, d = rng.uniform(-1, 1, (2, n)) * [[0.02], [1]]
     lam_f, lam_g = 1.5, rng.uniform(-1, 0, problem.nlp.n_g)
     # in units of its value on the given mesh
-    assert abs(float(derivatives.grad_f(np.zeros(q.size), [])[0])) == pytest.approx(1.0)
+    assert abs(float(derivatives.grad_f(0 * q, [])[0])) == pytest.approx(1.0)
     assert float(derivatives.grad_f(q, [])[0]) == pytest.approx(problem.function(q).value / problem.scale)
 
     def gradient(x: Array) -> Array:
@@ -70,13 +68,11 @@ def test_derivatives_are_those_of_the_lagrangian(name: str) -> None:
 @pytest.mark.parametrize("name", ENERGIES)
 def test_the_schur_complement_in_q_is_the_dense_hessian(name: str, factor: float) -> None:
     problem = nlp_of(ENERGIES[name]())
-    larger, n = lifted(problem), problem.nlp.n_x
-    rng = np.random.default_rng(7)
+    larger, other, n, rng = lifted(problem), with_hessian(problem), problem.nlp.n_x, np.random.default_rng(7)
     q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, problem.nlp.n_g)
     matrix = whole(larger.derivatives.hess_lag(np.append(q, np.zeros(larger.n_x - n)), [], factor, lam_g))
     corner = matrix[n:, n:]
     schur = matrix[:n, :n] - matrix[:n, n:] @ np.linalg.solve(corner, matrix[n:, :n])
-    other = with_hessian(problem)  # its callback must outlive the call
     expected = whole(other.nlp.derivatives.hess_lag(q, [], factor, lam_g))
     np.testing.assert_allclose(schur, expected, atol=1e-9 * np.max(np.abs(expected)))
     # definite, and so stiff that a shift of the size of q's block does not change the complement
@@ -85,18 +81,16 @@ def test_the_schur_complement_in_q_is_the_dense_hessian(name: str, factor: float
 
 
 def test_additional_unknowns_change_neither_objective_nor_constraints() -> None:
-    problem = nlp_of(ENERGIES["6.1, areas"]())
+    problem, rng = nlp_of(ENERGIES["6.1, areas"]()), np.random.default_rng(1)
     larger, n = lifted(problem), problem.nlp.n_x
-    rng = np.random.default_rng(1)
     x = np.append(0.02 * rng.uniform(-1, 1, n), rng.standard_normal(larger.n_x - n))
-    value, slope = larger.derivatives.grad_f(x, [])
-    own, own_slope = problem.nlp.derivatives.grad_f(x[:n], [])
-    assert float(value) == float(own)
-    np.testing.assert_array_equal(slope.full()[:n], own_slope.full())
-    assert not np.any(slope.full()[n:])
-    rows = larger.derivatives.jac_g(x, [])[1].full()
-    np.testing.assert_array_equal(rows[:, :n], problem.nlp.derivatives.jac_g(x[:n], [])[1].full())
-    assert not np.any(rows[:, n:])
+    for name in ("grad_f", "jac_g"):
+        value, slope = (part.full() for part in getattr(larger.derivatives, name)(x, []))
+        own, own_slope = (part.full() for part in getattr(problem.nlp.derivatives, name)(x[:n], []))
+        slope = slope.T if name == "grad_f" else slope
+        np.testing.assert_array_equal(value, own)
+        np.testing.assert_array_equal(slope[:, :n], own_slope.T if name == "grad_f" else own_slope)
+        assert not np.any(slope[:, n:])
     assert np.all(np.isinf(larger.ubx[n:]))
 
 

@@ -1,7 +1,5 @@
 """The first-order residual of the outer problem, in histories and in records, and multipliers of bounds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -73,10 +71,8 @@ def test_contact_forces_of_a_solvers_own_give_the_gradient_of_the_contact_soluti
     lam_g = -np.concatenate([state.normal_force, (bound - tau) / 2, (bound + tau) / 2, np.zeros(rel.n_valid)])
     assert residual.of_program(x, lam_g) == pytest.approx(residual(point), rel=1e-9)
     monkeypatch.setattr(OuterResidual, "at", lambda self, q, gradient: (q, gradient))
-    for at, gradient in (
-        residual.of_state(q, state.u, state.normal_force, tau),
-        residual.of_program(x, lam_g),
-    ):
+    own = residual.of_state(q, state.u, state.normal_force, tau)
+    for at, gradient in (own, residual.of_program(x, lam_g)):
         np.testing.assert_array_equal(at, q)
         np.testing.assert_allclose(gradient, point.gradient, atol=1e-9 * np.max(np.abs(point.gradient)))
 
@@ -104,9 +100,8 @@ def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
     assert residual.at(q, np.zeros(q.size)) == 0
     found = multipliers(outer.energy, q, np.asarray(pull))
     assert found.area.shape == (given.mesh.t.shape[1],)
-    np.testing.assert_allclose(
-        rows.jacobian.T @ found.area[outer.relocation.validity.elements], pull, atol=1e-9
-    )
+    areas = found.area[outer.relocation.validity.elements]
+    np.testing.assert_allclose(rows.jacobian.T @ areas, pull, atol=1e-9)
     assert not np.any(found.limit)
 
 
@@ -115,7 +110,6 @@ def test_multipliers_of_angles_are_sums_over_the_vertices() -> None:
     rows = outer.energy.validity.at(np.zeros(outer.n))
     weights = np.arange(rows.slack.size) % 4 == 1  # one angle of each element
     found = multipliers(outer.energy, np.zeros(outer.n), np.asarray(rows.jacobian.T @ (2.0 * weights)))
-    assert found.angle.sum() + found.area.sum() > 0
     assert np.min(found.angle) >= 0
     assert np.any(found.angle > 0)
 
