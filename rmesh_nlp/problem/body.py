@@ -14,7 +14,6 @@ admissible as on the polygon.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -29,41 +28,6 @@ from rmesh_nlp.problem.obstacle import Obstacle, Place
 Index = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class Arcs:
-    """Edges of a mesh that stand for arcs of one curve.
-
-    Attributes
-    ----------
-    curve : Curve
-    facets : (n,) int array
-    t : (2, n) array
-        Parameters of the ends of each facet, in the order of ``mesh.facets``, without a jump of a whole turn.
-    """
-
-    curve: Curve
-    facets: Index
-    t: Array
-
-    def at(self, rows: Index, s: Array) -> tuple[Array, Array]:
-        """Points and derivatives by s, (2, m, k) each, of arcs ``rows`` (m,) at ``s`` (m, k)."""
-        t0, t1 = self.t[:, rows, None]
-        t = (t0 + s * (t1 - t0)).ravel()
-        shape = (2, *s.shape)
-        return self.curve.at(t).reshape(shape), self.curve.velocity(t).reshape(shape) * (t1 - t0)
-
-
-def arcs_of(problem: ContactProblem, nodes: Array) -> tuple[Arcs, ...]:
-    """The arcs behind the edges on curves, at node positions (2, nodes)."""
-    found = []
-    for name, curve in problem.motion.curves.items():
-        facets = np.asarray(problem.mesh.boundaries[name], dtype=np.int64)
-        a, b = problem.mesh.facets[:, facets]
-        start = curve.nearest(nodes[:, a])
-        found.append(Arcs(curve, facets, np.stack([start, curve.near(nodes[:, b], start)])))
-    return tuple(found)
-
-
 class Sides(NamedTuple):
     """Sides of triangles on one curve: ``element`` (n,), ``ends`` (2, n) and ``facet`` (n,).
 
@@ -75,6 +39,37 @@ class Sides(NamedTuple):
     facet: Index
 
 
+def sides_on(problem: ContactProblem, facets: Index) -> Sides:
+    """The sides of triangles that are these facets, on both sides of an interface."""
+    beside = problem.mesh.f2t[:, facets]
+    which, number = np.nonzero(beside >= 0)
+    element = beside[which, number]
+    nodes = problem.mesh.facets[:, facets[number]]
+    ends = np.argmax(problem.triangles[:, None, element] == nodes, axis=0)
+    return Sides(element, ends, number)
+
+
+@dataclass(frozen=True)
+class Arcs:
+    """Edges of a mesh that stand for arcs of one curve.
+
+    ``t`` (2, n) are the parameters of the ends of each of the ``facets`` (n,), in the order of
+    ``mesh.facets``, without a jump of a whole turn.
+    """
+
+    curve: Curve
+    facets: Index
+    t: Array
+    sides: Sides
+
+    def at(self, rows: Index, s: Array) -> tuple[Array, Array]:
+        """Points and derivatives by s, (2, m, k) each, of arcs ``rows`` (m,) at ``s`` (m, k)."""
+        t0, t1 = self.t[:, rows, None]
+        t = (t0 + s * (t1 - t0)).ravel()
+        shape = (2, *s.shape)
+        return self.curve.at(t).reshape(shape), self.curve.velocity(t).reshape(shape) * (t1 - t0)
+
+
 class Body:
     """The domain of a problem by its mesh with nodes at given positions.
 
@@ -83,18 +78,28 @@ class Body:
     nodes : (2, nodes) array
     triangles : (3, elements) int array
     arcs : tuple of Arcs
+        The edges on curves of the motion, a curve each.
     is_curved : (elements,) bool array
         Whether an edge of the triangle is an arc.
+    apex : (elements,) int array
+        The vertex opposite to the arc of a blended triangle; 0 elsewhere. Seen from there such a triangle is
+        smooth: ``s`` is the angle, and the rest is linear.
     """
 
     def __init__(self, problem: ContactProblem, nodes: Array) -> None:
         self.problem, self.nodes = problem, np.asarray(nodes, dtype=float)
         self.triangles = problem.triangles
-        self.arcs = arcs_of(problem, self.nodes)
-        self._sides = [sides_on(problem, arcs.facets) for arcs in self.arcs]
+        self.apex = np.zeros(self.triangles.shape[1], dtype=np.int64)
         self.is_curved = np.zeros(self.triangles.shape[1], dtype=bool)
-        for sides in self._sides:
+        arcs = []
+        for name, curve in problem.motion.curves.items():
+            facets = self.edges(name).facets
+            a, b = problem.mesh.facets[:, facets]
+            start, sides = curve.nearest(self.nodes[:, a]), sides_on(problem, facets)
+            arcs.append(Arcs(curve, facets, np.stack([start, curve.near(self.nodes[:, b], start)]), sides))
             self.is_curved[sides.element] = True
+            self.apex[sides.element] = 3 - sides.ends.sum(axis=0)
+        self.arcs = tuple(arcs)
 
     def at(self, elements: Index, barycentric: Array) -> tuple[Array, Array]:
         """Points (2, m, k) and the derivatives by barycentric coordinates (2, 3, m, k).
@@ -107,15 +112,13 @@ class Body:
         corners = self.nodes[:, self.triangles[:, elements]]
         x = np.einsum("dvm,vmk->dmk", corners, barycentric)
         slopes = np.broadcast_to(corners[..., None], (*corners.shape, barycentric.shape[2])).copy()
-        for arcs, sides in zip(self.arcs, self._sides, strict=True):
-            of, side = _matches(sides.element, elements)
-            if of.size == 0:
-                continue
-            a, b = sides.ends[:, side]
+        for arcs in self.arcs:
+            of, side = _matches(arcs.sides.element, elements)
+            a, b = arcs.sides.ends[:, side]
             one, two = barycentric[a, of], barycentric[b, of]
             total = one + two
             s = np.divide(two, total, out=np.full_like(two, 0.5), where=total > 0)
-            arc, velocity = arcs.at(sides.facet[side], s)
+            arc, velocity = arcs.at(arcs.sides.facet[side], s)
             X_a, X_b = corners[:, a, of, None], corners[:, b, of, None]
             off = arc - (1 - s) * X_a - s * X_b
             turn = velocity - (X_b - X_a)
@@ -139,12 +142,10 @@ class Body:
         if not np.all(signed_areas(self.nodes, self.triangles) > 0):
             return False
         elements = np.flatnonzero(self.is_curved)
-        if elements.size == 0:
-            return True
         barycentric = np.empty((3, elements.size, _LOOK.shape[1]))
         for turn, part in enumerate(_LOOK):
             barycentric[(self.apex[elements] + turn) % 3, np.arange(elements.size)] = part
-        return bool(np.min(determinants(self.at(elements, barycentric)[1])) > 0)
+        return bool(np.all(determinants(self.at(elements, barycentric)[1]) > 0))
 
     def edges(self, name: str) -> Edges:
         """The edges of a named boundary."""
@@ -155,17 +156,6 @@ class Body:
         if isinstance(obstacle.boundary, Place):
             return Edges(self, np.arange(self.problem.mesh.facets.shape[1]))
         return self.edges(obstacle.boundary)
-
-    @cached_property
-    def apex(self) -> Index:
-        """(elements,) the vertex opposite to the arc of a blended triangle; 0 elsewhere.
-
-        Seen from there such a triangle is smooth: ``s`` is the angle, and the rest is linear.
-        """
-        apex = np.zeros(self.triangles.shape[1], dtype=np.int64)
-        for sides in self._sides:
-            apex[sides.element] = 3 - sides.ends.sum(axis=0)
-        return apex
 
 
 _LOOK = np.array([(1 - r, r * (1 - s), r * s) for r in (0.5, 1.0) for s in np.linspace(0, 1, 9)]).T
@@ -187,13 +177,7 @@ def gradients(slopes: Array) -> tuple[Array, Array]:
 
 
 class Edges:
-    """Edges of a body, straight ones and arcs, each run through by ``s`` from 0 to 1.
-
-    Attributes
-    ----------
-    ends : (2, n) int array
-        Node numbers.
-    """
+    """Edges of a body, straight ones and arcs, each run through by ``s`` from 0 to 1; ``ends`` (2, n)."""
 
     def __init__(self, body: Body, facets: Index) -> None:
         self.body, self.facets = body, facets
@@ -211,31 +195,15 @@ class Edges:
         speed = np.broadcast_to(np.linalg.norm(b - a, axis=0)[:, None], s.shape).copy()
         for arcs in self.body.arcs:
             of, row = _matches(arcs.facets, self.facets[rows])
-            if of.size:
-                x[:, of], velocity = arcs.at(row, s[of])
-                speed[of] = np.linalg.norm(velocity, axis=0)
+            x[:, of], velocity = arcs.at(row, s[of])
+            speed[of] = np.linalg.norm(velocity, axis=0)
         return x, speed
 
 
 def _matches(sought: Index, among: Index) -> tuple[Index, Index]:
     """All pairs (i, j) with ``among[i] == sought[j]``."""
     order = np.argsort(sought, kind="stable")
-    first = np.searchsorted(sought[order], among, side="left")
-    last = np.searchsorted(sought[order], among, side="right")
-    count = last - first
-    i = np.repeat(np.arange(among.size), count)
-    within = np.arange(i.size) - np.repeat(np.cumsum(count) - count, count)
-    return i, order[np.repeat(first, count) + within]
-
-
-def sides_on(problem: ContactProblem, facets: Index) -> Sides:
-    """The sides of triangles that are these facets, on both sides of an interface."""
-    elements, ends, numbers = [], [], []
-    for beside in problem.mesh.f2t[:, facets]:
-        number = np.flatnonzero(beside >= 0)
-        corners = problem.triangles[:, beside[number]]
-        nodes = problem.mesh.facets[:, facets[number]]
-        elements.append(beside[number])
-        ends.append(np.stack([np.argmax(corners == node, axis=0) for node in nodes]))
-        numbers.append(number)
-    return Sides(np.concatenate(elements), np.hstack(ends), np.concatenate(numbers))
+    first, last = (np.searchsorted(sought[order], among, side=side) for side in ("left", "right"))
+    before = np.cumsum(last - first) - (last - first)
+    i = np.repeat(np.arange(among.size), last - first)
+    return i, order[np.arange(i.size) + (first - before)[i]]

@@ -23,15 +23,18 @@ Coefficient = float | PositionFunction
 """A number, or a function of position (x, y)."""
 
 
-def at(coefficient: Coefficient, x: Any, y: Any) -> Any:
-    """Value of a coefficient at a point.
+BRANCH = (
+    "a function of position cannot branch on x or y with if, and, or, min or max: use "
+    "rmesh_nlp.where(condition, a, b), casadi.logic_and, casadi.fmin or casadi.fmax"
+)
 
-    Raises
-    ------
-    ValueError
-        If a function branches on its arguments or does not take symbols; the message says what to
-        use instead.
-    """
+NOT_SYMBOLIC = (
+    "a function of position is nan for symbols: use functions of numpy or casadi in it, not those of math"
+)
+
+
+def at(coefficient: Coefficient, x: Any, y: Any) -> Any:
+    """Value of a coefficient at a point; a ValueError says what to use instead of branches and ``math``."""
     if not callable(coefficient):
         return coefficient
     with warnings.catch_warnings():
@@ -48,29 +51,13 @@ def at(coefficient: Coefficient, x: Any, y: Any) -> Any:
     return value
 
 
-BRANCH = (
-    "a function of position cannot branch on x or y with if, and, or, min or max: use "
-    "rmesh_nlp.where(condition, a, b), casadi.logic_and, casadi.fmin or casadi.fmax"
-)
-
-NOT_SYMBOLIC = (
-    "a function of position is nan for symbols: use functions of numpy or casadi in it, not those of math"
-)
-
-
 def where(condition: Any, a: Any, b: Any) -> Any:
     """``a`` where the condition holds, else ``b``: what ``if`` cannot say in a function of position."""
     return ca.if_else(condition, a, b)
 
 
 def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficient") -> Array:
-    """Values (points,) of a coefficient at ``points`` (2, points).
-
-    Raises
-    ------
-    ValueError
-        If a value is not finite; the message names ``what`` and the point.
-    """
+    """Values (points,) of a coefficient at ``points`` (2, points); a ValueError if one is not finite."""
     if not callable(coefficient):
         values = np.full(points.shape[1], float(coefficient))
     elif points.shape[1] == 0:
@@ -104,12 +91,11 @@ class PiecewiseLinear:
     y: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        got = f"got x={self.x}, y={self.y}"
         if len(self.x) != len(self.y) or len(self.x) < 2:
-            raise ValueError(
-                f"a piecewise-linear function needs 2 or more points, got x={self.x}, y={self.y}"
-            )
+            raise ValueError(f"a piecewise-linear function needs 2 or more points, {got}")
         if not np.all(np.isfinite([*self.x, *self.y])):
-            raise ValueError(f"a piecewise-linear function must be finite, got x={self.x}, y={self.y}")
+            raise ValueError(f"a piecewise-linear function must be finite, {got}")
         if np.any(np.diff(self.x) <= 0):
             raise ValueError(f"breakpoints must increase, got x={self.x}")
 
@@ -136,9 +122,6 @@ HIGH = 8
 those solved with degree 6 had a gain that the audit did not confirm to 10 %; 8 is for faster
 oscillations."""
 
-HIGHEST_POLYNOMIAL = 7
-"""A polynomial of higher degree counts as none: a rule of degree ``HIGH`` is exact up to this one."""
-
 LARGEST_EXPRESSION = 5_000
 """Operations in a derivative beyond which it is not looked at further."""
 
@@ -148,18 +131,16 @@ def suitable_rule(loads: Sequence[Coefficient], tractions: Sequence[Coefficient]
 
     Tractions are integrated with degree 4 at least, whatever the rule.
     """
-    body = [polynomial_degree(load) for load in loads]
-    edge = [polynomial_degree(traction) for traction in tractions]
-    if any(degree is None for degree in (*body, *edge)):
+    degrees = [[polynomial_degree(part) for part in parts] for parts in (loads, tractions)]
+    if None in [*degrees[0], *degrees[1]]:
         return HIGH
-    needed = max((degree + 1 for degree in body if degree is not None), default=0)
-    on_edges = max((degree + 1 for degree in edge if degree is not None), default=0)
-    needed = max(needed, on_edges if on_edges > 4 else 0)
+    body, edge = (max((d + 1 for d in part if d is not None), default=0) for part in degrees)
+    needed = max(body, edge if edge > 4 else 0)
     return MIDPOINT if needed <= 2 else needed
 
 
 def polynomial_degree(coefficient: Coefficient) -> int | None:
-    """Degree in x and y together; None if it is no polynomial up to ``HIGHEST_POLYNOMIAL``."""
+    """Degree in x and y together; None if it is no polynomial up to ``HIGH - 1``, where that is exact."""
     if not callable(coefficient):
         return 0
     if isinstance(coefficient, PiecewiseLinear):
@@ -169,7 +150,7 @@ def polynomial_degree(coefficient: Coefficient) -> int | None:
         derivatives = ca.SX(at(coefficient, point[0], point[1]))
     except (NotImplementedError, RuntimeError, TypeError, ValueError):
         return None  # a function of MX alone, or one that the assembly refuses with a reason
-    for degree in range(HIGHEST_POLYNOMIAL + 1):
+    for degree in range(HIGH):
         if ca.Function("count", [point], [derivatives]).n_nodes() > LARGEST_EXPRESSION:
             return None
         highest = derivatives

@@ -40,32 +40,21 @@ def nodes_of(mesh: MeshTri, name: str) -> Index:
 def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = False) -> MeshTri:
     """The mesh with the nodes of named boundaries exactly on their curves.
 
-    Parameters
-    ----------
-    mesh : MeshTri
-    curves : mapping from boundary names to Curve
-    anywhere : bool
-        Whether nodes may be far from their curve, as new ones in the middle of an edge are.
-
-    Raises
-    ------
-    ValueError
-        If a node is not on the curve that its boundary is said to be on.
+    Nodes may be far from their curve if ``anywhere``, as new ones in the middle of an edge are; else a
+    ValueError names one that is not on it.
     """
     moved = np.array(mesh.p, dtype=float)
     for name, curve in curves.items():
         nodes = nodes_of(mesh, name)
         places = curve.at(curve.nearest(mesh.p[:, nodes]))
         off = np.linalg.norm(places - mesh.p[:, nodes], axis=0)
-        if not anywhere:
-            a, b = mesh.facets[:, np.asarray(mesh.boundaries[name])]
-            shortest = float(np.min(np.linalg.norm(mesh.p[:, a] - mesh.p[:, b], axis=0)))
-            if np.max(off, initial=0.0) > OFF * shortest:
-                worst = int(np.argmax(off))
-                x, y = mesh.p[:, nodes[worst]]
-                raise ValueError(
-                    f"node {nodes[worst]} of {name!r} at ({x:.6g}, {y:.6g}) is {off[worst]:.3g} off its curve"
-                )
+        a, b = mesh.p[:, mesh.facets[:, np.asarray(mesh.boundaries[name])]].transpose(1, 0, 2)
+        worst = int(np.argmax(off))
+        if not anywhere and off[worst] > OFF * np.min(np.linalg.norm(a - b, axis=0)):
+            x, y = mesh.p[:, nodes[worst]]
+            raise ValueError(
+                f"node {nodes[worst]} of {name!r} at ({x:.6g}, {y:.6g}) is {off[worst]:.3g} off its curve"
+            )
         shifted = off > EXACT * float(np.max(np.ptp(mesh.p, axis=1)))
         moved[:, nodes[shifted]] = places[:, shifted]
     return mesh if np.array_equal(moved, mesh.p) else replace(mesh, doflocs=moved)
@@ -134,23 +123,19 @@ def line_facets(problem: ProblemData) -> Index:
 
 def _pairs(ends: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """Nodes with exactly two of these facets, and the numbers of both."""
-    node = ends.ravel()
-    facet = np.tile(np.arange(ends.shape[1]), 2)
-    order = np.argsort(node, kind="stable")
-    node, facet = node[order], facet[order]
-    owner, start, count = np.unique(node, return_index=True, return_counts=True)
-    regular = count == 2
-    return owner[regular], facet[start[regular]], facet[start[regular] + 1]
+    order = np.argsort(ends.ravel(), kind="stable")
+    owner, start, count = np.unique(ends.ravel()[order], return_index=True, return_counts=True)
+    facet, start = order % ends.shape[1], start[count == 2]
+    return owner[count == 2], facet[start], facet[start + 1]
 
 
 def _labels(problem: ProblemData) -> Index:
     """A number per facet: 0 off all lines, else which names and subdomains it has on its sides."""
     mesh = problem.mesh
     member = _table(mesh.boundaries, mesh.facets.shape[1])
-    left, right = mesh.f2t
-    zone = element_zones(problem)
-    sides = np.sort([zone[left], np.where(right >= 0, zone[right], -1)], axis=0)
-    on_line = (right < 0) | (sides[0] != sides[1]) | np.any(member, axis=1)
+    zone = np.append(element_zones(problem), -1)  # the last one outside, where f2t is -1
+    sides = np.sort(zone[mesh.f2t], axis=0)
+    on_line = (mesh.f2t[1] < 0) | (sides[0] != sides[1]) | np.any(member, axis=1)
     result = np.zeros(on_line.size, dtype=np.int64)
     key = np.hstack([sides[:, on_line].T, member[on_line]])
     result[on_line] = 1 + np.unique(key, axis=0, return_inverse=True)[1].ravel()
