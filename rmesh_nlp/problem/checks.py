@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +38,6 @@ def check(problem: ProblemData) -> None:
     _check_laws(problem)
     _check_components(problem)
     _check_functions(problem)
-    last = problem.mesh.p.shape[1] - 1
-    for node in problem.motion.numbers:
-        if not 0 <= node <= last:
-            raise ProblemError("motion", f"the motion names node {node}; nodes run from 0 to {last}")
     _check_friction(problem)
     for contact in problem.contact_sets:
         _check_given_gaps(problem, contact)
@@ -55,14 +52,11 @@ def _check_mesh(problem: ProblemData) -> None:
     if type(mesh).__name__ != "MeshTri1":
         said = f"the mesh must be a skfem.MeshTri of first order, got {type(mesh).__name__}"
         raise ProblemError("mesh", said)
-    flat = np.flatnonzero(~(np.abs(signed_areas(mesh.p, mesh.t)) > 0))
-    if flat.size:
-        raise ProblemError("mesh", f"element {flat[0]} of the mesh has no area")
-    edge = overlapping(problem.triangles)
-    if edge is not None:
+    for element in np.flatnonzero(~(np.abs(signed_areas(mesh.p, mesh.t)) > 0)):
+        raise ProblemError("mesh", f"element {element} of the mesh has no area")
+    if edge := overlapping(problem.triangles):
         raise ProblemError("mesh", f"the mesh is folded at the edge between nodes {edge[0]} and {edge[1]}")
-    wrong = fault(mesh)
-    if wrong is not None:
+    if wrong := fault(mesh):
         raise ProblemError("mesh", wrong)
 
 
@@ -76,39 +70,42 @@ def _check_names(problem: ProblemData) -> None:
     used += [("curves" if n in problem.motion.curves else "motion", n) for n in problem.motion.names]
     used += [("obstacle", o.boundary) for o in problem.obstacles if isinstance(o.boundary, str)]
     for part, name in used:
-        if name not in boundaries:
-            has = ", ".join(sorted(boundaries)) or "none"
-            raise ProblemError(part, f"the mesh has no boundary named {name!r}; it has {has}")
+        _check_known(part, "boundary", name, boundaries)
         if np.size(boundaries[name]) == 0:
             raise ProblemError(part, f"the boundary {name!r} of the mesh is empty")
+
+
+def _check_known(part: str, kind: str, name: str, groups: Mapping[str, Any]) -> None:
+    if name not in groups:
+        has = ", ".join(sorted(groups)) or "none"
+        raise ProblemError(part, f"the mesh has no {kind} named {name!r}; it has {has}")
 
 
 def _check_laws(problem: ProblemData) -> None:
     if not isinstance(problem.law, Mapping):
         return
-    subdomains = problem.mesh.subdomains or {}
     count = np.zeros(problem.mesh.t.shape[1], dtype=int)
     for name in problem.law:
-        if name not in subdomains:
-            has = ", ".join(sorted(subdomains)) or "none"
-            raise ProblemError("law", f"the mesh has no subdomain named {name!r}; it has {has}")
-        count[np.asarray(subdomains[name])] += 1
-    wrong = np.flatnonzero(count != 1)
-    if wrong.size:
-        said = f"element {wrong[0]} has {count[wrong[0]]} laws: every element needs exactly one"
+        _check_known("law", "subdomain", name, problem.mesh.subdomains or {})
+        count[np.asarray(problem.mesh.subdomains[name])] += 1
+    for element in np.flatnonzero(count != 1):
+        said = f"element {element} has {count[element]} laws: every element needs exactly one"
         raise ProblemError("law", said)
     if len({law.components for law in problem.laws}) != 1:
         raise ProblemError("law", "the laws of the subdomains mix scalar and elastic problems")
 
 
 def _check_components(problem: ProblemData) -> None:
-    n, count = problem.components, problem.mesh.p.shape[1]
+    n, last = problem.components, problem.mesh.p.shape[1] - 1
+    for node in problem.motion.numbers:
+        if not 0 <= node <= last:
+            raise ProblemError("motion", f"the motion names node {node}; nodes run from 0 to {last}")
     for load in problem.point_loads:
-        if not 0 <= load.node < count:
+        if not 0 <= load.node <= last:
             raise ProblemError("tractions", f"a point load names node {load.node}, which the mesh has not")
         if not np.all(np.isfinite(load.force)):
             raise ProblemError("tractions", f"the point load {load.force} at node {load.node} is not finite")
-    for part, what, values in (
+    given: list[tuple[str, str, Sequence[Any]]] = [
         *(("obstacle", f"the contact normal {o.normal}", o.normal) for o in problem.obstacles),
         *(("tractions", f"the point load {p.force}", p.force) for p in problem.point_loads),
         *(("tractions", f"the traction {t.value} on {t.boundary!r}", t.value) for t in problem.tractions),
@@ -116,7 +113,8 @@ def _check_components(problem: ProblemData) -> None:
             ("dirichlet", f"the displacement {s.value} given on {s.boundary!r}", s.value)
             for s in problem.supports
         ),
-    ):
+    ]
+    for part, what, values in given:
         if len(values) != n:
             raise ProblemError(part, f"{what} has {len(values)} components: it needs {n} values")
 
@@ -143,9 +141,8 @@ def _functions(problem: ProblemData) -> Iterator[tuple[str, Coefficient, Array, 
     for (name, law), (_, elements) in zip(laws.items(), problem.regions, strict=True):
         points, of = _inside(problem, elements), f" of {name!r}" if name else ""
         what = "source" if law.components == 1 else "body force"
-        yield from (
-            ("law", value, points, f"{text}{of}", name) for text, value in _components(what, law.load)
-        )
+        for text, value in _components(what, law.load):
+            yield "law", value, points, f"{text}{of}", name
     for traction in problem.tractions:
         points, on = _along(problem, traction.boundary), traction.boundary
         for text, value in _components("traction", traction.value):
@@ -156,10 +153,8 @@ def _functions(problem: ProblemData) -> Iterator[tuple[str, Coefficient, Array, 
             if given is not None:
                 yield "dirichlet", given, points, f"the displacement given on {on!r}", on
     for number, obstacle in enumerate(problem.obstacles):
-        if isinstance(obstacle.boundary, Place):
-            points = _inside(problem, np.arange(problem.mesh.t.shape[1]))
-        else:
-            points = _along(problem, obstacle.boundary)
+        place = obstacle.boundary
+        points = _inside(problem, ...) if isinstance(place, Place) else _along(problem, place)
         gap = obstacle.offset if obstacle.level is None else obstacle.distance
         yield "obstacle", gap, points, "the obstacle", number
         yield "friction", obstacle.friction, points, "the friction bound", number
@@ -172,7 +167,7 @@ def _components(what: str, values: tuple[Coefficient, ...]) -> list[tuple[str, C
     return [(f"component {i} of the {what}", value) for i, value in enumerate(values, 1)]
 
 
-def _inside(problem: ProblemData, elements: NDArray) -> Array:
+def _inside(problem: ProblemData, elements: Any) -> Array:
     """The nodes of some elements and their quadrature points for loads, (2, points)."""
     local = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5]])
     if isinstance(problem.rule, int):
@@ -200,11 +195,10 @@ def _check_friction(problem: ProblemData) -> None:
             continue
         nodes = part.nodes
         oblique = np.all(np.abs(part.obstacle.normals(problem.mesh.p[:, nodes])) > NO_NORMAL, axis=0)
-        bad = nodes[np.any(held[:, nodes] & (oblique | (value[:, nodes] != 0)), axis=0)]
-        if bad.size:
+        for node in nodes[np.any(held[:, nodes] & (oblique | (value[:, nodes] != 0)), axis=0)]:
             raise ProblemError(
                 "friction",
-                f"contact node {bad[0]} has friction and one given displacement component: with friction it "
+                f"contact node {node} has friction and one given displacement component: with friction it "
                 "must be zero and along the tangent",
             )
 

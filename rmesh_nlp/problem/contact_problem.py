@@ -79,13 +79,13 @@ class ContactProblem(ProblemData):
     def __post_init__(self) -> None:
         for name, (kinds, what) in KINDS.items():
             given = getattr(self, name)
-            one_or_more = name in ("obstacle", "motion")
-            every = () if given is None and not one_or_more else as_tuple(given)
+            needed = name in ("obstacle", "motion")
+            every = () if given is None and not needed else as_tuple(given)
             wrong = [one for one in every if not isinstance(one, kinds)]
             if wrong or isinstance(given, Mapping):
                 part = "tractions" if name == "point_loads" else name
                 raise ProblemError(part, f"{name} must be {what}, got {wrong[0] if wrong else given!r}")
-            if not one_or_more:
+            if not needed:
                 object.__setattr__(self, name, every)
         check(self)
         try:
@@ -104,11 +104,11 @@ class ContactProblem(ProblemData):
         """Mesh, laws, loads, contact and motion, as (label, value) rows for people."""
         mesh = self.mesh
         (x0, y0), (x1, y1) = mesh.p.min(axis=1), mesh.p.max(axis=1)
-        names = {n: np.size(f) for n, f in (mesh.boundaries or {}).items() if not n.startswith("gmsh:")}
+        named = [(n, f) for n, f in (mesh.boundaries or {}).items() if not n.startswith("gmsh:")]
         rows = [
             ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.t.shape[1]} triangles"),
             ("extent", f"({figure(x0)}, {figure(x1)}) x ({figure(y0)}, {figure(y1)})"),
-            ("boundaries (edges)", ", ".join(f"{name} ({count})" for name, count in names.items())),
+            ("boundaries (edges)", ", ".join(f"{name} ({np.size(facets)})" for name, facets in named)),
         ]
         stress = after(self.units.stress)
         rows += [(f"law of {e.size} triangles", law.in_words(stress)) for law, e in self.regions]
@@ -148,23 +148,15 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
     """The problem with some triangles refined, and what neighbours need; old nodes keep their numbers."""
     old = problem.mesh
     new = replace(old, _boundaries=None).refined(np.asarray(elements))
-    kept = {tuple(edge) for edge in np.sort(new.facets, axis=0).T.tolist()}
-    tree = cKDTree(new.p.T)
-
-    def pieces(a: int, b: int) -> list[tuple[int, int]]:
-        if (min(a, b), max(a, b)) in kept:
-            return [(a, b)]
-        middle = int(tree.query((old.p[:, a] + old.p[:, b]) / 2)[1])
-        return [(a, middle), (middle, b)]
-
+    n, (a, b) = new.p.shape[1], old.facets
+    whole = np.isin(a * n + b, new.facets[0] * n + new.facets[1])
+    middle = cKDTree(new.p.T).query((old.p[:, a] + old.p[:, b]).T / 2)[1]
+    pieces = np.where(whole, [a, b, a, b], [a, middle, middle, b])
     boundaries = {
-        name: np.array(
-            [piece for edge in old.facets[:, np.asarray(facets)].T.tolist() for piece in pieces(*edge)]
-        )
+        name: pieces[:, np.asarray(facets)].T.reshape(-1, 2)
         for name, facets in (old.boundaries or {}).items()
     }
-    subdomains = {name: np.asarray(e) for name, e in (new.subdomains or {}).items()}
-    mesh = from_arrays(new.p.T, counter_clockwise(new.p, new.t).T, boundaries, subdomains)
+    mesh = from_arrays(new.p.T, counter_clockwise(new.p, new.t).T, boundaries, new.subdomains)
     return _on_mesh(problem, mesh, problem.motion)
 
 

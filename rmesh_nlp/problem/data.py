@@ -145,8 +145,7 @@ class ProblemData:
                 given = on_points(coefficient, self.mesh.p[:, nodes], what)
                 scale = max(1.0, float(np.max(np.abs(given), initial=0.0)))
                 clash = held[i, nodes] & (np.abs(value[i, nodes] - given) > CLASH * scale)
-                if np.any(clash):
-                    k = int(np.flatnonzero(clash)[0])
+                for k in np.flatnonzero(clash):
                     raise ProblemError(
                         "dirichlet",
                         f"{what} is {given[k]:.6g} at node {nodes[k]}, where another boundary gives "

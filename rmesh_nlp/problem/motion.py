@@ -11,6 +11,7 @@ import numpy as np
 
 from rmesh_nlp.display import figure
 from rmesh_nlp.meshes.curves import Curve
+from rmesh_nlp.problem.conditions import as_tuple
 
 BY_BARRIER = "by auto, and with a regularisation: only positive"
 """What becomes of the least area where a distortion is minimised with the energy: it is a barrier."""
@@ -77,10 +78,9 @@ class Motion:
         if isinstance(self.delta, Real):
             object.__setattr__(self, "delta", (float(self.delta), float(self.delta)))
         if self.delta is not None and not isinstance(self.delta, Relative):
-            pair = self.delta
-            if not isinstance(pair, (tuple, list)) or len(pair) != 2:
-                raise ValueError(f"delta must be a number, two numbers, Relative or None, got {pair!r}")
-            for value in pair:
+            if not _is_pair(self.delta):
+                raise ValueError(f"delta must be a number, two numbers, Relative or None, got {self.delta!r}")
+            for value in self.delta:  # type: ignore[union-attr]
                 if not (isinstance(value, Real) and np.isfinite(value) and value > 0):
                     raise ValueError(f"delta must be positive and finite, got {value}")
         if not 0 < self.min_area_fraction < 1:
@@ -88,14 +88,13 @@ class Motion:
         if not 0 <= self.min_angle < 60:
             raise ValueError(f"min_angle must be at least 0 and less than 60 degrees, got {self.min_angle}")
         for name in RULES:
-            given = getattr(self, name)
-            places = (given,) if isinstance(given, (str, Integral)) else tuple(given)
+            places = as_tuple(getattr(self, name))
             for place in places:
                 if not isinstance(place, (str, Integral)):
                     raise ValueError(f"{name} must be names of boundaries or node numbers, got {place!r}")
             object.__setattr__(self, name, places)
         for pair in self.tied:
-            if not (isinstance(pair, (tuple, list)) and len(pair) == 2):
+            if not _is_pair(pair):
                 raise ValueError(f"tied must be pairs of node numbers, got {pair!r}")
         for name, curve in self.curves.items():
             if not isinstance(curve, Curve):
@@ -139,3 +138,7 @@ class Motion:
         if isinstance(self.delta, Relative):
             return {"relative": self.delta.fraction}
         return None if self.delta is None else list(self.delta)  # type: ignore[arg-type]
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, (tuple, list)) and len(value) == 2

@@ -14,9 +14,10 @@ from rmesh_nlp.display import describe, figure
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, on_points
 
+Vector = tuple[float, float]
+
 GAPS = ("node", "edge")
 """Where gaps hold: at contact nodes, or along their edges."""
-
 
 NO_NORMAL = 1e-12
 """Components of a unit normal below this are zero."""
@@ -95,21 +96,13 @@ class Obstacle:
             raise ValueError(f"gap must be {' or '.join(map(repr, GAPS))}, got {self.gap!r}")
 
     @classmethod
-    def line(
-        cls,
-        boundary: str,
-        point: tuple[float, float],
-        normal: tuple[float, float],
-        friction: Coefficient = 0.0,
-    ) -> Obstacle:
-        """A rigid straight line through ``point``.
-
-        The gap is ``normal . (X + u - point)``.
+    def line(cls, boundary: str, point: Vector, normal: Vector, friction: Coefficient = 0.0) -> Obstacle:
+        """A rigid straight line through ``point``, with the gap ``normal . (X + u - point)``.
 
         ``normal`` points from the line to the body and may have any length but zero.
         """
         length = float(np.hypot(*normal))
-        if not (np.isfinite(length) and length > 0):
+        if not 0 < length < np.inf:
             raise ValueError(f"the normal of the rigid line must be a non-zero vector, got {normal}")
         n = (normal[0] / length, normal[1] / length)
 
@@ -145,7 +138,7 @@ class Obstacle:
     def circle(
         cls,
         boundary: str,
-        centre: tuple[float, float],
+        centre: Vector,
         radius: float,
         *,
         inside: bool = False,
@@ -156,7 +149,7 @@ class Obstacle:
         The gap at zero displacement is the distance to the circle, the normal that at the
         undeformed node; both are exact, the dependence on the displacement is linear.
         """
-        if not (np.isfinite(radius) and radius > 0):
+        if not 0 < radius < np.inf:
             raise ValueError(f"the radius of the circle must be positive, got {radius}")
         if not np.all(np.isfinite(centre)):
             raise ValueError(f"the centre of the circle must be finite, got {centre}")
@@ -172,22 +165,22 @@ class Obstacle:
         """The scalar obstacle problem ``u >= psi`` in the whole domain, imposed at the nodes."""
         return cls(Place.INTERIOR, (1.0,), lambda x, y: -at(psi, x, y))
 
-    def moved(self, by: tuple[float, float]) -> Obstacle:
+    def moved(self, by: Vector) -> Obstacle:
         """The foundation moved as a rigid body by ``by``.
 
         A shape in space is carried along; a gap given at material points shrinks by ``normal . by``.
         """
         dx, dy = (float(value) for value in by)
-        kinks = tuple(kink + dx for kink in self.kinks)
         level, offset, n = self.level, self.offset, self.normal
         if level is not None:
             return replace(self, level=lambda x, y: level(x - dx, y - dy))
         if len(n) != 2:
             raise ValueError("only the foundation of an elastic body can move as a rigid body")
         if self.fixed_in_space:
+            kinks = tuple(kink + dx for kink in self.kinks)
             return replace(self, offset=lambda x, y: at(offset, x - dx, y - dy), kinks=kinks)
         closer = n[0] * dx + n[1] * dy
-        return replace(self, offset=lambda x, y: at(offset, x, y) - closer, kinks=self.kinks)
+        return replace(self, offset=lambda x, y: at(offset, x, y) - closer)
 
     def in_words(self) -> str:
         """Where contact is, along which normal and with which friction."""
@@ -227,13 +220,7 @@ class Obstacle:
         return np.asarray(normals / np.linalg.norm(normals, axis=0))
 
     def distances(self, points: Array) -> Array:
-        """Gaps (points,) without displacement at ``points`` (2, points).
-
-        Raises
-        ------
-        ValueError
-            If one is not finite.
-        """
+        """Gaps (points,) without displacement at ``points`` (2, points); a ValueError if one is not finite."""
         return on_points(self.offset if self.level is None else self.distance, points, "the obstacle")
 
     def feet(self, points: Array) -> Array:

@@ -18,13 +18,8 @@ NO_MOTION = 1e-9
 def rigid_motions(problem: ProblemData, nodes: Array | None = None) -> Array:
     """A basis (motions, components, nodes) of the rigid motions that no given displacement prevents.
 
-    Each belongs to one connected part of the mesh and is zero on the others. Empty if the given
-    displacements prevent all.
-
-    Parameters
-    ----------
-    nodes : (2, nodes) array, optional
-        Positions to turn about; those of the mesh by default.
+    Each belongs to one connected part of the mesh and is zero on the others; ``nodes`` are its positions,
+    by default as given.
     """
     mesh = problem.mesh
     p = mesh.p if nodes is None else nodes
