@@ -20,15 +20,8 @@ class Evaluator:
     ``Function.__call__`` converts every argument to a DM and back; for the large sparse
     results of an assembled mesh that costs more than the evaluation itself.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Arguments may be of any shape; they are passed column-major, as CasADi stores them.
-
-    Notes
-    -----
-    A call returns one flat array of the nonzeros of each output, in CasADi's (column-major)
-    order. The arrays are fresh at each call.
+    Arguments may be of any shape; they are passed column-major, as CasADi stores them. A call returns one
+    fresh flat array of the nonzeros of each output, in the same order.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -62,11 +55,7 @@ class Evaluator:
 class Block:
     """Makes a block of a sparse matrix from the nonzeros of the whole; where they are is found once.
 
-    Parameters
-    ----------
-    whole : sparse array
-        Its pattern, see :func:`numbered`.
-    rows, columns : slice
+    ``whole`` has the pattern of the matrix and numbers its nonzeros, see :func:`numbered`.
     """
 
     def __init__(self, whole: sp.csc_array, rows: slice, columns: slice) -> None:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import ast
 import difflib
-import itertools
 import operator
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
+from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -42,7 +42,7 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
     "min": (ca.fmin, 2),
     "max": (ca.fmax, 2),
     "hypot": (lambda a, b: ca.sqrt(a * a + b * b), 2),
-    "where": (lambda condition, a, b: ca.if_else(condition, a, b), 3),
+    "where": (ca.if_else, 3),
 }
 """Name, and number of arguments, of every function that may be used."""
 
@@ -65,17 +65,7 @@ _OPERATORS: dict[type, Callable[..., Any]] = {
 
 
 class Expression:
-    """A function of position (x, y), read from text.
-
-    Parameters
-    ----------
-    text : str
-
-    Raises
-    ------
-    ValueError
-        If the text is not one of the expressions allowed; the message says what is not.
-    """
+    """A function of position (x, y), read from text; a ValueError says what is not allowed in it."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -106,20 +96,15 @@ class Expression:
 
 
 def value_of(text: str, names: Mapping[str, Any]) -> Any:
-    """The value of an expression whose names stand for symbols, as a CasADi expression.
-
-    Raises
-    ------
-    ValueError
-        If the text is not one of the expressions allowed; the message says what is not.
-    """
+    """The value of an expression whose names stand for symbols; a ValueError says what is not allowed."""
     if len(text) > LONGEST:
         raise ValueError(f"an expression of {len(text)} characters is too long ({LONGEST} are allowed)")
     try:
-        tree = _parsed(text)
-        return _walk(tree, {**names, "pi": ca.SX(np.pi)})
+        return _walk(_parsed(text), {**names, "pi": ca.SX(np.pi)})
     except (SyntaxError, RecursionError, MemoryError) as error:
-        raise ValueError(f"{text[:60]!r} is not an expression of {_listed(names)}") from error
+        *first, last = names
+        known = f"{', '.join(first)} and {last}" if first else last
+        raise ValueError(f"{text[:60]!r} is not an expression of {known}") from error
 
 
 def _parsed(text: str) -> ast.expr:
@@ -127,11 +112,6 @@ def _parsed(text: str) -> ast.expr:
         return ast.parse(text.strip(), mode="eval").body
     except ValueError as error:  # how Python before 3.12 refuses a null character
         raise SyntaxError(str(error)) from error
-
-
-def _listed(names: Iterable[str]) -> str:
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last
 
 
 def _walk(node: ast.AST, names: dict[str, Any]) -> Any:
@@ -159,13 +139,11 @@ def _value(node: ast.AST, names: dict[str, Any]) -> Any:
         return _OPERATORS[type(node.op)](*(_walk(operand, names) for operand in operands))
     elif isinstance(node, ast.BoolOp):
         combine = ca.logic_and if isinstance(node.op, ast.And) else ca.logic_or
-        return _chain(combine, [_walk(value, names) for value in node.values])
+        return reduce(combine, [_walk(value, names) for value in node.values])
     elif isinstance(node, ast.Compare) and all(type(op) in _OPERATORS for op in node.ops):
         sides = [_walk(side, names) for side in (node.left, *node.comparators)]
-        tests = [
-            _OPERATORS[type(op)](*pair) for op, pair in zip(node.ops, itertools.pairwise(sides), strict=True)
-        ]
-        return _chain(ca.logic_and, tests)
+        tests = zip(node.ops, sides, sides[1:], strict=False)
+        return reduce(ca.logic_and, [_OPERATORS[type(op)](a, b) for op, a, b in tests])
     elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
         return _call(node, node.func.id, names)
     raise ValueError(f"{ast.unparse(node)[:60]!r} is not allowed in an expression")
@@ -178,13 +156,6 @@ def _call(node: ast.Call, name: str, names: dict[str, Any]) -> Any:
     if len(node.args) != arity:
         raise ValueError(f"{name} takes {arity} argument{'s' * (arity > 1)}, got {len(node.args)}")
     return function(*(_walk(argument, names) for argument in node.args))
-
-
-def _chain(combine: Callable[[Any, Any], Any], values: list[Any]) -> Any:
-    result = values[0]
-    for value in values[1:]:
-        result = combine(result, value)
-    return result
 
 
 def _nearest(name: str, known: tuple[str, ...]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -15,17 +15,10 @@ S = TypeVar("S", bound="Settings")
 
 @dataclass(frozen=True)
 class Number:
-    """What a number may be: finite and above ``above``, and below ``below``.
+    """What a number may be: finite, above ``above`` and below ``below``.
 
-    Attributes
-    ----------
-    above, below : float
-    whole : bool
-        An int, not a float that happens to be whole.
-    zero : bool
-        0 may be too.
-    infinite : bool
-        Infinity may be too, such as for a limit that is none.
+    A ``whole`` one is an int, not a float that happens to be whole. 0 may be too if ``zero``, and infinity if
+    ``infinite``, such as for a limit that is none.
     """
 
     above: float = 0.0
@@ -75,13 +68,7 @@ class Settings:
 
     @classmethod
     def of(cls: type[S], given: Settings | Mapping[str, Any] | None) -> S:
-        """Settings from an instance, from a mapping of the fields that differ, or the defaults.
-
-        Raises
-        ------
-        BadInputError
-            If there is no such field, or an instance is of another method.
-        """
+        """Settings from an instance, from a mapping of the fields that differ, or the defaults."""
         if given is None:
             return cls()
         if isinstance(given, cls):
@@ -91,13 +78,7 @@ class Settings:
         return cls().having(given)
 
     def having(self: S, given: Mapping[str, Any]) -> S:
-        """These settings with other values of some fields.
-
-        Raises
-        ------
-        BadInputError
-            If there is no such field.
-        """
+        """These settings with other values of some fields; a BadInputError if there is no such field."""
         known = {field.name for field in fields(self)}
         values = {}
         for name, value in given.items():
@@ -112,20 +93,15 @@ class Settings:
         """The fields that differ from their defaults, as plain values."""
         found: dict[str, Any] = {}
         for field in fields(self):
-            value = getattr(self, field.name)
-            if value != _default(field):
-                plain = value.changed() if isinstance(value, Settings) else _plain(value)
-                if plain != {}:
-                    found[field.name] = plain
+            value: Any = getattr(self, field.name)
+            default = field.default if field.default_factory is MISSING else field.default_factory()
+            if isinstance(value, Settings):
+                plain: Any = value.changed()
+            else:
+                plain = dict(value) if isinstance(value, Mapping) else value
+            if value != default and plain != {}:
+                found[field.name] = plain
         return found
-
-
-def _default(field: Field[Any]) -> Any:
-    return field.default if field.default_factory is MISSING else field.default_factory()
-
-
-def _plain(value: Any) -> Any:
-    return dict(value) if isinstance(value, Mapping) else value
 
 
 WORDS: Mapping[Any, str] = {bool: "true or false", str: "a name"}

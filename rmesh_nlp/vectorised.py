@@ -37,25 +37,11 @@ class AssemblySettings(Settings):
 
 USUAL = AssemblySettings()
 
-Operation = Callable[..., Any]
 
-
-def _times_two(a: Array, out: Array) -> None:
-    np.add(a, a, out=out)
-
-
-def _is_zero(a: Array, out: Array) -> None:
-    np.equal(a, 0, out=out)
-
-
-def _if_else_zero(condition: Array, a: Array, out: Array) -> None:
-    np.copyto(out, np.where(condition != 0, a, 0.0))
-
-
-UNARY: dict[int, Operation] = {
+OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_NEG: np.negative,
     ca.OP_SQ: np.square,
-    ca.OP_TWICE: _times_two,
+    ca.OP_TWICE: lambda a, out: np.add(a, a, out=out),
     ca.OP_INV: np.reciprocal,
     ca.OP_SQRT: np.sqrt,
     ca.OP_SIN: np.sin,
@@ -65,10 +51,7 @@ UNARY: dict[int, Operation] = {
     ca.OP_LOG: np.log,
     ca.OP_FABS: np.abs,
     ca.OP_SIGN: np.sign,
-    ca.OP_NOT: _is_zero,
-}
-
-BINARY: dict[int, Operation] = {
+    ca.OP_NOT: lambda a, out: np.equal(a, 0, out=out),
     ca.OP_ADD: np.add,
     ca.OP_SUB: np.subtract,
     ca.OP_MUL: np.multiply,
@@ -81,7 +64,7 @@ BINARY: dict[int, Operation] = {
     ca.OP_LE: np.less_equal,
     ca.OP_EQ: np.equal,
     ca.OP_NE: np.not_equal,
-    ca.OP_IF_ELSE_ZERO: _if_else_zero,
+    ca.OP_IF_ELSE_ZERO: lambda condition, a, out: np.copyto(out, np.where(condition != 0, a, 0.0)),
 }
 
 MOVES = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT)
@@ -91,7 +74,7 @@ def is_vectorisable(function: ca.Function) -> bool:
     """Whether every operation of a Function is one that numpy has."""
     if not function.is_a("SXFunction"):
         return False
-    known = {*UNARY, *BINARY, *MOVES}
+    known = {*OPERATIONS, *MOVES}
     return all(function.instruction_id(k) in known for k in range(function.n_instructions()))
 
 
@@ -120,17 +103,7 @@ class Mapped:
 
 
 class Vectorised:
-    """The same in numpy.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        See :func:`is_vectorisable`.
-    n : int
-        Number of columns.
-    chunk : int
-        Columns at a time.
-    """
+    """The same in numpy, ``chunk`` columns at a time, of a Function that :func:`is_vectorisable`."""
 
     def __init__(self, function: ca.Function, n: int, chunk: int = USUAL.chunk) -> None:
         self._n, self._chunk = n, chunk
@@ -164,19 +137,15 @@ class Vectorised:
 
 @lru_cache(maxsize=256)
 def _instructions(function: ca.Function) -> tuple[tuple[Any, Any, Any], ...]:
-    """All of them; kept, since meshes of one problem share their element functions."""
-    return tuple(_instruction(function, k) for k in range(function.n_instructions()))
-
-
-def _instruction(function: ca.Function, k: int) -> tuple[Any, Any, Any]:
-    """What to do, where to put the result, and what it is made of."""
-    identity = function.instruction_id(k)
-    sources, target = function.instruction_input(k), function.instruction_output(k)
-    if identity == ca.OP_CONST:
-        return identity, target[0], function.instruction_constant(k)
-    if identity == ca.OP_INPUT:
-        return identity, target[0], tuple(sources)
-    if identity == ca.OP_OUTPUT:
-        return identity, tuple(target), sources[0]
-    operation = UNARY[identity] if identity in UNARY else BINARY[identity]
-    return operation, target[0], tuple(sources)
+    """What to do, where to put the result, and what it is made of; meshes of one problem share them."""
+    found: list[tuple[Any, Any, Any]] = []
+    for k in range(function.n_instructions()):
+        identity = function.instruction_id(k)
+        sources, target = function.instruction_input(k), function.instruction_output(k)
+        if identity == ca.OP_CONST:
+            found.append((identity, target[0], function.instruction_constant(k)))
+        elif identity == ca.OP_OUTPUT:
+            found.append((identity, tuple(target), sources[0]))
+        else:
+            found.append((OPERATIONS.get(identity, identity), target[0], tuple(sources)))
+    return tuple(found)

@@ -78,9 +78,10 @@ class Motion:
         if isinstance(self.delta, Real):
             object.__setattr__(self, "delta", (float(self.delta), float(self.delta)))
         if self.delta is not None and not isinstance(self.delta, Relative):
-            if not _is_pair(self.delta):
-                raise ValueError(f"delta must be a number, two numbers, Relative or None, got {self.delta!r}")
-            for value in self.delta:  # type: ignore[union-attr]
+            pair = self.delta
+            if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+                raise ValueError(f"delta must be a number, two numbers, Relative or None, got {pair!r}")
+            for value in pair:
                 if not (isinstance(value, Real) and np.isfinite(value) and value > 0):
                     raise ValueError(f"delta must be positive and finite, got {value}")
         if not 0 < self.min_area_fraction < 1:
@@ -94,7 +95,7 @@ class Motion:
                     raise ValueError(f"{name} must be names of boundaries or node numbers, got {place!r}")
             object.__setattr__(self, name, places)
         for pair in self.tied:
-            if not _is_pair(pair):
+            if not (isinstance(pair, (tuple, list)) and len(pair) == 2):
                 raise ValueError(f"tied must be pairs of node numbers, got {pair!r}")
         for name, curve in self.curves.items():
             if not isinstance(curve, Curve):
@@ -138,7 +139,3 @@ class Motion:
         if isinstance(self.delta, Relative):
             return {"relative": self.delta.fraction}
         return None if self.delta is None else list(self.delta)  # type: ignore[arg-type]
-
-
-def _is_pair(value: Any) -> bool:
-    return isinstance(value, (tuple, list)) and len(value) == 2

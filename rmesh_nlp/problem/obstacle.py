@@ -220,7 +220,7 @@ class Obstacle:
         return np.asarray(normals / np.linalg.norm(normals, axis=0))
 
     def distances(self, points: Array) -> Array:
-        """Gaps (points,) without displacement at ``points`` (2, points); a ValueError if one is not finite."""
+        """Gaps (points,) without displacement at ``points`` (2, points), all finite or a ValueError."""
         return on_points(self.offset if self.level is None else self.distance, points, "the obstacle")
 
     def feet(self, points: Array) -> Array:
