@@ -74,7 +74,7 @@ def finish(
     the interior point begins with them. ``search`` looks for another branch if the one next to the point is
     infeasible. An exact point above ``ceiling`` is neither labelled nor improved: its status is WORSE.
     """
-    fix_G = run.lifted.on_first(z)
+    zero = run.lifted.smaller(z)
     if warm is not None and run.options.newton_finish:
         near = polished(run, z, warm, corner, ceiling)
         if near is not None and _faithful(run, near, z):
@@ -82,11 +82,11 @@ def finish(
             if near.solved:
                 return near
         warm = None
-    result = run.branch(z, fix_G, warm=warm)
+    result = run.branch(z, zero, warm=warm)
     if warm is not None and not run.exact(result.x):
-        result = run.branch(z, fix_G)
+        result = run.branch(z, zero)
     if search and not run.exact(result.x):
-        result, fix_G = _other_branch(run, z, fix_G, result)
+        result, zero = _other_branch(run, z, zero, result)
     if not run.exact(result.x):
         end = Finish(result.x, result.f, Status.INACCURATE if result.converged else result.status)
     elif result.status is Status.UNBOUNDED:
@@ -94,7 +94,7 @@ def finish(
     elif result.f > ceiling:
         return Finish(result.x, result.f, Status.WORSE)
     else:
-        result = _tighten(run, result, fix_G)
+        result = _tighten(run, result, zero)
         end = pivot(run, _labelled(run, result.x, result.f, (result.lam_g, result.lam_x)))
     return end if end.solved or not search else _projected(run, z, end)
 
@@ -108,19 +108,16 @@ def polished(
     at a biactive pair that is not S-stationary the relaxed solution stays at the distance sqrt(t), and the
     relaxations become ever harder to solve. A point above ``ceiling`` is none.
     """
-    on_G = run.lifted.on_first(z)
-    found = _polished(run, z, warm, on_G, ~on_G, ceiling)
-    near = np.maximum(*run.lifted.members(z)) <= corner
+    zero, near = run.lifted.smaller(z), np.max(z[run.lifted.pairs], axis=0) <= corner
+    found = _polished(run, z, warm, zero, ceiling)
     if (found is not None and found.solved) or not np.any(near):
         return found
-    inside = _polished(run, z, warm, on_G | near, ~on_G | near, ceiling)
+    inside = _polished(run, z, warm, zero | near, ceiling)
     return found if inside is None or (found is not None and found.rank >= inside.rank) else inside
 
 
-def _polished(
-    run: Run, z: Array, warm: NLPResult, fix_G: BoolArray, fix_H: BoolArray, ceiling: float
-) -> Finish | None:
-    found = polish(run, z, fix_G, warm.lam_g, warm.lam_x, fix_H)
+def _polished(run: Run, z: Array, warm: NLPResult, zero: BoolArray, ceiling: float) -> Finish | None:
+    found = polish(run, z, zero, warm.lam_g, warm.lam_x)
     if found is None or found.f > ceiling:
         return None
     run.record("polished", 0.0, found.z)
@@ -155,7 +152,7 @@ def pivot(run: Run, here: Finish) -> Finish:
             return here
         if better.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
             return Finish(better.x, better.f, Status.UNBOUNDED, pivots=pivots + 1, lpecs=lpecs)
-        better = _tighten(run, better, direction.G_fixed)
+        better = _tighten(run, better, direction.zero)
         here = _labelled(run, better.x, better.f, (better.lam_g, better.lam_x))
         lpecs += here.lpecs
     return replace(here, pivots=run.options.max_pivots, lpecs=lpecs, status=Status.ITERATION_LIMIT)
@@ -166,7 +163,7 @@ def _descend(run: Run, here: Finish, direction: Direction) -> NLPResult | None:
     aim = here.f - _DECREASE * (1 + abs(here.f))
     for reach in _TRUST:
         radius = None if reach is None else reach * (1 + np.abs(here.z))
-        better = run.branch(here.z, direction.G_fixed, radius=radius)
+        better = run.branch(here.z, direction.zero, radius=radius)
         if run.exact(better.x) and better.f < aim:
             return better
     return None
@@ -178,7 +175,7 @@ def _projected(run: Run, z: Array, end: Finish) -> Finish:
     A branch with more equations than free unknowns (discretised dynamics) has hardly any freedom: the
     relaxed point is right, and solving for it again only loses it.
     """
-    near = project(run, z, run.lifted.on_first(z))
+    near = project(run, z, run.lifted.smaller(z))
     if near is None:
         return end
     run.record("polished", 0.0, near)
@@ -186,25 +183,25 @@ def _projected(run: Run, z: Array, end: Finish) -> Finish:
     return here if here.rank > end.rank else end
 
 
-def _other_branch(run: Run, z: Array, fix_G: BoolArray, result: NLPResult) -> tuple[NLPResult, BoolArray]:
+def _other_branch(run: Run, z: Array, zero: BoolArray, result: NLPResult) -> tuple[NLPResult, BoolArray]:
     """A feasible branch near the relaxed point: first by signs, which is cheap, then by elastic LPECs."""
-    by_signs = _follow_signs(run, z, fix_G)
+    by_signs = _follow_signs(run, z, zero)
     if by_signs is not None:
         return by_signs
-    distance = float(np.max(np.minimum(*run.lifted.members(z)), initial=0.0))
+    distance = float(np.max(np.min(z[run.lifted.pairs], axis=0), initial=0.0))
     for reach in _REACHES:
         radius = reach * max(distance, run.options.corner)
         near = nearest_branch(run.lifted, z, run.p, radius, run.seconds_left)
-        if near is None or np.array_equal(near[1], fix_G):
+        if near is None or np.array_equal(near[1], zero):
             continue
-        fix_G = near[1]
-        result = run.branch(near[0], fix_G)
+        zero = near[1]
+        result = run.branch(near[0], zero)
         if run.exact(result.x):
             break
-    return result, fix_G
+    return result, zero
 
 
-def _follow_signs(run: Run, z: Array, fix_G: BoolArray) -> tuple[NLPResult, BoolArray] | None:
+def _follow_signs(run: Run, z: Array, zero: BoolArray) -> tuple[NLPResult, BoolArray] | None:
     """Primal-dual active set: leave the signs free, and switch every pair whose sign comes out wrong.
 
     Where the pairs determine the rest (a lower level with one solution) it moves a contact boundary
@@ -213,36 +210,36 @@ def _follow_signs(run: Run, z: Array, fix_G: BoolArray) -> tuple[NLPResult, Bool
     """
     worst = np.inf
     for _ in range(_SIGN_STEPS):
-        result = run.branch(z, fix_G, phase="signs", free_signs=True)
+        result = run.branch(z, zero, phase="signs", free_signs=True)
         z = result.x
-        G, H = run.lifted.members(z)
-        free = np.where(fix_G, H, G)
+        G, H = z[run.lifted.pairs]
+        free = np.where(zero[0], H, G)
         wrong, before, worst = free < -run.options.complementarity, worst, -float(np.min(free, initial=0.0))
         if not result.converged or worst > before:
             return None
         if not np.any(wrong):
-            result = run.branch(z, fix_G)
-            return (result, fix_G) if run.exact(result.x) else None
-        fix_G = fix_G ^ wrong
+            result = run.branch(z, zero)
+            return (result, zero) if run.exact(result.x) else None
+        zero = zero ^ wrong
     return None
 
 
-def _tighten(run: Run, result: NLPResult, fix_G: BoolArray) -> NLPResult:
+def _tighten(run: Run, result: NLPResult, zero: BoolArray) -> NLPResult:
     """Put pairs that end next to the corner into it, if that costs nothing.
 
     A weakly active member stops at a distance of the square root of the solver's tolerance from zero:
     too far to be called zero, near enough to hide a biactive pair and with it a descent direction.
     """
-    free = np.maximum(*run.lifted.members(result.x))
+    free = np.max(result.x[run.lifted.pairs], axis=0)
     near = (free <= _NEAR_BIACTIVE) & (free > run.options.complementarity)
-    if not np.any(near) or not _can_close(run, result.x, fix_G, near):
+    if not np.any(near) or not _can_close(run, result.x, zero, near):
         return result
-    tight = run.branch(result.x, fix_G | near, ~fix_G | near, phase="tightened")
+    tight = run.branch(result.x, zero | near, phase="tightened")
     is_free = tight.f - result.f <= _DECREASE * (1 + abs(result.f))
     return tight if is_free and run.exact(tight.x) else result
 
 
-def _can_close(run: Run, z: Array, fix_G: BoolArray, near: BoolArray) -> bool:
+def _can_close(run: Run, z: Array, zero: BoolArray, near: BoolArray) -> bool:
     """Whether a small step closes the near pairs to first order: spares a hopeless, slow NLP.
 
     It is the least-norm step that keeps the active rows and the zero members, from one regularised KKT
@@ -251,7 +248,7 @@ def _can_close(run: Run, z: Array, fix_G: BoolArray, near: BoolArray) -> bool:
     lifted = run.lifted
     lin = _linearised(run, z)
     eye = sp.identity(z.size, format="csr")
-    places = np.unique(np.append(lifted.first[fix_G | near], lifted.second[~fix_G | near]))
+    places = np.unique(lifted.pairs[zero | near])
     A = sp.vstack([lin.jacobian[np.flatnonzero(lin.row_lower | lin.row_upper)], eye[places]], format="csr")
     size = np.maximum(1.0, np.sqrt(np.asarray(A.multiply(A).sum(axis=1)).ravel()))
     A = sp.diags(1.0 / size) @ A

@@ -84,7 +84,7 @@ def follow(
             if stuck >= _STUCK:
                 path.failure = Status.INFEASIBLE
                 break
-            before, sides = sides, run.lifted.on_first(result.x)
+            before, sides = sides, run.lifted.smaller(result.x)
             warm, corner = run.nlps.without_relaxation(relaxation, result, t), CORNER * np.sqrt(t)
             if run.exact(result.x) or t <= options.t_final:
                 path.keep(finish(run, result.x, search=True, warm=warm, corner=corner))
@@ -151,8 +151,7 @@ def _outlook(run: Run, warm: NLPResult) -> float:
     With a multiplier nu in the sign of ``f + nu a``, closing a member from a to 0 changes f by nu a.
     """
     lifted, z = run.lifted, warm.x
-    on_G = lifted.on_first(z)
-    places = np.unique(np.append(lifted.first[on_G], lifted.second[~on_G]))
+    places = np.unique(lifted.pairs[lifted.smaller(z)])
     return float(warm.lam_x[places] @ z[places])
 
 
@@ -195,6 +194,6 @@ def second_path(run: Run, path: Path, x0: Array, first: Finish | None) -> None:
 
 def _same_branch(run: Run, z: Array, known: Array) -> bool:
     """Whether a relaxed point has the larger member of every pair where the known point has it."""
-    (G, H), corner = run.lifted.members(known), run.options.corner
-    on_known = np.where(run.lifted.on_first(z), G, H)
-    return bool(np.all(on_known <= corner)) and not np.any(np.maximum(G, H) <= corner)
+    members, corner = known[run.lifted.pairs], run.options.corner
+    same = np.all(members[run.lifted.smaller(z)] <= corner)
+    return bool(same) and not np.any(np.max(members, axis=0) <= corner)

@@ -39,8 +39,9 @@ class Lifted:
     nlp : NLP
         Unknowns ``z``; rows without any complementarity; ``z >= 0`` for members. The last parameter is the
         weight of the objective.
-    first, second : int arrays
-        Pair i is ``z[first[i]] _|_ z[second[i]]``. An unknown may be in several pairs, also twice in one.
+    pairs : int array (2, n_pairs)
+        Pair i is ``z[pairs[0, i]] _|_ z[pairs[1, i]]``. An unknown may be in several, also twice in one. Bool
+        arrays of this shape say which members are zero.
     rows : int array
         Row of ``vertcat(g, G, H)`` behind each constraint row; the first ``n_g`` are ``g``.
     base : Derivatives
@@ -54,8 +55,7 @@ class Lifted:
 
     source: MPCC
     nlp: NLP
-    first: IntArray
-    second: IntArray
+    pairs: IntArray
     rows: IntArray
     base: Derivatives
     value: Evaluator
@@ -66,7 +66,7 @@ class Lifted:
     @cached_property
     def member(self) -> BoolArray:
         """Whether an unknown is a member of a pair."""
-        return np.isin(np.arange(self.nlp.n_x), np.append(self.first, self.second))
+        return np.isin(np.arange(self.nlp.n_x), self.pairs)
 
     @cached_property
     def pattern(self) -> tuple[IntArray, IntArray]:
@@ -74,13 +74,9 @@ class Lifted:
         rows, columns = self.jacobian.function.sparsity_out(1).get_triplet()
         return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
 
-    def members(self, z: Array) -> tuple[Array, Array]:
-        """Values of the members of all pairs."""
-        return z[self.first], z[self.second]
-
-    def on_first(self, z: Array) -> BoolArray:
-        """Pairs whose first member is the smaller one."""
-        return np.asarray(z[self.first] <= z[self.second])
+    def smaller(self, z: Array) -> BoolArray:
+        """The smaller member of each pair, of equal ones the first."""
+        return on_side(np.asarray(z[self.pairs[0]] <= z[self.pairs[1]]))
 
     def curvature(self, z: Array, p: Array, lam_rows: Array) -> sp.csc_matrix:
         """Hessian of the Lagrangian, where ``hessian`` is known."""
@@ -119,6 +115,11 @@ class Lifted:
         return float(f[0]), gradient, rows, sp.csr_matrix((nonzeros, self.pattern), shape=shape)
 
 
+def on_side(first: BoolArray) -> BoolArray:
+    """One member of each pair: the first where ``first``, else the second."""
+    return np.array([first, ~first])
+
+
 def lift(mpcc: MPCC) -> Lifted:
     """Lift the pairs of ``mpcc``; a member that is an unknown with room at zero keeps its place."""
     x, p, column, f = _pure(mpcc)
@@ -143,7 +144,7 @@ def lift(mpcc: MPCC) -> Lifted:
     assert nlp.derivatives is not None
     own = nlp.derivatives
     return Lifted(
-        mpcc, nlp, place[:n_pairs], place[n_pairs:], rows, base,
+        mpcc, nlp, place.reshape(2, n_pairs), rows, base,
         value=Evaluator(own.grad_f), jacobian=Evaluator(own.jac_g),
         hessian=None if own.hess_lag is None else Evaluator(own.hess_lag),
         source_values=Evaluator(ca.Function("source", [x, p], [f, column])),
@@ -160,7 +161,7 @@ def warm_start(lifted: Lifted, z0: Array, weight: float, known: MPCCResult | Dua
     column = weight * np.nan_to_num(np.concatenate([known.lam_g, known.lam_G, known.lam_H]))
     lam_z = np.zeros(lifted.nlp.n_x)
     lam_z[: source.n_x] = weight * np.nan_to_num(known.lam_x)
-    np.add.at(lam_z, np.append(lifted.first, lifted.second), column[source.n_g :])
+    np.add.at(lam_z, lifted.pairs.ravel(), column[source.n_g :])
     return NLPResult(
         x=z0, f=0.0, g=np.zeros(lifted.nlp.n_g), lam_x=lam_z, lam_g=column[lifted.rows],
         status=Status.CONVERGED, iterations=0, history={}, seconds=0.0,

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted
+from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted, on_side
 
 _ENUMERATE = 3  # up to 2^3 small linear programs are cheaper than a MILP
 _NODES, _LEAST_NODES, _WORK = 5_000, 50, 1_000_000  # branch and bound is given up after so many, by size
@@ -32,7 +32,7 @@ _NODES, _LEAST_NODES, _WORK = 5_000, 50, 1_000_000  # branch and bound is given 
 class Linearisation:
     """First-order data of the lifted problem at a point, with its active bounds of rows and unknowns.
 
-    The zero bound of a member is left to its pair: ``G_zero`` and ``H_zero``. Biactive: both.
+    The zero bound of a member is left to its pair: ``zero`` members are (2, n_pairs). Biactive: both.
     """
 
     gradient: Array
@@ -41,13 +41,12 @@ class Linearisation:
     row_upper: BoolArray
     z_lower: BoolArray
     z_upper: BoolArray
-    G_zero: BoolArray
-    H_zero: BoolArray
+    zero: BoolArray
 
     @property
     def biactive(self) -> IntArray:
         """Pairs with both members at zero."""
-        return np.flatnonzero(self.G_zero & self.H_zero).astype(np.int64)
+        return np.flatnonzero(np.all(self.zero, axis=0)).astype(np.int64)
 
     @property
     def scale(self) -> float:
@@ -71,7 +70,7 @@ def linearise(lifted: Lifted, z: Array, p: Array, tolerance: float, corner: floa
     return Linearisation(
         gradient, jacobian, active(rows / steep, nlp.lbg / steep), active(rows / steep, nlp.ubg / steep),
         active(z, nlp.lbx) & ~(lifted.member & (nlp.lbx == 0)), active(z, nlp.ubx),
-        np.abs(z[lifted.first]) <= corner, np.abs(z[lifted.second]) <= corner,
+        np.abs(z[lifted.pairs]) <= corner,
     )  # fmt: skip
 
 
@@ -86,21 +85,20 @@ def steepness(jacobian: sp.csr_matrix) -> Array:
 class Direction:
     """Answer of an LPEC: the best decrease (0 or negative), whether it is proven best, and the step.
 
-    ``G_fixed[i]``: pair i keeps ``G = 0`` (False: ``H = 0``) along the step.
+    ``zero[0, i]``: pair i keeps ``G = 0`` along the step, ``zero[1, i]``: ``H = 0``.
     """
 
     decrease: float
     step: Array
-    G_fixed: BoolArray
+    zero: BoolArray
     proven: bool = True
 
 
 def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Direction | None:
     """Solve the LPEC at a feasible point; None if it could not be solved within its limits."""
     lower, upper = np.where(lin.z_lower, 0.0, -1.0), np.where(lin.z_upper, 0.0, 1.0)
-    lower[np.append(lifted.first[lin.G_zero], lifted.second[lin.H_zero])] = 0.0
-    upper[lifted.first[lin.G_zero & ~lin.H_zero]] = 0.0
-    upper[lifted.second[lin.H_zero & ~lin.G_zero]] = 0.0
+    lower[lifted.pairs[lin.zero]] = 0.0
+    upper[lifted.pairs[lin.zero & ~lin.zero[::-1]]] = 0.0
     active = np.flatnonzero(lin.row_lower | lin.row_upper)
     rows = LinearConstraint(
         lin.jacobian[active],
@@ -109,14 +107,14 @@ def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Dire
     )
     pairs, members = lin.biactive, np.zeros(lifted.nlp.n_x)
     if pairs.size > _ENUMERATE:
-        found = _milp(lin.gradient, rows, lower, upper, lifted, lin.G_zero, pairs, members, seconds)
+        found = _milp(lin.gradient, rows, lower, upper, lifted, lin.zero[0], pairs, members, seconds)
         # that no descent was found is an answer only if all branches were searched
         return None if found is None or (not found.proven and found.decrease >= 0) else found
     best: Direction | None = None
     for sides in itertools.product((True, False), repeat=pairs.size):
-        on_G, here = lin.G_zero.copy(), upper.copy()
+        on_G, here = lin.zero[0].copy(), upper.copy()
         on_G[pairs] = sides
-        here[np.append(lifted.first[pairs[on_G[pairs]]], lifted.second[pairs[~on_G[pairs]]])] = 0.0
+        here[lifted.pairs[:, pairs][on_side(on_G[pairs])]] = 0.0
         found = _milp(lin.gradient, rows, lower, here, lifted, on_G, pairs[:0], members, np.inf)
         if found is None or not found.proven:
             return None
@@ -128,7 +126,7 @@ def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Dire
 def nearest_branch(
     lifted: Lifted, z: Array, p: Array, radius: float, seconds: float = np.inf
 ) -> tuple[Array, BoolArray] | None:
-    """A branch that the linearisation at an inexact point can satisfy: ``(z + step, G_fixed)``.
+    """A branch that the linearisation at an inexact point can satisfy: ``(z + step, zero members)``.
 
     The rows are elastic: their violation is minimised first, then the objective, over complementary
     steps of at most ``radius`` (the feasibility phase of MPECopt).
@@ -139,10 +137,8 @@ def nearest_branch(
     lower = np.maximum(-1.0, (nlp.lbx - z) / radius)
     upper = np.clip((nlp.ubx - z) / radius, lower, 1.0)
     lower = np.minimum(lower, upper)
-    G, H = lifted.members(members)
-    is_open = np.maximum(G, H) <= 1.0
-    fix_G = G <= H
-    at = np.append(lifted.first[fix_G & ~is_open], lifted.second[~fix_G & ~is_open])
+    zero, is_open = lifted.smaller(members), np.max(members[lifted.pairs], axis=0) <= 1.0
+    at = lifted.pairs[zero & ~is_open]
     lower[at] = upper[at] = np.maximum(-members[at], -1.0)
     eye = sp.identity(m, format="csr")
     rows = LinearConstraint(
@@ -154,9 +150,9 @@ def nearest_branch(
     elastic, pairs = np.zeros(2 * m), np.flatnonzero(is_open).astype(np.int64)
     found = _milp(
         np.append(gradient, elastic + weight), rows, np.append(lower, elastic),
-        np.append(upper, elastic + np.inf), lifted, fix_G, pairs, members, seconds,
+        np.append(upper, elastic + np.inf), lifted, zero[0], pairs, members, seconds,
     )  # fmt: skip
-    return None if found is None else (z + radius * found.step, found.G_fixed)
+    return None if found is None else (z + radius * found.step, found.zero)
 
 
 def _milp(
@@ -165,7 +161,7 @@ def _milp(
     lower: Array,
     upper: Array,
     lifted: Lifted,
-    sides: BoolArray,
+    on_G: BoolArray,
     pairs: IntArray,
     members: Array,
     seconds: float,
@@ -173,10 +169,10 @@ def _milp(
     """One binary y per pair: ``m_G + d_G <= (m_G + 1) y`` and ``m_H + d_H <= (m_H + 1) (1 - y)``.
 
     ``members`` are the values m of the unknowns; ``d <= 1`` makes ``m + 1`` a valid big M. ``cost`` may be
-    longer than the unknowns (elastic columns after them). ``sides`` are those of the other pairs.
+    longer than the unknowns (elastic columns after them). ``on_G`` are the sides of the other pairs.
     """
     n, k = cost.size, pairs.size
-    first, second = lifted.first[pairs], lifted.second[pairs]
+    first, second = lifted.pairs[:, pairs]
     constraints = []
     if k:
         pick = sp.identity(n, format="csr")
@@ -200,6 +196,6 @@ def _milp(
     )
     if answer.x is None:
         return None
-    G_fixed = sides.copy()
-    G_fixed[pairs] = answer.x[n:] < 0.5
-    return Direction(float(answer.fun), answer.x[: lifted.nlp.n_x], G_fixed, answer.status == 0)
+    on_G = on_G.copy()
+    on_G[pairs] = answer.x[n:] < 0.5
+    return Direction(float(answer.fun), answer.x[: lifted.nlp.n_x], on_side(on_G), answer.status == 0)

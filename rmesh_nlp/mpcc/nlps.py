@@ -96,8 +96,7 @@ class CompiledNLPs:
         self,
         z: Array,
         p: Array,
-        fix_G: BoolArray,
-        fix_H: BoolArray,
+        zero: BoolArray,
         *,
         radius: Array | None = None,
         free_signs: bool = False,
@@ -113,7 +112,7 @@ class CompiledNLPs:
             lower, upper = np.maximum(lower, z - radius), np.minimum(upper, z + radius)
         if free_signs:
             lower[lifted.member] = -np.inf
-        fixed = np.append(lifted.first[fix_G], lifted.second[fix_H])
+        fixed = lifted.pairs[zero]
         lower[fixed] = upper[fixed] = 0.0
         options = self.options.exact(lifted.nlp.n_x, warm is not None)
         solver = self._solver(("branch", warm is not None), lifted.nlp, options)
@@ -123,10 +122,8 @@ class CompiledNLPs:
         """The same point; what the relaxation exerts on a member becomes the multiplier of its bound."""
         lifted, n_rows = self.lifted, self.lifted.nlp.n_g
         _, pull = self._relaxed(name)
-        pulls = pull(*lifted.members(result.x), t, result.lam_g[n_rows:])
         lam = result.lam_x.copy()
-        for places, on_member in zip((lifted.first, lifted.second), pulls, strict=True):
-            np.add.at(lam, places, on_member)
+        np.add.at(lam, lifted.pairs, np.array(pull(*result.x[lifted.pairs], t, result.lam_g[n_rows:])))
         return replace(result, lam_x=lam, lam_g=result.lam_g[:n_rows], g=result.g[:n_rows])
 
     def padded(self, name: str, result: NLPResult) -> NLPResult:
@@ -188,7 +185,7 @@ def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, Evaluator]:
     nlp, relax = lifted.nlp, relaxation(name)
     t = ca.MX.sym("t")
     # one unknown taken at no place is a row of none, and rows of none do not join columns
-    a, b = (ca.reshape(nlp.x[places.tolist()], -1, 1) for places in (lifted.first, lifted.second))
+    a, b = (ca.reshape(nlp.x[places.tolist()], -1, 1) for places in lifted.pairs)
     relaxed = relax(a, b, t)
     n_rows = relaxed.rows.shape[0]
     if not relaxed.signs:
@@ -197,7 +194,7 @@ def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, Evaluator]:
     nlp = nlp.extended(
         p=t, f=relaxed.penalty, g=relaxed.rows, lbg=np.full(n_rows, -np.inf), ubg=np.zeros(n_rows)
     )
-    a, b = ca.MX.sym("a", lifted.first.size), ca.MX.sym("b", lifted.first.size)
+    a, b = (ca.MX.sym(name, lifted.source.n_pairs) for name in "ab")
     s, lam = ca.MX.sym("s"), ca.MX.sym("lam", n_rows)
     parts = relax(a, b, s)
     total = ca.MX(parts.penalty + (ca.dot(lam, parts.rows) if n_rows else 0))

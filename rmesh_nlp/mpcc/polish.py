@@ -50,11 +50,11 @@ class Polished:
 class _Branch:
     """Bounds of rows and unknowns of a branch: those of the lifted problem, zero for the fixed members."""
 
-    def __init__(self, lifted: Lifted, fix_G: BoolArray, fix_H: BoolArray) -> None:
+    def __init__(self, lifted: Lifted, zero: BoolArray) -> None:
         nlp = lifted.nlp
         self.lower, self.upper = np.append(nlp.lbg, nlp.lbx), np.append(nlp.ubg, nlp.ubx)
         self.n_rows = nlp.n_g
-        fixed = self.n_rows + np.append(lifted.first[fix_G], lifted.second[fix_H])
+        fixed = self.n_rows + lifted.pairs[zero]
         self.lower[fixed] = self.upper[fixed] = 0.0
         self.equal = self.lower == self.upper
 
@@ -115,16 +115,11 @@ class _Branch:
         return step, change
 
 
-def polish(
-    run: Run, z: Array, fix_G: BoolArray, lam_rows: Array, lam_z: Array, fix_H: BoolArray | None = None
-) -> Polished | None:
-    """Newton's method on the KKT system of the branch; None if it does not end, exact, near ``z``.
-
-    G is zero where ``fix_G``, H where ``fix_H`` (None: elsewhere).
-    """
+def polish(run: Run, z: Array, zero: BoolArray, lam_rows: Array, lam_z: Array) -> Polished | None:
+    """Newton's method on the KKT system of a branch; None if it does not end, exact, near ``z``."""
     if run.lifted.hessian is None:
         return None
-    branch = _Branch(run.lifted, fix_G, ~fix_G if fix_H is None else fix_H)
+    branch = _Branch(run.lifted, zero)
     found = (_newton(run, z, branch, lam_rows, lam_z, proximal) for proximal in _PROXIMAL)
     return next((point for point in found if point is not None), None)
 
@@ -168,9 +163,9 @@ def _is_near(z: Array, origin: Array) -> bool:
     return bool(np.all(np.isfinite(z)) and np.all(np.abs(z - origin) <= _REACH * (1 + np.abs(origin))))
 
 
-def project(run: Run, z: Array, fix_G: BoolArray) -> Array | None:
+def project(run: Run, z: Array, zero: BoolArray) -> Array | None:
     """A point of the branch near ``z`` by Gauss-Newton steps of least norm; None if there is none."""
-    branch = _Branch(run.lifted, fix_G, ~fix_G)
+    branch = _Branch(run.lifted, zero)
     origin, none = z, np.zeros(z.size)
     identity = sp.identity(z.size, format="csc")
     _, _, rows, jacobian = run.lifted.linearise(z, run.p)

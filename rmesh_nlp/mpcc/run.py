@@ -74,15 +74,9 @@ class Run:
         """Solve Scholtes' relaxation in the source problem's own unknowns; the result is a lifted one."""
         return self.solved("second", t, lambda: self.nlps.unlifted(x, self.p, t))
 
-    def branch(
-        self, z: Array, fix_G: BoolArray, fix_H: BoolArray | None = None, *, phase: str = "branch", **how: Any
-    ) -> NLPResult:
-        """Solve the NLP in which G is zero where ``fix_G``, and H where ``fix_H`` (None: elsewhere).
-
-        ``how`` are the keywords of :meth:`CompiledNLPs.branch`.
-        """
-        fix_H = ~fix_G if fix_H is None else fix_H
-        return self.solved(phase, 0.0, lambda: self.nlps.branch(z, self.p, fix_G, fix_H, **how))
+    def branch(self, z: Array, zero: BoolArray, *, phase: str = "branch", **how: Any) -> NLPResult:
+        """Solve the NLP in which the given members are zero, see :meth:`CompiledNLPs.branch`."""
+        return self.solved(phase, 0.0, lambda: self.nlps.branch(z, self.p, zero, **how))
 
     def solved(self, phase: str, t: float, solve: Callable[[], NLPResult]) -> NLPResult:
         """Solve an NLP within the limits, watched and recorded."""

@@ -206,7 +206,7 @@ def _result(run: Run, end: Finish, build: float, total: float, rescues: int) -> 
     lam_x = np.full(mpcc.n_x, np.nan)
     if found is not None and found.multipliers is not None:
         own = found.multipliers
-        column[mpcc.n_g :] = np.append(own.G, own.H)  # of members that keep their place
+        column[mpcc.n_g :] = own.pairs.ravel()  # of members that keep their place
         column[lifted.rows] = own.rows
         column /= run.p[-1]
         lam_x = own.z[: mpcc.n_x] / run.p[-1]

@@ -45,12 +45,11 @@ _PIECES = {"M": ((_LOW, _LOW), (_ZERO, _FREE), (_FREE, _ZERO)), "C": ((_LOW, _LO
 
 @dataclass(frozen=True, eq=False)
 class Multipliers:
-    """Multipliers of the lifted problem: of rows, of bounds of z, of the members of the pairs."""
+    """Multipliers of the lifted problem: of rows, of bounds of z, of members (2, n_pairs)."""
 
     rows: Array
     z: Array
-    G: Array
-    H: Array
+    pairs: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +113,11 @@ def proof_of_s(
     found = Multipliers(
         _signed(lam_rows, lin.row_lower, lin.row_upper),
         _signed(np.where(lifted.member, lam_z - nu, lam_z), lin.z_lower, lin.z_upper),
-        *_share(lifted, lin, nu),
+        _share(lifted, lin, nu),
     )
-    bi = lin.biactive
-    wrong = max(np.max(found.G[bi], initial=0.0), np.max(found.H[bi], initial=0.0))
+    wrong = np.max(found.pairs[:, lin.biactive], initial=0.0)
     error = lin.gradient + lin.jacobian.T @ found.rows + found.z
-    np.add.at(error, lifted.first, found.G)
-    np.add.at(error, lifted.second, found.H)
+    np.add.at(error, lifted.pairs, found.pairs)
     return None if wrong > slack or np.max(np.abs(error), initial=0.0) > 2 * slack else found
 
 
@@ -129,38 +126,36 @@ def _signed(lam: Array, lower: BoolArray, upper: BoolArray) -> Array:
     return np.where(lower, np.minimum(lam, 0.0), 0.0) + np.where(upper, np.maximum(lam, 0.0), 0.0)
 
 
-def _share(lifted: Lifted, lin: Linearisation, nu: Array) -> tuple[Array, Array]:
+def _share(lifted: Lifted, lin: Linearisation, nu: Array) -> Array:
     """Give the multiplier of each unknown to one pair it is in, preferably one where its sign is free."""
-    G, H = np.zeros(lifted.first.size), np.zeros(lifted.second.size)
-    left = nu.copy()
-    both = lin.G_zero & lin.H_zero
-    for pairs in (~both, both):
-        for values, places, zero in ((G, lifted.first, lin.G_zero), (H, lifted.second, lin.H_zero)):
-            use = np.flatnonzero(pairs & zero)
-            _, once = np.unique(places[use], return_index=True)
-            use = use[once]
-            values[use] += left[places[use]]
-            left[places[use]] = 0.0
-    return G, H
+    values, left = np.zeros(lifted.pairs.shape), nu.copy()
+    both = np.all(lin.zero, axis=0)
+    for zero in (lin.zero & ~both, lin.zero & both):
+        unknowns, once = np.unique(lifted.pairs[zero], return_index=True)
+        side, pair = (places[once] for places in np.nonzero(zero))
+        values[side, pair] = left[unknowns]
+        left[unknowns] = 0.0
+    return values
 
 
 class _MultiplierLP:
     """Linear programs over the multipliers that make the Lagrangian stationary within ``tolerance``.
 
-    Columns: active rows, active bounds, zero members of G, zero members of H, and for each biactive member
-    a copy for the positive part, which costs 1: the minimum is 0 exactly if the point is S-stationary.
+    Columns: active rows, active bounds, zero members, and for each biactive member a copy for the positive
+    part, which costs 1: the minimum is 0 exactly if the point is S-stationary.
     """
 
     def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, seconds: float) -> None:
-        self.lifted, self.decided = lifted, True
+        self.lifted, self.pairs, self.decided = lifted, lin.biactive, True
         self.limit = {"time_limit": seconds} if np.isfinite(seconds) else {}
         rows = np.flatnonzero(lin.row_lower | lin.row_upper)
         bounds = np.flatnonzero(lin.z_lower | lin.z_upper)
-        self.G, self.H, self.pairs = np.flatnonzero(lin.G_zero), np.flatnonzero(lin.H_zero), lin.biactive
-        self.places = (rows, bounds, self.G, self.H, self.pairs, self.pairs)
+        biactive = lin.zero & lin.zero[::-1]
+        members, copies = np.flatnonzero(lin.zero), np.flatnonzero(biactive)  # in the raveled pairs
+        self.places = (rows, bounds, members, copies)
         self.ends = np.cumsum([place.size for place in self.places])
-        eye, (first, second) = sp.identity(lifted.nlp.n_x, format="csc"), (lifted.first, lifted.second)
-        unknowns = (bounds, first[self.G], second[self.H], first[self.pairs], second[self.pairs])
+        eye = sp.identity(lifted.nlp.n_x, format="csc")
+        unknowns = (bounds, lifted.pairs[lin.zero], lifted.pairs[biactive])
         columns = [lin.jacobian.T.tocsc()[:, rows], *(eye[:, place] for place in unknowns)]
         # Each coordinate of the Lagrangian gradient in units of its own terms would hide errors of badly
         # scaled problems; the unit is that of the whole objective gradient.
@@ -168,20 +163,20 @@ class _MultiplierLP:
         slack = tolerance * lin.scale
         self.matrix = sp.vstack([matrix, -matrix], format="csc")
         self.right = np.concatenate([slack - lin.gradient, slack + lin.gradient])
-        members, copies = np.ones(self.G.size + self.H.size, bool), np.ones(2 * self.pairs.size, bool)
-        free = [~np.isin(zero, self.pairs) for zero in (self.G, self.H)]
-        below = np.concatenate([lin.row_lower[rows], lin.z_lower[bounds], members, ~copies])
-        above = np.concatenate([lin.row_upper[rows], lin.z_upper[bounds], *free, copies])
+        no, yes = np.zeros(copies.size, bool), np.ones(members.size, bool)
+        below = np.concatenate([lin.row_lower[rows], lin.z_lower[bounds], yes, no])
+        above = np.concatenate([lin.row_upper[rows], lin.z_upper[bounds], ~biactive[lin.zero], ~no])
         self.lower, self.upper = np.where(below, -np.inf, 0.0), np.where(above, np.inf, 0.0)
-        self.cost = np.append(np.zeros(below.size - copies.size), copies)
+        self.cost = np.repeat([0.0, 1.0], [self.ends[2], copies.size])
 
     def solve(self, pieces: dict[int, Piece]) -> tuple[Multipliers, float] | None:
         """Multipliers within ``pieces[k]`` on the k-th biactive pair, and their cost, if there are any."""
         lower, upper = self.lower.copy(), self.upper.copy()
+        _, _, members, copies = self.places
         for k, piece in pieces.items():
-            for side, ((low, high), zero) in enumerate(zip(piece, (self.G, self.H), strict=True)):
-                lower[self.ends[1 + side] + np.searchsorted(zero, self.pairs[k])] = low
-                upper[self.ends[3 + side] + k] = high
+            for copy, (low, high) in zip((k, k + self.pairs.size), piece, strict=True):
+                lower[self.ends[1] + np.searchsorted(members, copies[copy])] = low
+                upper[self.ends[2] + copy] = high
         if lower.size == 0:
             return (self._multipliers(lower), 0.0) if np.all(self.right >= 0) else None
         answer = linprog(
@@ -192,9 +187,9 @@ class _MultiplierLP:
         return (self._multipliers(answer.x), float(answer.fun)) if answer.status == _OPTIMAL else None
 
     def _multipliers(self, values: Array) -> Multipliers:
-        nlp, n_pairs = self.lifted.nlp, self.lifted.first.size
-        found = Multipliers(*(np.zeros(n) for n in (nlp.n_g, nlp.n_x, n_pairs, n_pairs)))
-        into = (found.rows, found.z, found.G, found.H, found.G, found.H)
+        nlp, pairs = self.lifted.nlp, np.zeros(self.lifted.pairs.shape)
+        found = Multipliers(np.zeros(nlp.n_g), np.zeros(nlp.n_x), pairs)
+        into = (found.rows, found.z, pairs.reshape(-1), pairs.reshape(-1))
         for array, place, part in zip(into, self.places, np.split(values, self.ends[:-1]), strict=True):
             array[place] += part
         return found
@@ -231,7 +226,7 @@ def _search(programs: _MultiplierLP, pieces: tuple[Piece, ...], zero: float) -> 
         found = programs.solve(node)
         if found is None:
             continue
-        G, H = found[0].G[programs.pairs], found[0].H[programs.pairs]
+        G, H = found[0].pairs[:, programs.pairs]
         outside = ~np.any([_inside(G, a, zero) & _inside(H, b, zero) for a, b in pieces], axis=0)
         if not np.any(outside):
             return found[0]

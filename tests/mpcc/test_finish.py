@@ -51,7 +51,7 @@ OPEN, GOOD, POOR = labelled(1.0, S.STALLED), labelled(2.0), labelled(2.0, S.STAL
 def test_better_of_branch_and_corner_is_taken(z, answers, fixed, taken, monkeypatch):
     waiting, sets = list(answers), []
     monkeypatch.setattr(
-        finishing, "_polished", lambda run, z, warm, G, H, top: sets.append((G[0], H[0])) or waiting.pop(0)
+        finishing, "_polished", lambda run, z, warm, zero, _: sets.append((*zero[:, 0],)) or waiting.pop(0)
     )
     assert polished(ScriptedRun(), np.array(z), ended(z), 0.3) is taken
     assert sets == fixed
@@ -61,7 +61,7 @@ def test_better_of_branch_and_corner_is_taken(z, answers, fixed, taken, monkeypa
 def test_only_pairs_near_the_corner_are_put_into_it(z, monkeypatch):
     v, calls = ca.SX.sym("v", 4), []
     run = ScriptedRun(mpcc=MPCC(v, ca.sumsqr(v), None, v[:2], v[2:]))
-    monkeypatch.setattr(finishing, "_polished", lambda run, z, warm, G, H, ceiling: calls.append((G, H)))
+    monkeypatch.setattr(finishing, "_polished", lambda run, z, warm, zero, ceiling: calls.append(zero))
     assert polished(run, np.array(z), ended(z), 0.3) is None
     G, H = np.array(z[:2]), np.array(z[2:])
     near = (G <= 0.3) & (H <= 0.3)
@@ -73,7 +73,7 @@ def test_polished_point_above_the_ceiling_is_not_labelled(ceiling, is_labelled, 
     point, run = Polished(np.array([2.0, 0.0]), 3.0, np.zeros(0), np.array([0.0, 2.0])), ScriptedRun()
     for found, expected in ((point, is_labelled), (None, False)):
         monkeypatch.setattr(finishing, "polish", lambda *_, found=found: found)
-        end = finishing._polished(run, point.z, ended(point.z), ON_G, ON_H, ceiling)
+        end = finishing._polished(run, point.z, ended(point.z), ON_G, ceiling)
         assert (end is not None) == expected
     assert [step.phase for step in run.steps] == ["polished"] * is_labelled
 
@@ -115,7 +115,7 @@ class TestBranches:
             "polished": lambda *_: self.polished,
             "pivot": lambda run, here: self.pivots.append(here) or here,
             "_labelled": lambda run, z, f, lam: labelled(f),
-            "_tighten": lambda run, result, fix_G: self.tightened.append(fix_G) or result,
+            "_tighten": lambda run, result, zero: self.tightened.append(zero) or result,
             "_projected": lambda run, z, end: self.projected.append(end) or end,
         }.items():
             monkeypatch.setattr(finishing, name, answer)
@@ -138,7 +138,7 @@ class TestBranches:
         self.polished = near
         end = self.finish(self.GOOD, search=True, warm=self.WARM)
         assert (end.f, end.solved, self.warms, self.projected) == (1.0, True, [None], [])
-        assert self.tightened == [self.run.branch_calls[0].fix_G] == [ON_G]
+        np.testing.assert_array_equal([self.tightened[0], self.run.branch_calls[0].zero], [ON_G, ON_G])
 
     @pytest.mark.parametrize(
         ("results", "warm", "warms"),
@@ -151,7 +151,7 @@ class TestBranches:
     @pytest.mark.parametrize(("z", "on_G"), [((0.1, 2.0), True), ((2.0, 0.1), False), ((1.0, 1.0), True)])
     def test_pairs_are_fixed_on_the_side_of_the_smaller_member(self, z, on_G):
         self.finish(self.GOOD, z=z)
-        assert self.run.branch_calls[0].fix_G[0] == on_G
+        assert list(self.run.branch_calls[0].zero) == [[on_G], [not on_G]]
 
     @pytest.mark.parametrize(
         ("result", "ceiling", "status"),
@@ -168,13 +168,13 @@ class TestBranches:
         end = self.finish(result, ceiling=ceiling)
         assert (end.status, end.f, self.projected) == (status, result.f, [])
         assert (end.stationarity is None) == (len(self.tightened) == 0) == (not end.solved)
-        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, fix_G, result: (result, fix_G))
+        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, zero, result: (result, zero))
         self.finish(result, search=True, ceiling=ceiling)
         # with a search the relaxed point itself is tried at last
         assert bool(self.projected) == (result.x[0] != 2.0)
 
     def test_only_a_search_looks_for_another_branch(self, monkeypatch):
-        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, fix_G, result: (self.GOOD, ON_H))
+        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, zero, result: (self.GOOD, ON_H))
         assert [self.finish(self.BAD, search=search).solved for search in (False, True)] == [False, True]
         assert self.tightened == [ON_H]
 
@@ -200,7 +200,7 @@ class TestPivot:
         unbounded = S.UNBOUNDED if ends == [-1e20] else S.CONVERGED
         waiting = [None if f is None else ended([0, 0], unbounded, f) for f in ends]
         monkeypatch.setattr(finishing, "_descend", lambda *_: waiting.pop(0))
-        monkeypatch.setattr(finishing, "_tighten", lambda run, result, fix_G: result)
+        monkeypatch.setattr(finishing, "_tighten", lambda run, result, zero: result)
         monkeypatch.setattr(finishing, "_labelled", label)
         limit = 3 if stationary_at < 0 else 30
         end = pivot(ScriptedRun(max_pivots=limit), labelled(4.0, S.STALLED, DOWN))
@@ -223,7 +223,7 @@ class TestPivot:
         assert (len(radii), radii[0]) == (tries, None)
         for radius, reach in zip(radii[1:], (0.1, 1e-3), strict=False):
             np.testing.assert_allclose(radius, [4 * reach, reach])  # relative to 1 + |z|
-        assert all(call.fix_G is ON_H for call in run.branch_calls)
+        assert all(call.zero is ON_H for call in run.branch_calls)
 
     @pytest.mark.parametrize(("f", "accepted"), [(-99.0 - 5e-8, False), (-99.0 - 2e-7, True)])
     def test_fall_by_rounding_is_none(self, f, accepted):
@@ -280,8 +280,8 @@ class TestOtherBranch:
         return finishing._other_branch(run, np.array(z), ON_G, ended([9.0, 9.0], S.INFEASIBLE))
 
     def test_it_is_sought_at_a_distance_like_that_of_the_pairs_then_further(self, nearest):
-        result, fix_G = self.other(scripted(ended([2.0, 0.0])), 0.3, 0.5)
-        assert (list(result.x), fix_G, nearest) == ([2.0, 0.0], ON_H, pytest.approx([0.6]))
+        result, zero = self.other(scripted(ended([2.0, 0.0])), 0.3, 0.5)
+        assert (list(result.x), zero, nearest) == ([2.0, 0.0], ON_H, pytest.approx([0.6]))
         bad = scripted(ended([1.0, 1.0]), exact=False)
         self.other(bad, 0.5, 0.3)
         assert nearest[1:] == pytest.approx([0.6, 6.0])
@@ -292,8 +292,8 @@ class TestOtherBranch:
     @pytest.mark.parametrize("answer", [None, (np.array([2.0, 0.0]), ON_G)])
     def test_branch_that_is_known_to_fail_is_not_solved_again(self, answer, nearest):
         self.answer, run = answer, scripted(ended([2.0, 0.0]))
-        result, fix_G = self.other(run, 0.3, 0.5)
-        assert (run.branch_calls, list(result.x), fix_G) == ([], [9.0, 9.0], ON_G)
+        result, zero = self.other(run, 0.3, 0.5)
+        assert (run.branch_calls, list(result.x), zero) == ([], [9.0, 9.0], ON_G)
 
     def test_signs_come_first(self, nearest):
         self.by_signs = (ended([2.0, 0.0]), ON_H)
@@ -317,8 +317,8 @@ class TestOtherBranch:
 def test_pairs_follow_the_signs_of_their_free_members(ends, exact, on_G, found):
     run = scripted(*(ended([0, -0.5], S.STALLED) if end is None else ended(end) for end in ends), exact=exact)
     answer = finishing._follow_signs(run, np.array([0.1, 0.2]), ON_G)
-    assert [bool(call.fix_G[0]) for call in run.branch_calls] == on_G
-    assert (None if answer is None else bool(answer[1][0])) == found
+    assert [call.zero.ravel().tolist() for call in run.branch_calls] == [[side, not side] for side in on_G]
+    assert (None if answer is None else bool(answer[1][0, 0])) == found
     signs, done = {"phase": "signs", "free_signs": True}, answer is not None or not exact
     assert [call.options for call in run.branch_calls] == [signs] * (len(on_G) - done) + [{}] * done
     for end, call in zip(ends, run.branch_calls[1:], strict=False):
@@ -343,8 +343,8 @@ def test_pairs_next_to_the_corner_are_put_into_it_where_that_is_free(
     tight, before = ended([0.0, 0.0], f=f), ended([0.0, at], f=1.0)
     run = scripted(tight, exact=exact)
     assert finishing._tighten(run, before, ON_G) is (tight if taken else before)
-    calls = [(call.fix_G[0], call.fix_H[0], call.options) for call in run.branch_calls]
-    assert calls == [(True, True, {"phase": "tightened"})] * (closes and at == 1e-5)
+    calls = [(call.zero.tolist(), call.options) for call in run.branch_calls]
+    assert calls == [([[True], [True]], {"phase": "tightened"})] * (closes and at == 1e-5)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ def test_only_members_that_are_no_unknowns_get_slacks():
     lifted = lift(
         MPCC(XYW, x, x + w, ca.vertcat(x, y + w), ca.vertcat(2 * y, w), lbg=-1, ubg=2, lbx=[-5, -6, -7])
     )
-    assert (list(lifted.first), list(lifted.second)) == ([0, 3], [4, 2])
+    assert lifted.pairs.tolist() == [[0, 3], [4, 2]]
     assert list(lifted.rows) == [0, 2, 3]  # g, then G_1 and H_0 of (g, G, H)
     assert list(lifted.member) == [True, False, True, True, True]
     nlp = lifted.nlp
@@ -27,9 +27,9 @@ def test_only_members_that_are_no_unknowns_get_slacks():
     f, gradient, rows, jacobian = lifted.linearise(z, np.array([3.0]))  # weight 3
     assert (f, list(gradient), list(rows)) == (3.0, [3, 0, 0, 0, 0], [5, 6 - 10, 4 - 20])
     assert jacobian.toarray().tolist() == [[1, 0, 1, 0, 0], [0, 1, 1, -1, 0], [0, 2, 0, 0, -1]]
-    assert [list(part) for part in lifted.members(z)] == [[1, 10], [20, 4]]
-    assert list(lifted.on_first(z)) == [True, False]
-    assert list(lifted.on_first(np.ones(5))) == [True, True]  # equals go to the first
+    assert z[lifted.pairs].tolist() == [[1, 10], [20, 4]]
+    assert lifted.smaller(z).tolist() == [[True, False], [False, True]]
+    assert lifted.smaller(np.ones(5)).tolist() == [[True, True], [False, False]]  # of equals the first
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_only_members_that_are_no_unknowns_get_slacks():
 )  # fmt: skip
 def test_member_keeps_its_place_only_if_it_is_the_unknown(member, keeps):
     lifted = lift(MPCC(XYW, x, None, member, w))
-    assert (lifted.first[0], lifted.second[0]) == (0 if keeps else 3, 2)
+    assert lifted.pairs.tolist() == [[0 if keeps else 3], [2]]
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_member_keeps_its_place_only_if_it_is_the_unknown(member, keeps):
 )
 def test_member_whose_bounds_exclude_zero_gets_a_slack(lower, upper, keeps):
     lifted = lift(MPCC(XYW, x, None, x, w, lbx=[lower, 0, 0], ubx=[upper, 9, 9]))
-    assert (lifted.first[0] == 0) == keeps
+    assert (lifted.pairs[0, 0] == 0) == keeps
     assert lifted.nlp.lbx[0] == (max(lower, 0) if keeps else lower)
 
 

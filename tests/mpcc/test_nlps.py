@@ -8,7 +8,7 @@ from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Options, nlps, solve
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.result import excess, residuals
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
+from support.scripted_run import CORNER, ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
 
 p = ca.SX.sym("p")
 ONE, INF = np.ones(1), np.inf
@@ -91,17 +91,17 @@ def test_measure_is_of_the_source_problem():
 
 def test_branch_fixes_one_member_of_each_pair():
     own = compiled()
-    on_first = own.branch(START, ONE, ON_G, ~ON_G)
-    on_second = own.branch(START, ONE, ON_H, ~ON_H)
+    on_first = own.branch(START, ONE, ON_G)
+    on_second = own.branch(START, ONE, ON_H)
     assert (on_first.x, on_first.f) == (pytest.approx([0, 1], abs=1e-7), pytest.approx(4))
     assert (on_second.x, on_second.f) == (pytest.approx([2, 0], abs=1e-7), pytest.approx(1))
-    corner = own.branch(START, ONE, ON_G, ~ON_H)
+    corner = own.branch(START, ONE, CORNER)
     assert (list(corner.x), corner.f) == ([0, 0], 5)
-    boxed = own.branch(np.array([0.5, 0.0]), ONE, ON_H, ~ON_H, radius=np.array([0.25, 0.1]))
+    boxed = own.branch(np.array([0.5, 0.0]), ONE, ON_H, radius=np.array([0.25, 0.1]))
     assert boxed.x == pytest.approx([0.75, 0], abs=1e-7)
     down = compiled(MPCC(XY, (x - 2) ** 2 + (y + 1) ** 2, None, x, y))
-    assert down.branch(np.ones(2), ONE, ON_G, ~ON_G).x == pytest.approx([0, 0], abs=1e-6)
-    assert down.branch(np.ones(2), ONE, ON_G, ~ON_G, free_signs=True).x == pytest.approx([0, -1], abs=1e-6)
+    assert down.branch(np.ones(2), ONE, ON_G).x == pytest.approx([0, 0], abs=1e-6)
+    assert down.branch(np.ones(2), ONE, ON_G, free_signs=True).x == pytest.approx([0, -1], abs=1e-6)
 
 
 def test_nothing_is_compiled_twice(monkeypatch):
@@ -118,7 +118,7 @@ def test_nothing_is_compiled_twice(monkeypatch):
     for t in (1.0, 0.1, 0.01):
         result = own.relaxed("scholtes", START, ONE, t, first=True)
         own.unlifted(START, ONE, t)
-        own.branch(START, ONE, ON_G, ~ON_G)
+        own.branch(START, ONE, ON_G)
     assert len(made) == 3
     own.relaxed("scholtes", result.x, ONE, 1e-3)  # not the first: another barrier
     own.relaxed("scholtes", result.x, ONE, 1e-3, result)
@@ -160,7 +160,7 @@ def test_more_equations_than_free_unknowns_are_solved_all_the_same(scale):
     """One equation three times on one free unknown, from the relaxed multipliers too."""
     g = ca.vertcat(y - 1, 2 * y - 2, 3 * y - 3)
     own = compiled(MPCC(XY, scale * (x + y), g, x, y, lbg=0, ubg=0))
-    result = own.branch(np.array([0.0, 0.5]), ONE, ON_G, ~ON_G, warm=ended([0, 0.5], lam_g=np.zeros(3)))
+    result = own.branch(np.array([0.0, 0.5]), ONE, ON_G, warm=ended([0, 0.5], lam_g=np.zeros(3)))
     assert result.x == pytest.approx([0, 1], abs=1e-7)
     assert (result.x.size, result.lam_x.size, result.f) == (2, 2, pytest.approx(scale))
     assert solve(MPCC(XY, x, g, x, y, lbg=0, ubg=0), 0.5).success
@@ -180,5 +180,5 @@ def test_clock_of_small_problems_is_looked_at_now_and_then(monkeypatch):
         v = ca.SX.sym("v", n)
         own = compiled(MPCC(v, ca.sumsqr(v), None, None, None))
         own.only_clock, own.watch.monitor = only_clock, (lambda *_: False) if watched else None
-        own.branch(np.zeros(n), ONE, np.zeros(0, bool), np.zeros(0, bool))
+        own.branch(np.zeros(n), ONE, np.zeros((2, 0), bool))
         assert made[-1] == (own.watch if watched else None, every)

@@ -8,7 +8,7 @@ from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
 from rmesh_nlp.mpcc.polish import _Branch, polish, project
 from rmesh_nlp.optimize.nlp import Derivatives
-from support.scripted_run import ON_G, XY, XYW, run_of, two_minima, w, x, y
+from support.scripted_run import CORNER, ON_G, XY, XYW, run_of, two_minima, w, x, y
 
 INF = np.inf
 
@@ -24,7 +24,7 @@ def overdetermined():
 
 def branch(lbg, ubg, lbx=-INF, ubx=INF):
     mpcc = MPCC(XYW, x, w, x, y, lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
-    return _Branch(run_of(mpcc).lifted, ON_G, ~ON_G)
+    return _Branch(run_of(mpcc).lifted, ON_G)
 
 
 def test_bounds_of_a_branch_are_those_of_the_lifted_problem_and_zero_where_fixed():
@@ -102,7 +102,7 @@ def test_wrong_signs_are_measured_in_units_of_the_objective(size, offset, end):
 
 def test_both_members_may_be_fixed():
     run = run_of(two_minima())
-    found = polish(run, np.array([1e-3, 1e-3]), ON_G, np.zeros(0), np.zeros(2), np.array([True]))
+    found = polish(run, np.array([1e-3, 1e-3]), CORNER, np.zeros(0), np.zeros(2))
     assert (list(found.z), found.f) == ([0, 0], 5.0)
     assert found.lam_z == pytest.approx([4, 2])
 

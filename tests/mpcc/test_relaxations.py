@@ -125,7 +125,7 @@ def test_relaxed_nlp_has_the_rows_and_signs_of_its_relaxation(name):
     nlp, _ = relaxed_nlp(lifted, name)
     z, t = np.linspace(0.3, 0.9, nlp.n_x), 0.05
     f, g = ca.Function("v", [nlp.x, nlp.p], [nlp.f, nlp.g])(z, [0.25, 1.0, t])
-    rows, penalty = at(name, *lifted.members(z), t)
+    rows, penalty = at(name, *z[lifted.pairs], t)
     f0, _, g0, _ = lifted.linearise(z, np.array([0.25, 1.0]))
     assert float(f) == pytest.approx(f0 + penalty)
     assert g.full().ravel() == pytest.approx([*g0, *rows])

@@ -24,16 +24,14 @@ def assert_admissible(lifted, lin, found, name):
     """The multipliers make the Lagrangian stationary, with signs that their bounds and the label allow."""
     slack = 3 * TOLERANCE * lin.scale
     slope = lin.gradient + lin.jacobian.T @ found.rows + found.z
-    np.add.at(slope, lifted.first, found.G)
-    np.add.at(slope, lifted.second, found.H)
+    np.add.at(slope, lifted.pairs, found.pairs)
     assert np.max(np.abs(slope)) <= slack
     rows, bounds = (found.rows, lin.row_lower, lin.row_upper), (found.z, lin.z_lower, lin.z_upper)
     for values, lower, upper in (rows, bounds):
         assert np.all(values[~lower] >= -slack)
         assert np.all(values[~upper] <= slack)
-    assert not np.any(found.G[~lin.G_zero])
-    assert not np.any(found.H[~lin.H_zero])
-    for pair in zip(found.G[lin.biactive], found.H[lin.biactive], strict=True):
+    assert not np.any(found.pairs[~lin.zero])
+    for pair in found.pairs[:, lin.biactive].T:
         ranges = np.array([[RANGES[sign] for sign in piece] for piece in PIECES[name]])
         inside = (ranges[..., 0] - slack <= pair) & (pair <= ranges[..., 1] + slack)
         assert np.any(np.all(inside, axis=1)), (name, pair)
@@ -64,7 +62,7 @@ def test_label_at_a_corner_with_unique_multipliers(c, d, label, b_stationary, of
     assert (found.label, found.b_stationary) == (label, b_stationary)
     assert_admissible(lifted, lin, found.multipliers, label)
     slack = 3 * TOLERANCE * lin.scale
-    assert [found.multipliers.G[0], found.multipliers.H[0]] == pytest.approx([-c, -d], abs=slack)
+    assert found.multipliers.pairs[:, 0] == pytest.approx([-c, -d], abs=slack)
     assert (found.direction is None) == b_stationary
     weighted = classify(MPCC(XY, 1e-3 * (c * x + d * y), None, x, y), [0, 0])
     assert list(weighted.biactive) == [0]
@@ -183,7 +181,7 @@ def test_multiplier_of_a_shared_unknown_goes_to_the_pair_that_leaves_its_sign_fr
     lifted, lin = at(MPCC(XYW, -x + y + (w - 1) ** 2, None, G, H), [0, 0, 1])
     proved = proof_of_s(lifted, lin, np.zeros(0), np.array([1.0, -1.0, 0.0]), TOLERANCE)
     free = 0 if order[0] is w else 1
-    of_x, of_y = (proved.H, proved.G) if swap else (proved.G, proved.H)
+    of_x, of_y = proved.pairs[::-1] if swap else proved.pairs
     assert (of_x[free], of_x[1 - free], of_y[1 - free]) == (1.0, 0.0, -1.0)
     assert_admissible(lifted, lin, proved, "S")
 
@@ -191,7 +189,7 @@ def test_multiplier_of_a_shared_unknown_goes_to_the_pair_that_leaves_its_sign_fr
 def test_shared_unknown_of_two_biactive_pairs_gives_its_multiplier_once():
     lifted, lin = at(MPCC(XYW, 2 * x + y + w, None, ca.vertcat(x, x), ca.vertcat(y, w)), [0, 0, 0])
     proved = proof_of_s(lifted, lin, np.zeros(0), np.array([-2.0, -1.0, -1.0]), TOLERANCE)
-    assert np.sum(proved.G) == -2.0
+    assert np.sum(proved.pairs[0]) == -2.0
     assert_admissible(lifted, lin, proved, "S")
     # with the slope +1 of a member that is not zero nothing is proved
     assert proof_of_s(lifted, lin, np.zeros(0), np.array([-2.0, -1.0, 1.0]), TOLERANCE) is None
@@ -249,7 +247,7 @@ def test_without_any_multiplier_only_a_flat_objective_is_stationary(slope, label
     assert strongest(*at(MPCC(XY, f, None, None, None), [1, 0]), TOLERANCE)[0] == label
 
 
-SOME = Multipliers(*np.zeros((4, 1)))
+SOME = Multipliers(*np.zeros((3, 1)))
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,8 @@ from rmesh_nlp.optimize.status import Status
 
 x, y, w = (ca.SX.sym(name) for name in "xyw")
 XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
-ON_G, ON_H = np.array([True]), np.array([False])
+ON_G, ON_H, CORNER = (np.array([[G], [H]]) for G, H in ((True, False), (False, True), (True, True)))
+"""Which members of a single pair are zero."""
 START = np.array([0.5, 0.5])
 
 
@@ -74,8 +75,7 @@ class BranchCall:
     """A branch that was asked for."""
 
     z: np.ndarray
-    fix_G: np.ndarray  # noqa: N815 the field's symbol
-    fix_H: np.ndarray | None  # noqa: N815
+    zero: np.ndarray
     options: dict[str, Any] = field(default_factory=dict)
 
 
@@ -111,10 +111,10 @@ class ScriptedRun(Run):
         )
         return ended(answer.x, answer.status, lam_x=np.array(answer.lam_x, float))
 
-    def branch(self, z, fix_G, fix_H=None, **options):  # type: ignore[no-untyped-def]
+    def branch(self, z, zero, **options):  # type: ignore[no-untyped-def]
         if self.branches is None:
-            return super().branch(z, fix_G, fix_H, **options)
-        self.branch_calls.append(BranchCall(z, fix_G, fix_H, options))
+            return super().branch(z, zero, **options)
+        self.branch_calls.append(BranchCall(z, zero, options))
         return self.branches(self.branch_calls[-1])
 
     def exact(self, z: np.ndarray) -> bool:
