@@ -45,8 +45,7 @@ def test_a_loose_end_is_finished_by_newton_steps_that_the_record_counts(
     assert solution.status is Status.CONVERGED
     assert record["iterations"] == ipopt + newton == solution.history[-1].iteration
     assert record["contact_solves"] > 2
-    exact = [step for step in solution.history if step.t == 0.0]
-    assert len(exact) == newton + 1  # after Ipopt's iterates
+    assert sum(step.t == 0.0 for step in solution.history) == newton + 1  # after Ipopt's iterates
     before, after = steps[ipopt], steps[-1]  # the last iterate of Ipopt, and the end
     assert before.dual_residual > 1e-6 >= after.dual_residual
     assert after.energy <= before.energy + 1e-9 * abs(before.energy)
@@ -58,18 +57,29 @@ def test_a_stationary_end_of_ipopt_is_left_as_it_is() -> None:
     assert record["contact_solves"] == 2  # at its start and at its end
 
 
-@pytest.mark.parametrize("rise", [0.0, 1e-6])
-def test_newton_steps_to_a_higher_energy_are_not_taken(rise: float, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("rise", "near", "after", "taken"),
+    [
+        (0.0, 5e-3, 1e-9, True),
+        (1e-6, 5e-3, 1e-9, False),  # the energy rose
+        (0.0, 5e-3, 6e-3, False),  # the residual did
+        (0.0, 2e-2, 1e-9, False),  # no stationary point is near
+        (0.0, 1e-7, 1e-9, False),  # it is one
+    ],
+)
+def test_newton_steps_are_taken_from_near_a_stationary_point_to_a_better_one(
+    rise: float, near: float, after: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     outer = Outer(EXAMPLES["6.1"](3))
     begin = np.zeros(outer.n)
     end, energies = begin + 1e-3, outer.energy
     higher = replace(energies(begin), q=end, value=energies(begin).value * (1 - rise))
-    near = {begin.tobytes(): 5e-3, end.tobytes(): 1e-9}
-    outer.__dict__["residual"] = lambda point: near[point.q.tobytes()]
+    residuals = {begin.tobytes(): near, end.tobytes(): after}
+    outer.__dict__["residual"] = lambda point: residuals[point.q.tobytes()]
     monkeypatch.setattr(ReducedEnergy, "__call__", lambda self, q: higher if np.any(q) else self._last)
     monkeypatch.setattr(Nested, "run", lambda *_: Outcome(outer, end, Status.CONVERGED))
     found = Joint()._finished(outer, begin, Monitor())
-    np.testing.assert_array_equal(found, begin if rise else end)
+    np.testing.assert_array_equal(found, end if taken else begin)
 
 
 @pytest.mark.parametrize(
@@ -97,39 +107,36 @@ def block(length: float) -> ContactProblem:
 
 
 @pytest.fixture(scope="module")
-def usual():
-    return joint.solve(block(1.0))
+def usual() -> float:
+    return joint.solve(block(1.0)).gain
 
 
 @pytest.mark.parametrize("length", [1e-9, 1e-6, 1e6])
-def test_joint_ends_as_well_in_any_unit_of_length(usual, length: float) -> None:
+def test_joint_ends_as_well_in_any_unit_of_length(usual: float, length: float) -> None:
     solution = joint.solve(block(length))
     assert solution.success, solution.status
     assert solution.stationarity_residual <= 1e-6
     assert is_valid(solution.problem, solution.mesh.p)
-    gain = (solution.energy_initial - solution.energy) / length**2
-    assert gain >= 0.9 * (usual.energy_initial - usual.energy)  # it may be another local minimum
+    assert solution.gain / length**2 >= 0.9 * usual  # it may be another local minimum
     residuals = [step.dual_residual for step in solution.history if np.isfinite(step.dual_residual)]
     assert residuals[-1] <= 1e-6 < residuals[0]
 
 
 def test_derivatives_in_other_units_are_those_of_the_scaled_program() -> None:
-    nlp = relocation(block(1.0)).nlp
-    rng = np.random.default_rng(0)
+    nlp, rng = relocation(block(1.0)).nlp, np.random.default_rng(0)
     units = Units(rng.uniform(0.5, 2, nlp.n_x), rng.uniform(0.5, 2, nlp.n_g))
-    other = units.program(nlp)
     x, lam = 0.1 * rng.uniform(-1, 1, nlp.n_x), rng.uniform(-1, 1, nlp.n_g)
-    value, gradient = (np.asarray(r).ravel() for r in nlp.derivatives.grad_f(x, []))
-    same, scaled = (np.asarray(r).ravel() for r in other.derivatives.grad_f(x / units.x, []))
-    np.testing.assert_allclose(same, value)
-    np.testing.assert_allclose(scaled, units.x * gradient)
-    rows, jacobian = (np.asarray(r.full()) for r in nlp.derivatives.jac_g(x, []))
-    same, scaled = (np.asarray(r.full()) for r in other.derivatives.jac_g(x / units.x, []))
-    np.testing.assert_allclose(same.ravel(), rows.ravel() / units.g)
-    np.testing.assert_allclose(scaled, jacobian * units.x / units.g[:, None], atol=1e-14)
-    hessian = nlp.derivatives.hess_lag(x, [], 0.7, lam / units.g).full()
-    scaled = other.derivatives.hess_lag(x / units.x, [], 0.7, lam).full()
-    np.testing.assert_allclose(scaled, hessian * np.outer(units.x, units.x), rtol=1e-9, atol=1e-9)
+    here, there = (
+        (*derivatives.grad_f(at, []), *derivatives.jac_g(at, []), derivatives.hess_lag(at, [], 0.7, by))
+        for derivatives, at, by in (
+            (nlp.derivatives, x, lam / units.g),
+            (units.program(nlp).derivatives, x / units.x, lam),
+        )
+    )
+    value, gradient, rows, jacobian, hessian = (np.squeeze(part.full()) for part in here)
+    scaled = value, units.x * gradient, rows / units.g, jacobian * units.x / units.g[:, None]
+    for one, two in zip(there, (*scaled, hessian * np.outer(units.x, units.x)), strict=True):
+        np.testing.assert_allclose(np.squeeze(one.full()), two, rtol=1e-9, atol=1e-9)
 
 
 def test_a_program_without_assembled_derivatives_is_refused() -> None:

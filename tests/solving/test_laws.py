@@ -32,10 +32,6 @@ def law(gap: float, force: float, slip: float = 0.0, friction: float = 0.0, syst
     return law_residual(system, u, np.array([force]), np.array([friction]))
 
 
-def test_constants_are_what_the_documents_promise() -> None:
-    assert TOLERANCE == 1e-6
-
-
 @pytest.mark.parametrize(
     ("gap", "force", "residual"),
     [
@@ -70,29 +66,31 @@ def test_the_friction_law(slip: float, friction: float, residual: float) -> None
 
 
 def test_the_worst_of_both_laws_counts() -> None:
+    assert TOLERANCE == 1e-6  # what the documents promise
     assert law(-0.1, 3.0, 1.0, 0.0) == pytest.approx(0.5)
     assert law(-1.4, 3.0, 1.0, 0.0) == pytest.approx(0.7)
-    nothing = replace(SYSTEM, normals=sp.csr_array((0, 3)), tangents=sp.csr_array((0, 3)),
-                      offset=np.zeros(0), slip_bound=np.zeros(0))  # fmt: skip
-    assert law_residual(nothing, np.ones(3), np.zeros(0), np.zeros(0)) == 0
+    none, no_rows = np.zeros(0), sp.csr_array((0, 3))
+    nothing = replace(SYSTEM, normals=no_rows, tangents=no_rows, offset=none, slip_bound=none)
+    assert law_residual(nothing, np.ones(3), none, none) == 0
 
 
-def test_a_body_at_rest_is_measured_too() -> None:
+@pytest.mark.parametrize(("gap", "force", "residual"), [(0.0, 0.0, 0.0), (1e-6, 8.0, 1.0)])
+def test_a_body_at_rest_is_measured_too(gap: float, force: float, residual: float) -> None:
     """Nothing moves: without gap and force the laws hold, with a force of 8 across a gap they do not."""
-    rest = replace(SMOOTH, offset=np.zeros(1))
-    assert law_residual(rest, np.zeros(3), np.zeros(1), np.zeros(0)) == 0
-    apart = replace(SMOOTH, offset=np.full(1, 1e-6))
-    assert law_residual(apart, np.zeros(3), np.full(1, 8.0), np.zeros(0)) == pytest.approx(1.0)
+    rest = replace(SMOOTH, offset=np.full(1, gap))
+    assert law_residual(rest, np.zeros(3), np.full(1, force), np.zeros(0)) == pytest.approx(residual)
 
 
-def test_equilibrium_is_the_largest_force_out_of_balance() -> None:
-    """K u - F - N^T lambda - T^T tau by hand: (20 - 8, 10 - 3, 6 - 2) over 8."""
-    u = np.array([2.0, 0.5, 0.2])
-    found = equilibrium_residual(SYSTEM, u, np.array([3.0]), np.array([2.0]))
-    assert found == pytest.approx(12 / 8)
-    flat = replace(SYSTEM, load=np.array([20.0, 0, 0]))
-    assert equilibrium_residual(flat, u, np.array([3.0]), np.array([2.0])) == pytest.approx(7 / 20)
-    assert equilibrium_residual(flat, u, np.array([10.0]), np.array([2.0])) == pytest.approx(4 / 20)
-    assert equilibrium_residual(flat, u, np.array([10.0]), np.array([6.0])) == pytest.approx(0, abs=1e-15)
-    smooth = replace(flat, slip_bound=np.zeros(0))
-    assert equilibrium_residual(smooth, u, np.array([10.0]), np.zeros(0)) == pytest.approx(6 / 20)
+@pytest.mark.parametrize(
+    ("load", "normal", "friction", "residual"),
+    [(8.0, 3.0, 2.0, 12 / 8), (20.0, 3.0, 2.0, 7 / 20), (20.0, 10.0, 2.0, 4 / 20), (20.0, 10.0, 6.0, 0.0),
+     (20.0, 10.0, None, 6 / 20)],
+)  # fmt: skip
+def test_equilibrium_is_the_largest_force_out_of_balance(
+    load: float, normal: float, friction: float | None, residual: float
+) -> None:
+    """K u - F - N^T lambda - T^T tau by hand: (20 - F, 10 - lambda, 6 - tau) over F."""
+    system = replace(SMOOTH if friction is None else SYSTEM, load=np.array([load, 0.0, 0.0]))
+    tau = np.zeros(0) if friction is None else np.array([friction])
+    found = equilibrium_residual(system, np.array([2.0, 0.5, 0.2]), np.array([normal]), tau)
+    assert found == pytest.approx(residual, abs=1e-15)

@@ -44,18 +44,19 @@ def test_a_flat_plate_compresses_in_proportion() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("relocate", ["each", "once"])
 def test_relocation_gains_in_every_step(relocate: str) -> None:
-    problem = block(Obstacle.circle("top", (0.0, 3.0), 2.0))
-    path = (0.0, -0.03)
-    still = list(load_path(problem, path, 2, joint.solve, relocate="never", hold=fixed.solve))
-    moved = list(load_path(problem, path, 2, joint.solve, relocate=relocate, hold=fixed.solve))
+    problem, path = block(Obstacle.circle("top", (0.0, 3.0), 2.0)), (0.0, -0.03)
+    still, moved = (
+        list(load_path(problem, path, 2, joint.solve, relocate=how, hold=fixed.solve))
+        for how in ("never", relocate)
+    )
     assert [step.moved for step in moved] == [(0.0, -0.015), (0.0, -0.03)]
-    assert moved[-1].solution.energy < still[-1].solution.energy
-    if relocate == "each":
-        assert moved[0].solution.energy < still[0].solution.energy
-        # the second step went on from the mesh of the first, within the move limits of the given one
-        np.testing.assert_array_equal(moved[1].solution.problem.mesh.p, problem.mesh.p)
+    first, last = (step.solution for step in moved)
+    assert last.energy < still[-1].solution.energy
+    if relocate == "each":  # the second step goes on within the move limits of the given mesh
+        assert first.energy < still[0].solution.energy
+        np.testing.assert_array_equal(last.problem.mesh.p, problem.mesh.p)
     else:
-        np.testing.assert_array_equal(moved[0].solution.mesh.p, moved[1].solution.mesh.p)
+        np.testing.assert_array_equal(first.mesh.p, last.mesh.p)
 
 
 def test_the_mesh_of_all_steps_is_relocated_for_the_last_one() -> None:
@@ -68,11 +69,27 @@ def test_the_mesh_of_all_steps_is_relocated_for_the_last_one() -> None:
 
     problem = block(Obstacle.line("top", (0, 1), (0, -1)))
     steps = list(load_path(problem, (0.0, -0.03), 3, noted, relocate="once", hold=fixed.solve))
-    assert [float(one.obstacles[0].distances(np.array([[0.5], [1.0]]))[0]) for one in found] == pytest.approx(
-        [-0.03]
-    )
+    (one,) = found
+    assert one.obstacles[0].distances(np.array([[0.5], [1.0]]))[0] == pytest.approx(-0.03)
     for step in steps:
         np.testing.assert_array_equal(step.solution.mesh.p, steps[-1].solution.mesh.p)
+
+
+def test_each_step_starts_from_the_mesh_of_the_last_one() -> None:
+    starts, ends = [], []
+
+    def noted(problem: ContactProblem, start: np.ndarray | None, tolerance: float) -> Solution:
+        starts.append(start)
+        ends.append(joint.solve(problem, start=start, tolerance=tolerance))
+        return ends[-1]
+
+    steps = list(
+        load_path(block(Obstacle.line("top", (0, 1), (0, -1))), (0.0, -0.03), 3, noted, tolerance=1e-3)
+    )
+    assert [step.number for step in steps] == [1, 2, 3]
+    assert starts[0] is None
+    for start, end in zip(starts[1:], ends, strict=False):
+        np.testing.assert_array_equal(start, end.mesh.p)
 
 
 @pytest.mark.parametrize(

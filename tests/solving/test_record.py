@@ -1,9 +1,8 @@
-"""What a solution says of itself: its record, its summary, its history."""
+"""What a solution says of itself: its record and its summary."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +10,10 @@ import pytest
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
+from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Step, Work
-from rmesh_nlp.solving.parts import plain as as_plain
+from rmesh_nlp.solving.parts import Work
 from rmesh_nlp.solving.solution import Solution, _gain
 from rmesh_nlp.study.progress import summary as one_line
 from support.endings import Own
@@ -26,72 +25,62 @@ def solution() -> Solution:
     return joint.solve(EXAMPLES["6.2"]((4, 2)))
 
 
-class TestRecord:
-    def test_figures_are_those_of_the_solution(self, solution: Solution) -> None:
-        made = replace(
-            solution, build_time_s=1.0, solve_time_s=20.0, audit_time_s=300.0, energy_initial=-1.0,
-            energy=-1.5,
-            energy_initial_audited=-2.0, audit=replace(solution.audit, energy_audited=-2.25), detail="More.",
-            stationarity_residual=float("nan"), seed=5, details=(Own(np.float64(2.5)),),
-        )  # fmt: skip
-        record = made.record()
-        assert (record["wall_time_s"], record["gain"], record["gain_audited"]) == (321.0, 0.5, 0.25)
-        assert (record["u_min"], record["u_max"]) == (made.displacement.min(), made.displacement.max())
-        assert (record["nodes"], record["triangles"]) == (made.mesh.p.shape[1], made.mesh.t.shape[1])
-        assert record["stationarity_residual"] is None
-        assert (record["seed"], record["own"], type(record["own"])) == (5, 2.5, float)
-        assert record["message"].endswith(" More.")
-        rows = dict(made.summary())
-        assert rows["audited gain"].endswith("(12.5 %)")
-        assert rows["iterations, contact solves"] == f"{made.iterations}, {made.contact_solves}"
-        motion = np.linalg.norm(made.mesh.p - made.problem.mesh.p, axis=0).max()
-        assert float(rows["largest motion"]) == pytest.approx(motion, rel=1e-3)
-        limited = np.sum(solution.multipliers.limit > 0)
-        assert rows["limited by move limits"].startswith(f"{limited} nodes, largest ")
-        areas = np.sum(solution.multipliers.area > 0)
-        assert rows["limited by areas"].startswith(f"{areas} elements")
-        assert "limited by move limits" not in dict(replace(made, multipliers=None).summary())
-        assert "error reduction" not in rows
-        fell = ErrorReduction((0.3, 0.4), (0.1, 0.2), 2.0, 3.0, "refinement", 15, 7)
-        assert dict(replace(made, error_reduction=fell).summary())["error reduction"] == fell.text()
-
-    def test_success_says_what_it_lacks(self, solution: Solution) -> None:
-        early = Status.ITERATION_LIMIT
-        ends = [(Status.CONVERGED, True), (early, True), (early, False)]
-        made = [replace(solution, status=status, success=success) for status, success in ends]
-        words = [dict(one.summary())["success"] for one in made]
-        assert words == ["yes", f"yes: {NOT_STATIONARY_YET}", "no"]
-        lines = [one_line(one.record()) for one in made]
-        assert [line.endswith(NOT_STATIONARY_YET) for line in lines] == [False, True, False]
-        assert lines[2].endswith(early.message)
-
-    def test_gains_have_a_part_where_there_is_something_to_be_a_part_of(self) -> None:
-        assert _gain(0.5, -2.0).endswith("(25 %)")
-        assert "%" not in _gain(0.5, 0.0)
-
-    def test_histories_are_plain_and_keep_an_infinite_t(self) -> None:
-        step = Step(3, -1.0, float("inf"), 0.0, float("nan"), 7, 0.25, np.ones(2))
-        first, second = step.row(), replace(step, t=float("nan")).row()
-        assert "q" not in first
-        assert first["t"] == float("inf")
-        assert "q=" not in repr(step)  # thousands of numbers
-        assert second["t"] is None
-        assert (first["iteration"], first["energy"], first["dual_residual"]) == (3, -1.0, None)
-        assert (first["objective"], first["product"], first["biactive"], first["stationarity"]) == (None,) * 4
-
-    def test_work_is_summed_over_all_outer_problems(self) -> None:
-        assert Work(1, 1, 5) + Work(2, 2, 0, 7) == Work(3, 3, 5, 7)
-        monitor, outer = Monitor(), Outer(EXAMPLES["6.2"]((4, 2)))
-        monitor.work += Work(kkt_factorisations=7)
-        for other in (outer, outer.near(), Outer(outer.problem)):  # a start that is near is no other problem
-            monitor.tracked(other).energy(np.zeros(outer.n))
-        assert monitor.spent.contact_solves == outer.energy.contact_solves + 1
-        assert monitor.spent.kkt_factorisations == 7
-
-    @pytest.mark.parametrize(
-        ("value", "plain"),
-        [(np.int64(3), 3), (np.bool_(True), True), (np.nan, None), (-np.inf, None), ("x", "x"), (0.5, 0.5)],
+def test_figures_are_those_of_the_solution(solution: Solution) -> None:
+    audit = replace(solution.audit, energy_audited=-2.25, penetration=0.5)
+    made = replace(
+        solution, build_time_s=1.0, solve_time_s=20.0, audit_time_s=300.0, energy_initial=-1.0, energy=-1.5,
+        energy_initial_audited=-2.0, audit=audit, detail="More.", stationarity_residual=float("nan"), seed=5,
+        details=(Own(np.float64(2.5)),), solver_status=Status.STALLED, limits=Limits(iterations=9),
+    )  # fmt: skip
+    record = made.record()
+    assert (record["wall_time_s"], record["gain"], record["gain_audited"]) == (321.0, 0.5, 0.25)
+    assert [record[f"{name}_time_s"] for name in ("build", "solve", "audit")] == [1.0, 20.0, 300.0]
+    assert (record["u_min"], record["u_max"]) == (made.displacement.min(), made.displacement.max())
+    assert (record["nodes"], record["triangles"]) == (made.mesh.p.shape[1], made.mesh.t.shape[1])
+    assert (record["energy_audited"], record["penetration"]) == (-2.25, 0.5)
+    assert record["stationarity_residual"] is None
+    assert (record["seed"], record["own"], type(record["own"])) == (5, 2.5, float)
+    assert record["message"].endswith(" More.")
+    assert (record["status"], record["solver_status"]) == (solution.status.value, "stalled")
+    assert record["limits"] == {"iterations": 9}
+    rows = dict(made.summary())
+    assert rows["audited gain"].endswith("(12.5 %)")
+    assert rows["iterations, contact solves"] == f"{made.iterations}, {made.contact_solves}"
+    motion = np.linalg.norm(made.mesh.p - made.problem.mesh.p, axis=0).max()
+    assert float(rows["largest motion"]) == pytest.approx(motion, rel=1e-3)
+    pulls = solution.multipliers
+    for by, what, rate in (("move limits", "nodes", pulls.limit), ("areas", "elements", pulls.area)):
+        assert rows[f"limited by {by}"] == f"{np.sum(rate > 0)} {what}, largest {rate.max():.6g}"
+    assert "limited by move limits" not in dict(replace(made, multipliers=None).summary())
+    assert "error reduction" not in rows
+    fell = replace(
+        made, error_reduction=ErrorReduction((0.3, 0.4), (0.1, 0.2), 2.0, 3.0, "refinement", 15, 7)
     )
-    def test_values_become_plain(self, value: Any, plain: Any) -> None:
-        assert as_plain(value) == plain
-        assert type(as_plain(value)) is type(plain)
+    assert dict(fell.summary())["error reduction"] == fell.error_reduction.text()
+    assert fell.record()["error_reduction"] == fell.error_reduction.record()
+    assert replace(made, certificate_remark="no").record()["certificate_remark"] == "no"
+
+
+def test_success_says_what_it_lacks(solution: Solution) -> None:
+    early = Status.ITERATION_LIMIT
+    ends = [(Status.CONVERGED, True), (early, True), (early, False)]
+    made = [replace(solution, status=status, success=success) for status, success in ends]
+    words = [dict(one.summary())["success"] for one in made]
+    assert words == ["yes", f"yes: {NOT_STATIONARY_YET}", "no"]
+    lines = [one_line(one.record()) for one in made]
+    assert [line.endswith(NOT_STATIONARY_YET) for line in lines] == [False, True, False]
+    assert lines[2].endswith(early.message)
+
+
+def test_gains_have_a_part_where_there_is_something_to_be_a_part_of() -> None:
+    assert _gain(0.5, -2.0).endswith("(25 %)")
+    assert "%" not in _gain(0.5, 0.0)
+
+
+def test_work_is_summed_over_all_outer_problems() -> None:
+    monitor, outer = Monitor(), Outer(EXAMPLES["6.2"]((4, 2)))
+    monitor.work += Work(kkt_factorisations=7)
+    for other in (outer, outer.near(), Outer(outer.problem)):  # a start that is near is no other problem
+        monitor.tracked(other).energy(np.zeros(outer.n))
+    assert monitor.spent.contact_solves == outer.energy.contact_solves + 1
+    assert monitor.spent.kkt_factorisations == 7
