@@ -18,18 +18,15 @@ from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import (
-    NO_CONTACT,
-    signed_areas,
-)
+from rmesh_nlp.problem import NO_CONTACT, signed_areas
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import joint, nested
 
+pytestmark = pytest.mark.slow
 SEEDS = st.integers(0, 10**6)
 FEW = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
-@pytest.mark.slow
 @FEW
 @given(SEEDS, st.floats(0, 6.3), st.floats(-5, 5), st.floats(-5, 5))
 def test_energy_does_not_depend_on_the_frame(seed: int, angle: float, a: float, b: float) -> None:
@@ -41,7 +38,6 @@ def test_energy_does_not_depend_on_the_frame(seed: int, angle: float, a: float, 
     np.testing.assert_allclose(two.tangential_force, one.tangential_force, atol=1e-7)
 
 
-@pytest.mark.slow
 @FEW
 @given(SEEDS)
 def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
@@ -68,7 +64,6 @@ def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
     )
 
 
-@pytest.mark.slow
 @FEW
 @given(SEEDS)
 def test_contact_law_and_equilibrium_hold_on_any_moved_mesh(seed: int) -> None:
@@ -80,7 +75,6 @@ def test_contact_law_and_equilibrium_hold_on_any_moved_mesh(seed: int) -> None:
     assert law_residual(system, state.u, state.normal_force, state.tangential_force) < 1e-9
 
 
-@pytest.mark.slow
 @FEW
 @given(SEEDS)
 def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
@@ -97,7 +91,6 @@ def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
         assert rest[0] <= 1e-7 * max(1.0, abs(here.value))
 
 
-@pytest.mark.slow
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(SEEDS, st.sampled_from([joint, nested]))
 def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, formulation: Any) -> None:
@@ -115,7 +108,6 @@ def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, fo
         assert np.all(np.abs(solution.mesh.p - problem.mesh.p) <= np.array(delta)[:, None] * (1 + 1e-9))
 
 
-@pytest.mark.slow
 @FEW
 @given(SEEDS, st.floats(1, 25))
 def test_random_starts_keep_areas_and_angles(seed: int, angle: float) -> None:
