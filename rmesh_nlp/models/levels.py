@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,30 +62,18 @@ def _on(problem: ContactProblem, coarse: Coarse, least: int) -> ContactProblem |
     if size < least or WORTHWHILE * size > n:
         return None
     number = {int(old): new for new, old in enumerate(coarse.nodes)}
-    motion = problem.motion
-
-    def renumbered(places: tuple[str | int, ...]) -> tuple[str | int, ...]:
-        return tuple(place if isinstance(place, str) else number[place] for place in places)
-
+    motion, triangles = problem.motion, f"{coarse.mesh.t.shape[1]} triangles"
+    places: dict[str, Any] = {
+        name: tuple(one if isinstance(one, str) else number[one] for one in getattr(motion, name))
+        for name in ("pinned", "slides", "free")
+    }
+    tied = tuple((number[a], number[b]) for a, b in motion.tied)
     delta = motion.delta
     if isinstance(delta, Relative):
         delta = Relative(delta.fraction * np.sqrt(size / n))
-    motion = replace(
-        motion,
-        delta=delta,
-        pinned=renumbered(motion.pinned),
-        slides=renumbered(motion.slides),
-        free=renumbered(motion.free),
-        tied=tuple((number[a], number[b]) for a, b in motion.tied),
-    )
+    motion = replace(motion, delta=delta, tied=tied, **places)
     try:
-        found = replace(
-            problem,
-            mesh=coarse.mesh,
-            motion=motion,
-            size=f"{coarse.mesh.t.shape[1]} triangles",
-            reference=None,
-        )
+        found = replace(problem, mesh=coarse.mesh, motion=motion, size=triangles, reference=None)
     except ProblemError:
         return None  # too coarse for what the problem says
     return found if Body(found, found.mesh.p).is_upright() else None  # too coarse for its curves
@@ -100,29 +89,27 @@ def _turning(curve: Curve, nodes: NDArray[np.int64], points: Array) -> NDArray[n
 
 
 def _decimated(problem: ContactProblem, target: int) -> Coarse:
-    mesh, triangles = problem.mesh, problem.triangles
+    """The mesh with nodes taken out; corners, nodes with a number and enough nodes on curves stay."""
+    mesh = problem.mesh
     on_line, tangent = sliding_directions(problem)
     kept = np.zeros(mesh.p.shape[1], dtype=bool)
-    slides = np.any(tangent[:, on_line] != 0, axis=0) | (on_curve(problem)[on_line] >= 0)
-    kept[on_line] = ~slides
+    kept[on_line] = ~(np.any(tangent[:, on_line] != 0, axis=0) | (on_curve(problem)[on_line] >= 0))
     kept[list(problem.motion.numbers)] = True
     for name, curve in problem.motion.curves.items():
         kept[_turning(curve, problem.boundary_nodes((name,)), mesh.p)] = True
-    result = decimated(mesh.p, triangles, Lines(kept, mesh.facets[:, line_facets(problem)]), target)
+    lines = Lines(kept, mesh.facets[:, line_facets(problem)])
+    result = decimated(mesh.p, problem.triangles, lines, target)
     nodes = np.unique(result.triangles)
-    number = np.full(mesh.p.shape[1], -1)
-    number[nodes] = np.arange(nodes.size)
+    number, place = np.full(mesh.p.shape[1], -1), np.full(mesh.t.shape[1], -1)
+    number[nodes], place[result.element] = np.arange(nodes.size), np.arange(result.element.size)
     boundaries = {}
     for name, facets in (mesh.boundaries or {}).items():
         ends = result.into[mesh.facets[:, np.asarray(facets)]]
-        ends = np.unique(np.sort(ends[:, ends[0] != ends[1]], axis=0), axis=1)
-        boundaries[name] = number[ends].T
-    place = np.full(mesh.t.shape[1], -1)
-    place[result.element] = np.arange(result.element.size)
-    subdomains = {
-        name: place[np.asarray(elements)][place[np.asarray(elements)] >= 0]
-        for name, elements in (mesh.subdomains or {}).items()
-    }
+        boundaries[name] = number[np.unique(np.sort(ends[:, ends[0] != ends[1]], axis=0), axis=1)].T
+    subdomains = {}
+    for name, elements in (mesh.subdomains or {}).items():
+        there = place[np.asarray(elements)]
+        subdomains[name] = there[there >= 0]
     coarse = from_arrays(mesh.p[:, nodes].T, number[result.triangles].T, boundaries, subdomains)
     return Coarse(coarse, nodes)
 
@@ -184,29 +171,26 @@ def _barycentric(corner: Array, point: Array) -> Array:
 def prolonged(
     coarse_nodes: Array, coarse_triangles: NDArray, move: Array, fine: Relocation | Discretisation
 ) -> Array:
-    """Moves q of a finer mesh that follow the ``move`` (2, coarse nodes) of a coarser one.
+    """Outer variables of a finer mesh that follow the ``move`` (2, coarse nodes) of a coarser one.
 
     On a uniform refinement every element stays as valid as the one it is a part of. On another mesh
     an element may be inverted, since it lies across several: there the move is smoothed, and if that does
     not help, made smaller as a whole.
     """
-    X0, triangles = fine.problem.mesh.p, fine.problem.triangles
+    X0, triangles, mesh_map = fine.problem.mesh.p, fine.problem.triangles, fine.mesh_map
     before, after = (signed_areas(x, coarse_triangles) for x in (coarse_nodes, coarse_nodes + move))
     # slivers that the coarse map makes on purpose are kept, and are no reason to damp the map
     least = max(0.5 * float(np.min(after / before)), 1e-9)
-    shift = interpolated(coarse_nodes, coarse_triangles, move, X0)
     initial = signed_areas(X0, triangles)
-    q = fine.mesh_map.q_of(X0 + shift)
+    q = mesh_map.q_of(X0 + interpolated(coarse_nodes, coarse_triangles, move, X0))
     for _ in range(MENDINGS):
-        now = fine.mesh_map.positions.values(q)
+        now = mesh_map.positions.values(q)
         small = signed_areas(now, triangles) < min(SMALL, least) * initial
         if not np.any(small):
             break
-        shift = _smoothed(now - X0, triangles, np.unique(triangles[:, small]))
-        q = fine.mesh_map.q_of(X0 + shift)
-    bound = fine.mesh_map.bound
-    q = np.clip(q, -bound, bound)
-    while not np.all(signed_areas(fine.mesh_map.positions.values(q), triangles) > min(1e-3, least) * initial):
+        q = mesh_map.q_of(X0 + _smoothed(now - X0, triangles, np.unique(triangles[:, small])))
+    q = np.clip(q, -mesh_map.bound, mesh_map.bound)
+    while not np.all(signed_areas(mesh_map.positions.values(q), triangles) > min(1e-3, least) * initial):
         q = 0.9 * q
         if np.max(np.abs(q), initial=0.0) < 1e-6:
             return np.zeros_like(q)
@@ -236,22 +220,14 @@ def accepted(energy: ReducedEnergy, q: Array) -> tuple[Array, float]:
     The largest part counts whose energy is below that of the mesh as given: the continuous energy
     (:mod:`rmesh_nlp.assessment.admissible`), since what a coarse map gains by errors of the discretisation
     does not last on a finer mesh.
-
-    Parameters
-    ----------
-    energy : ReducedEnergy
-        Of the mesh that the map was prolonged to.
-    q : (n,) array
     """
-    given = _continuous(energy, np.zeros_like(q))
-    part = 1.0
-    for _ in range(HALVINGS):
-        if energy.is_defined(part * q) and _continuous(energy, part * q) < given:
+
+    def continuous(q: Array) -> float:
+        rel = energy.relocation
+        return admissible(rel.problem, rel.nodes(q), energy(q).equilibrium.active).energy
+
+    given = continuous(np.zeros_like(q))
+    for part in (0.5**k for k in range(HALVINGS)):
+        if energy.is_defined(part * q) and continuous(part * q) < given:
             return part * q, part
-        part /= 2
     return np.zeros_like(q), 0.0
-
-
-def _continuous(energy: ReducedEnergy, q: Array) -> float:
-    nodes = energy.relocation.nodes(q)
-    return admissible(energy.relocation.problem, nodes, energy(q).equilibrium.active).energy

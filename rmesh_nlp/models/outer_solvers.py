@@ -17,7 +17,7 @@ from rmesh_nlp.models.reduced_nlp import ReducedNLP, lifted, with_hessian
 from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.callbacks import Monitor
-from rmesh_nlp.optimize.newton_step import Model
+from rmesh_nlp.optimize.newton_step import Model, Operator
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status, StoppedError
 from rmesh_nlp.optimize.trust_region import Evaluation, NewtonResult, NewtonSettings, minimise
@@ -241,7 +241,7 @@ def _descend(
             return None
         point = function(q)
         return Evaluation(
-            point.value, point.gradient, lambda: _Timed(curvature.at(point), problem.out_of_time)
+            point.value, point.gradient, lambda: _timed(curvature.at(point), problem.out_of_time)
         )
 
     return minimise(
@@ -259,24 +259,19 @@ def _descend(
     )
 
 
-@dataclass(frozen=True)
-class _Timed:
+def _timed(model: Model, out_of_time: Callable[[], bool]) -> Operator:
     """A model whose products end the solve when its time is over.
 
     One step may take hundreds of products and projections on linearised element areas: without move limits
     and with many small elements a single step of a mesh of 60 elements took minutes.
     """
 
-    model: Model
-    out_of_time: Callable[[], bool]
-
-    def __call__(self, d: Array) -> Array:
-        if self.out_of_time():
+    def product(d: Array) -> Array:
+        if out_of_time():
             raise StoppedError
-        return self.model(d)
+        return model(d)
 
-    def diagonal(self) -> Array:
-        return self.model.diagonal()
+    return Operator(product, model.diagonal)
 
 
 OUTER_SOLVERS: dict[str, OuterSolver] = {"ipopt": _ipopt, "newton": _newton, "newton-cg": _newton_cg}

@@ -1,8 +1,5 @@
 """Descents of an energy with a distortion: relocation without move limits, as far as the elements allow.
 
-Connects :func:`rmesh_nlp.optimize.trust_region.minimise` with the mesh: the local radii of the nodes, how far
-a step may go before an element degenerates, and which model is used.
-
 Far from a stationary point conjugate gradients with the diagonal are the cheapest per iteration. Near it the
 second derivatives are nearly singular in many directions, along which elements slide past each other at
 hardly any cost; there one factorisation of the second derivatives in outer variables and displacements
@@ -22,7 +19,7 @@ from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.second_derivatives import Curvature, Hessian
-from rmesh_nlp.optimize.newton_step import BoxStep, Preconditioner, Scaled, Shifted, positive_definite
+from rmesh_nlp.optimize.newton_step import BoxStep, Preconditioner, Shifted, positive_definite, scaled
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import LOCAL, Evaluation, LocalRadii, NewtonResult, minimise
 from rmesh_nlp.problem import signed_areas
@@ -212,7 +209,7 @@ def _polished(
         if factor is None:
             break
         count += factor.factorisations
-        step = BoxStep(Scaled(model, width), width * energy(q).gradient, factor)
+        step = BoxStep(scaled(model, width), width * energy(q).gradient, factor)
         low, high = np.maximum((-bound - q) / width, -1.0), np.minimum((bound - q) / width, 1.0)
         y, _ = step.within(low, high, EXACT_FORCING)
         there = np.clip(q + width * y, -bound, bound)

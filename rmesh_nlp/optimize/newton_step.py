@@ -56,19 +56,24 @@ class Model(Protocol):
 
 
 @dataclass(frozen=True)
-class Scaled:
-    """A model in units of the widths of a trust region."""
+class Operator:
+    """A model made of its product and its diagonal."""
 
-    model: Model
-    width: Array
+    product: Callable[[Array], Array]
+    scale: Callable[[], Array]
 
     def __call__(self, d: Array) -> Array:
         """Hessian times ``d``."""
-        return self.width * self.model(self.width * d)
+        return self.product(d)
 
     def diagonal(self) -> Array:
-        """That of the model."""
-        return self.width**2 * self.model.diagonal()
+        """A positive diagonal."""
+        return self.scale()
+
+
+def scaled(model: Model, width: Array) -> Operator:
+    """A model in units of the widths of a trust region."""
+    return Operator(lambda d: width * model(width * d), lambda: width**2 * model.diagonal())
 
 
 class BoxStep:

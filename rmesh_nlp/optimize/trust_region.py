@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
@@ -35,8 +34,9 @@ from rmesh_nlp.optimize.newton_step import (
     BoxStep,
     ConstrainedStep,
     Model,
+    Operator,
     Preconditioner,
-    Scaled,
+    scaled,
 )
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.settings import Count, Factor, Part, Positive, Settings
@@ -185,14 +185,12 @@ def minimise(
     on_step : callable, optional
         Called with the iteration, the point and its evaluation; the descent stops if it returns True.
     """
-    domain: _Box
+    use = settings or (NewtonSettings() if local is None else LOCAL)
+    domain = _Box(lower, upper, use)
     if local is not None:
-        domain = _LocalBox(lower, upper, settings or LOCAL, local)
+        domain = _LocalBox(lower, upper, use, local)
     elif constraints is not None:
-        domain = _ConstrainedBox(lower, upper, settings or NewtonSettings(), constraints)
-    else:
-        domain = _Box(lower, upper, settings or NewtonSettings())
-    use = domain.settings
+        domain = _ConstrainedBox(lower, upper, use, constraints)
     x = np.clip(start, lower, upper)
     here = evaluate(x)
     if here is None:
@@ -305,8 +303,8 @@ class _LocalBox(_Box):
         return self.settings.first_radius
 
     def step(self) -> BoxStep:
-        scaled, slope = Scaled(self._model, np.asarray(self._width)), self._width * self._g
-        return BoxStep(scaled, slope, self._preconditioner, self.settings.max_products)
+        model, slope = scaled(self._model, np.asarray(self._width)), self._width * self._g
+        return BoxStep(model, slope, self._preconditioner, self.settings.max_products)
 
     def hides(self, y: Array, radius: float) -> bool:
         return y.size > 0 and float(np.mean(np.abs(y) >= 0.999 * radius)) > HIDDEN
@@ -343,7 +341,8 @@ class _ConstrainedBox(_Box):
         if not self._met:
             return super().step()
         multipliers = self._fitted if self._multipliers is None else self._multipliers
-        lagrangian = _Lagrangian(self._model, self._constraints.hessian(self._x, multipliers))
+        model, curvature = self._model, self._constraints.hessian(self._x, multipliers)
+        lagrangian = Operator(lambda d: model(d) - curvature @ d, model.diagonal)
         return ConstrainedStep(lagrangian, self._g, self._rows)
 
     def land(self, part: float, y: Array, step: BoxStep) -> Array | None:
@@ -354,17 +353,3 @@ class _ConstrainedBox(_Box):
         landed = self._constraints.back(trial, self._rows, self._lower, self._upper, step.scale)
         self._met = self._met or landed is not trial
         return landed
-
-
-@dataclass(frozen=True)
-class _Lagrangian:
-    """A model less the curvature of active constraints: the Hessian of the Lagrangian."""
-
-    model: Model
-    curvature: sp.csc_array
-
-    def __call__(self, d: Array) -> Array:
-        return self.model(d) - self.curvature @ d
-
-    def diagonal(self) -> Array:
-        return self.model.diagonal()

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.constraints import Linearised
-from rmesh_nlp.optimize.newton_step import BoxStep, ConstrainedStep, Scaled, positive_definite
+from rmesh_nlp.optimize.newton_step import BoxStep, ConstrainedStep, positive_definite, scaled
 from support.quadratics import Matrix, convex
 
 
@@ -34,9 +34,9 @@ def test_the_predicted_decrease_is_that_of_the_model_and_the_step_is_stationary(
 
 def test_a_model_in_widths_is_the_model_of_the_scaled_function() -> None:
     A, width = convex(np.random.default_rng(0), 4), np.array([1.0, 0.1, 3.0, 2.0])
-    scaled, d = Scaled(Matrix(A), width), np.array([1.0, -1.0, 2.0, 0.5])
-    np.testing.assert_allclose(scaled(d), np.diag(width) @ A @ np.diag(width) @ d)
-    np.testing.assert_allclose(scaled.diagonal(), width**2 * Matrix(A).diagonal())
+    model, d = scaled(Matrix(A), width), np.array([1.0, -1.0, 2.0, 0.5])
+    np.testing.assert_allclose(model(d), np.diag(width) @ A @ np.diag(width) @ d)
+    np.testing.assert_allclose(model.diagonal(), width**2 * Matrix(A).diagonal())
 
 
 def test_a_limit_of_products_is_kept() -> None:
