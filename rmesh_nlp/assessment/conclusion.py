@@ -102,15 +102,13 @@ class Measured:
 
 @dataclass(frozen=True)
 class Conclusion:
-    """Three things apart, and what follows from them.
+    """Three things apart, and what follows from them, whatever was measured and whatever the solver said.
 
-    Whatever was measured, and whatever the solver said,
-
-    - a success is valid and improved, and its status is CONVERGED, NOT_STATIONARY or one of ``LIMITS``;
-    - the status is CONVERGED if and only if the solution is a success and stationary;
-    - what is valid and improved is a success, unless the solver failed and nothing was gained: then the
-      status is one of ``FAILURES``;
-    - what is valid but not improved is EXPLOITED or WORSE, and the status of what is not valid names the
+    - A success is valid and improved, and its status is CONVERGED, NOT_STATIONARY or one of ``LIMITS``.
+    - The status is CONVERGED if and only if the solution is a success and stationary.
+    - What is valid and improved is a success, unless the solver failed and nothing was gained: then the
+      status is one of ``FAILURES``.
+    - What is valid but not improved is EXPLOITED or WORSE, and the status of what is not valid names the
       fault.
     """
 
@@ -123,20 +121,23 @@ class Conclusion:
 
 def conclusion(said: Status, measured: Measured) -> Conclusion:
     """What follows from the measurements; ``said`` is how the solver says that it ended."""
-    fault, improved, stationary = measured.fault, measured.improved, measured.stationary
+    fault = measured.fault
     if fault is None and said in MET and not measured.consistent:
         fault = Status.INACCURATE
     if fault is not None:
-        return Conclusion(False, improved, stationary, False, fault)
-    if not improved:
-        rose = Status.EXPLOITED if measured.is_exploited else Status.WORSE
-        return Conclusion(True, False, stationary, False, rose)
-    if stationary:
-        return Conclusion(True, True, True, True, Status.CONVERGED)
-    if said in MET:
-        return Conclusion(True, True, False, True, Status.NOT_STATIONARY)
-    if said in LIMITS:
-        return Conclusion(True, True, False, True, said)
-    if measured.decrease > ROUNDING * measured.size:  # the solver failed on the way from a valid, better mesh
-        return Conclusion(True, True, False, True, Status.STALLED)
-    return Conclusion(True, True, False, False, said if said in FAILURES else Status.FAILED)
+        status = fault
+    elif not measured.improved:
+        status = Status.EXPLOITED if measured.is_exploited else Status.WORSE
+    elif measured.stationary:
+        status = Status.CONVERGED
+    elif said in MET:
+        status = Status.NOT_STATIONARY
+    elif said in LIMITS:
+        status = said
+    elif measured.decrease > ROUNDING * measured.size:  # failed on the way from a better mesh
+        status = Status.STALLED
+    else:
+        status = said if said in FAILURES else Status.FAILED
+    usable = Status.CONVERGED, Status.NOT_STATIONARY, *LIMITS
+    success = fault is None and measured.improved and status in usable
+    return Conclusion(fault is None, measured.improved, measured.stationary, success, status)

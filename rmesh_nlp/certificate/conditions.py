@@ -128,8 +128,8 @@ def _tractions(problem: ContactProblem, skeleton: Skeleton) -> tuple[Array, Arra
 
 
 def linear_values(moments: Array) -> Array:
-    """Values at the ends (2, ...) of the linear function with these moments: the L2 projection."""
-    return np.stack([4 * moments[0] - 2 * moments[1], 4 * moments[1] - 2 * moments[0]])
+    """Values at the ends (..., 2, edges) of the linear functions with these moments: the L2 projection."""
+    return np.asarray(4 * moments - 2 * moments[..., ::-1, :])
 
 
 def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ...]:

@@ -91,7 +91,7 @@ def hybrid(
     numbers, size = _numbers(skeleton, n), skeleton.ends.shape[1] * 2 * n
     turn: sp.sparray = _turn(conditions, skeleton.ends.shape[1])
     start = turn @ _vector(edge_moments(displacement, skeleton.ends))
-    applied = turn @ _vector(edge_loads(conditions.traction) * skeleton.lengths)
+    applied = turn @ _vector(linear_values(conditions.traction) * skeleton.lengths)
     given = turn @ _vector(conditions.given)
     held = np.abs(turn @ _vector(np.repeat(conditions.held[:, None], 2, axis=1))) > 0.5
     added = np.zeros(0, dtype=np.int64)
@@ -169,8 +169,3 @@ def edge_moments(displacement: Array, ends: Index) -> Array:
     """(components, 2, edges) moments, divided by the length, of a linear displacement (components, nodes)."""
     at_ends = displacement[:, ends]
     return np.asarray((2 * at_ends + at_ends[:, ::-1]) / 6)
-
-
-def edge_loads(moments: Array) -> Array:
-    """Values at the ends of edges (components, 2, edges) of the linear functions with these moments."""
-    return np.stack([linear_values(part) for part in moments])

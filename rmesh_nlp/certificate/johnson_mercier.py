@@ -163,11 +163,6 @@ class JohnsonMercier:
     load: Array  # (2, 3, elements), body force at the vertices of each element, linear in between
 
     @property
-    def jacobian(self) -> Array:
-        """(elements, 2, 2) Jacobians F."""
-        return self.skeleton.jacobian
-
-    @property
     def determinant(self) -> Array:
         """(elements,) determinants J."""
         return 2 * self.skeleton.areas
@@ -175,7 +170,7 @@ class JohnsonMercier:
     @cached_property
     def compliance(self) -> Array:
         """(elements, 15, 15) integrals of ``C^-1 sigma : sigma`` over pairs of basis functions."""
-        F = self.jacobian / np.sqrt(self.determinant)[:, None, None]
+        F = self.skeleton.jacobian / np.sqrt(self.determinant)[:, None, None]
         a, c, _, b = np.einsum("eki,ekj->ije", F, F).reshape(4, -1)
         square = np.array(
             [
@@ -199,7 +194,7 @@ class JohnsonMercier:
         """(elements, 6) coefficients of the basis functions with divergence."""
         # solving instead of inverting keeps the rounding of thin triangles small
         wanted = -self.determinant[:, None, None] * np.linalg.solve(
-            self.jacobian, self.load.transpose(2, 0, 1)
+            self.skeleton.jacobian, self.load.transpose(2, 0, 1)
         )
         return np.ascontiguousarray(wanted.transpose(0, 2, 1)).reshape(-1, 6)
 
@@ -225,7 +220,9 @@ class JohnsonMercier:
     def stiffness(self) -> Array:
         """(elements, 12, 12): forces through the edges by the traces."""
         by_force = self._roots[1].reshape(-1, FREE, 6, 2)
-        half = np.einsum("eab,ekib->ekia", self.jacobian, by_force, optimize=True).reshape(-1, FREE, 12)
+        half = np.einsum("eab,ekib->ekia", self.skeleton.jacobian, by_force, optimize=True).reshape(
+            -1, FREE, 12
+        )
         return np.asarray(half.transpose(0, 2, 1) @ half)
 
     @cached_property
@@ -236,7 +233,7 @@ class JohnsonMercier:
     def coefficients(self, traces: Array) -> Array:
         """(elements, 15) coefficients of the stress for traces (elements, 12)."""
         root, by_force, by_load = self._roots
-        pulled = np.einsum("eba,eib->eia", self.jacobian, traces.reshape(-1, 6, 2)).reshape(-1, 12)
+        pulled = np.einsum("eba,eib->eia", self.skeleton.jacobian, traces.reshape(-1, 6, 2)).reshape(-1, 12)
         scaled = np.einsum("eij,ej->ei", by_force, pulled) + by_load
         free = np.linalg.solve(root.transpose(0, 2, 1), scaled[:, :, None])[:, :, 0]
         return np.hstack([free, self._divergent])
@@ -245,7 +242,7 @@ class JohnsonMercier:
         """(3 thirds, 6 nodes, 3 values, elements) stresses."""
         flat = reference().basis.reshape(54, 15) @ coefficients.T
         xx, yy, xy = np.moveaxis(flat.reshape(3, 6, 3, -1), 2, 0)
-        (a, b), (c, d) = self.jacobian.transpose(1, 2, 0)
+        (a, b), (c, d) = self.skeleton.jacobian.transpose(1, 2, 0)
         J = self.determinant
         return np.stack(
             [
@@ -268,7 +265,7 @@ class JohnsonMercier:
     def forces(self, coefficients: Array) -> Array:
         """(elements, 12) tractions at the ends of the edges times the length of the edge."""
         flat = coefficients @ reference().forces.reshape(12, 15).T
-        return np.einsum("eab,eib->eia", self.jacobian, flat.reshape(-1, 6, 2)).reshape(-1, 12)
+        return np.einsum("eab,eib->eia", self.skeleton.jacobian, flat.reshape(-1, 6, 2)).reshape(-1, 12)
 
 
 def equilibrated_stress(

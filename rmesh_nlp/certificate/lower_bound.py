@@ -36,7 +36,7 @@ from rmesh_nlp.certificate.hybrid import Hybrid, hybrid
 from rmesh_nlp.certificate.integrals import edge_rule
 from rmesh_nlp.certificate.oscillation import POINCARE
 from rmesh_nlp.certificate.raviart_thomas import FREE, RaviartThomas, moments, obstacle_inside, reference
-from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
+from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
@@ -70,7 +70,6 @@ class _Edges(NamedTuple):
 class _State:
     """A solved equilibration: coefficients of the flux, traces of the elements, and forces."""
 
-    columns: Array  # (6, elements) positions of the vertices
     e: Array  # (elements,) numbers of the oscillation term
     elements: RaviartThomas
     problem: Hybrid
@@ -134,7 +133,7 @@ class LowerBound:
         """Solve the equilibration, contact included; without oscillation term where e is infinite."""
         skeleton = skeleton_of(self.problem, nodes)
         conditions, count = conditions_of(self.problem, skeleton), skeleton.areas.size
-        columns = nodes[:, skeleton.triangles].transpose(1, 0, 2).reshape(6, -1)
+        columns = _columns(skeleton.corners)
         conductivity, r = np.zeros((2, count))
         source, offset = np.zeros((2, 3, count))
         for group in self._groups:
@@ -163,34 +162,35 @@ class LowerBound:
         traces = problem.of_elements(W + problem.start)
         if interior is not None:
             traces[:, 6:] += moments(u, skeleton)
-        return _State(columns, e, elements, problem, flux, traces, force, problem.reaction(W), value)
+        return _State(e, elements, problem, flux, traces, force, problem.reaction(W), value)
 
     def _gradient(self, state: _State) -> Array:
         """(2, nodes) partial derivatives of the dual energy by the positions."""
         elements, problem, skeleton = state.elements, state.problem, state.problem.skeleton
-        inside = np.zeros((len(state.flux), 3))
-        result = np.zeros(skeleton.nodes.shape)
+        result, columns = np.zeros(skeleton.nodes.shape), _columns(skeleton.corners)
         strain = np.einsum("eij,ej->ei", elements.minimised, state.flux)
         nu = (state.traces @ elements.rows - strain)[:, FREE:]
+        inside = within = np.zeros((len(state.flux), 3))
         if problem.inside:
-            inside = state.force[: problem.inside].reshape(-1, 3)
-        within = state.traces[:, 6:] if problem.inside else inside
+            inside, within = state.force[: problem.inside].reshape(-1, 3), state.traces[:, 6:]
         for group in self._groups:
             which = group.which
-            arguments = (part[which].T for part in (state.flux, nu, within, inside))
+            given = (part[which].T for part in (state.flux, nu, within, inside))
             e = np.minimum(state.e[None, which], 1.0 / np.finfo(float).tiny)
-            (slope,) = group.columns("slope")([state.columns[:, which], *arguments, e])
+            (slope,) = group.columns("slope")([columns[:, which], *given, e])
             _add(result, skeleton.triangles[:, which], slope)
+        on_edges = np.zeros((2, skeleton.ends.shape[1]))  # traces at the ends
+        of_elements = state.traces[:, :6].reshape(-1, 3, 2).transpose(1, 2, 0)
+        on_edges[skeleton.place, skeleton.edges[:, None]] = of_elements
         multipliers = {
             "offset": -state.force[problem.inside :].reshape(2, -1),
             "given": state.reaction[: 2 * skeleton.ends.shape[1]].reshape(-1, 2).T,
-            "applied": -_of_edges(skeleton, state.traces),
+            "applied": -on_edges,
         }
         for part in self._edges:
             ends = skeleton.ends[:, part.which]
-            X = skeleton.nodes[:, ends].transpose(1, 0, 2).reshape(4, -1)
-            weights = multipliers[part.kind][:, part.number]
-            (slope,) = columnwise(part.function, part.which.size)([X, weights])
+            arguments = [_columns(skeleton.nodes[:, ends]), multipliers[part.kind][:, part.number]]
+            (slope,) = columnwise(part.function, part.which.size)(arguments)
             _add(result, ends, slope)
         return result
 
@@ -211,11 +211,9 @@ def _edge_functions(problem: ContactProblem, conditions: Conditions) -> list[_Ed
     return found
 
 
-def _of_edges(skeleton: Skeleton, traces: Array) -> Array:
-    """(2, edges) traces at the ends of the edges from those of the elements."""
-    result = np.zeros((2, skeleton.ends.shape[1]))
-    result[skeleton.place, skeleton.edges[:, None]] = traces[:, :6].reshape(-1, 3, 2).transpose(1, 2, 0)
-    return result
+def _columns(corners: Array) -> Array:
+    """(2 v, cells) coordinates of the vertices of each cell, vertex by vertex, from (2, v, cells)."""
+    return np.ascontiguousarray(corners.transpose(1, 0, 2)).reshape(2 * corners.shape[1], -1)
 
 
 def _add(result: Array, nodes: Index, slope: Array) -> None:
