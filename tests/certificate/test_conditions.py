@@ -14,6 +14,7 @@ from rmesh_nlp.certificate.displacement import penetration, potential
 from rmesh_nlp.certificate.integrals import integrals, loads
 from rmesh_nlp.certificate.oscillation import POINCARE, korn, oscillation
 from rmesh_nlp.certificate.skeleton import AFTER, CORNERS, Skeleton, same_domain, skeleton_of
+from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
 from support.certificates import distorted
@@ -63,32 +64,23 @@ def test_rules_grow_until_two_agree_and_the_doubt_bounds_what_is_left() -> None:
 
 
 def test_a_load_is_split_into_its_best_linear_part_and_the_rest() -> None:
-    linear = lambda x, y: 2 * x - 3 * y + 1  # noqa: E731
+    linear, bent = (lambda x, y: 2 * x - 3 * y + 1), (lambda x, y: 6 * x * x)
     problem = plate(mesh=distorted(plate().mesh, 0.2, 1), law=PlaneStrain(3.0, 2.0, (linear, 5.0)))
     skeleton = on(problem)
-    found = loads(problem, skeleton)
-    np.testing.assert_allclose(found.linear[0], linear(*skeleton.corners), atol=1e-12)
-    np.testing.assert_allclose(found.linear[1], 5.0, atol=1e-12)
+    found, force = loads(problem, skeleton), np.stack([linear(*skeleton.corners), np.full((3, 16), 5.0)])
+    np.testing.assert_allclose(found.linear, force, atol=1e-12)
     assert np.max(found.remainder) < 1e-6
     u = np.random.default_rng(0).normal(size=problem.mesh.p.shape)
-    at_corners, force = u[:, skeleton.triangles], np.stack([linear(*skeleton.corners), np.full((3, 16), 5.0)])
     mass = (np.ones((3, 3)) + np.eye(3)) / 12
-    by_hand = np.einsum("cie,ij,cje,e->", at_corners, mass, force, skeleton.areas)
+    by_hand = np.einsum("cie,ij,cje,e->", u[:, skeleton.triangles], mass, force, skeleton.areas)
     assert found.work(u, skeleton) == pytest.approx(by_hand)
     assert found.doubtful_work(u, skeleton) < 1e-10
-    # 6 x^2 on a right triangle of side h leaves h^2 sqrt(6^2 / 150 - ...): by a fine rule
-    law = PlaneStrain(3.0, 2.0, (0.0, lambda x, y: 6 * x * x))
-    bent, skeleton = loads(plate(law=law), on(plate())), on(plate())
-    s = (np.arange(400) + 0.5) / 400
-    b = np.stack(np.meshgrid(s, s)).reshape(2, -1)
-    b = np.where(b.sum(axis=0) > 1, 1 - b, b)
-    b = np.vstack([1 - b.sum(axis=0), b])
-    x = skeleton.corners[0].T @ b
-    rest = 6 * x**2 - bent.linear[1].T @ b
-    np.testing.assert_allclose(bent.remainder**2, skeleton.areas * np.mean(rest**2, axis=1), rtol=2e-2)
-    assert np.max(np.abs(rest.mean(axis=1))) < 1e-3
-    constant = loads(plate(law=PlaneStrain(3.0, 2.0, (1.0, 5.0))), skeleton)
-    assert not np.any(constant.remainder)
+    found = loads(plate(mesh=problem.mesh, law=PlaneStrain(3.0, 2.0, (0.0, bent))), skeleton)
+    points, weights = triangle_rule(8)
+    rest = 6 * (skeleton.corners[0].T @ points) ** 2 - found.linear[1].T @ points
+    np.testing.assert_allclose((rest * weights) @ points.T, 0, atol=1e-12)  # orthogonal to linear functions
+    np.testing.assert_allclose(found.remainder**2, skeleton.areas * (rest**2 @ weights))
+    assert not np.any(loads(plate(law=PlaneStrain(3.0, 2.0, (1.0, 5.0))), skeleton).remainder)
 
 
 def test_doubtful_work_is_the_doubt_times_what_any_displacement_may_be() -> None:
@@ -132,13 +124,12 @@ def test_conditions_of_edges_by_hand() -> None:
     np.testing.assert_allclose(found.offset, 0.5 * np.stack([(2 * a + b) / 6, (a + 2 * b) / 6]), atol=1e-15)
     np.testing.assert_allclose(found.friction, 1 + np.stack([a, b]))
     np.testing.assert_allclose(found.axes, np.broadcast_to(np.eye(2), found.axes.shape))
-    for shape in (lambda s: s * s, lambda s: s * (1 - s)):  # a bound that bends is not exceeded, nor by far
+    s = np.linspace(0, 1, 33)
+    along = np.stack([1 - s, s]).T
+    for shape in (lambda x: x * x, lambda x: x * (1 - x)):  # a bound that bends is not exceeded, nor by far
         rough = replace(problem.obstacles[0], friction=lambda x, y, shape=shape: 3 + shape(x))
-        bound = conditions_of(plate(obstacle=rough), skeleton).friction
-        s = np.linspace(0, 1, 33)
-        excess = (
-            np.outer(1 - s, bound[0]) + np.outer(s, bound[1]) - 3 - shape(np.outer(1 - s, a) + np.outer(s, b))
-        )
+        excess = along @ conditions_of(plate(obstacle=rough), skeleton).friction
+        excess -= 3 + shape(along @ np.stack([a, b]))
         assert np.max(excess) <= 1e-12
         assert np.min(np.max(excess, axis=0)) > -1e-12
     bent = conditions_of(plate(dirichlet=(Dirichlet("left", (0.0, lambda x, y: y * y)),)), skeleton)
@@ -147,42 +138,28 @@ def test_conditions_of_edges_by_hand() -> None:
     assert bent.given_error == pytest.approx(0.5**2 / 4 / largest)  # to its chord
 
 
+def triangle(*corners: tuple[float, float]) -> Skeleton:
+    ends, place = np.array([[1, 0, 0], [2, 2, 1]]), np.array([[[0], [1]], [[1], [0]], [[0], [1]]])
+    return Skeleton(np.array(corners).T, np.arange(3)[:, None], ends, np.arange(3)[:, None], place)
+
+
 def test_constants_of_the_oscillation_are_those_of_the_literature() -> None:
     assert 0 <= POINCARE * jn_zeros(1, 1)[0] - 1 < 1e-5  # never below 1 / j_11
-    # of an equilateral triangle rho / R is one half: beta^2 = 1 / (8 (1 + sqrt(3) / 2))
-    nodes = np.array([[0.0, 1.0, 0.5], [0.0, 0.0, np.sqrt(3) / 2]])
-    one = Skeleton(
-        nodes,
-        np.array([[0], [1], [2]]),
-        np.array([[1, 0, 0], [2, 2, 1]]),
-        np.arange(3)[:, None],
-        np.array([[[0], [1]], [[1], [0]], [[0], [1]]]),
-    )
-    assert korn(one)[0] == pytest.approx(np.sqrt(16 * (1 + np.sqrt(3) / 2)))
+    equilateral = triangle((0, 0), (1, 0), (0.5, np.sqrt(3) / 2))
+    # rho / R is 1 / 2 and, for sides 3, 4, 5, 1 / sqrt(10): the farthest vertex is (0, 4), the centre (1, 1)
+    for one, square in ((equilateral, 1 / 4), (triangle((0, 0), (3, 0), (0, 4)), 1 / 10)):
+        assert korn(one)[0] == pytest.approx(np.sqrt(4 / square * (1 + np.sqrt(1 - square))))
     # h / j |f| + h sqrt(|e| / |T| (1 / j^2 + 1 / j)) |g|, times the constant of the energy
     area, only = np.sqrt(3) / 4, np.array([0.0, 5.0, 0.0])
     edge = np.sqrt((POINCARE**2 + POINCARE) / area)
-    found = oscillation(one, np.array([2.0]), only, np.array([7.0]))
-    assert found[0] == pytest.approx(7 * (2 * POINCARE + 5 * edge))
-    wide = replace(one, nodes=3 * nodes)
-    assert oscillation(wide, np.array([2.0]), 0 * only, np.array([7.0]))[0] == pytest.approx(42 * POINCARE)
-    assert oscillation(wide, np.zeros(1), only, np.ones(1))[0] == pytest.approx(5 * edge * np.sqrt(3))
-
-
-def test_korn_constant_is_not_too_small() -> None:
-    """Rayleigh quotients of quadratic displacements without mean rotation stay below the constant."""
-    skeleton = on(plate(), distorted(plate().mesh, 0.3, 4).p)
-    rng = np.random.default_rng(1)
-    for _ in range(50):
-        a = rng.normal(size=(2, 3))
-        x = skeleton.corners - skeleton.corners.mean(axis=1, keepdims=True)
-        slope = np.array(
-            [[2 * a[i, 0] * x[0] + a[i, 1] * x[1], a[i, 1] * x[0] + 2 * a[i, 2] * x[1]] for i in range(2)]
-        )
-        strain = (slope + slope.transpose(1, 0, 2, 3)) / 2
-        mass = (np.ones((3, 3)) + np.eye(3)) / 12
-        norms = [np.einsum("ijke,kl,ijle->e", g, mass, g) for g in (slope, strain)]
-        assert np.all(norms[0] <= korn(skeleton) ** 2 * norms[1])
+    wide = replace(equilateral, nodes=3 * equilateral.nodes)
+    for one, load, edges, constant, wanted in (
+        (equilateral, 2.0, only, 7.0, 7 * (2 * POINCARE + 5 * edge)),
+        (wide, 2.0, 0 * only, 7.0, 42 * POINCARE),
+        (wide, 0.0, only, 1.0, 5 * edge * np.sqrt(3)),
+    ):
+        found = oscillation(one, np.array([load]), edges, np.array([constant]))
+        assert found[0] == pytest.approx(wanted)
 
 
 def test_the_potential_of_a_displacement_by_hand() -> None:
@@ -208,14 +185,14 @@ def test_the_potential_of_a_displacement_by_hand() -> None:
 
 @pytest.mark.parametrize("inside", [False, True])
 def test_penetration_is_found_between_nodes_and_concave_gaps_are_safe(inside: bool) -> None:
+    law, held = PlaneStrain(3.0, 2.0), Dirichlet("top", (0.0, 0.0))
+    if inside:
+        law, held = Laplace(0.0), Dirichlet("top", (1.0,))
+
     def depth(offset, down: float) -> float:
-        law = Laplace(0.0) if inside else PlaneStrain(3.0, 2.0)
-        obstacle = (
-            Obstacle.interior(lambda x, y: -offset(x))
-            if inside
-            else Obstacle("bottom", (0.0, 1.0), lambda x, y: offset(x))
-        )
-        held = Dirichlet("top", (1.0,) if inside else (0.0, 0.0))
+        obstacle = Obstacle("bottom", (0.0, 1.0), lambda x, y: offset(x))
+        if inside:
+            obstacle = Obstacle.interior(lambda x, y: -offset(x))
         problem = ContactProblem(rectangle(4, 4, x=(0, 2)), law, (held,), obstacle)
         skeleton = on(problem)
         u = np.zeros((problem.components, skeleton.nodes.shape[1]))
@@ -227,12 +204,9 @@ def test_penetration_is_found_between_nodes_and_concave_gaps_are_safe(inside: bo
     assert depth(lambda x: 0.5 * (2 - x) * x, 0.0) == 0.0  # concave: 0 at the ends of the boundary
     # least between the nodes and halfway between two of 32 samples, at a smooth place or a kink
     middle = 0.25 + 1 / 128
-    for valley, deep in (
-        (lambda x: (x - middle) ** 2 - 0.07, 0.07),
-        (lambda x: ca.fabs(x - middle) - 0.4, 0.4),
-    ):
-        found = depth(valley, 0.0)
-        assert deep <= found <= deep + (0.25 if inside else 0.02)
+    for valley in (lambda x: (x - middle) ** 2 - 0.07, lambda x: ca.fabs(x - middle) - 0.4):
+        deep = -float(valley(middle))
+        assert deep <= depth(valley, 0.0) <= deep + (0.25 if inside else 0.02)
 
 
 def test_the_domain_is_the_same_unless_its_boundary_moves() -> None:
