@@ -1,4 +1,4 @@
-"""Outer objectives: values by hand and by scikit-fem, Taylor tests, and the text they are written in."""
+"""Outer objectives: values by hand and by scikit-fem, Taylor tests, their algebra, and the text of them."""
 
 from __future__ import annotations
 
@@ -16,24 +16,40 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.objectives import TERMS
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
+from support.solved import example
 
 
-def value(problem: ContactProblem, objective: Any, u: np.ndarray | None = None) -> float:
-    """The objective at the given mesh with nodal displacements u, zero by default."""
-    found = discretise(problem)
-    rel = relocation(found)
-    groups = parse_objective(objective).groups(problem, rel.mesh_map.positions, rel.displacement, rel.slip)
-    x = np.zeros(rel.nlp.n_x)
+def value(problem: ContactProblem, text: Any, u: np.ndarray | None = None) -> float:
+    """The objective on the given mesh with nodal displacements u, by default zero, and their slips."""
+    found, objective = discretise(problem), parse_objective(text)
+    rel, x = relocation(found), np.zeros(found.n_q + found.n_u + found.n_s)
     if u is not None:
-        state = ContactSolver(found).displacement
-        given = state.values(np.zeros(rel.n_u))
-        columns = [(state.values(e) - given).ravel() for e in np.eye(rel.n_u)]
-        free = np.linalg.lstsq(np.column_stack(columns), (u - given).ravel(), rcond=None)[0]
-        x[rel.n_q : rel.n_q + rel.n_u] = free
-        np.testing.assert_allclose(state.values(free), u, atol=1e-12)
-    return float(sum(np.sum(part) for part in element_values(groups)(x)))
+        model, free = ContactSolver(found), unknowns(problem, u)
+        slips = np.abs(model.slips(problem.mesh.p, free))[found.friction_rows] if found.n_s else []
+        x[found.n_q :] = np.concatenate([free, slips])
+    fields = rel.mesh_map.positions, rel.displacement, rel.slip
+    same = objective.groups(problem, *fields), found.objective(objective, *fields)
+    one, two = (float(sum(np.sum(part) for part in element_values(groups)(x))) for groups in same)
+    assert two == pytest.approx(one, rel=1e-13, nan_ok=True)
+    return one
+
+
+def unknowns(problem: ContactProblem, u: np.ndarray) -> np.ndarray:
+    """The displacement unknowns of nodal displacements, which are as given where they are held."""
+    field, n = discretise(problem).displacement, discretise(problem).n_u
+    free = np.zeros(n)
+    free[field.index[field.index >= 0]] = u[field.index >= 0]
+    np.testing.assert_allclose(field.values(free), u, atol=1e-12)
+    return free
+
+
+def drawn(problem: ContactProblem) -> np.ndarray:
+    """Random nodal displacements."""
+    held, given = problem.held()
+    return np.where(held, given, np.random.default_rng(0).uniform(-1, 1, held.shape))
 
 
 @pytest.fixture(scope="module")
@@ -49,46 +65,35 @@ def plate() -> ContactProblem:
     ("text", "expected"),
     [
         ("body(x**5*y**3)", 2**6 / 6 / 4),  # degree 8: exact
-        ("body(1)", 2.0),
         ("boundary(top, x**8)", 2**9 / 9),
         ("boundary(right, y**8 + 2)", 1 / 9 + 2),
         ("mean(top, x**8)", 2**8 / 9),
-        ("mean(top, 3)", 3.0),
         ("2*body(x) + mean(top, x)", 2 * 2 + 1),
         ("-body(x)", -2.0),
-        ("-1.5*body(x)", -3.0),
+        ("-1.5*body( x )", -3.0),
         ("1e+1*body(x)+2e-1*body(y)", 20 + 0.2),
-        ("1.e+1*body(x)", 20.0),
-        ("9e+0*body(x)+1.E-0*body(y)", 19.0),
+        ("9.e+0*body(x)+1.E-0*body(y)", 19.0),
         ("mean(top, hypot(3*x, 4*x)) + body(1)", 5 + 2),
         ("body(x+y*(x-(1)))", 2 + 1 / 2 * (2 - 2)),
         ("body(2*(x + 1e-3))", 4 + 4e-3),
-        (" body( x ) ", 2.0),
-        ("body(y)", 1.0),
         ("boundary(bottom, nx - 2*ny)", 4.0),
         ("boundary(left, -nx*y)", 0.5),
+        # of the displacement (0.3 x, -0.2 x)
+        ("body(ux_x + 10*uy_x + 100*ux_y + 1000*uy_y)", 2 * (0.3 - 2)),
+        ("body(ux*uy)", -0.06 * 8 / 3),
+        ("boundary(top, ux - uy)", 0.5 * 2),
+        ("node(2, 1, 10*ux + uy + 100*y)", 6 - 0.4 + 100),
     ],
 )
 def test_integrals_over_a_plate_by_hand(plate: ContactProblem, text: str, expected: float) -> None:
-    assert value(plate, text) == pytest.approx(expected, rel=1e-11)
-
-
-def test_integrals_of_a_displacement_and_its_slopes_by_hand(plate: ContactProblem) -> None:
     x = plate.mesh.p[0]
-    u = np.stack([0.3 * x, -0.2 * x])
-    assert value(plate, "body(ux_x + 10*uy_x + 100*ux_y + 1000*uy_y)", u) == pytest.approx(2 * (0.3 - 2))
-    assert value(plate, "body(ux*uy)", u) == pytest.approx(-0.06 * 8 / 3)
-    assert value(plate, "boundary(top, ux - uy)", u) == pytest.approx(0.5 * 2)
-    assert value(plate, "node(2, 1, 10*ux + uy + 100*y)", u) == pytest.approx(6 - 0.4 + 100)
+    assert value(plate, text, np.stack([0.3 * x, -0.2 * x])) == pytest.approx(expected, rel=1e-11)
 
 
 def test_densities_on_a_subdomain_and_functions_of_nodes(plate: ContactProblem) -> None:
     part = rm.quantities.body_integral(lambda x, y, u, slope: x, subdomain="left half")
-    elements = plate.mesh.subdomains["left half"]
-    centres = plate.mesh.p[:, plate.mesh.t[:, elements]].mean(axis=1)
-    (a, b, c) = (plate.mesh.p[:, plate.mesh.t[k, elements]] for k in range(3))
-    areas = np.abs((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]) / 2
-    assert value(plate, part) == pytest.approx(float(areas @ centres[0]), rel=1e-12)
+    basis = Basis(plate.mesh, ElementTriP1(), elements=plate.mesh.subdomains["left half"])
+    assert value(plate, part) == pytest.approx(Functional(lambda w: w.x[0]).assemble(basis), rel=1e-12)
     last = plate.mesh.p.shape[1] - 1
     for node in (0, last):
         position = value(plate, rm.quantities.nodal([node], lambda X, u: X[0, 0] + 10 * X[1, 0]))
@@ -96,245 +101,217 @@ def test_densities_on_a_subdomain_and_functions_of_nodes(plate: ContactProblem) 
     for nodes in ([], [-1], [last + 1], [0, last + 1]):
         with pytest.raises(ValueError, match=f"between 0 and {last}"):
             value(plate, rm.quantities.nodal(nodes, lambda X, u: X[0, 0]))
-
-
-def test_a_point_is_a_node_within_a_millionth_of_the_mesh(plate: ContactProblem) -> None:
-    for off, found in ((0.0, True), (1.9e-6, True), (2.1e-6, False)):
-        text = f"node({2 - off!r}, 1, x)"
-        if found:
-            assert value(plate, text) == pytest.approx(2)
-        else:
-            with pytest.raises(ValueError, match="no node at"):
-                value(plate, text)
-
-
-def test_a_function_of_several_values_and_unknown_names_are_refused(plate: ContactProblem) -> None:
     with pytest.raises(ValueError, match=r"one value, got one of shape \(2, 1\)"):
         value(plate, rm.quantities.nodal([0, 1], lambda X, u: X[:, 0]))
     with pytest.raises(ValueError, match="no subdomain 'soft': choose from left half"):
         value(plate, rm.quantities.body_integral(lambda *_: 1, subdomain="soft"))
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("inf*quality", "must be positive and finite"),
-        ("nan*quality", "must be positive and finite"),
-        ("0*body(x)", "must be positive and finite"),
-        ("-0.5*quality", "must be positive"),
-        ("x*quality", "'x' in .* is not a number"),
-        ("body", "unknown objective 'body'"),
-        ("body)x(", "unknown objective"),
-        ("body(x", "unknown objective"),
-        ("volume(x)", "unknown objective"),
-        ("body(x, y)", r"expected body\(EXPR\)"),
-        ("body()", r"expected body\(EXPR\)"),
-        ("boundary(top)", r"expected boundary\(NAME, EXPR\)"),
-        ("mean(top, )", r"expected mean\(NAME, EXPR\)"),
-        ("mean(top, x, y)", r"expected mean\(NAME, EXPR\)"),
-        ("node(1, x)", r"expected node\(X, Y, EXPR\)"),
-        ("node(a, 1, x)", "'a' is not a number"),
-        ("node(inf, 1, x)", "'inf' is not a finite number"),
-        ("peak-pressure(bottom)", "expected peak-pressure"),
-        ("peak-pressure(bottom, 1, 4, 5)", "expected peak-pressure"),
-        ("peak-pressure(bottom, inf)", "not a finite number"),
-        ("peak-pressure(bottom, 0)", "must be positive, got 0"),
-        ("peak-pressure(bottom, 1, 4.5)", "whole number, got 4.5"),
-        ("boundary(top, u_x)", "unknown name 'u_x'"),
-        ("body(nx)", "unknown name 'nx'"),
-        ("node(0, 0, nx)", "unknown name 'nx'"),
-    ],
-)
-def test_what_is_wrong_with_a_text_is_said(text: str, said: str) -> None:
+def test_a_point_is_a_node_within_a_millionth_of_the_mesh(plate: ContactProblem) -> None:
+    for off in (0.0, 1.9e-6):
+        assert value(plate, f"node({2 - off!r}, 1, x)") == pytest.approx(2)
+    with pytest.raises(ValueError, match="no node at"):
+        value(plate, f"node({2 - 2.1e-6!r}, 1, x)")
+
+
+WRONG = {  # the last ones are told by a problem only: Example 6.2 without an exact solution
+    "must be positive and finite": ("inf*quality", "nan*quality", "0*body(x)", "-0.5*quality"),
+    "'x' in .* is not a number": ("x*quality",),
+    "unknown objective 'body": ("body", "body)x(", "body(x"),
+    "unknown objective 'volume": ("volume(x)",),
+    r"expected body\(EXPR\)": ("body(x, y)", "body()"),
+    r"expected boundary\(NAME, EXPR\)": ("boundary(top)",),
+    r"expected mean\(NAME, EXPR\)": ("mean(top, )", "mean(top, x, y)"),
+    r"expected node\(X, Y, EXPR\)": ("node(1, x)",),
+    "expected peak-pressure": ("peak-pressure(bottom)", "peak-pressure(bottom, 1, 4, 5)"),
+    "'a' is not a number": ("node(a, 1, x)",),
+    "is not a finite number": ("node(inf, 1, x)", "peak-pressure(bottom, inf)", "peak-pressure(bottom, nan)"),
+    "must be positive, got": ("peak-pressure(bottom, 0)", "peak-pressure(bottom, -1)"),
+    "whole number, got 4.5": ("peak-pressure(bottom, 1, 4.5)",),
+    "at least 3, got 2": ("peak-pressure(bottom, 1, 2)",),
+    "unknown name 'u_x'": ("boundary(top, u_x)",),
+    "unknown name 'nx'": ("body(nx)", "node(0, 0, nx)"),
+    "unknown name 'u": ("body(uz)", "node(4, 1, u)"),
+    "no boundary 'tip'": ("mean(tip, uy)",),
+    "the nearest is node": ("node(3.9, 1, uy)",),
+    "mean": ("mean(top, __import__('os'))",),
+    "'top' is not a contact boundary: choose from contact": ("peak-pressure(top, 1, 3)",),
+    "needs an exact or reference solution": ("error-l2", "friction"),
+    "minimised by nested only": ("certificate",),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), [(text, said) for said, texts in WRONG.items() for text in texts])
+def test_what_is_wrong_with_an_objective_is_said(text: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        parse_objective(text)
+        value(replace(example("6.2", (6, 3)), exact=None), text)
 
 
-def test_a_reference_or_an_exponent_of_no_sense_is_refused() -> None:
-    for reference in (0.0, -1.0, np.inf, np.nan):
-        with pytest.raises(ValueError, match="must be positive"):
-            rm.quantities.peak_pressure("bottom", reference)
-    with pytest.raises(ValueError, match="at least 3, got 2"):
-        rm.quantities.peak_pressure("bottom", 1.0, exponent=2)
-    assert rm.quantities.peak_pressure("bottom", 1.0, exponent=3)
+@pytest.mark.parametrize("name", ["contact", "friction"])
+def test_errors_along_the_contact_need_one_law_and_a_boundary(name: str) -> None:
+    problem = replace(
+        example("6.3", (4, 2)), exact=rm.ExactSolution(lambda x, y: ca.vertcat(0 * x, 0 * x), 0.0)
+    )
+    assert np.isfinite(value(problem, name))
+    left = np.flatnonzero(problem.mesh.p[0, problem.mesh.t].mean(axis=0) < 2)
+    right = np.setdiff1d(np.arange(problem.mesh.t.shape[1]), left)
+    mesh = problem.mesh.with_subdomains({"left half": left, "right half": right})
+    two = replace(problem, mesh=mesh, law={"left half": problem.law, "right half": problem.law})
+    with pytest.raises(ValueError, match=f"'{name}' needs one law"):
+        value(two, name)
+    membrane = replace(example("6.1", 4), obstacle=Obstacle.interior(-1.0))
+    with pytest.raises(ValueError, match=f"'{name}' needs .* contact .*boundary"):
+        value(membrane, name)
 
 
-def test_terms_keep_their_weights_and_names() -> None:
-    objective = parse_objective("energy + 0.25*quality + -2*body(x)")
-    assert [(weight, term.name) for weight, term in objective.terms] == [
-        (1.0, "energy"), (0.25, "quality"), (-2.0, "body(x)")
-    ]  # fmt: skip
-    assert parse_objective(objective) is objective
+FLAGS = {  # is_energy, collapses, has_barrier, needs_exact, the terms in the positions alone
+    "energy": (True, True, False, False, ""),
+    "2*energy": (True, False, False, False, ""),
+    "energy + energy": (False, False, False, False, ""),
+    "energy + 0.25*quality": (False, True, True, False, "0.25*quality"),
+    "2*energy + quality": (False, False, True, False, "quality"),
+    "energy + shape-size + body(x)": (False, False, True, False, "shape-size"),
+    "3*elastic": (False, False, True, False, "3*elastic"),
+    "-2*body(x)": (False, False, False, False, ""),
+    "body(x) + error-l2": (False, False, False, True, ""),
+    "certificate": (False, False, False, False, ""),
+    **{name: (False, False, False, True, "") for name in TERMS if name[:5] in ("error", "conta", "frict")},
+}
 
 
-def test_the_pressure_of_two_materials_on_a_curved_foundation_is_that_of_the_solution() -> None:
-    laws = {"soft": PlaneStrain(10.0, 20.0, body_force=(0.5, -4.0)), "stiff": PlaneStrain(50.0, 90.0)}
+@pytest.mark.parametrize("text", FLAGS)
+def test_what_kind_an_objective_is(text: str) -> None:
+    one = parse_objective(text)
+    flags = one.is_energy, one.collapses, one.has_barrier, one.needs_exact
+    assert (*flags, one.in_positions.text) == FLAGS[text]
+    assert str(one) == one.text == text
+    assert parse_objective(one) is one
+
+
+def test_objectives_are_added_and_multiplied_by_finite_numbers() -> None:
+    body = parse_objective("body(x)")
+    both = -(2 * body) + body * np.int64(3) * 0.5
+    assert [(weight, term.name) for weight, term in both.terms] == [(-2.0, "body(x)"), (1.5, "body(x)")]
+    for weight in (float("nan"), float("inf"), 0.0):
+        with pytest.raises(ValueError, match="finite and not zero"):
+            _ = weight * body
+    for wrong in (lambda: body + 1, lambda: "2" * body, lambda: body * body):
+        with pytest.raises(TypeError):
+            wrong()
+    for name in TERMS:  # nobody wants to maximise these
+        with pytest.raises(ValueError, match=f"weight -1 of '{name}' must be positive"):
+            _ = -parse_objective(name)
+
+
+@pytest.mark.parametrize("name", ["6.1", "6.3"])
+def test_the_energy_is_that_of_the_contact_system(name: str) -> None:
+    problem = example(name, 4 if name == "6.1" else (4, 2))
+    u = drawn(problem)
+    expected = ContactSolver(problem).system(problem.mesh.p).energy(unknowns(problem, u))
+    assert value(problem, "energy", u) == pytest.approx(expected, rel=1e-12)
+    assert value(problem, "3*energy + body(x)", u) == pytest.approx(
+        3 * expected + value(problem, "body(x)"), rel=1e-12
+    )
+
+
+@pytest.mark.parametrize("disc", [False, True])
+def test_the_peak_pressure_is_that_of_the_multipliers(disc: bool) -> None:
+    """Of two materials on a graph, and on a disc whose normals differ."""
     mesh = rm.shapes.rectangle(5, 2, x=(0, 2)).with_subdomains(
         {"soft": lambda x: x[0] < 1.1, "stiff": lambda x: x[0] > 1.1}
     )
-    bowl = Obstacle.graph("bottom", lambda x, y: 0.05 * (x - 1) ** 2 - 0.01)
-    problem = ContactProblem(mesh, laws, (rm.Dirichlet("top", (0.0, -0.06)),), bowl, Motion(0.01))
+    laws = {"soft": PlaneStrain(10.0, 20.0, body_force=(0.5, -4.0)), "stiff": PlaneStrain(50.0, 90.0)}
+    law, obstacle = laws, Obstacle.graph("bottom", lambda x, y: 0.05 * (x - 1) ** 2 - 0.01)
+    if disc:
+        law, obstacle = PlaneStrain(30.0, 40.0), Obstacle.circle("bottom", (0.8, -1.0), 1.0)
+        mesh = rm.shapes.rectangle(6, 2, x=(0, 2))
+    push = (0.02, -0.2) if disc else (0.0, -0.06)
+    problem = ContactProblem(mesh, law, (rm.Dirichlet("top", push),), obstacle, Motion(0.01))
     solution = rm.solve(problem, "fixed")
     contact, weights = problem.contact_nodes, nodal_weights(problem, problem.mesh.p)
-    assert np.count_nonzero(solution.pressure) >= 3
+    pressed = np.flatnonzero(solution.pressure)
+    assert pressed.size >= (2 if disc else 3)
+    assert not disc or np.max(np.abs(mesh.p[0, pressed] - 0.8)) > 0.1
     expected = float(weights @ (solution.pressure[contact] / 2) ** 4) / 2
-    assert value(problem, "peak-pressure(bottom, 2, 4)", solution.displacement) == pytest.approx(
-        expected, rel=1e-7
-    )
-    with pytest.raises(ValueError, match="'top' is not a contact boundary: choose from bottom"):
-        value(problem, "peak-pressure(top, 2, 4)")
-
-
-def test_the_pressure_on_a_disc_is_along_its_normal_at_each_node() -> None:
-    """The multipliers of the contact solve are the reference: they know nothing of the elements' pull."""
-    disc = Obstacle.circle("bottom", (0.8, -1.0), 1.0)
-    top = (rm.Dirichlet("top", (0.02, -0.2)),)
-    problem = ContactProblem(
-        rm.shapes.rectangle(6, 2, x=(0, 2)), PlaneStrain(30.0, 40.0), top, disc, Motion(0.01)
-    )
-    solution = rm.solve(problem, "fixed")
-    pressed_at = np.flatnonzero(solution.pressure)
-    tilt = np.abs(problem.mesh.p[0, pressed_at] - 0.8)
-    assert pressed_at.size >= 2
-    assert np.max(tilt) > 0.1  # normals that differ
-    weights, contact = nodal_weights(problem, problem.mesh.p), problem.contact_nodes
-    expected = float(weights @ (solution.pressure[contact] / 5) ** 4) / 2
-    assert value(problem, "peak-pressure(bottom, 5, 4)", solution.displacement) == pytest.approx(
-        expected, rel=1e-7
-    )
+    found = value(problem, "peak-pressure(bottom, 2, 4)", solution.displacement)
+    assert found == pytest.approx(expected, rel=1e-7)
+    eighth = float(weights @ (solution.pressure[contact] / 2) ** 8) / 2
+    found = value(problem, "peak-pressure(bottom, 2)", solution.displacement)
+    assert found == pytest.approx(eighth, rel=1e-7)
 
 
 def test_an_interface_is_no_boundary_whichever_triangle_it_is_beside() -> None:
     """Also beside the triangle number 0, wherever scikit-fem writes that."""
-    mesh = rm.shapes.rectangle(3, 2)
-    rng = np.random.default_rng(0)
-    places = set()
+    mesh, rng, places = rm.shapes.rectangle(3, 2), np.random.default_rng(0), set()
     for _ in range(20):
         shuffled = type(mesh)(mesh.p, mesh.t[:, rng.permutation(mesh.t.shape[1])])
         inside = np.flatnonzero(np.all(shuffled.f2t >= 0, axis=0) & np.any(shuffled.f2t == 0, axis=0))
         for facet in inside:
             places.add(int(np.flatnonzero(shuffled.f2t[:, facet] == 0)[0]))
             named = shuffled.with_boundaries({"left": lambda x: x[0] == 0, "cut": np.array([facet])})
-            problem = ContactProblem(named, rm.Laplace(1.0), ("left",))
             with pytest.raises(ValueError, match="'cut' is an interface inside the body"):
-                value(problem, "mean(cut, u)")
+                value(ContactProblem(named, rm.Laplace(1.0), ("left",)), "mean(cut, u)")
     assert places == {0, 1}
 
 
-@pytest.mark.parametrize("name", ["6.1", "6.2"])
-def test_integrals_over_body_and_boundary_are_those_of_scikit_fem(name: str) -> None:
-    problem = rm.EXAMPLES[name](4 if name == "6.1" else (6, 3))
-    scalar, X = problem.components == 1, problem.mesh.p
-    element = ElementTriP1() if scalar else ElementVector(ElementTriP1())
-    held, given = problem.held()
-    u = np.where(held, given, np.random.default_rng(0).uniform(-1, 1, held.shape))
-    body, line = (
-        "body(u_x**2 + y*u*u_y)", "boundary(contact, u*sin(y))"
-    ) if scalar else (
-        "body(ux_y*uy + x*uy_x**2 + 2*ux_x*uy_y)", "boundary(top, -uy*sin(x) + ux*ny)"
-    )  # fmt: skip
-
-    def in_body(w: Any) -> Any:
-        v, d, (x, y) = np.asarray(w["u"]), w["u"].grad, w.x
-        if scalar:
-            return d[0] ** 2 + y * v * d[1]
-        return d[0, 1] * v[1] + x * d[1, 0] ** 2 + 2 * d[0, 0] * d[1, 1]
-
-    def on_line(w: Any) -> Any:
-        v = np.asarray(w["u"])
-        return v * np.sin(w.x[1]) if scalar else -v[1] * np.sin(w.x[0]) + v[0] * w.n[1]
-
-    facets = problem.mesh.boundaries["contact" if scalar else "top"]
-    for text, form, basis in (
-        (body, in_body, Basis(problem.mesh, element, intorder=8)),
-        (line, on_line, FacetBasis(problem.mesh, element, facets=facets, intorder=10)),
-    ):
-        expected = Functional(form).assemble(basis, u=basis.interpolate(u.T.ravel()))
-        assert value(problem, text, u) == pytest.approx(expected, rel=1e-8)
-    assert X.shape[1] == u.shape[1]
-
-
-ERRORS = {
-    "error-l2": lambda e, de: e**2,
-    "error-h1": lambda e, de: de[0] ** 2 + de[1] ** 2,
-    "error-energy": lambda e, de: (de[0] ** 2 + de[1] ** 2) / 2,
-}
-
-
-@pytest.mark.parametrize("text", ERRORS)
-def test_errors_are_integrals_of_the_distance_to_the_exact_solution(text: str) -> None:
-    problem = rm.EXAMPLES["6.1"](4)
+def exact_error(problem: ContactProblem, w: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The error of ``w["u"]`` and its gradient at quadrature points."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     exact = ca.vertcat(problem.exact.value(x, y))
     both = ca.Function("exact", [x, y], [exact, ca.jacobian(exact, ca.vertcat(x, y)).T])
-    u = np.where(problem.held()[0], 0.0, np.random.default_rng(0).uniform(-0.3, 0.3, problem.held()[0].shape))
+    values = [v.full() for v in both.map(w.x[0].size)(w.x[0].ravel()[None], w.x[1].ravel()[None])]
+    return np.asarray(w["u"]) - values[0].reshape(w.x[0].shape), w["u"].grad - values[1].reshape(w.x.shape)
 
-    def form(w: Any) -> Any:
-        shape = w.x[0].shape
-        values = both.map(w.x[0].size)(w.x[0].ravel()[None], w.x[1].ravel()[None])
-        e, de = values[0].full().reshape(shape), values[1].full().reshape(2, *shape)
-        return ERRORS[text](np.asarray(w["u"]) - e, w["u"].grad - de)
 
-    basis = Basis(problem.mesh, ElementTriP1(), intorder=10)
-    expected = Functional(form).assemble(basis, u=basis.interpolate(u[0]))
-    assert value(problem, text, u) == pytest.approx(expected, rel=1e-9)
+INTEGRALS = {  # by text: the example, the boundary or None, and the form of scikit-fem
+    "body(u_x**2 + y*u*u_y)": ("6.1", None, lambda p, w, u, d: d[0] ** 2 + w.x[1] * u * d[1]),
+    "boundary(contact, u*sin(y))": ("6.1", "contact", lambda p, w, u, d: u * np.sin(w.x[1])),
+    "body(ux_y*uy + x*uy_x**2 + 2*ux_x*uy_y)": (
+        "6.2", None, lambda p, w, u, d: d[0, 1] * u[1] + w.x[0] * d[1, 0] ** 2 + 2 * d[0, 0] * d[1, 1]
+    ),
+    "boundary(top, -uy*sin(x) + ux*ny)": (
+        "6.2", "top", lambda p, w, u, d: -u[1] * np.sin(w.x[0]) + u[0] * w.n[1]
+    ),
+    "error-l2": ("6.1", None, lambda p, w, u, d: exact_error(p, w)[0] ** 2),
+    "error-h1": ("6.1", None, lambda p, w, u, d: np.sum(exact_error(p, w)[1] ** 2, axis=0)),
+    "error-energy": ("6.1", None, lambda p, w, u, d: np.sum(exact_error(p, w)[1] ** 2, axis=0) / 2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", INTEGRALS)
+def test_integrals_are_those_of_scikit_fem(text: str) -> None:
+    name, boundary, form = INTEGRALS[text]
+    problem = example(name, 4 if name == "6.1" else (6, 3))
+    element = ElementTriP1() if name == "6.1" else ElementVector(ElementTriP1())
+    if boundary is None:
+        basis = Basis(problem.mesh, element, intorder=10)
+    else:
+        basis = FacetBasis(problem.mesh, element, facets=problem.mesh.boundaries[boundary], intorder=10)
+    u = drawn(problem)
+    functional = Functional(lambda w: form(problem, w, np.asarray(w["u"]), w["u"].grad))
+    expected = functional.assemble(basis, u=basis.interpolate(u.T.ravel()))
+    assert value(problem, text, u) == pytest.approx(expected, rel=1e-8)
 
 
 @pytest.mark.parametrize(
     "objective", ["mean(top, -uy*exp(x))", "node(4, 1, (uy + 0.05)**2)", "-2*body(ux_x*uy) + 0.1*quality"]
 )
 def test_gradients_pass_their_taylor_test(objective: str) -> None:
-    assert rm.verify_gradient(rm.EXAMPLES["6.2"]((6, 3)), objective).order == pytest.approx(2, abs=0.1)
+    assert rm.verify_gradient(example("6.2", (6, 3)), objective).order == pytest.approx(2, abs=0.1)
 
 
 def test_an_objective_in_python_is_the_same_as_in_text() -> None:
-    block = rm.EXAMPLES["6.2"]((6, 3))
+    block = example("6.2", (6, 3))
     both = rm.quantities.boundary_integral("top", lambda x, y, u, n: -u[1], mean=True)
     both += 0.01 * rm.objective("quality")
-    u = np.where(block.held()[0], 0.0, np.random.default_rng(0).uniform(-1, 1, block.mesh.p.shape))
-    assert value(block, both, u) == value(block, "mean(top, -uy) + 0.01*quality", u)
+    assert value(block, both, drawn(block)) == value(block, "mean(top, -uy) + 0.01*quality", drawn(block))
     assert str(both) == "boundary integral + 0.01*quality"
-    quality = rm.objective("quality")
-    with pytest.raises(ValueError, match="must be positive"):
-        _ = -quality
-    for weight in (float("nan"), float("inf"), 0.0):
-        with pytest.raises(ValueError, match="finite and not zero"):
-            _ = weight * rm.objective("body(x)")
 
 
 @pytest.mark.slow
 def test_nested_and_mpcc_agree_on_a_quantity() -> None:
-    block, objective = rm.EXAMPLES["6.2"]((6, 3)), "peak-pressure(contact, 100) + 0.1*quality"
+    block, objective = example("6.2", (6, 3)), "peak-pressure(contact, 100) + 0.1*quality"
     nested, mpcc = (rm.solve(block, name, objective=objective) for name in ("nested", "mpcc"))
     values = [solution.record()["objective_value"] for solution in (nested, mpcc)]
     assert values[0] < 0.9 * nested.record()["objective_initial"]
     assert values[0] == pytest.approx(values[1], rel=1e-3)
-
-
-REFUSED = {
-    "mean(tip, uy)": "no boundary 'tip'",
-    "body(uz)": "unknown name 'uz'",
-    "node(3.9, 1, uy)": "the nearest is node",
-    "node(4, 1, u)": "unknown name 'u'",
-    "mean(top, __import__('os'))": "mean",
-    "error-l2": "needs an exact or reference solution",
-    "friction": "needs an exact or reference solution",
-    "certificate": "minimised by nested only",
-}
-
-
-@pytest.mark.parametrize("text", REFUSED)
-def test_an_objective_that_does_not_suit_a_problem_is_named(text: str) -> None:
-    with pytest.raises(ValueError, match=REFUSED[text]):
-        value(replace(rm.EXAMPLES["6.2"]((6, 3)), exact=None), text)
-
-
-def test_the_friction_error_is_refused_where_two_laws_meet() -> None:
-    problem = rm.EXAMPLES["6.3"]((4, 2))
-    left = np.flatnonzero(problem.mesh.p[0, problem.mesh.t].mean(axis=0) < 2)
-    right = np.setdiff1d(np.arange(problem.mesh.t.shape[1]), left)
-    mesh = problem.mesh.with_subdomains({"left half": left, "right half": right})
-    exact = rm.ExactSolution(lambda x, y: (0 * x, 0 * x), 0.0)
-    two = replace(problem, mesh=mesh, law={"left half": problem.law, "right half": problem.law}, exact=exact)
-    with pytest.raises(ValueError, match="'friction' needs one law"):
-        rm.verify_gradient(two, "friction")
