@@ -16,7 +16,7 @@ derivatives (``u_x``, ``u_y``, or ``ux_x``, ``ux_y``, ``uy_x``, ``uy_y``) in the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -30,7 +30,7 @@ from rmesh_nlp.fem.quantities import at_point, body_integral, boundary_integral,
 
 DISPLACEMENTS = {1: ("u",), 2: ("ux", "uy")}
 SLOPES = {1: ("u_x", "u_y"), 2: ("ux_x", "ux_y", "uy_x", "uy_y")}
-NORMAL = ("nx", "ny")
+NORMAL = {1: ("nx", "ny"), 2: ("nx", "ny")}
 
 
 def parse_objective(text: str | Objective) -> Objective:
@@ -73,36 +73,41 @@ def _term(text: str, whole: str) -> Objective:
     raise ValueError(f"unknown objective {text!r} in {whole!r}: choose from {', '.join(known)}")
 
 
+def _density(text: str, expression: str, more: Mapping[int, tuple[str, ...]]) -> Callable[..., Any]:
+    """An expression as a function of x, y, u and the values of ``more`` names, by the components of u.
+
+    It is read once with every name that it may have, whatever the problem.
+    """
+
+    def read(names: dict[str, Any]) -> Any:
+        try:
+            return value_of(expression, names)
+        except ValueError as error:
+            raise ValueError(f"{text}: {error}") from error
+
+    def density(x: Any, y: Any, u: Any, extra: Any = None) -> Any:
+        n = int(u.shape[0])
+        values = [x, y, *ca.vertsplit(u), *([] if extra is None else ca.vertsplit(ca.vec(extra.T)))]
+        return read(dict(zip(("x", "y", *DISPLACEMENTS[n], *more.get(n, ())), values, strict=True)))
+
+    every = (name for names in (DISPLACEMENTS, more) for group in names.values() for name in group)
+    read({name: ca.SX.sym(name) for name in ("x", "y", *every)})
+    return density
+
+
 def _body(text: str, arguments: list[str]) -> Objective:
     (expression,) = _take(text, arguments, "body(EXPR)")
-    _check(text, expression, *DISPLACEMENTS.values(), *SLOPES.values())
-
-    def density(x: Any, y: Any, u: Any, slope: Any) -> Any:
-        n = int(u.shape[0])
-        entries = [slope[i, j] for i in range(n) for j in range(2)]
-        return _value(text, expression, x, y, u, dict(zip(SLOPES[n], entries, strict=True)))
-
-    return body_integral(density, name=text)
+    return body_integral(_density(text, expression, SLOPES), name=text)
 
 
 def _boundary(text: str, arguments: list[str], *, mean: bool = False) -> Objective:
     name, expression = _take(text, arguments, f"{'mean' if mean else 'boundary'}(NAME, EXPR)")
-    _check(text, expression, *DISPLACEMENTS.values(), NORMAL)
-
-    def density(x: Any, y: Any, u: Any, n: Any) -> Any:
-        return _value(text, expression, x, y, u, {"nx": n[0], "ny": n[1]})
-
-    return boundary_integral(name, density, name=text, mean=mean)
+    return boundary_integral(name, _density(text, expression, NORMAL), name=text, mean=mean)
 
 
 def _node(text: str, arguments: list[str]) -> Objective:
     x, y, expression = _take(text, arguments, "node(X, Y, EXPR)")
-    _check(text, expression, *DISPLACEMENTS.values())
-
-    def function(px: Any, py: Any, u: Any) -> Any:
-        return _value(text, expression, px, py, u, {})
-
-    return at_point((_number(text, x), _number(text, y)), function, name=text)
+    return at_point((_number(text, x), _number(text, y)), _density(text, expression, {}), name=text)
 
 
 def _peak_pressure(text: str, arguments: list[str]) -> Objective:
@@ -123,24 +128,6 @@ QUANTITIES: dict[str, Callable[[str, list[str]], Objective]] = {
     "peak-pressure": _peak_pressure,
 }
 """Quantities of interest by the word before their bracket."""
-
-
-def _value(text: str, expression: str, x: Any, y: Any, u: Any, more: dict[str, Any]) -> Any:
-    components = dict(zip(DISPLACEMENTS[int(u.shape[0])], ca.vertsplit(u), strict=True))
-    return _read(text, expression, {"x": x, "y": y, **components, **more})
-
-
-def _check(text: str, expression: str, *names: tuple[str, ...]) -> None:
-    """Read the expression once with every name that it may have, whatever the problem."""
-    every = ("x", "y", *(name for group in names for name in group))
-    _read(text, expression, {name: ca.SX.sym(name) for name in every})
-
-
-def _read(text: str, expression: str, names: dict[str, Any]) -> Any:
-    try:
-        return value_of(expression, names)
-    except ValueError as error:
-        raise ValueError(f"{text}: {error}") from error
 
 
 def _take(text: str, arguments: list[str], form: str) -> list[str]:

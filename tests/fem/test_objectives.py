@@ -147,6 +147,15 @@ def test_what_is_wrong_with_an_objective_is_said(text: str, said: str) -> None:
         value(replace(example("6.2", (6, 3)), exact=None), text)
 
 
+def test_errors_along_the_contact_by_hand(plate: ContactProblem) -> None:
+    """The exact stresses of (0.5 y, -0.1 y) are 0.5 in shear and -0.3 across; only the bottom is rough."""
+    exact = rm.ExactSolution(lambda x, y: ca.vertcat(0.5 * y, -0.1 * y), 0.0)
+    walls = Obstacle("bottom", (0.0, 1.0), 0.7, friction=0.6), Obstacle("top", (0.0, -1.0), 0.1)
+    problem, u = replace(plate, obstacle=walls, exact=exact), plate.mesh.p[0] * np.array([[0.3], [-0.2]])
+    assert value(problem, "contact", u) == pytest.approx(0.3 * (-0.4 + 1.4) + 0.3 * (0.4 + 0.2))
+    assert value(problem, "friction", u) == pytest.approx(0.6 * 0.6 - 0.5 * 0.6)
+
+
 @pytest.mark.parametrize("name", ["contact", "friction"])
 def test_errors_along_the_contact_need_one_law_and_a_boundary(name: str) -> None:
     problem = replace(
