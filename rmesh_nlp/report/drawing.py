@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -164,11 +165,8 @@ def window(bodies: Sequence[Body], factor: float = 0.0) -> Array:
     return np.stack([low - extra, high + extra], axis=1)
 
 
-def frame(axis: Axes, limits: Array, unit: str) -> None:
-    """Limits (2, 2), equal axes, and labels at the outer panels."""
-    axis.set(xlim=limits[0], ylim=limits[1], xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
-    axis.set_aspect("equal")
-    axis.spines[:].set_visible(False)
-    for one in (axis.xaxis, axis.yaxis):
-        one.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-    axis.label_outer()
+def colour_bar(figure: Figure, painted: Any, axes: list[Axes], ticks: int, **options: Any) -> None:
+    """A colour bar for all axes with about so many ticks."""
+    bar = figure.colorbar(painted, ax=axes, **options)
+    bar.locator = MaxNLocator(ticks)
+    bar.update_ticks()

@@ -22,7 +22,7 @@ from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.units import NO_UNITS, Units, bracketed, units_of
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, label
-from rmesh_nlp.report.drawing import body_of, draw_deformed, frame, magnification, window
+from rmesh_nlp.report.drawing import body_of, colour_bar, draw_deformed, magnification, window
 from rmesh_nlp.report.histories import Curve, curve
 from rmesh_nlp.report.study_summary import Chart, charts, is_study
 from rmesh_nlp.report.style import (
@@ -36,17 +36,8 @@ from rmesh_nlp.report.style import (
     new_figure,
     save,
 )
-from rmesh_nlp.solving.plotting import (
-    GRID_LINE,
-    MAP,
-    direction,
-    draw_along,
-    draw_elements,
-    draw_mesh,
-    is_fine,
-    size_of,
-    triangulation,
-)
+from rmesh_nlp.solving import plotting
+from rmesh_nlp.solving.plotting import GRID_LINE, MAP, size_of
 
 LEVELS = 16  # contours of a solution
 DECADES = 3  # powers of ten that the colours of an error map span
@@ -140,22 +131,20 @@ def grid_figure(panels: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure
     bodies = [body_of(field) for field in panels.values()]
     elastic, factor = bodies[0].elastic, magnification(bodies)
     windows = [window(bodies), *([window(bodies, factor)] if elastic else [])]
-    figure, axes = Page().panels(len(bodies), windows, below=0.3 if elastic else 0.15, beside=1.0)
+    below = 0.3 if elastic else 0.15
+    figure, axes = Page().panels(len(bodies), windows, units.length, below=below, beside=1.0)
     values = [size_of(body.displacement) for body in bodies]
     levels = MaxNLocator(LEVELS).tick_values(min(map(np.min, values)), max(map(np.max, values)))
     for column, title, body, value in zip(axes.T, panels, bodies, values, strict=True):
-        mesh = triangulation(body.nodes, body.triangles)
+        mesh = plotting.triangulation(body.nodes, body.triangles)
         filled = column[0].tricontourf(mesh, value, levels=levels, cmap=MAP)
-        draw_mesh(column[0], body.nodes, body.triangles, color="white")
+        plotting.draw_mesh(column[0], body.nodes, body.triangles, color="white")
         column[0].set_title(title)
         if elastic:
             draw_deformed(column[1], body, factor)
-        for axis, limits in zip(column, windows, strict=True):
-            frame(axis, limits, bracketed(units.length))
     name = f"|u|{bracketed(units.length)}" if elastic else "u"
-    bar = figure.colorbar(filled, ax=axes[0].tolist(), aspect=10 if elastic else 25, pad=0.02, label=name)
-    bar.locator = MaxNLocator(5 if elastic else 8)
-    bar.update_ticks()
+    shape: dict[str, Any] = {"ticks": 5, "aspect": 10} if elastic else {"ticks": 8, "aspect": 25}
+    colour_bar(figure, filled, axes[0].tolist(), **shape, pad=0.02, label=name)
     add_legend(figure, [axes[-1, 0]], "outside lower center")
     return figure
 
@@ -168,10 +157,10 @@ def surface_figure(panels: Mapping[str, Fields]) -> Figure:
     for column, (title, field) in enumerate(panels.items(), 1):
         axis = figure.add_subplot(1, len(panels), column, projection="3d")
         axis.plot_trisurf(
-            triangulation(field.nodes, field.triangles),
+            plotting.triangulation(field.nodes, field.triangles),
             field.displacement[0],
             **{"cmap": MAP, "vmin": low, "vmax": high, "edgecolor": GRID_LINE, "linewidth": 0.3},
-            **{"shade": False, "rasterized": is_fine(field.triangles)},
+            **{"shade": False, "rasterized": plotting.is_fine(field.triangles)},
         )
         axis.set(xlabel="$x_1$", ylabel="$x_2$", zlim=(low, high))
         axis.set_title(f"u, {title}", y=0.98)
@@ -187,10 +176,10 @@ def stress_figure(curves: Mapping[str, Fields], units: Units = NO_UNITS) -> Figu
     frictional = any(np.any(field.friction_bound > 0) for field in fields)
     figure = new_figure(TWO_COLUMNS, 4.6 if frictional else 2.6)
     axes = figure.subplots(2 if frictional else 1, 1, sharex=True, squeeze=False)[:, 0]
-    along = direction(fields[0].nodes[:, fields[0].contact])
+    along = plotting.direction(fields[0].nodes[:, fields[0].contact])
 
     def draw(axis: Axes, field: Fields, values: Array, **pen: Any) -> None:
-        draw_along(axis, field.nodes, np.flatnonzero(field.contact), values, along, **pen)
+        plotting.draw_along(axis, field.nodes, np.flatnonzero(field.contact), values, along, **pen)
 
     for position, (name, field) in enumerate(curves.items()):
         for axis, values in zip(axes, (field.pressure, field.tangential_stress), strict=False):
@@ -219,12 +208,12 @@ def error_figure(field: Fields, bounds: tuple[Array, Array], record: Record) -> 
     ]
     high = float(np.max(density))
     norm = LogNorm(max(high, 1e-300) / 10**DECADES, max(high, 1e-299))
-    limits = window([body_of(field)])
-    figure, axes = Page().panels(2, [limits], below=0.15, beside=1.0)
+    figure, axes = Page().panels(2, [window([body_of(field)])], "", below=0.15, beside=1.0)
     guaranteed = all(record.get(f"guaranteed_{side}") for side in ("lower", "upper", "initial"))
     for axis, when, nodes, values in zip(axes[0], ("given", "relocated"), meshes, density, strict=True):
-        drawn = draw_elements(axis, nodes, field.triangles, np.maximum(values, norm.vmin or 0), norm=norm)
-        frame(axis, limits, "")
+        drawn = plotting.draw_elements(
+            axis, nodes, field.triangles, np.maximum(values, norm.vmin or 0), norm=norm
+        )
         error = record.get("relative_error_bound_initial" if when == "given" else "relative_error_bound")
         words = "at most" if guaranteed else "estimated at"
         axis.set_title(f"{when}, " + ("" if error is None else f"error {words} {100 * error:.3g} %"))

@@ -13,7 +13,6 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rmesh_nlp.contact.active_set import solve, touching_set
@@ -27,11 +26,11 @@ from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.drawing import (
     Body,
+    colour_bar,
     draw_deformed,
     draw_foundations,
     draw_lines,
     foundations,
-    frame,
     magnification,
     window,
 )
@@ -47,16 +46,7 @@ from rmesh_nlp.report.style import (
     new_figure,
     save,
 )
-from rmesh_nlp.solving.plotting import (
-    direction,
-    draw_along,
-    draw_elements,
-    draw_mesh,
-    draw_nodal,
-    is_fine,
-    size_of,
-    size_of_stress,
-)
+from rmesh_nlp.solving import plotting
 from rmesh_nlp.solving.solution import Solution
 
 Drawable = Solution | KeptSolution
@@ -81,7 +71,7 @@ class State(Body):
     @staticmethod
     def of(problem: ContactProblem, X: Array, u: Array, pressure: Array) -> State:
         """The state of displacement ``u`` (components, nodes)."""
-        space, stress = DisplacementSpace.of(problem), size_of_stress(problem, X, u)
+        space, stress = DisplacementSpace.of(problem), plotting.size_of_stress(problem, X, u)
         known = foundations(problem, X)
         return State(space.points(X), space.elements, u, known, problem, X, pressure, stress)
 
@@ -134,19 +124,20 @@ def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
     units, elastic = solution.problem.units, states[0].elastic
     if any(np.any(state.displacement) for state in states):
         label = f"|u|{bracketed(units.length)}" if elastic else "u"
-        values = [size_of(state.displacement) for state in states]
-        yield "displacement", _coloured(states, titles, values, draw_nodal, label, page)
+        values = [plotting.size_of(state.displacement) for state in states]
+        yield "displacement", _coloured(states, titles, values, plotting.draw_nodal, label, page)
         label = f"von Mises stress{bracketed(units.stress)}" if elastic else "|flux|"
         values = [state.stress for state in states]
-        yield "stress" if elastic else "flux", _coloured(states, titles, values, draw_elements, label, page)
+        yield (
+            "stress" if elastic else "flux",
+            _coloured(states, titles, values, plotting.draw_elements, label, page),
+        )
     if any(np.any(state.pressure) for state in states) and not np.any(states[-1].closed):
         yield "pressure", _pressures(states, titles, page)
     if moved:
-        limits = [window(states[1:])]
         for name, draw in (("motion", _draw_motion), ("limits", _draw_limits)):
-            figure, axes = page.panels(1, limits, below=0.85)
+            figure, axes = page.panels(1, [window(states[1:])], units.length, below=0.85)
             draw(figure, axes[0, 0], solution)
-            _finish(axes, states, limits)
             yield name, figure
 
 
@@ -155,9 +146,9 @@ def _meshes(states: Sequence[State], titles: Sequence[str], page: Page) -> Figur
     deforms = states[0].elastic and any(np.any(state.displacement) for state in states)
     factor = magnification(states) if deforms else 0.0
     windows = [window(states, 1.0), window(states, factor)] if deforms else [window(states)]
-    figure, axes = page.panels(len(states), windows, below=0.3)
+    figure, axes = page.panels(len(states), windows, states[0].problem.units.length, below=0.3)
     for column, title, state in zip(axes.T, titles, states, strict=True):
-        draw_mesh(column[0], state.X, state.problem.triangles)
+        plotting.draw_mesh(column[0], state.X, state.problem.triangles)
         _contact_set(column[0], state)
         for part in state.problem.contact_sets:
             if isinstance(part.obstacle.boundary, str):
@@ -168,16 +159,8 @@ def _meshes(states: Sequence[State], titles: Sequence[str], page: Page) -> Figur
         if deforms:
             draw_foundations(column[0], state, linewidth=4.0)  # a boundary may lie on it
             draw_deformed(column[1], state, factor)
-    _finish(axes, states, windows)
     add_legend(figure, list(axes[:, 0]), "outside lower center")
     return figure
-
-
-def _finish(axes: NDArray[Any], states: Sequence[State], windows: Sequence[Array]) -> None:
-    """Limits and labels."""
-    for row, limits in zip(axes, windows, strict=True):
-        for axis in row:
-            frame(axis, limits, bracketed(states[0].problem.units.length))
 
 
 def _coloured(
@@ -185,24 +168,17 @@ def _coloured(
 ) -> Figure:
     """Fields as colours of one scale, by the function that draws nodal fields or those of elements."""
     scale = {"vmin": min(map(np.min, values)), "vmax": max(map(np.max, values))}
-    windows = [window(states)]
-    figure, axes = page.panels(len(states), windows, below=0.75)
+    length = states[0].problem.units.length
+    figure, axes = page.panels(len(states), [window(states)], length, below=0.75)
     for axis, title, state, value in zip(axes[0], titles, states, values, strict=True):
         painted = draw(axis, state.nodes, state.triangles, value, **scale)
-        if not is_fine(state.triangles):  # the lines would hide the colours
-            draw_mesh(axis, state.X, state.problem.triangles, thin=0.4, color="white")
+        if not plotting.is_fine(state.triangles):  # the lines would hide the colours
+            plotting.draw_mesh(axis, state.X, state.problem.triangles, thin=0.4, color="white")
         _contact_set(axis, state, filled=False)
         axis.set_title(title)
-    _finish(axes, states, windows)
-    _bar(figure, painted, axes.ravel().tolist(), label, 5, aspect=40, shrink=0.8)
+    below: dict[str, Any] = {"location": "bottom", "aspect": 40, "shrink": 0.8}
+    colour_bar(figure, painted, axes.ravel().tolist(), 5, label=label, **below)
     return figure
-
-
-def _bar(figure: Figure, painted: Any, axes: list[Axes], label: str, ticks: int, **options: Any) -> None:
-    """A colour bar below the axes."""
-    bar = figure.colorbar(painted, ax=axes, location="bottom", label=label, **options)
-    bar.locator = MaxNLocator(ticks)
-    bar.update_ticks()
 
 
 def _pressures(states: Sequence[State], titles: Sequence[str], page: Page) -> Figure:
@@ -217,10 +193,10 @@ def _pressures(states: Sequence[State], titles: Sequence[str], page: Page) -> Fi
     axes = figure.subplots(len(sets), 1, squeeze=False)[:, 0]
     name = f"contact pressure{bracketed(units.stress)}" if states[0].elastic else "contact stress"
     for axis, part in zip(axes, sets, strict=True):
-        along = direction(states[0].nodes[:, part.nodes])
+        along = plotting.direction(states[0].nodes[:, part.nodes])
         for position, (title, state) in enumerate(zip(titles, states, strict=True)):
             pen = {**look(position).line(scale=0.6), "markeredgewidth": 0.6, "label": title}
-            draw_along(axis, state.nodes, part.nodes, state.pressure, along, **pen)
+            plotting.draw_along(axis, state.nodes, part.nodes, state.pressure, along, **pen)
         where = f"$x_{along + 1}${bracketed(units.length)} on {part.obstacle.boundary}"
         axis.set(xlabel=where, ylabel=name)
     add_legend(figure, [axes[0]])
@@ -273,9 +249,9 @@ def limits(solution: Drawable) -> NDArray[np.object_]:
 def _draw_limits(figure: Figure, axis: Axes, solution: Drawable) -> None:
     """Every vertex with the colour of its limit."""
     X, triangles = np.asarray(solution.mesh.p), solution.problem.triangles
-    fine = is_fine(triangles)
+    fine = plotting.is_fine(triangles)
     if not fine:
-        draw_mesh(axis, X, triangles, color="0.85")
+        plotting.draw_mesh(axis, X, triangles, color="0.85")
     kinds = limits(solution)
     used = np.isin(np.arange(X.shape[1]), solution.mesh.t)
     size = float(np.clip(1500 / max(X.shape[1], 1), 0.6, 6.0))
@@ -296,11 +272,11 @@ def _draw_motion(figure: Figure, axis: Axes, solution: Drawable) -> None:
     old, new = np.asarray(solution.problem.mesh.p), np.asarray(solution.mesh.p)
     length = np.linalg.norm(new - old, axis=0)
     triangles = solution.problem.triangles
-    painted = draw_nodal(axis, new, triangles, length, vmin=0.0)
-    if not is_fine(triangles):  # the ways would hide the colours
+    painted = plotting.draw_nodal(axis, new, triangles, length, vmin=0.0)
+    if not plotting.is_fine(triangles):  # the ways would hide the colours
         draw_lines(axis, np.stack([old, new], axis=2)[:, length > 0], color="white", linewidth=0.6)
-    label = f"motion{bracketed(solution.problem.units.length)}"
-    _bar(figure, painted, [axis], label, 4, aspect=25, shrink=0.9, pad=0.03)
+    below: dict[str, Any] = {"location": "bottom", "aspect": 25, "shrink": 0.9, "pad": 0.03}
+    colour_bar(figure, painted, [axis], 4, label=f"motion{bracketed(solution.problem.units.length)}", **below)
     axis.set_title("motion from the given place")
 
 
@@ -328,8 +304,8 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
         axis = figure.add_subplot()
         # one zone has one colour, the lightest
         zone = element_zones(problem).astype(float)
-        draw_elements(axis, mesh.p, triangles, zone, cmap="Pastel2", vmin=0, vmax=8)
-        draw_mesh(axis, mesh.p, triangles, color="0.6")
+        plotting.draw_elements(axis, mesh.p, triangles, zone, cmap="Pastel2", vmin=0, vmax=8)
+        plotting.draw_mesh(axis, mesh.p, triangles, color="0.6")
         for position, (label, boundary) in enumerate(_roles(problem)):
             colour = LOOKS[1:][position % (len(LOOKS) - 1)].color
             edges = mesh.facets[:, mesh.boundaries[boundary]].T

@@ -15,10 +15,12 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.files import write_whole
+from rmesh_nlp.problem.units import bracketed
 
 ONE_COLUMN, TWO_COLUMNS = 3.35, 7.0  # inches of one of two columns of a printed page, and of both
 SMALLEST = 7.0  # points of the smallest letters, those of figures of one column
@@ -109,12 +111,12 @@ class Page:
         }
 
     def panels(
-        self, count: int, windows: Sequence[Array], below: float = 0.0, beside: float = 0.0
+        self, count: int, windows: Sequence[Array], unit: str, below: float = 0.0, beside: float = 0.0
     ) -> tuple[Figure, NDArray[Any]]:
         """A figure with ``count`` panels side by side for each window (2, 2), and its axes (windows, count).
 
-        On one column flat bodies stand one below the other. ``below`` inches stay free under the panels and
-        ``beside`` at their right.
+        Axes are equal, and labelled with the unit of length. On one column flat bodies stand one below the
+        other. ``below`` inches stay free under the panels and ``beside`` at their right.
         """
         shape = [float(np.ptp(window[1]) / np.ptp(window[0])) for window in windows]
         stacked = self.columns == 1 and count > 1 and max(shape) < FLAT
@@ -126,7 +128,15 @@ class Page:
         axes: NDArray[Any] = figure.subplots(
             len(heights), across, squeeze=False, sharex="col", height_ratios=heights
         )
-        return figure, axes.reshape(len(windows), count)
+        axes = axes.reshape(len(windows), count)
+        for axis, limits in zip(axes.ravel(), np.repeat(windows, count, axis=0), strict=True):
+            axis.set(xlim=limits[0], ylim=limits[1], aspect="equal")
+            axis.set(xlabel=f"$x_1${bracketed(unit)}", ylabel=f"$x_2${bracketed(unit)}")
+            axis.spines[:].set_visible(False)
+            for one in (axis.xaxis, axis.yaxis):
+                one.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+            axis.label_outer()
+        return figure, axes
 
 
 def new_figure(width: float, height: float) -> Figure:
