@@ -51,7 +51,6 @@ from rmesh_nlp.solving.solution import Solution
 
 Drawable = Solution | KeptSolution
 PICTURES = ("mesh", "displacement", "stress", "flux", "pressure", "motion", "limits")
-TITLES = ("given mesh", "relocated mesh")
 CLOSED = 1e-9  # a gap below this part of the largest displacement is closed
 SMALL = 1e-6  # a multiplier below this part of the largest of its kind is not active
 
@@ -63,17 +62,18 @@ class State(Body):
     Pressure is (nodes,); stress, von Mises' or the length of the flux, is (elements,).
     """
 
+    title: str
     problem: ContactProblem
     X: Array
     pressure: Array
     stress: Array
 
     @staticmethod
-    def of(problem: ContactProblem, X: Array, u: Array, pressure: Array) -> State:
+    def of(title: str, problem: ContactProblem, X: Array, u: Array, pressure: Array) -> State:
         """The state of displacement ``u`` (components, nodes)."""
         space, stress = DisplacementSpace.of(problem), plotting.size_of_stress(problem, X, u)
         known = foundations(problem, X)
-        return State(space.points(X), space.elements, u, known, problem, X, pressure, stress)
+        return State(space.points(X), space.elements, u, known, title, problem, X, pressure, stress)
 
     @property
     def closed(self) -> NDArray[np.bool_]:
@@ -95,13 +95,15 @@ def before(problem: ContactProblem, pressure: Array | None = None) -> State:
     state = solve(system, start)
     pressure = np.zeros(space.n_nodes)
     np.add.at(pressure, model.contact_nodes, state.normal_force / space.weights(X))
-    return State.of(problem, X, model.displacement.values(state.u), pressure)
+    return State.of("given mesh", problem, X, model.displacement.values(state.u), pressure)
 
 
 def after(solution: Drawable) -> State:
     """The solution itself."""
     X, pressure = np.asarray(solution.mesh.p), np.asarray(solution.pressure)
-    return State.of(solution.problem, X, solution.displacement, pressure)
+    moved = np.any(solution.problem.mesh.p != X)
+    title = "relocated mesh" if moved else "given mesh, nothing moved"
+    return State.of(title, solution.problem, X, solution.displacement, pressure)
 
 
 def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> list[Path]:  # noqa: B008
@@ -115,25 +117,23 @@ def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> lis
 
 def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
     """Names and figures, made one by one."""
-    states = [before(solution.problem, np.asarray(solution.pressure)), after(solution)]
-    moved = bool(np.any(states[0].X != states[1].X))
-    if not moved:
-        states = states[1:]
-    titles = TITLES if moved else ("given mesh, nothing moved",)
-    yield "mesh", _meshes(states, titles, page)
+    states = [after(solution)]
+    moved = bool(np.any(solution.problem.mesh.p != states[0].X))
+    if moved:
+        states.insert(0, before(solution.problem, states[0].pressure))
+    yield "mesh", _meshes(states, page)
     units, elastic = solution.problem.units, states[0].elastic
     if any(np.any(state.displacement) for state in states):
         label = f"|u|{bracketed(units.length)}" if elastic else "u"
-        values = [plotting.size_of(state.displacement) for state in states]
-        yield "displacement", _coloured(states, titles, values, plotting.draw_nodal, label, page)
-        label = f"von Mises stress{bracketed(units.stress)}" if elastic else "|flux|"
-        values = [state.stress for state in states]
-        yield (
-            "stress" if elastic else "flux",
-            _coloured(states, titles, values, plotting.draw_elements, label, page),
+        sizes = [plotting.size_of(state.displacement) for state in states]
+        yield "displacement", _coloured(states, sizes, plotting.draw_nodal, label, page)
+        name, label = (
+            ("stress", f"von Mises stress{bracketed(units.stress)}") if elastic else ("flux", "|flux|")
         )
+        stresses = [state.stress for state in states]
+        yield name, _coloured(states, stresses, plotting.draw_elements, label, page)
     if any(np.any(state.pressure) for state in states) and not np.any(states[-1].closed):
-        yield "pressure", _pressures(states, titles, page)
+        yield "pressure", _pressures(states, page)
     if moved:
         for name, draw in (("motion", _draw_motion), ("limits", _draw_limits)):
             figure, axes = page.panels(1, [window(states[1:])], units.length, below=0.85)
@@ -141,13 +141,13 @@ def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
             yield name, figure
 
 
-def _meshes(states: Sequence[State], titles: Sequence[str], page: Page) -> Figure:
+def _meshes(states: Sequence[State], page: Page) -> Figure:
     """Undeformed meshes; for an elastic body also deformed ones over the one foundation."""
     deforms = states[0].elastic and any(np.any(state.displacement) for state in states)
     factor = magnification(states) if deforms else 0.0
     windows = [window(states, 1.0), window(states, factor)] if deforms else [window(states)]
     figure, axes = page.panels(len(states), windows, states[0].problem.units.length, below=0.3)
-    for column, title, state in zip(axes.T, titles, states, strict=True):
+    for column, state in zip(axes.T, states, strict=True):
         plotting.draw_mesh(column[0], state.X, state.problem.triangles)
         _contact_set(column[0], state)
         for part in state.problem.contact_sets:
@@ -155,7 +155,7 @@ def _meshes(states: Sequence[State], titles: Sequence[str], page: Page) -> Figur
                 edges = contact_edges(state.problem, part.obstacle).T
                 pen = {"color": CONTACT, "linewidth": 1.5, "label": "may come in contact"}
                 draw_lines(column[0], state.X[:, edges], zorder=3, **pen)  # over the foundation
-        column[0].set_title(title)
+        column[0].set_title(state.title)
         if deforms:
             draw_foundations(column[0], state, linewidth=4.0)  # a boundary may lie on it
             draw_deformed(column[1], state, factor)
@@ -163,25 +163,23 @@ def _meshes(states: Sequence[State], titles: Sequence[str], page: Page) -> Figur
     return figure
 
 
-def _coloured(
-    states: Sequence[State], titles: Sequence[str], values: list[Array], draw: Any, label: str, page: Page
-) -> Figure:
+def _coloured(states: Sequence[State], values: list[Array], draw: Any, label: str, page: Page) -> Figure:
     """Fields as colours of one scale, by the function that draws nodal fields or those of elements."""
     scale = {"vmin": min(map(np.min, values)), "vmax": max(map(np.max, values))}
     length = states[0].problem.units.length
     figure, axes = page.panels(len(states), [window(states)], length, below=0.75)
-    for axis, title, state, value in zip(axes[0], titles, states, values, strict=True):
+    for axis, state, value in zip(axes[0], states, values, strict=True):
         painted = draw(axis, state.nodes, state.triangles, value, **scale)
         if not plotting.is_fine(state.triangles):  # the lines would hide the colours
             plotting.draw_mesh(axis, state.X, state.problem.triangles, thin=0.4, color="white")
         _contact_set(axis, state, filled=False)
-        axis.set_title(title)
+        axis.set_title(state.title)
     below: dict[str, Any] = {"location": "bottom", "aspect": 40, "shrink": 0.8}
     colour_bar(figure, painted, axes.ravel().tolist(), 5, label=label, **below)
     return figure
 
 
-def _pressures(states: Sequence[State], titles: Sequence[str], page: Page) -> Figure:
+def _pressures(states: Sequence[State], page: Page) -> Figure:
     """Contact pressure along each contact boundary, one panel per boundary that is touched."""
     problem, units = states[0].problem, states[0].problem.units
     sets = [
@@ -194,8 +192,8 @@ def _pressures(states: Sequence[State], titles: Sequence[str], page: Page) -> Fi
     name = f"contact pressure{bracketed(units.stress)}" if states[0].elastic else "contact stress"
     for axis, part in zip(axes, sets, strict=True):
         along = plotting.direction(states[0].nodes[:, part.nodes])
-        for position, (title, state) in enumerate(zip(titles, states, strict=True)):
-            pen = {**look(position).line(scale=0.6), "markeredgewidth": 0.6, "label": title}
+        for position, state in enumerate(states):
+            pen = {**look(position).line(scale=0.6), "markeredgewidth": 0.6, "label": state.title}
             plotting.draw_along(axis, state.nodes, part.nodes, state.pressure, along, **pen)
         where = f"$x_{along + 1}${bracketed(units.length)} on {part.obstacle.boundary}"
         axis.set(xlabel=where, ylabel=name)
