@@ -12,18 +12,20 @@ from pathlib import Path
 import pytest
 
 from rmesh_nlp import __version__
-from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli import commands
 
 HEAVY = {"casadi", "matplotlib", "pandas", "skfem", "scipy", "meshio", "numpy"}
 
 
-def test_help_has_examples_and_version_is_the_package_s(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("solve", "compare", "table", "figures", "study"):
-        assert cli.run([command, "--help"]) == 0
-        assert f"  rmesh {command} " in capsys.readouterr().out
-    assert cli.run(["--version"]) == 0
-    assert capsys.readouterr().out == f"rmesh {__version__}\n"
+@pytest.mark.parametrize("command", ["solve", "compare", "table", "figures", "study"])
+def test_help_has_examples(rmesh, command: str) -> None:
+    said = rmesh(f"{command} --help")
+    assert said.code == 0
+    assert f"  rmesh {command} " in said.out
+
+
+def test_version_is_the_package_s(rmesh) -> None:
+    assert rmesh("--version")[:2] == (0, f"rmesh {__version__}\n")
 
 
 def test_help_loads_nothing_heavy() -> None:
@@ -36,24 +38,20 @@ def test_help_loads_nothing_heavy() -> None:
 
 
 def test_an_interruption_is_said_when_there_is_nothing_to_keep(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    rmesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(name: str) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(commands, "load", interrupted)
-    assert cli.run(["table", "results"]) == 130
-    assert capsys.readouterr().err == "rmesh: interrupted\n"
+    assert rmesh("table results") == (130, "", "rmesh: interrupted\n")
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("formulation", ["joint", "nested", "mpcc"])
-def test_interrupt_keeps_finished_rows(
-    formulation: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_interrupt_keeps_finished_rows(rmesh, formulation: str) -> None:
     """CasADi swallows Ctrl-C, and mpcc would go on with its next program."""
-    monkeypatch.chdir(tmp_path)
     arguments = ["compare", "6.1", "--formulations", f"fixed,{formulation}", "--n", "40", "--out", "cut"]
     with subprocess.Popen(
         [sys.executable, "-c", "from rmesh_nlp.cli.app import main; main()", *arguments],
@@ -74,4 +72,4 @@ def test_interrupt_keeps_finished_rows(
     assert first["formulation"] == "fixed"
     # the other one has a row if it had a valid mesh to keep by then
     assert all(row["status"] == "interrupted" for row in rest)
-    assert cli.run(["table", "cut"]) == 0
+    assert rmesh("table cut").code == 0

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli.options import parse_settings
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.study.plan import PlannedSolve
@@ -15,9 +14,8 @@ from support.problem_files import VALID
 
 
 @pytest.fixture
-def plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[PlannedSolve]:
+def plans(monkeypatch: pytest.MonkeyPatch) -> list[PlannedSolve]:
     """The solves that a command would do."""
-    monkeypatch.chdir(tmp_path)
     found: list[PlannedSolve] = []
 
     def note(solve: PlannedSolve, *_: Any) -> None:
@@ -40,15 +38,14 @@ MEANT = {
 }  # fmt: skip
 
 
-def test_every_option_of_solve_reaches_the_planned_solve(plans: list[PlannedSolve]) -> None:
-    arguments = ["solve", "6.1", "-f", "mpcc", "--n", "4", "--delta", "0.02,0.01", "--quadrature", "5"]
-    assert cli.run([*arguments, *TYPED.split()]) == 130
+def test_every_option_of_solve_reaches_the_planned_solve(rmesh, plans: list[PlannedSolve]) -> None:
     for typed in (
-        "--n 4x2 --delta none --regularisation 1,0.1 --flips",
-        "-f nested --outer ipopt --starts 2",
-        "--levels 2",
+        f"6.1 -f mpcc --n 4 --delta 0.02,0.01 --quadrature 5 {TYPED}",
+        "6.2 --n 4x2 --delta none --regularisation 1,0.1 --flips",
+        "6.2 -f nested --outer ipopt --starts 2",
+        "6.2 --levels 2",
     ):
-        assert cli.run(["solve", "6.2", *typed.split()]) == 130
+        assert rmesh(f"solve {typed}").code == 130
     mpcc, joint, nested, levels = plans
     assert (mpcc.formulation, mpcc.options, mpcc.certify) == ("mpcc", MEANT, True)
     assert mpcc.identity["delta"] == [0.02, 0.01]
@@ -60,30 +57,37 @@ def test_every_option_of_solve_reaches_the_planned_solve(plans: list[PlannedSolv
     assert levels.options == {"levels": 2}
 
 
-def test_compare_takes_several_seeds_and_objectives(plans: list[PlannedSolve]) -> None:
+def test_compare_takes_several_seeds_and_objectives(rmesh, plans: list[PlannedSolve]) -> None:
     typed = "compare 6.1 --formulations joint,fixed --n 3 --seed 1 --seed 2,3 --repeats 2"
-    assert cli.run(typed.split()) == 130
+    assert rmesh(typed).code == 130
     (first,) = plans
     assert (first.options, first.repeats) == ({"seed": 1}, 2)
 
 
-def test_options_of_the_command_line_override_those_of_a_file(plans: list[PlannedSolve]) -> None:
-    asked = "regularisation = [0.1, 0.02]\nflips = true\ncertify = true\nseed = 4\n"
-    Path("my.toml").write_text(VALID + asked)
-    assert cli.run(["solve", "my.toml"]) == 130
-    typed = ["--regularisation", "0.5", "--seed", "0", "--objective", "quality", "--time-limit", "9"]
-    assert cli.run(["solve", "my.toml", "-f", "nested", *typed]) == 130
-    by_file, by_option = plans
-    assert (by_file.formulation, by_file.certify) == ("joint", True)
-    assert by_file.options == {"regularisation": (0.1, 0.02), "flips": True, "seed": 4}
-    assert (by_option.formulation, by_option.certify) == ("nested", True)
-    assert by_option.options == {
-        **{"regularisation": (0.5,), "flips": True, "seed": 0, "objective": "quality", "time_limit_s": 9.0},
-    }
-    assert cli.run(["solve", "my.toml", "-f", "fixed", "--time-limit", "9", "--tolerance", "1"]) == 2  # flips
-    Path("my.toml").write_text(VALID)
-    assert cli.run(["solve", "my.toml", "-f", "fixed", "--time-limit", "9", "--tolerance", "1"]) == 130
-    assert plans[-1].options == {}  # a formulation without iterations needs no limits
+IN_FILE = {"regularisation": (0.1, 0.02), "flips": True, "seed": 4}
+TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
+
+
+@pytest.mark.parametrize(
+    ("asked", "typed", "formulation", "options"),
+    [
+        (True, "", "joint", IN_FILE),
+        (True, f"-f nested {TYPED_TOO}", "nested",
+         {"regularisation": (0.5,), "flips": True, "seed": 0, "objective": "quality", "time_limit_s": 9.0}),
+        # a formulation without iterations needs no limits
+        (False, "-f fixed --time-limit 9 --tolerance 1", "fixed", {}),
+    ],
+)  # fmt: skip
+def test_options_of_the_command_line_override_those_of_a_file(
+    rmesh, plans: list[PlannedSolve], asked: bool, typed: str, formulation: str, options: dict[str, Any]
+) -> None:
+    in_file = "regularisation = [0.1, 0.02]\nflips = true\ncertify = true\nseed = 4\n"
+    Path("my.toml").write_text(VALID + in_file * asked)
+    assert rmesh(f"solve my.toml {typed}").code == 130
+    (plan,) = plans
+    assert (plan.formulation, plan.certify, plan.options) == (formulation, asked, options)
+    if asked:
+        assert rmesh("solve my.toml -f fixed").code == 2  # it takes no flips
 
 
 @pytest.mark.parametrize(
@@ -109,61 +113,53 @@ def test_what_is_no_setting_is_refused(text: str) -> None:
         parse_settings(["tol=0.5", text])
 
 
-BAD = {
-    "unknown example": (["solve", "6.4"], "6.4"),
-    "unknown formulation": (["solve", "6.1", "-f", "jiont"], "did you mean joint"),
-    "unknown formulation in a list": (["compare", "--formulations", "fixed,nestde"], "nestde"),
-    "empty name": (["compare", "--formulations", "fixed,,joint"], "fixed,,joint"),
-    "size zero": (["solve", "6.1", "--n", "0"], "'0'"),
-    "size one": (["solve", "6.2", "--n", "12x1"], "'12x1'"),
-    "fractional size": (["solve", "6.1", "--n", "8.5"], "8.5"),
-    "odd columns": (["solve", "6.2", "--n", "7x6"], "7"),
-    "negative delta": (["solve", "6.1", "--delta", "-1"], "-1"),
-    "delta nan": (["solve", "6.1", "--delta", "nan"], "nan"),
-    "three deltas": (["solve", "6.1", "--delta", "1,2,3"], "1,2,3"),
-    "negative seed": (["solve", "6.1", "--seed", "-1"], "-1"),
-    "several seeds": (["solve", "6.1", "--seed", "1,2"], "1,2"),
-    "quadrature": (["solve", "6.1", "--quadrature", "0"], "'0'"),
-    "quadrature too high": (["solve", "6.1", "--quadrature", "51"], "'51'"),
-    "objective": (["solve", "6.1", "--objective", "energie"], "energie"),
-    "objective refused": (["solve", "6.1", "--objective", "error-l2"], "error-l2"),
-    "relaxation": (["solve", "6.1", "-f", "mpcc", "--relaxation", "scholtse"], "did you mean scholtes"),
-    "outer solver": (["solve", "6.1", "-f", "nested", "--outer", "newtn"], "did you mean newton"),
-    "outer solver not taken": (["solve", "6.1", "-f", "joint", "--outer", "newton"], "--outer newton"),
-    "option not taken": (["solve", "6.1", "--relaxation", "scholtes"], "--relaxation scholtes"),
-    "negative weight": (["solve", "6.1", "--regularisation=-1"], "'-1'"),
-    "zero weight": (["solve", "6.1", "--regularisation", "1,0,0.1"], "'1,0,0.1'"),
-    "no weight": (["solve", "6.1", "--regularisation", "much"], "'much'"),
-    "weight nan": (["solve", "6.1", "--regularisation", "nan"], "'nan'"),
-    "size of a file": (["solve", "my.toml", "--n", "4x2"], "--n 4x2 is for the examples"),
-    "jobs for a file": (["compare", "my.toml", "--jobs", "2"], "--jobs is for the examples"),
-    "jobs and repeats": (["compare", "6.1", "--jobs", "2", "--repeats", "2"], "--repeats"),
-    "unknown option": (["solve", "6.1", "--fast"], "--fast"),
-    "unknown command": (["slove", "6.1"], "slove"),
-    "missing argument": (["solve"], "EXAMPLE"),
-    "missing folder": (["table", "nowhere"], "nowhere"),
-    "empty folder": (["figures", "."], "records.jsonl"),
-    "folder is a file": (["solve", "6.1", "--n", "3", "--out", "file"], "file"),
-    "folder below a file": (["compare", "6.1", "--n", "3", "--out", "file/x"], "file/x"),
-    "no folder for a new file": (["new", "nowhere/my.toml"], "nowhere"),
-    "a file that is there": (["new", "file"], "file exists"),
-}
-
-
-@pytest.mark.parametrize(("arguments", "named"), BAD.values(), ids=BAD.keys())
-def test_bad_input_is_one_line_and_exit_code_2(
-    arguments: list[str],
-    named: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.parametrize(
+    ("typed", "named"),
+    [
+        ("solve 6.4", "6.4"),
+        ("solve 6.1 -f jiont", "did you mean joint"),
+        ("compare --formulations fixed,nestde", "nestde"),
+        ("compare --formulations fixed,,joint", "fixed,,joint"),
+        ("solve 6.1 --n 0", "'0'"),
+        ("solve 6.2 --n 12x1", "'12x1'"),
+        ("solve 6.1 --n 8.5", "8.5"),
+        ("solve 6.2 --n 7x6", "7"),
+        ("solve 6.1 --delta -1", "-1"),
+        ("solve 6.1 --delta nan", "nan"),
+        ("solve 6.1 --delta 1,2,3", "1,2,3"),
+        ("solve 6.1 --seed -1", "-1"),
+        ("solve 6.1 --seed 1,2", "1,2"),
+        ("solve 6.1 --quadrature 0", "'0'"),
+        ("solve 6.1 --quadrature 51", "'51'"),
+        ("solve 6.1 --objective energie", "energie"),
+        ("solve 6.1 --objective error-l2", "error-l2"),
+        ("solve 6.1 -f mpcc --relaxation scholtse", "did you mean scholtes"),
+        ("solve 6.1 -f nested --outer newtn", "did you mean newton"),
+        ("solve 6.1 -f joint --outer newton", "--outer newton"),
+        ("solve 6.1 --relaxation scholtes", "--relaxation scholtes"),
+        ("solve 6.1 --regularisation=-1", "'-1'"),
+        ("solve 6.1 --regularisation 1,0,0.1", "'1,0,0.1'"),
+        ("solve 6.1 --regularisation much", "'much'"),
+        ("solve 6.1 --regularisation nan", "'nan'"),
+        ("solve my.toml --n 4x2", "--n 4x2 is for the examples"),
+        ("compare my.toml --jobs 2", "--jobs is for the examples"),
+        ("compare 6.1 --jobs 2 --repeats 2", "--repeats"),
+        ("solve 6.1 --fast", "--fast"),
+        ("slove 6.1", "slove"),
+        ("solve", "EXAMPLE"),
+        ("table nowhere", "nowhere"),
+        ("figures .", "records.jsonl"),
+        ("solve 6.1 --n 3 --out file", "file"),
+        ("compare 6.1 --n 3 --out file/x", "file/x"),
+        ("new nowhere/my.toml", "nowhere"),
+        ("new file", "file exists"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(rmesh, typed: str, named: str) -> None:
     Path("file").write_text("not a folder")
-    assert cli.run(arguments) == 2
-    printed = capsys.readouterr()
-    (line,) = [line for line in printed.err.splitlines() if line]
+    said = rmesh(typed)
+    assert (said.code, said.out) == (2, "")
+    (line,) = [line for line in said.err.splitlines() if line]
     assert line.startswith("rmesh: error: ")
     assert named in line
-    assert printed.out == ""
-    assert sorted(path.name for path in Path().iterdir()) == ["file"]
+    assert [path.name for path in Path().iterdir()] == ["file"]
