@@ -131,18 +131,6 @@ class Pace:
             self._given = step.energy
         self._falling(step.seconds, _residual(step))
 
-    @property
-    def seconds_left(self) -> float | None:
-        """An estimate, not beyond the time limit; None where there is none."""
-        if self._step is None:
-            return None
-        left = self._step.seconds_left
-        estimate = left if math.isfinite(left) else self._falling.seconds_left
-        return None if estimate is None else min(estimate, self._longest(self._step))
-
-    def _longest(self, step: Step) -> float:
-        return max(self._limit - step.seconds, 0.0)
-
     def text(self) -> str:
         """One line about the last step."""
         step = self._step
@@ -153,9 +141,11 @@ class Pace:
             parts += [f"J = {step.energy:.6g}", f"gain {self._given - step.energy:.3g}"]
         if not math.isnan(_residual(step)):
             parts.append(f"residual {_residual(step):.1e}")
-        if (left := self.seconds_left) is not None:
-            parts.append(f"perhaps {_words(left)} left")
-        elif math.isfinite(longest := self._longest(step)):
+        longest, own = max(self._limit - step.seconds, 0.0), step.seconds_left
+        left = own if math.isfinite(own) else self._falling.seconds_left
+        if left is not None:
+            parts.append(f"perhaps {_words(min(left, longest))} left")
+        elif math.isfinite(longest):
             parts.append(f"at most {_words(longest)} left")
         return ", ".join(parts)
 

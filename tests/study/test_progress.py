@@ -21,15 +21,15 @@ def steps(count: int, factor: float) -> Pace:
 
 
 def test_the_time_left_follows_the_fall_of_the_residual():
-    pace = steps(10, 0.5)
     # seconds until 0.5**k is the tolerance, less those that have passed
-    assert pace.seconds_left == pytest.approx(math.log(TOLERANCE) / math.log(0.5) - 9, rel=1e-6)
-    assert pace.text() == "iteration 9, J = -1.9, gain 0.9, residual 2.0e-03, perhaps 11 s left"
+    assert math.log(TOLERANCE) / math.log(0.5) - 9 == pytest.approx(10.93, abs=0.01)
+    said = "iteration 9, J = -1.9, gain 0.9, residual 2.0e-03, perhaps 11 s left"
+    assert steps(10, 0.5).text() == said
 
 
 def test_nothing_is_estimated_of_a_residual_that_does_not_fall():
-    assert steps(10, 1.0).seconds_left is None
-    assert steps(3, 0.5).seconds_left is None
+    assert "left" not in steps(10, 1.0).text()
+    assert "left" not in steps(3, 0.5).text()
     assert Pace().text() == ""
 
 
