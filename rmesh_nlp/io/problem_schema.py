@@ -1,15 +1,24 @@
 """The keys of a problem file and what may stand there: one pydantic model per table.
 
-Each kind of value is checked by one function, and the error says in one sentence what was expected instead of
-pydantic's list of all branches of a union.
+Of each kind of value the error says in one sentence what was expected, instead of pydantic's list of all
+branches of a union.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
 
 from rmesh_nlp.expressions import Expression
 
@@ -18,50 +27,17 @@ FREE = "free"  # written in ``[dirichlet]`` for a component that is not given
 SYMMETRY = "symmetry"  # written in ``[dirichlet]`` for a straight boundary whose nodes stay on it
 
 
-def _kind(expected: str, read: Callable[..., Any], *bounds: float) -> BeforeValidator:
-    """A kind of value: ``read`` raises a ValueError, whose message is ``expected`` unless it has its own."""
+def expected(text: str) -> WrapValidator:
+    """One sentence in the place of all that pydantic has to say; a message of our own goes first."""
 
-    def check(value: Any) -> Any:
+    def check(value: Any, read: ValidatorFunctionWrapHandler) -> Any:
         try:
-            return read(value, *bounds)
-        except ValueError as error:
-            raise ValueError(str(error) or f"expected {expected}") from None
+            return read(value)
+        except ValidationError as error:
+            own = str(error.errors()[0].get("ctx", {}).get("error", ""))
+            raise ValueError(own or f"expected {text}") from None
 
-    return BeforeValidator(check)
-
-
-def _need(condition: bool) -> None:
-    if not condition:
-        raise ValueError
-
-
-def _number(value: Any, low: float = -LARGEST, high: float = LARGEST) -> float:
-    """A number between bounds that it does not reach."""
-    _need(type(value) in (int, float) and low < value < high)
-    return float(value)
-
-
-def _whole(value: Any, low: int, high: float = float("inf")) -> int:
-    _need(type(value) is int and low <= value <= high)
-    return int(value)
-
-
-def _list(value: Any, least: int, most: float = float("inf")) -> list[Any]:
-    _need(isinstance(value, list) and least <= len(value) <= most)
-    return list(value)
-
-
-def _numbers(value: Any, count: int, low: float = -LARGEST) -> tuple[float, ...]:
-    return tuple(_number(item, low) for item in _list(value, count, count))
-
-
-def _points(value: Any) -> list[tuple[float, ...]]:
-    return [_numbers(point, 2) for point in _list(value, 2)]
-
-
-def _circle(value: Any) -> tuple[float, ...]:
-    x, y, radius = _numbers(value, 3)
-    return x, y, _number(radius, 0)
+    return WrapValidator(check)
 
 
 def _coefficient(value: Any) -> float | Expression:
@@ -71,106 +47,99 @@ def _coefficient(value: Any) -> float | Expression:
             return expression
         # a number after all: nodes fixed at it may slide, those fixed at a function may not
         value = float(expression(0.0, 0.0))
-    try:
-        return _number(value)
-    except ValueError:
-        raise ValueError(
-            "expected a finite number or an expression of x and y such as 'sin(pi*x)*y'"
-        ) from None
+    if type(value) in (int, float) and -LARGEST < value < LARGEST:
+        return float(value)
+    raise ValueError("expected a finite number or an expression of x and y such as 'sin(pi*x)*y'")
 
 
-def _condition(value: Any) -> Expression:
-    _need(isinstance(value, str))
-    return Expression(value)
-
-
-def _vector(value: Any, *words: str) -> tuple[float | Expression | None, ...]:
-    """One or two components; a word stands for one that is not given."""
-    items = _list(value if isinstance(value, list) else [value], 1, 2)
-    return tuple(None if item in words else _coefficient(item) for item in items)
+def _components(value: Any) -> tuple[float | Expression | None, ...]:
+    """One or two; in ``[dirichlet]`` one may be free."""
+    items = value if isinstance(value, list) else [value]
+    if not 1 <= len(items) <= 2:
+        raise ValueError
+    return tuple(None if item is None else _coefficient(item) for item in items)
 
 
 def _given(value: Any) -> str | tuple[float | Expression | None, ...]:
-    return SYMMETRY if value == SYMMETRY else _vector(value, FREE)
+    if value == SYMMETRY:
+        return SYMMETRY
+    items = value if isinstance(value, list) else [value]
+    return _components([None if item == FREE else item for item in items])
 
 
-def _flag(value: Any) -> bool:
-    _need(isinstance(value, bool))
-    return bool(value)
+def _condition(value: Any) -> Expression:
+    if not isinstance(value, str):
+        raise ValueError
+    return Expression(value)
 
 
-def _text(value: Any) -> str:
-    _need(isinstance(value, str) and bool(value.strip()))
-    return str(value)
+def _as_list(value: Any) -> Any:
+    """One for a list of one: ``[contact]`` for ``[[contact]]``, a weight for a schedule."""
+    return value if isinstance(value, list) else [value]
 
 
-def _quadrature(value: Any) -> str | int:
-    return str(value) if value in ("auto", "midpoint") else _whole(value, 1, 50)
-
-
-def _delta(value: Any) -> Any:
-    if value == "none":
-        return None
-    if isinstance(value, dict):
-        _need(set(value) == {"relative"})
-        return {"relative": _number(value["relative"], 0)}
-    return _numbers(value, 2, 0) if isinstance(value, list) else _number(value, 0)
-
-
-def _places(value: Any) -> tuple[str | int, ...]:
-    places = tuple(_list(value, 0))
-    _need(all(type(place) in (str, int) for place in places))
-    return places
-
-
-def _ties(value: Any) -> tuple[tuple[int, ...], ...]:
-    pairs = [tuple(_list(pair, 2, 2)) for pair in _list(value, 0)]
-    _need(all(type(node) is int for pair in pairs for node in pair))
-    return tuple(pairs)
-
-
-def _angle(value: Any) -> float:
-    return 0.0 if type(value) in (int, float) and value == 0 else _number(value, 0, 60)
-
-
-def _weights(value: Any) -> tuple[float, ...]:
-    found = tuple(_number(item) for item in _list(value if isinstance(value, list) else [value], 1))
-    _need(min(found) >= 0 and 0 not in found[:-1])
-    return found
+def _weights(values: tuple[float, ...]) -> tuple[float, ...]:
+    if 0 in values[:-1]:
+        raise ValueError
+    return values
 
 
 POSITIVE_OR_LIST = "a positive number, or a list of them such as [1, 0.1, 0.01], of which the last may be 0"
 ONE_OR_TWO = "one value, or two in a list, one per displacement component"
 
-Flag = Annotated[bool, _kind("true or false", _flag)]
-Finite = Annotated[float, _kind("a finite number", _number)]
-Positive = Annotated[float, _kind("a positive number", _number, 0)]
-Poisson = Annotated[float, _kind("a number between -1 and 0.5", _number, -1, 0.5)]
-Fraction = Annotated[float, _kind("a number between 0 and 1", _number, 0, 1)]
-Angle = Annotated[float, _kind("degrees from 0 to less than 60", _angle)]
-Count = Annotated[int, _kind("a whole number from 1 to 10000", _whole, 1, 10_000)]
-Seed = Annotated[int, _kind("a whole number of at least 0", _whole, 0)]
-Levels = Annotated[int, _kind("a whole number from 0 to 4", _whole, 0, 4)]
-Text = Annotated[str, _kind("a text", _text)]
-Pair = Annotated[tuple[float, float], _kind("two numbers such as [0.0, 1.0]", _numbers, 2)]
-Triple = Annotated[tuple[float, float, float], _kind("centre and radius such as [0.0, 0.0, 1.0]", _circle)]
+_Real = Annotated[float, Field(strict=True, gt=-LARGEST, lt=LARGEST, allow_inf_nan=False)]
+_Above0 = Annotated[_Real, Field(gt=0)]
+_Whole = Annotated[int, Field(strict=True)]
+_Two = tuple[_Real, _Real]
+_Relative = Annotated[dict[Literal["relative"], _Above0], Field(min_length=1)]
+
+Flag = Annotated[bool, Field(strict=True), expected("true or false")]
+Finite = Annotated[_Real, expected("a finite number")]
+Positive = Annotated[_Above0, expected("a positive number")]
+Poisson = Annotated[_Real, Field(gt=-1, lt=0.5), expected("a number between -1 and 0.5")]
+Fraction = Annotated[_Real, Field(gt=0, lt=1), expected("a number between 0 and 1")]
+Angle = Annotated[_Real, Field(ge=0, lt=60), expected("degrees from 0 to less than 60")]
+Count = Annotated[_Whole, Field(ge=1, le=10_000), expected("a whole number from 1 to 10000")]
+Seed = Annotated[_Whole, Field(ge=0), expected("a whole number of at least 0")]
+Levels = Annotated[_Whole, Field(ge=0, le=4), expected("a whole number from 0 to 4")]
+Text = Annotated[str, Field(strict=True, pattern=r"\S"), expected("a text")]
+Pair = Annotated[_Two, expected("two numbers such as [0.0, 1.0]")]
+Triple = Annotated[tuple[_Real, _Real, _Above0], expected("centre and radius such as [0.0, 0.0, 1.0]")]
 Points = Annotated[
-    list[tuple[float, float]], _kind("points such as [[0, 0], [1, 0.1]], two or more", _points)
+    list[_Two], Field(min_length=2), expected("points such as [[0, 0], [1, 0.1]], two or more")
 ]
-Scalar = Annotated[Any, _kind("a number or an expression", _coefficient)]
-Vector = Annotated[Any, _kind(ONE_OR_TWO, _vector)]
-Given = Annotated[Any, _kind(ONE_OR_TWO, _given)]
-Condition = Annotated[Any, _kind("a condition on x and y such as 'y == 1 and x > 2'", _condition)]
-Quadrature = Annotated[str | int, _kind("'auto', 'midpoint' or a degree from 1 to 50", _quadrature)]
-Delta = Annotated[Any, _kind("a positive number, two of them, {relative = number} or 'none'", _delta)]
-Places = Annotated[Any, _kind("a list of boundary names and node numbers such as ['top', 17]", _places)]
-Ties = Annotated[Any, _kind("pairs of node numbers such as [[12, 40], [13, 41]]", _ties)]
-Weights = Annotated[tuple[float, ...], _kind(POSITIVE_OR_LIST, _weights)]
-
-
-def _as_list(value: Any) -> Any:
-    """``[contact]`` is one contact, ``[[contact]]`` several."""
-    return [value] if isinstance(value, dict) else value
+Scalar = Annotated[Any, BeforeValidator(_coefficient), expected("a number or an expression")]
+Vector = Annotated[Any, BeforeValidator(_components), expected(ONE_OR_TWO)]
+Given = Annotated[Any, BeforeValidator(_given), expected(ONE_OR_TWO)]
+Condition = Annotated[
+    Any, BeforeValidator(_condition), expected("a condition on x and y such as 'y == 1 and x > 2'")
+]
+Quadrature = Annotated[
+    Literal["auto", "midpoint"] | Annotated[_Whole, Field(ge=1, le=50)],
+    expected("'auto', 'midpoint' or a degree from 1 to 50"),
+]
+Delta = Annotated[
+    _Above0
+    | tuple[_Above0, _Above0]
+    | Annotated[dict[Literal["relative"], _Above0], Field(min_length=1)]
+    | None,
+    BeforeValidator(lambda value: None if value == "none" else value),
+    expected("a positive number, two of them, {relative = number} or 'none'"),
+]
+Places = Annotated[
+    tuple[Annotated[str, Field(strict=True)] | _Whole, ...],
+    expected("a list of boundary names and node numbers such as ['top', 17]"),
+]
+Ties = Annotated[
+    tuple[tuple[_Whole, _Whole], ...], expected("pairs of node numbers such as [[12, 40], [13, 41]]")
+]
+Weights = Annotated[
+    tuple[Annotated[_Real, Field(ge=0)], ...],
+    Field(min_length=1),
+    BeforeValidator(_as_list),
+    AfterValidator(_weights),
+    expected(POSITIVE_OR_LIST),
+]
 
 
 class Table(BaseModel):
@@ -316,7 +285,8 @@ def _curve(value: Any) -> CurveTable | str:
     """A table, or the word for what is fitted to the nodes; one sentence says what is wrong."""
     if value in ("circle", "spline"):
         return str(value)
-    _need(isinstance(value, dict))
+    if not isinstance(value, dict):
+        raise ValueError
     try:
         return CurveTable.model_validate(value)
     except ValidationError as error:
@@ -328,7 +298,9 @@ def _curve(value: Any) -> CurveTable | str:
 
 
 FittedCurve = Annotated[
-    Any, _kind("'circle', 'spline' or a table such as {circle = [0.0, 0.0, 1.0]}", _curve)
+    Any,
+    BeforeValidator(_curve),
+    expected("'circle', 'spline' or a table such as {circle = [0.0, 0.0, 1.0]}"),
 ]
 
 

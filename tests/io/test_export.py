@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from types import SimpleNamespace
 
 import meshio
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.io.export import Series, element_table, gaps, node_table, write_mesh, write_solution
+from rmesh_nlp.io.export import Series, cell_data, element_table, gaps, node_table, write_mesh, write_solution
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes import read_mesh
@@ -101,6 +102,20 @@ def test_multipliers_of_angles_are_in_the_file(problem, tmp_path):
     written = meshio.read(tmp_path / "angles.vtu").cell_data["angle_multiplier"][0]
     assert np.any(written > 0)
     np.testing.assert_array_equal(written, limited.multipliers.angle)
+
+
+@pytest.mark.parametrize("scalar", [True, False])
+def test_parts_of_a_certificate_are_fields_of_the_elements(problem, scalar):
+    if scalar:
+        problem = ContactProblem(rectangle(3, 3), Laplace(-2.0), ("left",))
+    n = problem.triangles.shape[1]
+    rows = np.arange(2.0 * n if scalar else 3.0 * n).reshape(-1, n)
+    certificate = SimpleNamespace(local=rows[0], local_initial=rows[1], field=rows)
+    data = cell_data(fixed.solve(problem), certificate)
+    np.testing.assert_array_equal(data["error_bound"], rows[0])
+    np.testing.assert_array_equal(data["error_bound_initial"], rows[1])
+    found = data["equilibrated_flux" if scalar else "equilibrated_stress"]
+    np.testing.assert_array_equal(found.T, [*rows, np.zeros(n)] if scalar else rows)
 
 
 def corners(points, cells):

@@ -1,0 +1,54 @@
+"""The problem of a solve is kept beside its solution, with the mesh file that it names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rmesh_nlp.io.export import write_mesh, write_solution
+from rmesh_nlp.io.kept_problem import keep, names, read_kept
+from rmesh_nlp.io.problem_file import load_problem, read_table
+from rmesh_nlp.meshes.shapes import rectangle
+from support.formulations import joint
+from support.problem_files import VALID
+
+SHAPE = VALID[VALID.index("[mesh]") : VALID.index("[boundaries]")]
+
+
+@pytest.mark.parametrize("mesh", [SHAPE, '[mesh]\nfile = "body.msh"\n\n'])
+def test_a_kept_solution_is_read_back_from_its_folder_alone(tmp_path, mesh):
+    path, folder = tmp_path / "my.toml", tmp_path / "out"
+    write_mesh(rectangle(8, 3, x=(0, 4)), tmp_path / "body.msh")
+    path.write_text(VALID.replace(SHAPE, mesh))
+    table = read_table(path)
+    assert names(table) == ["problem.toml"] + ["given-mesh.msh"] * ("file" in mesh)
+    keep(path, table, folder)
+    solution = joint.solve(load_problem(path))
+    write_solution(solution, folder / "solution.vtu")
+    path.unlink()
+    (tmp_path / "body.msh").unlink()
+    assert sorted(one.name for one in folder.iterdir()) == sorted([*names(table), "solution.vtu"])
+    kept = read_kept(folder, {"quadrature": 7})
+    assert (kept.problem.name, kept.problem.quadrature) == ("block", 7)
+    assert read_kept(folder, {}).problem.quadrature == 4
+    np.testing.assert_array_equal(kept.problem.mesh.p, solution.problem.mesh.p)
+    np.testing.assert_array_equal(kept.mesh.p, solution.mesh.p)
+    for name in ("displacement", "pressure"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(solution, name))
+    for name in ("limit", "area", "angle"):
+        np.testing.assert_array_equal(getattr(kept.multipliers, name), getattr(solution.multipliers, name))
+    write_solution(replace(solution, multipliers=None), folder / "solution.vtu")
+    assert read_kept(folder, {}).multipliers is None
+    (folder / "problem.toml").unlink()
+    assert read_kept(folder, {}) is None
+
+
+def test_a_solution_on_another_mesh_than_the_kept_one_is_not_drawn_on_it(tmp_path):
+    path = tmp_path / "my.toml"
+    path.write_text(VALID)
+    write_solution(joint.solve(load_problem(path)), tmp_path / "solution.vtu")
+    path.write_text(VALID.replace("ny = 3", "ny = 2"))
+    keep(path, read_table(path), tmp_path)
+    assert read_kept(tmp_path, {}) is None
