@@ -1,12 +1,10 @@
 """Active sets of a point, descent over its branches, and branches near an inexact point."""
 
-import itertools
 from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import linprog
 
 from rmesh_nlp.mpcc import MPCC, lpec
 from rmesh_nlp.mpcc.lifting import lift
@@ -67,31 +65,6 @@ def test_direction_of_closed_form(name, f, changes, point, decrease, step, milp,
     assert found.step[:2] == pytest.approx(step, abs=1e-9)
     if decrease:
         assert found.zero.tolist() == [[step[0] == 0], [step[0] != 0]]
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_milp_and_enumeration_find_the_best_branch(seed, monkeypatch):
-    random = np.random.default_rng(seed)
-    k, m = 4, 3
-    v = ca.SX.sym("v", 2 * k + 1)
-    c, A = random.normal(size=2 * k + 1), random.normal(size=(m, 2 * k + 1))
-    f, rows, limits = ca.DM(c).T @ v, ca.DM(A) @ v, {"lbg": [0, -np.inf, 0], "ubg": [0, 0, 9]}
-    lifted, lin = linearised(MPCC(v, f, rows, v[:k], v[k : 2 * k], **limits), np.zeros(2 * k + 1))
-    best = 0.0
-    for sides in itertools.product((True, False), repeat=k):
-        top = [0.0 if s else 1.0 for s in sides] + [1.0 if s else 0.0 for s in sides] + [1.0]
-        bounds = np.column_stack([np.append(np.zeros(2 * k), -1.0), top])
-        answer = linprog(c, A_eq=A[:1], b_eq=[0], A_ub=[A[1], -A[2]], b_ub=[0, 0], bounds=bounds)
-        best = min(best, answer.fun)
-    for limit in (3, 4):  # by a MILP, and branch by branch
-        monkeypatch.setattr(lpec, "_ENUMERATE", limit)
-        found = descent(lifted, lin)
-        assert found.decrease == pytest.approx(best, abs=1e-8)
-        assert c @ found.step == pytest.approx(best, abs=1e-8)
-        members = found.step[: 2 * k].reshape(2, k)
-        assert np.all(np.abs(members[found.zero]) <= 1e-9)
-        assert np.all(found.zero[0] != found.zero[1])
-        assert members.min() >= -1e-9
 
 
 @pytest.mark.parametrize(

@@ -126,7 +126,7 @@ def test_mixed_pair_has_the_feasible_points_of_its_definition(of_G, of_H, satisf
 @pytest.mark.parametrize(("slope", "expected"), [(1.0, (-1, 1)), (-1.0, (2, -1)), (0.0, (0.5, 0))])
 def test_mixed_pair_is_at_either_bound_or_between(slope, expected):
     """``-1 <= y <= 2 _|_ x``, f pulls x to the slope and y to 1/2: the sign of x decides where y is."""
-    program = MPCC.mixed(XY, 10 * (x - slope) ** 2 + (y - 0.5) ** 2, None, x, y, lbH=-1, ubH=2)
+    program = MPCC.mixed(XY, 10 * (x - slope) ** 2 + (y - 0.5) ** 2, x + y, x, y, lbH=-1, ubH=2)
     assert (program.n_own, program.n_x) == (2, 4)
     result = solve(program, [slope, 0.5])
     assert result.success

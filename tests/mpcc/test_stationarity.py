@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from rmesh_nlp.mpcc import MPCC, classify, solve
+from rmesh_nlp.mpcc import MPCC, classify, lpec, solve
 from rmesh_nlp.mpcc import stationarity as module
 from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, proof_of_s, stationarity, strongest
 from rmesh_nlp.optimize.status import Status
@@ -136,7 +136,7 @@ def descends_by_search(mpcc, A, c):
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_label_is_the_strongest_that_a_search_over_all_signs_finds(seed):
+def test_label_and_descent_are_those_that_a_search_over_signs_and_branches_finds(seed, monkeypatch):
     mpcc, A, c = random_mpcc(seed, 1 + seed % 3, seed % 5, 0.1 * (seed % 2))
     lifted, lin = at(mpcc, np.zeros(mpcc.n_x))
     found = stationarity(lifted, lin, TOLERANCE)
@@ -145,8 +145,15 @@ def test_label_is_the_strongest_that_a_search_over_all_signs_finds(seed):
     assert found.b_stationary == (least > -1e-9)
     if found.multipliers is not None:
         assert_admissible(lifted, lin, found.multipliers, found.label)
-    if found.direction is not None:
-        assert found.direction.decrease == pytest.approx(least)
+    assert (found.direction is None) == found.b_stationary
+    for limit in (3, -1):  # branch by branch, and by a MILP
+        monkeypatch.setattr(lpec, "_ENUMERATE", limit)
+        best = lpec.descent(lifted, lin)
+        members = best.step[:-1].reshape(2, -1)
+        assert (best.decrease, c @ best.step) == (pytest.approx(least, abs=1e-8),) * 2
+        assert np.all(np.abs(members[best.zero]) <= 1e-9)
+        assert np.all(best.zero[0] != best.zero[1])
+        assert members.min() >= -1e-9
 
 
 TINY = 1e-12 * ((x - 1) ** 2 + (y - 2) ** 2)
