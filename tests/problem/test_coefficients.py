@@ -12,7 +12,7 @@ import pytest
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, PiecewiseLinear, ProblemError, where
-from rmesh_nlp.problem.coefficients import polynomial_degree
+from rmesh_nlp.problem.coefficients import is_nonzero, on_points, polynomial_degree, suitable_rule
 from support.formulations import fixed
 
 
@@ -38,23 +38,66 @@ def test_degree_of_a_load(load: Any, degree: int | None) -> None:
     assert polynomial_degree(load) == degree
 
 
+def power(n: int) -> Any:
+    return lambda x, y: x**n
+
+
+@pytest.mark.parametrize(
+    ("loads", "tractions", "rule"),
+    [
+        # the load times a linear function is of one degree more; on edges the rule is of degree 4 anyway
+        ([], [], "midpoint"),
+        ([1.0], [0.0], "midpoint"),
+        ([power(1), 1.0], [power(3)], "midpoint"),
+        ([power(2)], [], 3),
+        ([power(3), 1.0], [power(2)], 4),
+        ([1.0], [power(4)], 5),
+        ([power(7)], [], 8),
+        ([ca.sin, 1.0], [], 8),
+        ([1.0], [power(8)], 8),
+    ],
+)
+def test_rule_is_the_cheapest_exact_one(loads: list, tractions: list, rule: str | int) -> None:
+    loads = [(lambda x, y: ca.sin(x)) if load is ca.sin else load for load in loads]
+    assert suitable_rule(loads, tractions) == rule
+
+
 def test_rule_is_exact_for_a_polynomial_load() -> None:
     problem = ContactProblem(rectangle(3, 3), Laplace(lambda x, y: 10 * x * x * y), ("left",))
     assert problem.rule == 4
     solution = fixed.solve(problem)
     assert solution.energy == pytest.approx(solution.audit.energy_audited, rel=1e-13)
     assert EXAMPLES["6.1"](2).rule == "midpoint"
-    assert ContactProblem(rectangle(3, 3), Laplace(lambda x, y: ca.sin(x)), ("left",)).rule == 8
 
 
 def test_piecewise_linear_function_interpolates_and_extends() -> None:
     f = PiecewiseLinear((0.0, 1.0, 3.0), (1.0, 2.0, 0.0))
     x = np.array([-1.0, 0.5, 1.0, 2.0, 4.0])
-    np.testing.assert_allclose([float(f(ca.DM(v))) for v in x], [0.0, 1.5, 2.0, 1.0, -1.0], atol=1e-15)
+    np.testing.assert_allclose(on_points(f, np.stack([x, x])), [0.0, 1.5, 2.0, 1.0, -1.0], atol=1e-15)
     assert f.kinks == (1.0,)
-    for bad in (((0.0,), (1.0,)), ((0.0, 0.0), (1.0, 2.0)), ((0.0, 1.0), (0.0, np.nan))):
-        with pytest.raises(ValueError, match=r"2 or more points|must increase|must be finite"):
-            PiecewiseLinear(*bad)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (((0.0,), (1.0,)), "2 or more points"),
+        (((0.0, 1.0), (1.0,)), "2 or more points"),
+        (((0.0, 0.0), (1.0, 2.0)), "must increase"),
+        (((0.0, 1.0), (0.0, np.nan)), "must be finite"),
+    ],
+)
+def test_bad_breakpoints_are_refused(points: tuple, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PiecewiseLinear(*points)
+
+
+def test_values_at_points() -> None:
+    points = np.array([[1.0, -4.0], [0.0, 2.0]])
+    assert on_points(2.5, points).tolist() == [2.5, 2.5]
+    assert on_points(lambda x, y: x * y, points[:, :0]).shape == (0,)
+    with pytest.raises(ValueError, match=r"the load is nan at \(-4, 2\)"):
+        on_points(lambda x, y: ca.log(x), points, "the load")
+    assert [is_nonzero(c) for c in (0.0, -1e-300, lambda x, y: 0.0)] == [False, True, True]
 
 
 def stated(source: Any, **parts: Any) -> ContactProblem:
@@ -66,17 +109,19 @@ def step(x, y):
 
 
 @pytest.mark.parametrize(
-    ("source", "parts"),
-    [(step, {}), (lambda x, y: max(x, y), {}), (1.0, {"obstacle": Obstacle("bottom", (1.0,), step)})],
+    ("source", "parts", "message"),
+    [
+        (step, {}, r"cannot branch on x or y.*where\(condition, a, b\)"),
+        (lambda x, y: max(x, y), {}, "cannot branch"),
+        (1.0, {"obstacle": Obstacle("bottom", (1.0,), step)}, "cannot branch"),
+        (lambda x, y: math.sin(x), {}, "not those of math"),
+    ],
 )
-def test_function_that_branches_is_refused_with_advice(source: Any, parts: dict[str, Any]) -> None:
-    with pytest.raises(ProblemError, match=r"cannot branch on x or y.*where\(condition, a, b\)"):
+def test_function_that_takes_no_symbols_is_refused_with_advice(
+    source: Any, parts: dict, message: str
+) -> None:
+    with pytest.raises(ProblemError, match=message):
         stated(source, **parts)
-
-
-def test_functions_of_math_are_refused_with_advice() -> None:
-    with pytest.raises(ProblemError, match="not those of math"):
-        stated(lambda x, y: math.sin(x))
 
 
 @pytest.mark.filterwarnings("error")
