@@ -1,5 +1,6 @@
 """The motion vocabulary: what is pinned, slides, is free or tied, and how far."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -26,13 +27,13 @@ from support.formulations import joint, nested
 
 
 def problem(motion: Motion, **changes: object) -> ContactProblem:
+    """A rectangle (0, 3) x (0, 1) of two subdomains that meet at x = 1.5, with a load on a part of the top."""
     mesh = named(
         rectangle(6, 4, x=(0, 3)),
-        subdomains={"a": lambda p: p[0] < 1.5, "b": lambda p: p[0] > 1.5},
+        {"load": lambda p: (p[1] == 1) & (p[0] > 2)},
+        {"a": lambda p: p[0] < 1.5, "b": lambda p: p[0] > 1.5},
     )
-    mesh = named(mesh, {"load": lambda p: (p[1] == 1) & (p[0] > 2)})
-    base = ContactProblem(mesh, Laplace(1.0), ("left",), motion=motion)
-    return replace(base, **changes)
+    return replace(ContactProblem(mesh, Laplace(1.0), ("left",), motion=motion), **changes)
 
 
 def node(p: ContactProblem, x: float, y: float) -> int:
@@ -40,57 +41,70 @@ def node(p: ContactProblem, x: float, y: float) -> int:
     return int(found)
 
 
-def test_corners_ends_and_interfaces_are_pinned_and_lines_slide() -> None:
-    p = problem(Motion(0.1))
+GIVEN = problem(Motion(0.1))
+MIDDLE, SIDE, END = node(GIVEN, 1.0, 0.5), node(GIVEN, 1.0, 0), node(GIVEN, 2, 1)
+WEDGE = PiecewiseLinear((0.0, 1.0, 3.0), (-0.1, -0.05, -0.2))
+FREE, SLIDING, PINNED = Mobility.FREE, Mobility.SLIDING, Mobility.PINNED
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        # corners, the end of a load, and where the interface meets the boundary a coefficient may jump
+        ({}, {(0, 0): PINNED, (3, 1): PINNED, (2, 1): PINNED, (1.5, 0): PINNED, (1.5, 1): PINNED}),
+        (
+            {},
+            {(1.5, 0.25): SLIDING, (1.5, 0.75): SLIDING, (1, 0): SLIDING, (0, 0.5): SLIDING, (1, 0.5): FREE},
+        ),
+        (
+            {"law": PlaneStrain(1.0, 1.0), "obstacle": Obstacle.graph("bottom", WEDGE)},
+            {(1, 0): PINNED, (2, 0): SLIDING},  # a kink of the foundation
+        ),
+        (
+            {"dirichlet": ("left", Dirichlet("right", lambda x, y: y * (1 - y)))},
+            {(3, 0.25): PINNED, (3, 0.5): PINNED, (3, 0.75): PINNED, (0, 0.5): SLIDING},
+        ),
+        (
+            {
+                "motion": Motion(
+                    0.1, pinned=("bottom", MIDDLE), slides=(END, SIDE), free=node(GIVEN, 1.5, 0.5)
+                )
+            },
+            # on a straight piece, although a part ends there; a number beats a name
+            {(2, 1): SLIDING, (1, 0.5): PINNED, (1, 0): SLIDING, (2, 0): PINNED, (1.5, 0.5): FREE},
+        ),
+        ({"motion": Motion(0.1, pinned="top", slides="top", free="top")}, {(1, 1): PINNED}),
+        ({"motion": Motion(0.1, slides="top", free="top")}, {(1, 1): SLIDING}),
+    ],
+)
+def test_mobility(change: dict, expected: dict) -> None:
+    p = replace(GIVEN, **change)
     mobility = MeshMap.of(p).mobility
-    for x, y in [(0, 0), (3, 1), (2, 1)]:  # corners, end of a load
-        assert mobility[node(p, x, y)] == Mobility.PINNED
-    for y in (0, 1):  # where the interface meets the boundary a coefficient may jump
-        assert mobility[node(p, 1.5, y)] == Mobility.PINNED
-    inside = [node(p, 1.5, y) for y in (0.25, 0.5, 0.75)]
-    assert np.all(mobility[inside] == Mobility.SLIDING)
-    moved = MeshMap.of(p).positions.values(np.ones(MeshMap.of(p).n))
+    assert {place: mobility[node(p, *place)] for place in expected} == expected
+
+
+def test_nodes_of_an_interface_slide_along_it() -> None:
+    free = MeshMap.of(GIVEN)
+    moved = free.positions.values(np.ones(free.n))
+    inside = [node(GIVEN, 1.5, y) for y in (0.25, 0.5, 0.75)]
     np.testing.assert_array_equal(moved[0, inside], 1.5)
-    assert np.all(moved[1, inside] != p.mesh.p[1, inside])
-    assert mobility[node(p, 1.0, 0.5)] == Mobility.FREE
+    np.testing.assert_allclose(moved[1, inside] - GIVEN.mesh.p[1, inside], 0.1)
 
 
 def test_end_of_an_interface_inside_is_pinned() -> None:
     mesh = named(rectangle(4, 4), subdomains={"corner": lambda p: (p[0] > 0.5) & (p[1] > 0.5)})
     p = ContactProblem(mesh, Laplace(1.0), ("left",), motion=Motion(0.1))
     mobility = MeshMap.of(p).mobility
-    assert mobility[node(p, 0.5, 0.5)] == Mobility.PINNED  # the corner of the interface
-    assert mobility[node(p, 0.75, 0.5)] == Mobility.SLIDING
+    assert mobility[node(p, 0.5, 0.5)] == PINNED  # the corner of the interface
+    assert mobility[node(p, 0.75, 0.5)] == SLIDING
 
 
-def test_nodes_at_kinks_of_the_foundation_are_pinned() -> None:
-    wedge = PiecewiseLinear((0.0, 1.0, 3.0), (-0.1, -0.05, -0.2))
-    p = problem(Motion(0.1), law=PlaneStrain(1.0, 1.0), obstacle=Obstacle.graph("bottom", wedge))
-    mobility = MeshMap.of(p).mobility
-    assert mobility[node(p, 1.0, 0)] == Mobility.PINNED
-    assert mobility[node(p, 2.0, 0)] == Mobility.SLIDING
-
-
-def test_nodes_held_at_a_function_of_position_are_pinned() -> None:
-    held = (Dirichlet("left", (0.0,)), Dirichlet("right", (lambda x, y: y * (1 - y),)))
-    p = problem(Motion(0.1), dirichlet=held)
-    mobility = MeshMap.of(p).mobility
-    assert np.all(mobility[p.boundary_nodes(("right",))] == Mobility.PINNED)
-    assert mobility[node(p, 0, 0.5)] == Mobility.SLIDING
-    with pytest.raises(ValueError, match="is held at a function of position and cannot move"):
-        MeshMap.of(replace(p, motion=Motion(0.1, slides=("right",))))
-
-
-def test_rules_for_names_and_numbers() -> None:
-    p = problem(Motion(0.1))
-    end, inner, side = node(p, 2, 1), node(p, 1.0, 0.5), node(p, 1.0, 0)
-    motion = Motion(0.1, pinned=("bottom", inner), slides=(end, side), free=(node(p, 1.5, 0.5),))
-    mobility = MeshMap.of(replace(p, motion=motion)).mobility
-    assert mobility[end] == Mobility.SLIDING  # on a straight piece, although a part ends there
-    assert mobility[inner] == Mobility.PINNED
-    assert mobility[side] == Mobility.SLIDING  # a number beats a name
-    assert mobility[node(p, 2.0, 0)] == Mobility.PINNED
-    assert mobility[node(p, 1.5, 0.5)] == Mobility.FREE
+@pytest.mark.parametrize(("bend", "mobility"), [(1e-9, SLIDING), (1e-7, PINNED)])
+def test_node_slides_where_its_piece_is_straight(bend: float, mobility: Mobility) -> None:
+    p = GIVEN.mesh.p.copy()
+    p[1, SIDE] -= 0.25 * bend  # the facets beside it are 0.5 long
+    bent = replace(GIVEN, mesh=replace(GIVEN.mesh, doflocs=p))
+    assert MeshMap.of(bent).mobility[SIDE] == mobility
 
 
 def test_tied_node_moves_as_its_leader() -> None:
@@ -108,28 +122,57 @@ def test_tied_node_moves_as_its_leader() -> None:
     np.testing.assert_allclose(shift[:, pairs[0][0]], shift[:, pairs[0][1]], atol=1e-15)
 
 
+HELD = {"dirichlet": ("left", Dirichlet("right", lambda x, y: y * (1 - y)))}
+
+
 @pytest.mark.parametrize(
-    ("motion", "message"),
+    ("motion", "change", "message"),
     [
-        (Motion(0.1, slides=((0),)), "is to slide, but it is on no straight piece"),
-        (Motion(0.1, slides=((16),)), "is to slide"),
-        (Motion(0.1, tied=((16, 16),)), "tied itself"),
-        (Motion(0.1, tied=((16, 17), (18, 16))), "tied itself"),
-        (Motion(0.1, tied=((5, 16),)), "cannot make the moves"),
+        (Motion(0.1, slides=0), {}, "is to slide, but it is on no straight piece"),
+        (Motion(0.1, slides=MIDDLE), {}, "is to slide"),
+        (Motion(0.1, tied=((16, 16),)), {}, "tied itself"),
+        (Motion(0.1, tied=((16, 17), (18, 16))), {}, "tied itself"),
+        (Motion(0.1, tied=((5, MIDDLE),)), {}, "cannot make the moves"),
+        (Motion(0.1, slides="right"), HELD, "is held at a function of position and cannot move"),
     ],
 )
-def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, message: str) -> None:
-    p = ContactProblem(rectangle(5, 5), Laplace(1.0), ("left",), motion=Motion(0.1))
+def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, change: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        MeshMap.of(replace(p, motion=motion))
+        MeshMap.of(replace(GIVEN, motion=motion, **change))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Motion(0.0), "delta must be positive and finite, got 0.0"),
+        (lambda: Motion((0.1, np.inf)), "got inf"),
+        (lambda: Motion((1, 2, 3)), "two numbers, Relative or None, got"),
+        (lambda: Motion(Relative(0.0)), "relative delta must be positive and finite, got 0.0"),
+        (lambda: Motion(0.1, min_area_fraction=1.0), "between 0 and 1, got 1.0"),
+        (lambda: Motion(0.1, min_area_fraction=0.0), "between 0 and 1, got 0.0"),
+        (lambda: Motion(0.1, min_angle=60.0), "less than 60 degrees, got 60.0"),
+        (lambda: Motion(0.1, min_angle=-1.0), "at least 0"),
+        (lambda: Motion(0.1, pinned=(1.5,)), "pinned must be names of boundaries or node numbers, got 1.5"),
+        (lambda: Motion(0.1, tied=((1, 2, 3),)), "tied must be pairs of node numbers"),
+        (lambda: Motion(0.1, curves={"top": 3}), "the curve of 'top' must be a Circle"),
+    ],
+)
+def test_bad_motions_are_named(make: Callable[[], Motion], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_motion_as_plain_values() -> None:
+    deltas = [Motion(d).delta_record() for d in (0.1, (0.1, 0.2), Relative(0.3), None)]
+    assert deltas == [[0.1, 0.1], [0.1, 0.2], {"relative": 0.3}, None]
+    motion = Motion(None, pinned=("a", 1), slides=2, free="b", tied=((3, 4),))
+    assert (motion.names, motion.numbers) == (("a", "b"), (1, 2, 3, 4))
 
 
 def test_relative_move_limits_follow_the_shortest_edge() -> None:
-    p = problem(Motion(Relative(0.4)))
-    free = MeshMap.of(p)
+    free = MeshMap.of(problem(Motion(Relative(0.4))))
     moved = free.positions.values(np.ones(free.n))
-    inner = node(p, 1.0, 0.5)
-    np.testing.assert_allclose(moved[:, inner] - p.mesh.p[:, inner], 0.4 * 0.25)
+    np.testing.assert_allclose(moved[:, MIDDLE] - GIVEN.mesh.p[:, MIDDLE], 0.4 * 0.25)
 
 
 @pytest.mark.slow
