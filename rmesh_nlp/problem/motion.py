@@ -93,7 +93,8 @@ class Motion:
             for place in places:
                 if not isinstance(place, (str, Integral)):
                     raise ValueError(f"{name} must be names of boundaries or node numbers, got {place!r}")
-            object.__setattr__(self, name, places)
+            plain = tuple(place if isinstance(place, str) else int(place) for place in places)
+            object.__setattr__(self, name, plain)
         for pair in self.tied:
             if not (isinstance(pair, (tuple, list)) and len(pair) == 2):
                 raise ValueError(f"tied must be pairs of node numbers, got {pair!r}")
