@@ -18,17 +18,11 @@ from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.plan import planned
 from rmesh_nlp.study.runner import perform
 
+# what is shown first; the whole records are beside them
 COLUMNS = (
-    "energy_initial_audited",
-    "energy_audited",
-    "gain_audited",
-    "iterations",
-    "contact_solves",
-    "wall_time_s",
-    "status",
-    "success",
+    *("energy_initial_audited", "energy_audited", "gain_audited"),
+    *("iterations", "contact_solves", "wall_time_s", "status", "success"),
 )
-"""What is shown first; the whole records are beside them."""
 
 
 @dataclass(frozen=True)

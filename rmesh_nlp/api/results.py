@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +14,8 @@ from rmesh_nlp.solving.solution import Solution
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-WIDTH = 5.0
-"""Inches of one panel; its height follows the body."""
-
-BESIDE = 1.5
-"""Inches that title, labels and colour bar take."""
+WIDTH = 5.0  # inches of one panel; its height follows the body
+BESIDE = 1.5  # inches that title, labels and colour bar take
 
 
 def read_records(folder: str | Path) -> list[Record]:
@@ -62,14 +58,8 @@ def plot(*solutions: Solution, what: str = "mesh", **style: Any) -> list[Axes]:
     for solution, axes in zip(solutions, row, strict=True):
         solution.plot(what, axes, **style)
         axes.set_title(f"{solution.formulation}: {axes.get_title()}")
-    _share_colours(
-        [painted for axes in row for painted in axes.collections if painted.get_array() is not None]
-    )
-    return list(row)
-
-
-def _share_colours(painted: Sequence[Any]) -> None:
-    """One range of values for all that is painted."""
+    painted = [one for axes in row for one in axes.collections if one.get_array() is not None]
     limits = np.array([one.get_clim() for one in painted])
-    for one in painted:
+    for one in painted:  # one range of values for all
         one.set_clim(limits[:, 0].min(), limits[:, 1].max())
+    return list(row)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
@@ -17,7 +18,7 @@ from rmesh_nlp.report.drawing import Body, Foundation, magnification
 from rmesh_nlp.report.figures import grid_figure
 from rmesh_nlp.report.pictures import pictures
 from rmesh_nlp.report.style import Page, new_figure
-from rmesh_nlp.solving.plotting import draw_elements, draw_mesh, draw_nodal
+from rmesh_nlp.solving.plotting import draw_elements, draw_mesh, draw_nodal, plot
 from rmesh_nlp.solving.solution import Solution
 from support.formulations import fixed
 
@@ -81,6 +82,26 @@ def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:
     assert magnification([body(0 * u, even)]) == magnification([body(1e4 * u, even)]) == 1.0
     (near,) = body(u, even).near
     np.testing.assert_allclose(near.displaced(5.0)[:, 0], 5 * even)
+
+
+@pytest.mark.parametrize("what", ["displacement", "pressure"])
+def test_fields_are_drawn_at_the_nodes_of_the_displacement_space(
+    what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solution = pressed(0.3)
+    problem, u, pressure = solution.problem, solution.displacement, solution.pressure
+    turned = np.arange(u.shape[1])[::-1]
+
+    def picture(u: np.ndarray, pressure: np.ndarray) -> np.ndarray:
+        axes = new_figure(3, 2).subplots()
+        plot(problem, solution.mesh.p, u, pressure, what, axes)
+        axes.figure.canvas.draw()
+        return np.asarray(axes.figure.canvas.buffer_rgba())
+
+    plain = picture(u, pressure)
+    assert np.any(picture(u[:, turned], pressure[turned]) != plain)
+    monkeypatch.setattr(DisplacementSpace, "of", staticmethod(lambda p: DisplacementSpace(p, turned)))
+    np.testing.assert_array_equal(picture(u[:, turned], pressure[turned]), plain)
 
 
 @pytest.mark.parametrize("fine", [True, False])
