@@ -24,6 +24,7 @@ from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.problem.units import bracketed
+from rmesh_nlp.report import style
 from rmesh_nlp.report.drawing import (
     Body,
     colour_bar,
@@ -34,18 +35,7 @@ from rmesh_nlp.report.drawing import (
     magnification,
     window,
 )
-from rmesh_nlp.report.style import (
-    CONTACT,
-    IN_CONTACT,
-    LOOKS,
-    NEUTRAL,
-    SETTINGS,
-    Page,
-    add_legend,
-    look,
-    new_figure,
-    save,
-)
+from rmesh_nlp.report.style import Page
 from rmesh_nlp.solving import plotting
 from rmesh_nlp.solving.solution import Solution
 
@@ -111,7 +101,7 @@ def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> lis
     paths: list[Path] = []
     with rc_context(page.settings):
         for name, figure in pictures(solution, page):
-            paths += save(figure, folder / name, settings=page.settings)
+            paths += style.save(figure, folder / name, settings=page.settings)
     return paths
 
 
@@ -127,11 +117,9 @@ def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
         label = f"|u|{bracketed(units.length)}" if elastic else "u"
         sizes = [plotting.size_of(state.displacement) for state in states]
         yield "displacement", _coloured(states, sizes, plotting.draw_nodal, label, page)
-        name, label = (
-            ("stress", f"von Mises stress{bracketed(units.stress)}") if elastic else ("flux", "|flux|")
-        )
-        stresses = [state.stress for state in states]
-        yield name, _coloured(states, stresses, plotting.draw_elements, label, page)
+        label = f"von Mises stress{bracketed(units.stress)}" if elastic else "|flux|"
+        coloured = _coloured(states, [state.stress for state in states], plotting.draw_elements, label, page)
+        yield "stress" if elastic else "flux", coloured
     if any(np.any(state.pressure) for state in states) and not np.any(states[-1].closed):
         yield "pressure", _pressures(states, page)
     if moved:
@@ -153,13 +141,13 @@ def _meshes(states: Sequence[State], page: Page) -> Figure:
         for part in state.problem.contact_sets:
             if isinstance(part.obstacle.boundary, str):
                 edges = contact_edges(state.problem, part.obstacle).T
-                pen = {"color": CONTACT, "linewidth": 1.5, "label": "may come in contact"}
+                pen = {"color": style.CONTACT, "linewidth": 1.5, "label": "may come in contact"}
                 draw_lines(column[0], state.X[:, edges], zorder=3, **pen)  # over the foundation
         column[0].set_title(state.title)
         if deforms:
             draw_foundations(column[0], state, linewidth=4.0)  # a boundary may lie on it
             draw_deformed(column[1], state, factor)
-    add_legend(figure, list(axes[:, 0]), "outside lower center")
+    style.add_legend(figure, list(axes[:, 0]), "outside lower center")
     return figure
 
 
@@ -187,17 +175,17 @@ def _pressures(states: Sequence[State], page: Page) -> Figure:
         for part in DisplacementSpace.of(problem).contact_sets
         if any(np.any(state.pressure[part.nodes]) for state in states)
     ]
-    figure = new_figure(page.width, 0.3 + page.line_height * len(sets))
+    figure = style.new_figure(page.width, 0.3 + page.line_height * len(sets))
     axes = figure.subplots(len(sets), 1, squeeze=False)[:, 0]
     name = f"contact pressure{bracketed(units.stress)}" if states[0].elastic else "contact stress"
     for axis, part in zip(axes, sets, strict=True):
         along = plotting.direction(states[0].nodes[:, part.nodes])
         for position, state in enumerate(states):
-            pen = {**look(position).line(scale=0.6), "markeredgewidth": 0.6, "label": state.title}
+            pen = {**style.look(position).line(scale=0.6), "markeredgewidth": 0.6, "label": state.title}
             plotting.draw_along(axis, state.nodes, part.nodes, state.pressure, along, **pen)
         where = f"$x_{along + 1}${bracketed(units.length)} on {part.obstacle.boundary}"
         axis.set(xlabel=where, ylabel=name)
-    add_legend(figure, [axes[0]])
+    style.add_legend(figure, [axes[0]])
     return figure
 
 
@@ -208,24 +196,19 @@ def _contact_set(axis: Axes, state: State, *, filled: bool = True) -> None:
         return
     if filled:
         corners = list(state.X[:, state.problem.triangles[:, closed]].transpose(2, 1, 0))
-        look: dict[str, Any] = {
-            "facecolor": IN_CONTACT,
-            "alpha": 0.25,
-            "edgecolor": "none",
-            "label": "in contact",
-        }
-        axis.add_collection(PolyCollection(corners, **look))
+        pen: dict[str, Any] = {"facecolor": style.IN_CONTACT, "edgecolor": "none", "alpha": 0.25}
+        axis.add_collection(PolyCollection(corners, **pen, label="in contact"))
     left, right = mesh.f2t
     rim = closed[left] != ((right >= 0) & closed[right])
-    draw_lines(axis, state.X[:, mesh.facets[:, rim].T], color=IN_CONTACT, linewidth=1.2)
+    draw_lines(axis, state.X[:, mesh.facets[:, rim].T], color=style.IN_CONTACT, linewidth=1.2)
 
 
 class Limit(Enum):
     """What limits the motion of a node: label, colour, marker."""
 
     PINNED = ("does not move", "0.6", "o")
-    NOTHING = ("nothing", NEUTRAL, "o")
-    MOVE_LIMIT = ("its move limit", IN_CONTACT, "s")
+    NOTHING = ("nothing", style.NEUTRAL, "o")
+    MOVE_LIMIT = ("its move limit", style.IN_CONTACT, "s")
     AREA = ("the area or an angle of an element", "#000000", "^")
 
 
@@ -297,15 +280,15 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     mesh, free, triangles = problem.mesh, MeshMap.of(problem), problem.triangles
     body = Body(mesh.p, triangles, np.zeros((problem.components, 0)), foundations(problem, mesh.p))
     extent = np.ptp(np.hstack([mesh.p, *(one.feet for one in body.near)]), axis=1)
-    with rc_context(SETTINGS):
-        figure = new_figure(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0))
+    with rc_context(style.SETTINGS):
+        figure = style.new_figure(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0))
         axis = figure.add_subplot()
         # one zone has one colour, the lightest
         zone = element_zones(problem).astype(float)
         plotting.draw_elements(axis, mesh.p, triangles, zone, cmap="Pastel2", vmin=0, vmax=8)
         plotting.draw_mesh(axis, mesh.p, triangles, color="0.6")
         for position, (label, boundary) in enumerate(_roles(problem)):
-            colour = LOOKS[1:][position % (len(LOOKS) - 1)].color
+            colour = style.LOOKS[1:][position % (len(style.LOOKS) - 1)].color
             edges = mesh.facets[:, mesh.boundaries[boundary]].T
             draw_lines(axis, mesh.p[:, edges], color=colour, linewidth=3, label=f"{label}: {boundary}")
         _draw_mobility(axis, problem, free)
@@ -319,7 +302,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
         for one in (one for one in body.foundations if one.is_far):
             heading += f"\nthe foundation of {one.name} is {one.gaps.min():.3g} away, not drawn"
         axis.set_title(heading)
-        add_legend(figure, [axis], "outside lower center")
+        style.add_legend(figure, [axis], "outside lower center")
         figure.savefig(path, dpi=150, bbox_inches="tight")
 
 
