@@ -25,7 +25,7 @@ from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.units import Seen, Units
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import Count, Positive
+from rmesh_nlp.settings import Positive
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor, Track
 from rmesh_nlp.solving.outcome import Outcome
@@ -37,6 +37,14 @@ MOST = 3000
 
 NEAR = 1e-2
 """First-order residual up to which the end of Ipopt is near a stationary point."""
+
+ACCEPTABLE, ACCEPTABLE_AREAS = 1e-7, 1e-9
+"""Ipopt's tolerances where rounding stops it before ``tol`` and ``tol_areas``."""
+
+FINE, ALTERNATING = 3000, 0.3
+"""Number of outer variables from which on the start is given alternating displacements of nodes
+(:mod:`rmesh_nlp.models.alternating`), and their length in move limits. The end is then lower by 0.1 to 0.7 %
+of the gain (6.1 with 32 to 128 squares a side); on coarser meshes they change nothing but the start."""
 
 STEPS = 10
 """Most Newton steps from there. Three random problems (seeds 3039, 3133 and 3277) take five, two and two."""
@@ -77,11 +85,10 @@ class Joint(Formulation):
 
     Attributes
     ----------
-    tol, acceptable_tol : float
-        Ipopt's tolerances where move limits alone keep the elements valid, in units of `pull`. Many move
-        limits are weakly active, and an interior point meets those only to the square root of its tolerance;
-        where rounding stops it before, the looser one will do.
-    tol_areas, acceptable_tol_areas : float
+    tol : float
+        Ipopt's tolerance where move limits alone keep the elements valid, in units of `pull`. Many move
+        limits are weakly active, and an interior point meets those only to the square root of its tolerance.
+    tol_areas : float
         The same where element areas are constraints, in units of `half_energy`: in those of `pull` the
         rounding of the forces can be above every tolerance, and Ipopt's restoration then leaves the
         minimiser and ends as infeasible (6.2 on 36 x 18 squares).
@@ -90,23 +97,13 @@ class Joint(Formulation):
         own one, 0.1, the first steps leave the start, which with a schedule of weights is the minimiser for
         the last weight. Of 0.1, 1e-2, 1e-3, 1e-4 and 1e-6 it was chosen on random
         problems without move limits.
-    fine : int
-        Number of outer variables from which on the start is given alternating displacements of nodes
-        (:mod:`rmesh_nlp.models.alternating`): the end is then lower by 0.1 to 0.7 % of the gain (6.1 with
-        32 to 128 squares a side). On coarser meshes they change nothing but the start.
-    alternating : float
-        Their length, in move limits.
     ipopt : mapping
         Further Ipopt options, which override all others.
     """
 
     tol: Positive = 1e-10
-    acceptable_tol: Positive = 1e-7
     tol_areas: Positive = 1e-12
-    acceptable_tol_areas: Positive = 1e-9
     first_barrier: Positive = 1e-3
-    fine: Count = 3000
-    alternating: Positive = 0.3
     ipopt: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self, areas: bool, unit: float, distorted: bool = False) -> dict[str, Any]:
@@ -120,12 +117,12 @@ class Joint(Formulation):
                 "nlp_scaling_method": "none",
                 "tol": self.tol_areas,
                 "compl_inf_tol": self.tol_areas,
-                "acceptable_tol": self.acceptable_tol_areas,
+                "acceptable_tol": ACCEPTABLE_AREAS,
             }
             if distorted:
                 own["mu_init"] = self.first_barrier
         else:
-            own = {**_BARRIER, "tol": self.tol, "acceptable_tol": self.acceptable_tol}
+            own = {**_BARRIER, "tol": self.tol, "acceptable_tol": ACCEPTABLE}
         return {**common, **own, **self.ipopt}
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
@@ -158,8 +155,8 @@ class Joint(Formulation):
         contact, program = outer.energy(q), outer.relocation
         distorted = program.objective.has_barrier
         areas = program.n_valid > 0 or distorted
-        if not areas and outer.n >= self.fine:
-            q = alternated(program, q, contact.gradient, self.alternating, outer.is_valid)
+        if not areas and outer.n >= FINE:
+            q = alternated(program, q, contact.gradient, ALTERNATING, outer.is_valid)
             unit = pull(contact.gradient)
             contact = outer.energy(q)
         else:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from formulations.joint import Joint, is_above, pull
+from formulations.joint import ACCEPTABLE, ALTERNATING, FINE, is_above, pull
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
@@ -96,9 +96,6 @@ AFTER: Mapping[str, Any] = {"t0": 1e-9, "t_final": 1e-9}
 
 BARRIER_AFTER = 1e-10
 """Ipopt's barrier at the end of the energy NLP: its tolerance there."""
-
-ACCEPTABLE = 1e-7
-"""Ipopt's tolerance in the exact finish where rounding stops it before the tight one."""
 
 
 def homotopy_options(scaling: float, first: Mapping[str, Any], tight: float) -> dict[str, Any]:
@@ -278,10 +275,9 @@ def _in_step(outer: Outer, q: Array) -> Array:
     variables on, so that both begin on the same mesh; the contact problem is solved there. A start that was
     given by positions stays as it is.
     """
-    usual = Joint()
-    if np.any(q) or outer.relocation.n_valid > 0 or q.size < usual.fine:
+    if np.any(q) or outer.relocation.n_valid > 0 or q.size < FINE:
         return q
-    return alternated(outer.relocation, q, outer.energy(q).gradient, usual.alternating, outer.is_valid)
+    return alternated(outer.relocation, q, outer.energy(q).gradient, ALTERNATING, outer.is_valid)
 
 
 def _state(program: Bilevel, x: Array) -> tuple[Array, Array, Array, Array]:

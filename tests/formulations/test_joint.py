@@ -25,7 +25,7 @@ from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
 from support.formulations import joint
 
-LOOSE = {"tol": 1e-3, "acceptable_tol": 1e-3, "tol_areas": 1e-6, "acceptable_tol_areas": 1e-6}
+LOOSE = {"tol": 1e-3, "tol_areas": 1e-6}
 """Ipopt then stops near a stationary point, not at one."""
 
 

@@ -40,18 +40,12 @@ class TestTaylor:
         return TaylorTest("mine", 1.0, 2.0, np.ones(n), np.ones(n), np.array(orders))
 
     def test_the_last_known_order_decides(self) -> None:
-        assert self.made([1.0, 2.0, np.nan]).order == 2.0
-        assert self.made([2.0, 1.0]).order == 1.0
-        assert not self.made([2.0, 1.89])
-        assert self.made([1.0, 1.9])
-        assert self.made([np.nan, np.nan]).order == np.inf
-        text = " ".join(value for _, value in self.made([2.0, 1.5]).summary())
-        assert "order 2.00" in text
-        assert "WRONG: order 1.50" in text
-        rows = self.made([2.0, 2.0]).summary()
-        assert len(rows) == 5
-        assert rows[-1][1] == "right: order 2.00"
-        assert "order" not in rows[1][1]
+        for orders, order in (([1.0, 2.0, np.nan], 2.0), ([2.0, 1.0], 1.0), ([np.nan, np.nan], np.inf)):
+            assert self.made(orders).order == order
+        assert [bool(self.made(orders)) for orders in ([2.0, 1.89], [1.0, 1.9])] == [False, True]
+        values = [value.strip() for _, value in self.made([2.0, 1.5]).summary()]
+        assert values == ["2", "1.00e+00", "1.00e+00 order 2.00", "1.00e+00 order 1.50", "WRONG: order 1.50"]
+        assert self.made([1.0, 2.0]).summary()[-1][1] == "right: order 2.00"
 
     def test_it_measures_what_it_says_inside_of_the_move_limits(
         self, problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
@@ -72,15 +66,14 @@ class TestTaylor:
         np.testing.assert_allclose(test.steps, 1e-2 * 0.5 ** np.arange(5))
         direction = (others[0][0] - q) / test.steps[0]
         assert 0.5 < np.max(np.abs(direction)) <= 1
-        for (point, found), step, remainder in zip(others, test.steps, test.remainders, strict=True):
-            np.testing.assert_allclose(point, q + step * direction, atol=1e-12)
-            exact = abs(found.value - here.value - step * here.gradient @ direction)
-            assert remainder == pytest.approx(exact, rel=1e-6, abs=1e-15)
+        np.testing.assert_allclose([p for p, _ in others], q + np.outer(test.steps, direction), atol=1e-12)
+        values = np.array([found.value for _, found in others])
+        exact = np.abs(values - here.value - test.steps * (here.gradient @ direction))
+        np.testing.assert_allclose(test.remainders, exact, rtol=1e-6, atol=1e-15)
         np.testing.assert_allclose(test.orders, np.log2(test.remainders[:-1] / test.remainders[1:]))
         assert test.slope == pytest.approx(here.gradient @ direction)
         assert (test.value, test.objective) == (here.value, "energy")
-        again, other = verify_gradient(problem, seed=2), verify_gradient(problem, seed=3)
-        assert again.value == test.value != other.value
+        assert [verify_gradient(problem, seed=n).value == test.value for n in (2, 3)] == [True, False]
 
     def test_a_wrong_gradient_is_of_first_order(
         self, problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
@@ -108,10 +101,7 @@ class TestTaylor:
 
 @pytest.mark.slow
 def test_the_terms_sum_to_the_energy_above_the_exact_one() -> None:
-    problem = EXAMPLES["6.1"](4)
-    before, after = error_terms(fixed.solve(problem)), error_terms(joint.solve(problem))
-    assert before is not None
-    assert after is not None
+    before, after = (error_terms(one.solve(EXAMPLES["6.1"](4))) for one in (fixed, joint))
     for terms in (before, after):
         assert terms.I3 == 0
         assert min(terms.I1, terms.I2) > 0
