@@ -63,7 +63,7 @@ class _Edges(NamedTuple):
     kind: str  # "offset", "given" or "applied"
     which: Index
     number: Index
-    function: ca.Function
+    slope: Columns
 
 
 @dataclass(frozen=True)
@@ -99,9 +99,8 @@ class LowerBound:
         self.problem, self._node = problem, (space or DisplacementSpace.of(problem)).number
         self._inside = inside[0] if inside else None
         offset = self._inside.offset if self._inside else None
-        self._groups = [
-            _elements(law, which, offset) for law, which in problem.regions if isinstance(law, Laplace)
-        ]
+        regions = [(law, which) for law, which in problem.regions if isinstance(law, Laplace)]
+        self._groups = [_Elements(law, which, offset) for law, which in regions]
         skeleton = skeleton_of(problem, problem.mesh.p)
         conditions = conditions_of(problem, skeleton)
         largest = float(np.max(np.abs(conditions.traction), initial=0.0))
@@ -138,10 +137,10 @@ class LowerBound:
         source, offset = np.zeros((2, 3, count))
         for group in self._groups:
             X = columns[:, group.which]
-            conductivity[group.which] = group.law.conductivity
-            source[:, group.which], offset[:, group.which] = group.columns("data")([X])
+            conductivity[group.which] = group.conductivity
+            source[:, group.which], offset[:, group.which] = group.data([X])
             if group.varies:
-                r[group.which] = group.columns("oscillation")([X])[0]
+                r[group.which] = group.oscillation([X])[0]
         elements = RaviartThomas(skeleton, conductivity, source, self._inside is not None, penalty=r / e)
         computed = elements.constant(conductivity * skeleton.gradients(u)[0])
         interior = obstacle_inside(self._inside, skeleton, offset, source, u)
@@ -177,7 +176,7 @@ class LowerBound:
             which = group.which
             given = (part[which].T for part in (state.flux, nu, within, inside))
             e = np.minimum(state.e[None, which], 1.0 / np.finfo(float).tiny)
-            (slope,) = group.columns("slope")([columns[:, which], *given, e])
+            (slope,) = group.slope([columns[:, which], *given, e])
             _add(result, skeleton.triangles[:, which], slope)
         on_edges = np.zeros((2, skeleton.ends.shape[1]))  # traces at the ends
         of_elements = state.traces[:, :6].reshape(-1, 3, 2).transpose(1, 2, 0)
@@ -190,7 +189,7 @@ class LowerBound:
         for part in self._edges:
             ends = skeleton.ends[:, part.which]
             arguments = [_columns(skeleton.nodes[:, ends]), multipliers[part.kind][:, part.number]]
-            (slope,) = columnwise(part.function, part.which.size)(arguments)
+            (slope,) = part.slope(arguments)
             _add(result, ends, slope)
         return result
 
@@ -201,13 +200,15 @@ def _edge_functions(problem: ContactProblem, conditions: Conditions) -> list[_Ed
     for part in conditions.parts:
         if callable(part.obstacle.offset):
             number = np.arange(part.place.start, part.place.stop)
-            found.append(_Edges("offset", part.edges, number, _on_edge(part.obstacle.offset)))
+            slope = _on_edge(part.obstacle.offset, number.size)
+            found.append(_Edges("offset", part.edges, number, slope))
     for kind, stated in (("given", problem.supports), ("applied", problem.tractions)):
         for one in stated:
             (value,), applied = one.value, kind == "applied"
             if callable(value) or (applied and value):
                 edges = np.unique(problem.mesh.boundaries[one.boundary])
-                found.append(_Edges(kind, edges, edges, _on_edge(value, forces=applied)))
+                slope = _on_edge(value, edges.size, forces=applied)
+                found.append(_Edges(kind, edges, edges, slope))
     return found
 
 
@@ -233,63 +234,51 @@ EDGE_POINTS = 10
 """Gauss points for functions on edges."""
 
 
-@dataclass(frozen=True)
 class _Elements:
-    """The elements of one law, and functions of the columns X (6), c (8) and others of one element."""
+    """The elements of one law, and functions of the columns X (6), c (8) and others of one element.
 
-    law: Laplace
-    which: Index
-    data: ca.Function  # X -> source at the vertices (3), moments of the obstacle (3)
-    oscillation: ca.Function  # X -> r
-    # (X, c, nu, omega, P, e) -> derivative by X of less the energy and the oscillation term, with nu against
-    # the coefficients that the source prescribes or, with an obstacle, omega against the forces of the source
-    # and P against the moments of the obstacle
-    slope: ca.Function
+    - ``data``: ``X -> source at the vertices (3), moments of the obstacle (3)``;
+    - ``oscillation``: ``X -> r``, zero unless the source varies;
+    - ``slope``: ``(X, c, nu, omega, P, e) -> derivative by X`` of less the energy and the oscillation term,
+      with nu against the coefficients that the source prescribes or, with an obstacle, omega against the
+      forces of the source and P against the moments of the obstacle.
+    """
 
-    @property
-    def varies(self) -> bool:
-        """Whether there is an oscillation term."""
-        return callable(self.law.load[0])
+    def __init__(self, law: Laplace, which: Index, obstacle: Coefficient | None) -> None:
+        source, conductivity = law.load[0], law.conductivity
+        self.which, self.conductivity, self.varies = which, conductivity, callable(source)
+        X_column, c, e = ca.SX.sym("X", 6), ca.SX.sym("c", 8), ca.SX.sym("e")
+        nu, omega, P = ca.SX.sym("nu", 3), ca.SX.sym("omega", 3), ca.SX.sym("P", 3)
+        X = ca.reshape(X_column, 2, 3)
+        F = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
+        area = (F[0, 0] * F[1, 1] - F[0, 1] * F[1, 0]) / 2
+        metric = F.T @ F / (4 * area * conductivity)
 
-    def columns(self, name: str) -> Columns:
-        return columnwise(getattr(self, name), self.which.size)
+        def square(products: Array) -> ca.SX:
+            matrices = products.reshape(2, 2, 8, 8)
+            return ca.SX(sum(metric[i, j] * (c.T @ ca.DM(matrices[i, j]) @ c) for i, j in np.ndindex(2, 2)))
 
+        values, remainder = _linear_part(source, X)
+        moments = ca.SX.zeros(3) if obstacle is None else _moments(obstacle, X, *triangle_rule(DEGREE))[0]
+        lagrangian, r = -square(reference().products) / 2, ca.SX(0)
+        if self.varies:
+            one, two, three = (ca.sumsqr(X[:, i] - X[:, i - 1]) for i in range(3))
+            h_square = ca.fmax(ca.fmax(one, two), three)
+            r = POINCARE * ca.sqrt(h_square * area * (remainder + TINY) / conductivity)
+            lagrangian -= r * (square(reference().variations) / e + e) / 2 + r**2 / 2
+        if obstacle is None:
+            given = ca.vertcat(ca.sum1(values) / 3, values[0] - values[2], values[1] - values[2])
+            lagrangian -= 2 * area * ca.dot(nu, given)
+        else:
+            lagrangian -= area * ca.dot(omega, values) + ca.dot(P, moments)
+        slope = ca.gradient(lagrangian, X_column)
+        self.data = self._columns([X_column], values, moments)
+        self.oscillation = self._columns([X_column], r)
+        self.slope = self._columns([X_column, c, nu, omega, P, e], slope)
 
-def _elements(law: Laplace, which: Index, obstacle: Coefficient | None) -> _Elements:
-    """The functions of the elements of one law."""
-    source, conductivity = law.load[0], law.conductivity
-    X_column, c, e = ca.SX.sym("X", 6), ca.SX.sym("c", 8), ca.SX.sym("e")
-    nu, omega, P = ca.SX.sym("nu", 3), ca.SX.sym("omega", 3), ca.SX.sym("P", 3)
-    X = ca.reshape(X_column, 2, 3)
-    F = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
-    area = (F[0, 0] * F[1, 1] - F[0, 1] * F[1, 0]) / 2
-    metric = F.T @ F / (4 * area * conductivity)
-
-    def square(products: Array) -> ca.SX:
-        matrices = products.reshape(2, 2, 8, 8)
-        return ca.SX(sum(metric[i, j] * (c.T @ ca.DM(matrices[i, j]) @ c) for i, j in np.ndindex(2, 2)))
-
-    values, remainder = _linear_part(source, X)
-    moments = ca.SX.zeros(3) if obstacle is None else _moments(obstacle, X, *triangle_rule(DEGREE))[0]
-    varies = callable(source)
-    lagrangian, r = -square(reference().products) / 2, ca.SX(0)
-    if varies:
-        one, two, three = (ca.sumsqr(X[:, i] - X[:, i - 1]) for i in range(3))
-        h_square = ca.fmax(ca.fmax(one, two), three)
-        r = POINCARE * ca.sqrt(h_square * area * (remainder + TINY) / conductivity)
-        lagrangian -= r * (square(reference().variations) / e + e) / 2 + r**2 / 2
-    if obstacle is None:
-        given = ca.vertcat(ca.sum1(values) / 3, values[0] - values[2], values[1] - values[2])
-        lagrangian -= 2 * area * ca.dot(nu, given)
-    else:
-        lagrangian -= area * ca.dot(omega, values) + ca.dot(P, moments)
-    return _Elements(
-        law,
-        which,
-        ca.Function("data", [X_column], [ca.densify(values), ca.densify(moments)]),
-        ca.Function("oscillation", [X_column], [ca.densify(r)]),
-        ca.Function("slope", [X_column, c, nu, omega, P, e], [ca.densify(ca.gradient(lagrangian, X_column))]),
-    )
+    def _columns(self, arguments: list[ca.SX], *values: ca.SX) -> Columns:
+        function = ca.Function("of_element", arguments, [ca.densify(value) for value in values])
+        return columnwise(function, self.which.size)
 
 
 def _moments(f: Coefficient, X: ca.SX, barycentric: Array, weights: Array) -> tuple[ca.SX, list[Any]]:
@@ -312,8 +301,8 @@ def _linear_part(f: Coefficient, X: ca.SX) -> tuple[ca.SX, ca.SX]:
     return linear, ca.SX(sum(w * (value - ca.dot(linear, ca.DM(b))) ** 2 for w, value, b in parts))
 
 
-def _on_edge(f: Coefficient, *, forces: bool = False) -> ca.Function:
-    """``(X, weights) -> derivative by X`` (4) of weights . moments of f on an edge with ends X.
+def _on_edge(f: Coefficient, edges: int, *, forces: bool = False) -> Columns:
+    """``(X, weights) -> derivative by X`` (4) of weights . moments of f on edges with ends X.
 
     Or of the forces of a traction f: its best linear approximation at the ends, times the length.
     """
@@ -323,4 +312,5 @@ def _on_edge(f: Coefficient, *, forces: bool = False) -> ca.Function:
     if forces:
         m = ca.norm_2(X[:, 1] - X[:, 0]) * ca.vertcat(4 * m[0] - 2 * m[1], 4 * m[1] - 2 * m[0])
     total = ca.dot(weights, m)
-    return ca.Function("edge", [X_column, weights], [ca.densify(ca.gradient(total, X_column))])
+    gradient = ca.densify(ca.gradient(total, X_column))
+    return columnwise(ca.Function("edge", [X_column, weights], [gradient]), edges)
