@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from skfem import MeshTri
 
 from rmesh_nlp.assessment import error_reduction as module
 from rmesh_nlp.assessment.admissible import Admissible, admissible
@@ -15,6 +16,7 @@ from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, PlaneStrain
@@ -22,11 +24,18 @@ from rmesh_nlp.problem.contact_problem import refined
 from support.problems import renumbered
 
 
-def graded(problem: ContactProblem, power: float) -> np.ndarray:
-    """Nodes of a rectangle over (0, 2) drawn towards its left side."""
+def graded(seed: int) -> list[Admissible]:
+    """Of a random problem on its mesh and drawn towards its left side, the larger energy first."""
+    problem = replace(random_problem(seed, kind="elastic"), quadrature="auto")
     nodes = np.array(problem.mesh.p)
-    nodes[0] = 2 * (nodes[0] / 2) ** power
-    return nodes
+    nodes[0] = 2 * (nodes[0] / 2) ** 1.15
+    return sorted([admissible(problem), admissible(problem, nodes)], key=lambda end: -end.energy)
+
+
+def on_square(fall: float, mesh: MeshTri | None = None) -> list[Admissible]:
+    """Of a membrane, and the same with a larger energy before."""
+    last = admissible(ContactProblem(mesh or rectangle(2, 2), Laplace(1.0), ("left", "right")))
+    return [replace(last, energy=last.energy + fall), last]
 
 
 def truth(problem: ContactProblem) -> float:
@@ -43,10 +52,8 @@ def truth(problem: ContactProblem) -> float:
 def test_the_interval_holds_from_one_refinement_and_from_two(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problem = replace(random_problem(seed, kind="elastic"), quadrature="auto")
-    ends = [admissible(problem), admissible(problem, graded(problem, 1.15))]
-    before, after = sorted(ends, key=lambda end: -end.energy)
-    least = truth(problem)
+    before, after = graded(seed)
+    least = truth(replace(before.problem, mesh=relocated_mesh(before.problem.mesh, before.body.nodes)))
     errors = before.energy - least, after.energy - least
     for few, closeness in ((400, 2), (0, 3)):
         monkeypatch.setattr(module, "FEW", few)
@@ -61,17 +68,16 @@ def test_the_interval_holds_from_one_refinement_and_from_two(
 def test_an_exact_energy_gives_the_factor_itself() -> None:
     problem = EXAMPLES["6.1"](n=4)
     nodes = np.array(problem.mesh.p)
-    inside = problem.mesh.interior_nodes()
-    nodes[0, inside] += 0.02
-    before, after = admissible(problem), admissible(problem, nodes)
-    one, two = sorted([before, after], key=lambda found: -found.energy)
-    found, refined_values = error_reduction(one, two, 1)
+    nodes[0, problem.mesh.interior_nodes()] += 0.02
+    before, after = sorted([admissible(problem), admissible(problem, nodes)], key=lambda end: -end.energy)
+    found, refined_values = error_reduction(before, after, 1)
     assert found is not None
     assert refined_values is None  # nothing is refined
-    exact = problem.exact.energy
-    assert found.factor == found.factor_upper == pytest.approx((one.energy - exact) / (two.energy - exact))
-    assert error_reduction(two, one, 1)[0] is None  # the energy rose
-    assert error_reduction(one, replace(two, energy=exact - 1e-3), 1)[0] is None  # below the least energy
+    errors = before.energy - problem.exact.energy, after.energy - problem.exact.energy
+    assert found.factor == found.factor_upper == pytest.approx(errors[0] / errors[1])
+    assert error_reduction(after, before, 1)[0] is None  # the energy rose
+    below = replace(after, energy=problem.exact.energy - 1e-3)
+    assert error_reduction(before, below, 1)[0] is None
 
 
 def test_nothing_is_claimed_without_a_contact_solution_on_the_refined_mesh(
@@ -81,34 +87,38 @@ def test_nothing_is_claimed_without_a_contact_solution_on_the_refined_mesh(
         found = admissible(*given, **start)
         return replace(found, state=replace(found.state, status=Status.CYCLED))
 
-    last = admissible(ContactProblem(rectangle(2, 2), Laplace(1.0), ("left", "right", "top", "bottom")))
-    before = replace(last, energy=last.energy + 0.1)
-    assert error_reduction(before, last, 1)[0] is not None
+    ends = on_square(0.1)
+    assert error_reduction(*ends, 1)[0] is not None
     monkeypatch.setattr(module, "admissible", failed)
-    assert error_reduction(before, last, 1) == (None, None)
+    assert error_reduction(*ends, 1) == (None, None)
 
 
 def test_a_certificate_bounds_the_factor_from_below() -> None:
-    problem = replace(random_problem(101, kind="elastic"), quadrature="auto")
-    ends = [admissible(problem), admissible(problem, graded(problem, 1.15))]
-    found, _ = error_reduction(*sorted(ends, key=lambda end: -end.energy), 7)
+    found, _ = error_reduction(*graded(101), 7)
     assert found is not None
-    proved = by_certificate(found.record(), 0.32, 0.08, True)
-    assert proved["source"] == "certified"
+    estimated = found.record()
+    proved = by_certificate(estimated, 0.32, 0.08, True)
     assert proved["factor"] == pytest.approx(4.0)
-    assert proved["factor_upper"] is None
-    assert (proved["error_initial"], proved["error"]) == ((0.24, 0.32), (0.0, 0.08))
-    assert "at least 4 times less" in proved["text"]
+    assert "at least 4 times less" in proved.pop("text")
+    assert proved | {"factor": 4.0} == {
+        "error_initial": (0.24, 0.32),
+        "error": (0.0, 0.08),
+        "factor": 4.0,
+        "factor_upper": None,
+        "source": "certified",
+        "nodes": estimated["nodes"],
+        "contact_solves": 7,
+    }
     for bounds in ((0.32, 0.08, False), (0.08, 0.32, True), (0.32, 0.0, True)):  # not proved, or no gain
-        assert by_certificate(found.record(), *bounds) == found.record()
-    assert by_certificate({**found.record(), "source": "exact"}, 0.32, 0.08, True)["source"] == "exact"
+        assert by_certificate(estimated, *bounds) == estimated
+    assert by_certificate({**estimated, "source": "exact"}, 0.32, 0.08, True)["source"] == "exact"
 
 
 class Refinement:
     """Refined meshes whose energies fall by given amounts."""
 
-    def __init__(self, last: Admissible, falls: tuple[float, ...]) -> None:
-        self.last, self.falls = last, list(falls)
+    def __init__(self, falls: tuple[float, ...]) -> None:
+        self.falls = list(falls)
 
     def __call__(self, here: Admissible) -> Admissible:
         return replace(here, energy=here.energy - self.falls.pop(0))
@@ -128,10 +138,10 @@ class Refinement:
 def test_errors_are_bounded_by_what_refinements_gain(
     falls: tuple[float, ...], few: int, low: float, high: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    last = admissible(ContactProblem(rectangle(2, 2), Laplace(1.0), ("left", "right", "top", "bottom")))
+    before, last = on_square(0.5)
     monkeypatch.setattr(module, "FEW", few)
-    monkeypatch.setattr(module, "_on_refined", Refinement(last, falls))
-    found, _ = error_reduction(replace(last, energy=last.energy + 0.5), last, 3)
+    monkeypatch.setattr(module, "_on_refined", Refinement(falls))
+    found, _ = error_reduction(before, last, 3)
     if low is None:
         assert found is None
         return
@@ -149,10 +159,9 @@ def test_meshes_of_up_to_a_hundred_nodes_are_refined_twice(
     nodes: int, times: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mesh = rectangle(9, 9) if nodes == 100 else rectangle(100, 1)
-    last = admissible(ContactProblem(mesh, Laplace(1.0), ("left", "right")))
-    refinement = Refinement(last, (1.0, 0.5))
+    refinement = Refinement((1.0, 0.5))
     monkeypatch.setattr(module, "_on_refined", refinement)
-    error_reduction(replace(last, energy=last.energy + 0.5), last, 3)
+    error_reduction(*on_square(0.5, mesh), 3)
     assert len(refinement.falls) == 2 - times
 
 
