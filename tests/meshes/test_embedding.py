@@ -9,7 +9,7 @@ from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import NO_CONTACT, ContactProblem, Laplace, Motion
+from rmesh_nlp.problem import ContactProblem, Laplace
 
 SQUARE = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
 HALVES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -34,10 +34,10 @@ def twice_around() -> tuple[np.ndarray, np.ndarray]:
 
 
 WRONG = {
-    "hanging": (HANGING, r"node 4 hangs on the edge between nodes 1 and 2 of element 0"),
-    "crossing": (CROSSING, r"elements 0 and 2 overlap"),
-    "within": (WITHIN, r"elements 2 and 0 overlap"),
-    "winding": (twice_around(), r"elements overlap around node 0"),
+    "hanging": (HANGING, "node 4 hangs on the edge between nodes 1 and 2 of element 0,"),
+    "crossing": (CROSSING, "elements 0 and 2 overlap: their edges cross"),
+    "within": (WITHIN, "elements 2 and 0 overlap: a piece lies on another"),
+    "winding": (twice_around(), "elements overlap around node 0: 0, 1, 2, 3, ... wind around it"),
 }
 
 
@@ -47,9 +47,17 @@ def test_arrays_and_problems_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match=message):
         from_arrays(nodes, triangles)
     mesh = MeshTri(np.ascontiguousarray(nodes.T), np.ascontiguousarray(triangles.T))
-    mesh = mesh.with_boundaries({"left": lambda x: x[0] < 1e-9} if name != "winding" else {"left": [0]})
-    with pytest.raises(ProblemError, match=message):
-        ContactProblem(mesh, Laplace(1.0), ("left",), NO_CONTACT, Motion(0.1))
+    with pytest.raises(ProblemError, match=message) as caught:
+        ContactProblem(mesh.with_boundaries({"left": [0]}), Laplace(1.0), ("left",))
+    assert caught.value.part == "mesh"
+
+
+@pytest.mark.parametrize(("beside", "hangs"), [(0.0, True), (1e-6, True), (-1e-6, True), (4e-6, False)])
+def test_node_hangs_on_an_edge_within_a_millionth_of_its_length(beside: float, hangs: bool) -> None:
+    nodes = HANGING[0].copy()
+    nodes[4, 0] += beside  # the edge is 2 long
+    found = fault(MeshTri(nodes.T.copy(), HANGING[1].T.copy())) or ""
+    assert ("hangs" in found) == hangs
 
 
 @pytest.mark.parametrize("factor", [1.0, 1e-6, 1e6])

@@ -1,0 +1,135 @@
+"""Meshes from arrays and of simple shapes: repairs are said, errors are named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from skfem import MeshTri
+
+from rmesh_nlp.meshes import MeshRepairWarning, from_arrays, named, shapes
+from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.meshes.shapes import rectangle
+
+SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+HALVES = [[0, 1, 2], [0, 2, 3]]
+
+
+def test_arrays_become_a_mesh_with_names() -> None:
+    mesh = from_arrays(SQUARE, HALVES, {"left": [(3, 0)], "low": lambda x: x[1] == 0}, {"upper": [1]})
+    assert isinstance(mesh, MeshTri)
+    mesh = named(mesh, {"diagonal": [(0, 2)]}, {"lower": lambda x: x[1] < 0.5})
+    edges = {name: mesh.facets[:, facets].T.tolist() for name, facets in mesh.boundaries.items()}
+    assert edges == {"left": [[0, 3]], "low": [[0, 1]], "diagonal": [[0, 2]]}
+    assert {name: t.tolist() for name, t in mesh.subdomains.items()} == {"upper": [1], "lower": [0]}
+
+
+def test_repairs_are_said_and_keep_names() -> None:
+    # node 4 is used by no triangle, node 5 is node 2, the first triangle is clockwise
+    nodes = [*SQUARE, [7.0, 7.0], [1.0, 1.0 + 1e-13]]
+    with pytest.warns(MeshRepairWarning) as caught:
+        mesh = from_arrays(nodes, [[0, 2, 1], [0, 5, 3]], {"top": [(5, 3)]})
+    assert [str(w.message) for w in caught] == [
+        "merged 1 duplicate nodes",
+        "dropped 1 nodes that belong to no triangle",
+        "turned 1 clockwise triangles",
+    ]
+    assert mesh.p.T.tolist() == SQUARE
+    assert signed_areas(mesh.p, mesh.t).tolist() == [0.5, 0.5]
+    assert mesh.p[:, mesh.facets[:, mesh.boundaries["top"]]].mean(axis=1).ravel().tolist() == [0.5, 1.0]
+
+
+@pytest.mark.filterwarnings("ignore::rmesh_nlp.meshes.MeshRepairWarning")
+@pytest.mark.parametrize(("gap", "left"), [(0.9e-10, 4), (1.1e-10, 5)])
+def test_nodes_closer_than_rounding_of_the_size_are_one(gap: float, left: int) -> None:
+    nodes = 1e3 * np.array([*SQUARE, [1.0, 1.0 + gap]])
+    assert from_arrays(nodes, [[0, 1, 2], [0, 4, 3]]).p.shape[1] == left
+
+
+@pytest.mark.filterwarnings("ignore::rmesh_nlp.meshes.MeshRepairWarning")
+@pytest.mark.parametrize(
+    ("nodes", "triangles", "names", "message"),
+    [
+        ([[0, 0, 0]], HALVES, {}, r"shape \(nodes, 2\), got \(1, 3\)"),
+        ([[0, 0], [1, np.nan], [1, 1], [0, 1]], HALVES, {}, r"node 1 is at \(1.0, nan\)"),
+        (SQUARE, [[0, 1, 2, 3]], {}, r"shape \(elements, 3\), got \(1, 4\)"),
+        (SQUARE, [], {}, r"shape \(elements, 3\), got \(0,\)"),
+        (SQUARE, [[0, 1, 2], [0, 1, 4]], {}, r"triangle 1 has nodes \[0, 1, 4\], but nodes run from 0 to 3"),
+        (SQUARE, [[0, 1, -1]], {}, r"triangle 0 has nodes \[0, 1, -1\]"),
+        (SQUARE, [[0.0, 1.0, 2.0]], {}, "node numbers, got values of type float64"),
+        (SQUARE, [[0, 1, 1]], {}, "triangle 0 has a repeated node"),
+        ([[0, 0], [1, 0], [2, 0], [0, 1]], [[0, 1, 2], [0, 1, 3]], {}, "triangle 0 has no area"),
+        (SQUARE, [[0, 1, 2], [0, 1, 3]], {}, "triangles overlap at the edge between nodes 0 and 1"),
+        (SQUARE, HALVES, {"up": []}, "the boundary 'up' is empty"),
+        (SQUARE, HALVES, {"up": lambda x: x[1] > 2}, "the boundary 'up' is empty"),
+        (SQUARE, HALVES, {"up": [1, 2]}, r"'up' must be an array of shape \(edges, 2\), got \(2,\)"),
+        (SQUARE, HALVES, {"up": [(0, 1), (1, 3)]}, r"has the edge \(1, 3\), which is no edge of a triangle"),
+    ],
+)
+def test_bad_arrays_are_named(nodes: object, triangles: object, names: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        from_arrays(nodes, triangles, names)
+
+
+@pytest.mark.parametrize(("members", "message"), [([2], "a triangle that the mesh"), ([], "is empty")])
+def test_bad_subdomains_are_named(members: list[int], message: str) -> None:
+    with pytest.raises(ValueError, match=f"the subdomain 'x' (has )?{message}"):
+        named(from_arrays(SQUARE, HALVES), subdomains={"x": members})
+
+
+@pytest.mark.parametrize(
+    ("make", "area", "names"),
+    [
+        (lambda: shapes.l_shape(0.3), 3.0, "corner outer"),
+        (lambda: shapes.plate_with_hole(1.0), 100 - np.pi * 2.5**2, "left right bottom top hole"),
+        (lambda: shapes.half_disc(0.1, contact=0.2, h_contact=0.05), np.pi / 4, "axis top arc contact"),
+        (lambda: shapes.wedge_block(0.3, rise=0.2), 4 * (1 - 0.1), "left right top wedge"),
+        (lambda: shapes.polygon([(0, 0), (2, 0), (0, 2)], 0.5), 2.0, "edge-0 edge-1 edge-2"),
+    ],
+)
+def test_shapes_have_their_names_and_the_right_areas(make: Callable, area: float, names: str) -> None:
+    try:
+        import gmsh  # noqa: F401
+    except (ImportError, OSError):  # its library needs libGLU
+        pytest.skip("gmsh is not installed")
+    mesh = make()
+    assert np.abs(signed_areas(mesh.p, mesh.t)).sum() == pytest.approx(area, rel=2e-2)  # chords for arcs
+    assert set(mesh.boundaries) == set(names.split())
+    facets = np.concatenate(list(mesh.boundaries.values()))
+    assert sorted(facets) == sorted(mesh.boundary_facets())
+
+
+@pytest.mark.parametrize(("diagonal", "slope"), [("rising", 1), ("falling", -1)])
+def test_rectangle_has_its_sides_and_diagonals(diagonal: str, slope: int) -> None:
+    mesh = rectangle(4, 2, x=(-1, 1), y=(0, 1), diagonal=diagonal)
+    assert mesh.p.shape == (2, 15)
+    a, b = mesh.p[:, mesh.facets].transpose(1, 0, 2)
+    inclined = (b - a)[:, np.all(a != b, axis=0)]
+    np.testing.assert_allclose(inclined[1] / inclined[0], slope)
+    for name, (axis, value) in {"left": (0, -1), "right": (0, 1), "bottom": (1, 0), "top": (1, 1)}.items():
+        on = mesh.p[:, mesh.facets[:, mesh.boundaries[name]]]
+        assert np.all(on[axis] == value)
+        assert on.shape[2] == (2 if axis == 0 else 4)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: rectangle(0, 2), "nx must be a whole number of at least 1, got 0"),
+        (lambda: rectangle(2, 1.5), "ny must be a whole number of at least 1, got 1.5"),
+        (lambda: rectangle(2, 2, x=(1, 1)), "x must be two increasing numbers"),
+        (lambda: rectangle(2, 2, diagonal="both"), "got 'both'"),
+        (lambda: rectangle(10**3, 501), "about 1e[+]06 triangles, more than 1e"),
+        (lambda: shapes.plate_with_hole(1.0, radius=5.0), "radius 5.0 does not fit"),
+        (lambda: shapes.half_disc(0.1, contact=1.0), "contact half-length 1.0 must be smaller"),
+        (lambda: shapes.wedge_block(0.1, rise=1.0), "rise 1.0 must be at least 0 and smaller"),
+        (lambda: shapes.l_shape(0.0), "h must be positive, got 0.0"),
+        (lambda: shapes.polygon([(0, 0), (1, 0)], 0.1), "3 or more finite points"),
+        (lambda: shapes.polygon([(0, 0), (1, 0), (0, 1)], 0.1, {"a": [3]}), "edge 3; edges run to 2"),
+        (lambda: shapes.polygon([(0, 0), (1, 1), (1, 0), (0, 1)], 1e-9), "more than 1e"),
+    ],
+)
+def test_bad_shapes_are_named(make: Callable, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
