@@ -23,6 +23,7 @@ from support.problem_files import BROKEN, SCALAR, VALID
 
 SMALL = 'mesh = { shape = "rectangle", nx = 2, ny = 2 }\n'
 LAW = 'material = { law = "laplace", source = 1 }\n'
+TWO = VALID.replace("[contact]", "[[contact]]\nboundary = 'top'\noffset = 0.1\n[[contact]]")
 PLATE = """\
 mesh = { shape = "plate-with-hole", h = 2.0 }
 material = { law = "plane-strain", young = 1000.0, poisson = 0.3 }
@@ -185,6 +186,12 @@ def test_broken_file_has_a_one_line_error(write, old, new, message):
         ('dirichlet = "left"', "dirichlet = 'left': expected a table [dirichlet]"),
         ('contact = "bottom"', "contact = 'bottom': expected a table [contact]"),
         (SMALL, "expected either [material] or [materials.<subdomain>]"),
+        # one of several contacts
+        (TWO.replace('"10 + x"', '"10 + z"'), "contact[2].friction = '10 + z': unknown name 'z'"),
+        (TWO.replace('"10 + x"', '"x - 9"'), "contact[2].friction = 'x - 9': the friction bound must not be"),
+        (TWO.replace('"bottom"', '"botom"'), "contact[2].boundary = 'botom': expected a boundary"),
+        (TWO.replace("offset = 0.1", "offset = 0.1\ngap = 3"), "contact[1].gap = 3: expected 'node'"),
+        (VALID.replace("friction =", "gap ="), "contact.gap = '10 + x': expected 'node' or 'edge'"),
         # expressions without quotes
         (VALID.replace('"-0.01*x**2"', "-0.01*x**2"), 'as in height = "-0.01*x**2"'),
         (VALID.replace('"-30*sin(pi*x/4)"', "-30*sin(pi*x/4)"), 'as in load = [0, "-30*sin(pi*x/4)"]'),
