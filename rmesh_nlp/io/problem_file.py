@@ -25,7 +25,6 @@ from rmesh_nlp.io.problem_schema import (
     ContactTable,
     CurveTable,
     MaterialTable,
-    MotionTable,
     PointLoadTable,
     ProblemTable,
     Table,
@@ -189,8 +188,11 @@ class _Builder:
         for name, curve in table.curves.items():
             with self.at(f"curves.{name}", curve):
                 curves[name] = _curve(curve, mesh, name)
+        rules = dict(table.motion)
+        if isinstance(rules["delta"], dict):
+            rules["delta"] = Relative(rules["delta"]["relative"])
         with self.at("motion", table.motion):
-            motion = replace(_motion(table.motion), curves=curves)
+            motion = Motion(**rules, curves=curves)
         try:
             problem = ContactProblem(
                 mesh=mesh,
@@ -229,7 +231,8 @@ class _Builder:
             if name is None:
                 return ("contact", contact) if part == "obstacle" else ("contact.friction", contact.friction)
             given = contact.given(*(("friction",) if part == "friction" else FOUNDATIONS))
-            return f"{key}.{(place := [*given, 'boundary'][0])}", getattr(contact, place)
+            place = [*given, "boundary"][0]
+            return f"{key}.{place}", getattr(contact, place)
         value: Any = getattr(table, part, None)
         if part in ("tractions", "dirichlet") and name is not None:
             return f"{part}.{name}", value[name]
@@ -348,13 +351,6 @@ def _obstacle(table: ContactTable, components: int) -> Obstacle:
     if length == 0:
         raise ValueError("expected a normal that is not zero")
     return Obstacle(boundary, tuple((normal / length).tolist()), table.offset or 0.0, friction)
-
-
-def _motion(table: MotionTable) -> Motion:
-    rules: dict[str, Any] = {name: getattr(table, name) for name in MotionTable.model_fields}
-    if isinstance(table.delta, dict):
-        rules["delta"] = Relative(table.delta["relative"])
-    return Motion(**rules)
 
 
 @dataclass(frozen=True)
