@@ -1,7 +1,6 @@
 """Solves in a process that can be killed: a hang, a leak or a crash becomes a row.
 
-``python -m rmesh_nlp.study.contained`` is that process. It takes planned solves on stdin and answers with
-rows on stdout, one JSON line each way, and ends with the one that started it.
+``python -m rmesh_nlp.study.contained`` is that process: solves on stdin, rows on stdout, as JSON lines.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Rows of a study: one append-only file per worker process, joined by key.
 
-A worker holds a lock on its own file while it solves. Who resumes a study waits for those locks: workers
-that outlive their client finish their row first, so that no solve is done twice.
+A worker locks its own file while it solves. Who resumes a study waits for these locks: workers that outlive
+their client finish their row first, so that no solve is done twice.
 """
 
 from __future__ import annotations

@@ -15,6 +15,8 @@ from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.study.plan import PlannedSolve, build, make_plan, seconds_of_plan
 from rmesh_nlp.study.study_file import read_study, template
 
+JOINT = "formulations = ['joint']\n"
+
 
 def plan_of(path: Path, text: str) -> list[PlannedSolve]:
     path.write_text(text)
@@ -98,25 +100,24 @@ def test_a_problem_file_is_known_by_its_content(path):
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("formulations = ['joint']", "there is nothing to solve"),
+        (JOINT, "there is nothing to solve"),
         ("examples = ['6.1']", "formulations = nothing"),
-        ("examples = ['6.9']\nformulations = ['joint']", "unknown example '6.9'"),
+        (JOINT + "examples = ['6.9']", "unknown example '6.9'"),
         ("examples = ['6.1']\nformulations = ['jiont']", "did you mean joint"),
-        ("examples = ['6.1']\nformulations = ['joint']\nsize = [3]", "unknown key, did you mean 'sizes'?"),
-        ("examples = ['6.1']\nformulations = ['joint']\nsizes = [1]", "expected sizes such as 8 or '12x6'"),
-        ("examples = ['6.1']\nformulations = ['joint']\nseeds = [-1]", "expected seeds such as"),
+        (JOINT + "examples = ['6.1']\nsize = [3]", "unknown key, did you mean 'sizes'?"),
+        (JOINT + "examples = ['6.1']\nsizes = [1]", "expected sizes such as 8 or '12x6'"),
+        (JOINT + "examples = ['6.1']\nsizes = ['1x4']", "expected sizes such as 8 or '12x6'"),
+        (JOINT + "examples = ['6.1']\nseeds = [-1]", "expected seeds such as"),
+        (JOINT + "examples = '6.1'", "examples = '6.1': expected a list of texts"),
         (
             "examples = ['6.1']\n[formulations.joint]\nouter = 'newton'",
             "joint.outer = 'newton': not an option",
         ),
-        (
-            "examples = ['6.1']\nformulations = ['joint']\n[limits]\ntime = 0",
-            "limits.time = 0: expected",
-        ),
-        ("examples = ['6.1']\nformulations = ['joint']\nobjectives = ['energie']", "energie"),
-        ("random = { count = 3, kinds = ['x'] }\nformulations = ['joint']", "expected 'scalar', 'membrane'"),
-        ("random = { count = 0 }\nformulations = ['joint']", "random.count = 0"),
-        ("files = ['none.toml']\nformulations = ['joint']", "none.toml"),
+        (JOINT + "examples = ['6.1']\n[limits]\ntime = 0", "limits.time = 0: expected"),
+        (JOINT + "examples = ['6.1']\nobjectives = ['energie']", "energie"),
+        (JOINT + "random = { count = 3, kinds = ['x'] }", "expected 'scalar', 'membrane'"),
+        (JOINT + "random = { count = 0 }", "random.count = 0"),
+        (JOINT + "files = ['none.toml']", "none.toml"),
         ("[[", "is not valid TOML"),
     ],
 )
