@@ -68,21 +68,21 @@ class Run:
         self, name: str, z: Array, t: float, warm: NLPResult | None = None, *, first: bool
     ) -> NLPResult:
         """Solve the relaxation ``name`` at ``t``, see :meth:`CompiledNLPs.relaxed`."""
-        return self.solved("relaxed", t, lambda: self.nlps.relaxed(name, z, self.p, t, warm, first))
+        return self.solve("relaxed", t, lambda: self.nlps.relaxed(name, z, self.p, t, warm, first))
 
     def unlifted(self, x: Array, t: float) -> NLPResult:
         """Solve Scholtes' relaxation in the source problem's own unknowns; the result is a lifted one."""
-        return self.solved("second", t, lambda: self.nlps.unlifted(x, self.p, t))
+        return self.solve("second", t, lambda: self.nlps.unlifted(x, self.p, t))
 
     def branch(self, z: Array, zero: BoolArray, *, phase: str = "branch", **how: Any) -> NLPResult:
         """Solve the NLP in which the given members are zero, see :meth:`CompiledNLPs.branch`."""
-        return self.solved(phase, 0.0, lambda: self.nlps.branch(z, self.p, zero, **how))
+        return self.solve(phase, 0.0, lambda: self.nlps.branch(z, self.p, zero, **how))
 
-    def solved(self, phase: str, t: float, solve: Callable[[], NLPResult]) -> NLPResult:
+    def solve(self, phase: str, t: float, nlp: Callable[[], NLPResult]) -> NLPResult:
         """Solve an NLP within the limits, watched and recorded."""
         self.check()
         self.nlps.watch.monitor = self._monitor(phase, t)
-        result = solve()
+        result = nlp()
         self.iterations += result.iterations
         self.record(phase, t, result.x, result)
         self.check()

@@ -76,7 +76,7 @@ def test_step_measures_pairs_near_the_corner_and_multipliers_of_the_relaxation()
     run = run_of(MPCC(v, ca.sumsqr(v), ca.sum1(v), v[:2], v[2:]))
     for z, t, near in (((0.01, 0.3, 0.1, 0.5), 0.01, 1), ((0.01, 0.3, 0.1, 0.5), 0.1, 2),
                        ((0, 0.3, 1e-6, 0.5), 0.0, 1), ((0, 0.3, 1.1e-6, 0.5), 0.0, 0)):  # fmt: skip
-        run.solved("relaxed", t, lambda z=z: ended(z, lam_g=np.array([9.0, 0.2, 0.7])))
+        run.solve("relaxed", t, lambda z=z: ended(z, lam_g=np.array([9.0, 0.2, 0.7])))
         assert (run.steps[-1].biactive, run.steps[-1].multiplier) == (near, 0.7 if t else 0.0)
     assert (run.iterations, run.steps[0].product) == (12, pytest.approx(0.15))
     run.record("polished", 0.0, np.zeros(4))
@@ -127,24 +127,24 @@ def test_limits_are_checked_between_nlps_and_after_iterations(limits, iterations
     assert run.nlps.only_clock == ("time_limit_s" in limits)
     assert run.seconds_left > 0
     if status is None:
-        run.solved("relaxed", 1.0, nlp)
+        run.solve("relaxed", 1.0, nlp)
         assert stops == [False, "max_iterations" in limits]
     else:
         with pytest.raises(LimitReachedError) as error:
-            run.solved("relaxed", 1.0, nlp)
+            run.solve("relaxed", 1.0, nlp)
         assert (error.value.status, stops) == (status, [])
 
 
 def test_limit_that_an_nlp_reaches_ends_the_solve_after_its_point_is_kept():
     run = run_of(two_minima(), max_iterations=3)
     with pytest.raises(LimitReachedError):
-        run.solved("relaxed", 1.0, lambda: ended([0.5, 0.25]))
+        run.solve("relaxed", 1.0, lambda: ended([0.5, 0.25]))
     assert (len(run.steps), list(run.nearest[0])) == (1, [0.5, 0.25])
 
 
 def test_without_limits_and_observers_nothing_is_watched():
     run = run_of(two_minima())
-    run.solved("relaxed", 1.0, lambda: ended([0.5, 0.5]))
+    run.solve("relaxed", 1.0, lambda: ended([0.5, 0.5]))
     assert (run.nlps.watch.monitor, run.seconds_left) == (None, np.inf)
 
 
