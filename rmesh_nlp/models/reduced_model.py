@@ -135,8 +135,7 @@ class ReducedEnergy:
             self.cold_solves += given is not None or self._active is None
             self.factorisations += equilibrium.iterations
             self._is_given_counted = self._is_given_counted or given is not None
-        if given is None or self._active is None:
-            self._active = equilibrium.active
+        self._active = equilibrium.active
         self._last = self.at(q, system, equilibrium)
         return self._last
 

@@ -164,6 +164,10 @@ def test_the_solution_on_the_given_mesh_is_counted_when_it_is_first_asked_for(sm
         energy._last = None
     energy(q + 0.1)
     assert counts(energy)[:2] == (2, 1)
+    later = outer.minimising(outer.objective).energy  # knows it, and is asked for another point before
+    later(q + 0.1)
+    later(q)
+    assert counts(later)[:2] == (2, 2)
 
 
 def test_solves_are_counted_warm_and_the_last_point_is_remembered(small: ContactProblem) -> None:

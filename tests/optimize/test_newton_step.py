@@ -1,14 +1,12 @@
 """One step in a box or polyhedron, and factorisations as preconditioners."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.constraints import Linearised
-from rmesh_nlp.optimize.newton_step import BoxStep, ConstrainedStep, positive_definite, scaled
+from rmesh_nlp.optimize.newton_step import BoxStep, ConstrainedStep, Shifted, positive_definite, scaled
 from support.quadratics import Matrix, convex
 
 
@@ -16,6 +14,12 @@ def stiff(n: int) -> Array:
     """Positive definite, with a condition number of about 1e4 that no diagonal mends."""
     matrix = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     return matrix @ matrix
+
+
+def factorised(matrix: Array, n: int) -> Shifted:
+    found = positive_definite(sp.csc_array(matrix), n)
+    assert found is not None
+    return found
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -26,10 +30,8 @@ def test_the_predicted_decrease_is_that_of_the_model_and_the_step_is_stationary(
     s, predicted = step.within(-upper, upper, 1e-9)
     assert step.rows_active(s) == 0  # bounds are no rows: they never hold the radius back
     assert predicted == pytest.approx(-(g @ s + 0.5 * s @ A @ s), rel=1e-9)
+    assert predicted > 0
     assert np.all(np.abs(s) <= upper)
-    # rounds end where one gives less than 6 % of the decrease: that is near the minimum, not at it
-    best = min(-0.5 * predicted, 0.0)
-    assert g @ s + 0.5 * s @ A @ s < best < 0
 
 
 def test_a_model_in_widths_is_the_model_of_the_scaled_function() -> None:
@@ -64,35 +66,25 @@ def test_a_constrained_step_ends_on_the_rows_with_their_multipliers() -> None:
     s, predicted = step.within(-np.full(2, 9.0), np.full(2, 9.0), 1e-8)
     np.testing.assert_allclose(s, [0.0, 1.0], atol=1e-5)
     assert predicted == pytest.approx(2 - 0.5, rel=1e-4)
-    assert step.rows_active(s) == 1
     np.testing.assert_allclose(step.multipliers(s), [1.0], atol=1e-3)
-    assert step.rows_active(np.zeros(2)) == 0
     np.testing.assert_array_equal(step.multipliers(np.zeros(2)), [0.0])
+    assert [step.rows_active(at) for at in (s, np.zeros(2))] == [1, 0]
 
 
 def test_a_positive_definite_matrix_is_factorised_as_it_is() -> None:
-    matrix = stiff(12)
-    found = positive_definite(sp.csc_array(matrix), 12)
-    assert found is not None
+    found, r = factorised(stiff(12), 12), np.arange(12.0)
     assert (found.shift, found.factorisations) == (0, 1)
-    r = np.arange(12.0)
-    np.testing.assert_allclose(found(r), np.linalg.solve(matrix, r), rtol=1e-8)
+    np.testing.assert_allclose(found(r), np.linalg.solve(stiff(12), r), rtol=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_an_indefinite_matrix_is_shifted_until_its_inverse_is_positive_definite(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n, m = 6, 10
+    rng, n, m = np.random.default_rng(seed), 6, 10
     matrix = rng.standard_normal((m, m))
     matrix = matrix + matrix.T
-    rest = matrix[n:, n:]
-    matrix[n:, n:] = rest + (1 - np.linalg.eigvalsh(rest).min()) * np.eye(m - n)
+    matrix[n:, n:] += (1 - np.linalg.eigvalsh(matrix[n:, n:]).min()) * np.eye(m - n)
     matrix[:n, :n] -= 3 * np.eye(n)
-    assert np.linalg.eigvalsh(matrix).min() < 0
-    found = positive_definite(sp.csc_array(matrix), n)
-    assert found is not None
-    assert found.shift > 0
-    unit = np.mean(np.abs(np.diag(matrix)[:n]))
+    found, unit = factorised(matrix, n), np.mean(np.abs(np.diag(matrix)[:n]))
 
     def shifted(shift: float) -> Array:
         return matrix + np.diag(np.r_[np.full(n, shift * unit), np.zeros(m - n)])
@@ -102,14 +94,13 @@ def test_an_indefinite_matrix_is_shifted_until_its_inverse_is_positive_definite(
     assert np.linalg.eigvalsh(inverse).min() > 0
     # it is the least shift of the sequence 1e-3, 1e-2, ...
     assert found.shift == pytest.approx(1e-3 * 10.0 ** (found.factorisations - 2))
-    assert found.shift <= 1e-3 or np.linalg.eigvalsh(shifted(found.shift / 10)).min() <= 0
+    assert np.linalg.eigvalsh(shifted(found.shift / 10 if found.shift > 1e-3 else 0)).min() <= 0
 
 
 def test_a_good_preconditioner_saves_products_and_gives_the_same_minimum_in_a_box() -> None:
     n = 40
     model, g = Matrix(stiff(n)), np.random.default_rng(0).standard_normal(n)
-    factor = positive_definite(sp.csc_array(model.A), n)
-    wide, narrow = np.full(n, 1e6), np.full(n, 0.3)
+    factor, wide, narrow = factorised(model.A, n), np.full(n, 1e6), np.full(n, 0.3)
     step, plain = BoxStep(model, g, factor), BoxStep(model, g)
     s, _ = step.within(-wide, wide, 1e-8)
     np.testing.assert_allclose(s, -np.linalg.solve(model.A, g), rtol=1e-6)
@@ -117,5 +108,5 @@ def test_a_good_preconditioner_saves_products_and_gives_the_same_minimum_in_a_bo
     assert step.products < plain.products / 3
     inside, decrease = BoxStep(model, g, factor).within(-narrow, narrow, 1e-6)
     assert np.all(np.abs(inside) <= narrow)
-    assert decrease > 0
     assert decrease == pytest.approx(-(g @ inside + 0.5 * inside @ model.A @ inside))
+    assert decrease > 0

@@ -1,8 +1,7 @@
 """Trust-region Newton-CG in boxes, within constraints and with local radii."""
 
-from __future__ import annotations
-
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,21 +12,24 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.activity import ZERO, both_vanish, is_inside
 from rmesh_nlp.optimize.constraints import Linearised
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.trust_region import Evaluation, LocalRadii, NewtonSettings, minimise
+from rmesh_nlp.optimize.trust_region import Evaluation, LocalRadii, NewtonResult, NewtonSettings, minimise
 from support.quadratics import Matrix, convex, quadratic
 
-LOCAL_ONES = LocalRadii(np.ones_like, lambda x, step: 1.0)
+
+def descent(function: Any, start: Any = (0.0, 0.0), far: float = 5.0, **options: Any) -> NewtonResult:
+    """Minimise in the box of half-width ``far``."""
+    box = np.full(len(start), far)
+    return minimise(function, np.array(start, dtype=float), -box, box, **options)
 
 
-@pytest.mark.parametrize("local", [None, LOCAL_ONES, LocalRadii(lambda x: 1 + x**2, lambda x, step: 1.0)])
+@pytest.mark.parametrize("widths", [None, np.ones_like, lambda x: 1 + x**2])
 @pytest.mark.parametrize("seed", range(3))
-def test_convex_quadratics_in_a_box_end_at_their_kkt_point(seed: int, local: LocalRadii | None) -> None:
+def test_convex_quadratics_in_a_box_end_at_their_kkt_point(seed: int, widths: Any) -> None:
     rng = np.random.default_rng(seed)
     A, b = convex(rng, 12), 5 * rng.standard_normal(12)
-    box = -np.ones(12), np.ones(12)
-    result = minimise(
-        lambda x: quadratic(A, b, x), np.zeros(12), *box, tolerance=1e-7 if local is None else 1, local=local
-    )
+    local = None if widths is None else LocalRadii(widths, lambda x, step: 1.0)
+    tolerance = 1e-7 if local is None else 1
+    result = descent(lambda x: quadratic(A, b, x), np.zeros(12), 1.0, tolerance=tolerance, local=local)
     assert result.status is Status.CONVERGED
     assert result.value == pytest.approx(0.5 * result.x @ A @ result.x - b @ result.x)
     assert np.max(np.abs(result.x - np.clip(result.x - (A @ result.x - b), -1, 1))) < 1e-5
@@ -37,7 +39,7 @@ def test_convex_quadratics_in_a_box_end_at_their_kkt_point(seed: int, local: Loc
 
 def test_negative_curvature_leads_to_a_corner() -> None:
     b = np.array([0.1, -0.2, 0.3])
-    result = minimise(lambda x: quadratic(-np.eye(3), b, x), np.zeros(3), -np.ones(3), np.ones(3))
+    result = descent(lambda x: quadratic(-np.eye(3), b, x), np.zeros(3), 1.0)
     np.testing.assert_array_equal(result.x, [1.0, -1.0, 1.0])
 
 
@@ -46,9 +48,8 @@ def test_points_where_the_function_is_not_defined_are_not_taken() -> None:
     def evaluate(x: Array) -> Evaluation | None:
         return None if x[0] > 1 else quadratic(np.array([[2.0]]), np.array([4.0]), x)
 
-    far = np.array([3.0])
-    assert 0.9 < minimise(evaluate, np.zeros(1), -far, far, max_iterations=30).x[0] <= 1
-    assert minimise(evaluate, far, -far, far).status is Status.EVALUATION_ERROR
+    assert 0.9 < descent(evaluate, [0.0], 3.0, max_iterations=30).x[0] <= 1
+    assert descent(evaluate, [3.0], 3.0).status is Status.EVALUATION_ERROR
 
 
 def rosenbrock(x: Array) -> Evaluation:
@@ -61,12 +62,9 @@ def rosenbrock(x: Array) -> Evaluation:
 
 def test_convergence_is_quadratic_near_a_minimum_of_a_function_that_is_none_of_its_models() -> None:
     values: list[float] = []
-    far = np.full(2, 5.0)
-    result = minimise(
+    result = descent(
         rosenbrock,
-        np.array([-1.2, 1.0]),
-        -far,
-        far,
+        (-1.2, 1.0),
         unit=1.0,
         tolerance=1e-9,
         settings=NewtonSettings(forcing=1e-3),
@@ -86,39 +84,24 @@ def test_convergence_is_quadratic_near_a_minimum_of_a_function_that_is_none_of_i
 def test_it_ends_only_where_the_point_is_stationary_and_no_decrease_is_predicted(
     tolerance: float, gain: float, iterations: int
 ) -> None:
-    far = np.full(2, 5.0)
-    result = minimise(
-        rosenbrock, np.zeros(2), -far, far, tolerance=tolerance, gain_tolerance=gain, reference=1e3, unit=1.0
-    )
+    result = descent(rosenbrock, tolerance=tolerance, gain_tolerance=gain, reference=1e3, unit=1.0)
     assert result.status is Status.CONVERGED
     assert result.iterations <= iterations
     assert (np.max(np.abs(rosenbrock(result.x).gradient)) < 1e-8) == (iterations > 0)
 
 
-def test_gradients_are_measured_in_the_given_unit() -> None:
-    A, b, far = np.eye(2), np.array([1.0, 0.5]), np.full(2, 9.0)
-
-    def iterations(unit: float) -> int:
-        start = np.array([1.0, 0.5 + 1e-4])
-        return minimise(
-            lambda x: quadratic(A, b, x),
-            start,
-            -far,
-            far,
-            unit=unit,
-            tolerance=1e-3,
-            gain_tolerance=1,
-            reference=9,
-        ).iterations
-
-    assert iterations(0.2) == 0 < iterations(0.05)
+@pytest.mark.parametrize(("unit", "stationary"), [(0.2, True), (0.05, False)])
+def test_gradients_are_measured_in_the_given_unit(unit: float, stationary: bool) -> None:
+    b, settled = np.array([1.0, 0.5]), {"tolerance": 1e-3, "gain_tolerance": 1, "reference": 9}
+    found = descent(lambda x: quadratic(np.eye(2), b, x), b + np.array([0, 1e-4]), 9.0, unit=unit, **settled)
+    assert (found.iterations == 0) == stationary
 
 
 def test_a_callback_stops_it_and_the_iteration_limit_does() -> None:
-    far, seen = np.full(2, 5.0), []
-    stopped = minimise(rosenbrock, np.zeros(2), -far, far, on_step=lambda i, x, _: seen.append(i) or i == 2)
+    seen: list[int] = []
+    stopped = descent(rosenbrock, on_step=lambda i, x, _: seen.append(i) or i == 2)
     assert (stopped.status, stopped.iterations, seen) == (Status.INTERRUPTED, 2, [0, 1, 2])
-    limited = minimise(rosenbrock, np.zeros(2), -far, far, max_iterations=2)
+    limited = descent(rosenbrock, max_iterations=2)
     assert (limited.status, limited.iterations) == (Status.ITERATION_LIMIT, 2)
     np.testing.assert_array_equal(limited.x, stopped.x)
 
@@ -128,44 +111,40 @@ class TestRadius:
 
     B = np.array([1.0, 2.0, 3.0, 4.0])
 
-    def points(self, curvature: float, settings: NewtonSettings, **options: object) -> list[Array]:
+    def true(self, x: Array) -> Evaluation:
+        return quadratic(np.eye(4), self.B, x)
+
+    def points(self, curvature: float, settings: NewtonSettings, **options: Any) -> list[Array]:
         """The points of a descent whose model has another curvature than the function."""
         found: list[Array] = []
-
-        def evaluate(x: Array) -> Evaluation:
-            true = quadratic(np.eye(4), self.B, x)
-            return Evaluation(true.value, true.gradient, lambda: Matrix(curvature * np.eye(4)))
-
-        minimise(
-            evaluate,
+        model = Matrix(curvature * np.eye(4))
+        descent(
+            lambda x: Evaluation(self.true(x).value, self.true(x).gradient, lambda: model),
             np.zeros(4),
-            -np.full(4, 100.0),
-            np.full(4, 100.0),
+            100.0,
             settings=settings,
             on_step=lambda iteration, x, here: found.append(x),
-            **{"max_iterations": 3, **options},  # type: ignore[arg-type]
+            max_iterations=3,
+            **options,
         )
         return found
 
     def test_first_step_is_a_part_of_the_scaled_gradient_step(self) -> None:
         points = self.points(1.0, NewtonSettings(first_radius=0.01))
-        assert np.max(np.abs(points[1])) == pytest.approx(0.01 * 4 / 1.001, rel=1e-9)
+        lengths = np.max(np.abs(np.diff(points[:3], axis=0)), axis=1)
         # every model is right: the radius grows by its factor
-        assert np.max(np.abs(points[2] - points[1])) == pytest.approx(4 * 0.01 * 4 / 1.001, rel=1e-9)
+        np.testing.assert_allclose(lengths, np.array([1, 4]) * 0.01 * 4 / 1.001, rtol=1e-9)
 
     def test_first_step_with_local_radii_is_in_widths(self) -> None:
         widths = np.array([1.0, 1.0, 1.0, 0.1])
         local = LocalRadii(lambda x: widths, lambda x, step: 1.0)
-        settings = NewtonSettings(first_radius=0.02, grow=2.0)
-        points = self.points(1.0, settings, local=local)
-        np.testing.assert_allclose(points[1], 0.02 * widths, rtol=1e-9)
-        np.testing.assert_allclose(points[2] - points[1], 0.04 * widths, rtol=1e-9)
+        points = self.points(1.0, NewtonSettings(first_radius=0.02, grow=2.0), local=local)
+        np.testing.assert_allclose(np.diff(points[:3], axis=0), np.outer([0.02, 0.04], widths), rtol=1e-9)
 
     def test_a_poor_model_shrinks_it_until_a_step_is_sufficient(self) -> None:
         # a model that underestimates the curvature eight times promises too much of long steps
         long = self.points(0.125, NewtonSettings(first_radius=1.0, forcing=1e-6))
-        values = [quadratic(np.eye(4), self.B, x).value for x in long]
-        assert np.all(np.diff(values) < 0)
+        assert np.all(np.diff([self.true(x).value for x in long]) < 0)
 
     def test_a_step_beyond_the_domain_is_cut_and_its_own_decrease_counts(self) -> None:
         lengths: list[float] = []
@@ -180,16 +159,8 @@ class TestRadius:
         np.testing.assert_allclose(lengths, [2.0, 0.25, 0.5], rtol=1e-9)
         np.testing.assert_allclose(np.max(np.abs(np.diff(points, axis=0)), axis=1), 0.25, rtol=1e-9)
         lengths.clear()
-        result = minimise(
-            lambda x: None if x[3] > 0.1 else quadratic(np.eye(4), self.B, x),
-            np.zeros(4),
-            -np.full(4, 100.0),
-            np.full(4, 100.0),
-            tolerance=np.inf,
-            max_iterations=1,
-            local=local,
-            settings=settings,
-        )
+        once = {"tolerance": np.inf, "max_iterations": 1, "local": local, "settings": settings}
+        result = descent(lambda x: None if x[3] > 0.1 else self.true(x), np.zeros(4), 100.0, **once)
         # a refused step shrinks the radius from what was left of it
         np.testing.assert_allclose(lengths, [2.0, 0.25 * 0.25], rtol=1e-9)
         assert np.max(result.x) == pytest.approx(0.0625)
@@ -227,69 +198,59 @@ class Circle:
         return x if self.side * (x @ x - 1) >= 0 else x / np.linalg.norm(x) * (1 + self.side * 1e-12)
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_curved_constraint_is_followed_to_the_minimiser_on_it(side: float) -> None:
+class Halves:
+    """x <= reach component by component."""
+
+    def __init__(self, reach: float) -> None:
+        self.reach = reach
+
+    def at(self, x: Array) -> Linearised:
+        return Linearised(self.reach - x, np.minimum(self.reach - x, 0), sp.csr_array(-np.eye(2)))
+
+    def hessian(self, x: Array, multipliers: Array) -> sp.csc_array:
+        return sp.csc_array((2, 2))
+
+    def back(self, x: Array, *_: object) -> Array:
+        return x if np.all(x <= self.reach) else np.minimum(x, self.reach)
+
+
+@pytest.mark.parametrize(("side", "reach", "start"), [(1.0, 0.2, (-1.5, 0.2)), (-1.0, 2.0, (-0.7, 0.2))])
+def test_a_curved_constraint_is_followed_to_the_minimiser_on_it(
+    side: float, reach: float, start: Any
+) -> None:
     # the nearest point of the circle to one inside it, or outside
-    target = (0.2 if side > 0 else 2.0) * np.array([np.cos(1), np.sin(1)])
-    points = []
-    result = minimise(
-        lambda x: quadratic(2 * np.eye(2), 2 * target, x),
-        np.array([-1.5, 0.2]) if side > 0 else np.array([-0.7, 0.2]),
-        np.full(2, -3.0),
-        np.full(2, 3.0),
+    nearest, slacks = np.array([np.cos(1), np.sin(1)]), []
+    result = descent(
+        lambda x: quadratic(2 * np.eye(2), 2 * reach * nearest, x),
+        start,
+        3.0,
         constraints=Circle(side),
         gain_tolerance=1e-8,
-        tolerance=2e-5,  # the way back costs 1e-12 in the value, what a move by 1e-6 along the circle gives
-        on_step=lambda iteration, x, here: points.append(x),
+        tolerance=2e-5,  # the way back costs 1e-12 in the value, what a step of 1e-6 along the circle gives
+        on_step=lambda iteration, x, here: slacks.append(side * (x @ x - 1)),
     )
     assert result.status is Status.CONVERGED
-    np.testing.assert_allclose(result.x, [np.cos(1), np.sin(1)], atol=3e-5)
+    np.testing.assert_allclose(result.x, nearest, atol=3e-5)
     # without the Hessian of the Lagrangian it would creep for hundreds
     assert result.iterations <= 25
-    assert min(side * (x @ x - 1) for x in points) >= 0
+    assert min(slacks) >= 0
 
 
 def test_a_constraint_that_is_not_met_changes_nothing() -> None:
-    class Far(Circle):
-        def at(self, x: Array) -> Linearised:
-            return Linearised(np.ones(1), np.zeros(1), sp.csr_array(np.zeros((1, 2))))
-
-        def back(self, x: Array, *_: object) -> Array:
-            return x
-
     A, b = np.array([[3.0, 1.0], [1.0, 2.0]]), np.array([9.0, 1.0])
-    arguments = (lambda x: quadratic(A, b, x), np.zeros(2), -np.ones(2), np.ones(2))
-    free, constrained = minimise(*arguments), minimise(*arguments, constraints=Far(1.0))
+    free, constrained = (
+        descent(lambda x: quadratic(A, b, x), far=1.0, constraints=rows) for rows in (None, Halves(9.0))
+    )
     np.testing.assert_array_equal(constrained.x, free.x)
     assert (constrained.iterations, constrained.products) == (free.iterations, free.products)
 
 
-def test_too_many_active_constraints_end_it() -> None:
-    class Sides(Circle):
-        """x <= 0.5 component by component: both rows hold the first step."""
-
-        def at(self, x: Array) -> Linearised:
-            return Linearised(0.5 - x, np.minimum(0.5 - x, 0), sp.csr_array(-np.eye(2)))
-
-        def hessian(self, x: Array, multipliers: Array) -> sp.csc_array:
-            return sp.csc_array((2, 2))
-
-        def back(self, x: Array, *_: object) -> Array:
-            return np.minimum(x, 0.5)
-
-    def run(crowded: int) -> tuple[Status, bool]:
-        settings = NewtonSettings(crowded=crowded, close=1.0, first_radius=9.0)
-        box = -np.full(2, 9.0), np.full(2, 9.0)
-        b = np.array([3.0, 4.0])
-        found = minimise(
-            lambda x: quadratic(np.eye(2), b, x), np.zeros(2), *box, settings=settings, constraints=Sides(1)
-        )
-        if crowded > 1:
-            np.testing.assert_allclose(found.x, 0.5, atol=1e-7)
-        return found.status, found.crowded
-
-    assert run(1) == (Status.STALLED, True)
-    assert run(2) == (Status.CONVERGED, False)
+@pytest.mark.parametrize(("crowded", "status", "end"), [(1, Status.STALLED, 0.0), (2, Status.CONVERGED, 0.5)])
+def test_too_many_active_constraints_end_it(crowded: int, status: Status, end: float) -> None:
+    settings, b = NewtonSettings(crowded=crowded, close=1.0, first_radius=9.0), np.array([3.0, 4.0])
+    found = descent(lambda x: quadratic(np.eye(2), b, x), far=9.0, settings=settings, constraints=Halves(0.5))
+    assert (found.status, found.crowded) == (status, crowded == 1)
+    np.testing.assert_allclose(found.x, end, atol=1e-7)
 
 
 SMALL, LARGE = 0.5 * ZERO, 2 * ZERO
@@ -302,7 +263,6 @@ def test_a_pair_is_weak_only_where_both_members_vanish() -> None:
 
 
 def test_a_variable_is_inside_if_it_is_off_both_bounds() -> None:
-    lower, upper = np.full(5, -1.0), np.full(5, 1.0)
-    upper[4] = np.inf
+    upper = np.array([1.0, 1.0, 1.0, 1.0, np.inf])
     x = np.array([-1 + SMALL, -1 + LARGE, 1 - LARGE, 1 - SMALL, 1e6])
-    assert is_inside(x, lower, upper).tolist() == [False, True, True, False, True]
+    assert is_inside(x, -np.ones(5), upper).tolist() == [False, True, True, False, True]
