@@ -10,7 +10,6 @@ that is ``G_i >= 0``, ``H_i >= 0`` and ``G_i H_i = 0`` for every pair i.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -155,16 +154,9 @@ class MPCC:
     ) -> MPCC:
         """Append unknowns, parameters, constraint rows and pairs, and add a term to the objective.
 
-        Assembled derivatives of what was there are kept, as by :meth:`rmesh_nlp.optimize.nlp.NLP.extended`.
-        Expressions may use old and new symbols; those of an MPCC that was built by name are in ``parts``.
-
-        Parameters
-        ----------
-        x, p : symbols to append to the unknowns and to the parameters
-        f : term added to the objective
-        g : rows appended to the constraints
-        G, H : members of further pairs
-        lbx, ubx, lbg, ubg : bounds of the appended unknowns and rows
+        Bounds are those of the appended unknowns and rows. Expressions may use old and new symbols; those of
+        an MPCC that was built by name are in ``parts``. Assembled derivatives of what was there are kept, as
+        by :meth:`rmesh_nlp.optimize.nlp.NLP.extended`.
 
         Raises
         ------
@@ -288,9 +280,9 @@ def _extended_derivatives(mpcc: MPCC, x: Any, p: Any, f: Any, rows: Sequence[Any
     oracle = NLP(mpcc.x, mpcc.p, mpcc.f, column, none, none, none, none, mpcc.derivatives)
     longer = oracle.extended(x=x, p=p, f=f, g=ca.vertcat(*rows)).derivatives
     assert longer is not None
-    ends = np.cumsum([0, mpcc.n_g, mpcc.n_pairs, mpcc.n_pairs, *(int(part.shape[0]) for part in rows)])
-    parts = [list(range(a, b)) for a, b in itertools.pairwise(ends)]
-    order = parts[0] + parts[3] + parts[1] + parts[4] + parts[2] + parts[5]
+    ends = np.cumsum([mpcc.n_g, mpcc.n_pairs, mpcc.n_pairs, *(int(part.shape[0]) for part in rows)])
+    parts = np.split(np.arange(ends[-1]), ends[:-1])
+    order = np.concatenate([parts[k] for k in (0, 3, 1, 4, 2, 5)]).tolist()
     back = np.argsort(order).tolist()
     x, p = ca.MX.sym("x", longer.grad_f.numel_in(0)), ca.MX.sym("p", longer.grad_f.numel_in(1))
     g, jacobian = longer.jac_g(x, p)
