@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,6 +18,9 @@ from rmesh_nlp.problem.contact_problem import refined
 
 WORTHWHILE = 1.5
 """Factor by which an error must fall for relocation to be recommended."""
+
+RATES = (0.2, 1.5)
+"""Rates that are believed; what two refinements show beyond is the coarseness of the mesh."""
 
 SMOOTH = 0.85
 """Rate of the error of the energy, in powers of the number of nodes, from which on local refinement is not
@@ -64,13 +66,11 @@ def advise(problem: ContactProblem, settings: CascadeSettings | Mapping[str, Any
     foundations gaps hold along edges, as in ``auto``.
     """
     chosen = CascadeSettings.of(settings)
-    problem = with_edge_gaps(problem)
-    given = replace(problem, motion=replace(problem.motion, delta=None))
-    grids = [given, refined(given)]
-    grids.append(refined(grids[1]))
-    found = [admissible(grid) for grid in grids]
-    first, second = (one.energy - two.energy for one, two in itertools.pairwise(found))
-    rate = float(np.clip(np.log2(first / second) / 2, 0.2, 1.5)) if first > 0 and second > 0 else 1.0
+    given = replace(with_edge_gaps(problem), motion=replace(problem.motion, delta=None))
+    finer = refined(given)
+    found = [admissible(grid) for grid in (given, finer, refined(finer))]
+    first, second = found[0].energy - found[1].energy, found[1].energy - found[2].energy
+    rate = float(np.clip(np.log2(first / second) / 2, *RATES)) if first > 0 and second > 0 else 1.0
     error = max(first / (1 - 4**-rate), 0.0)
     last = cascade(given, replace(chosen, brief=1, brief_unnested=1))
     moved = admissible(given, last.energy.relocation.nodes(last.q), found[0].state.active)

@@ -1,25 +1,4 @@
-"""What a formulation is, and the installed ones by name.
-
-A formulation is a frozen dataclass whose fields are its settings, with one method::
-
-    @dataclass(frozen=True)
-    class Mine(Formulation):
-        step: Positive = 0.1
-
-        def run(self, outer, q, monitor):
-            track = monitor.track(outer)
-            while not track.exact(iteration, q):     # True once a limit or Ctrl-C ends the solve
-                ...
-            return Outcome(outer, q, Status.CONVERGED)
-
-A package offers it by one line in its ``pyproject.toml``::
-
-    [project.entry-points."rmesh_nlp.formulations"]
-    mine = "my_package.my_module:Mine"
-
-The class may also be a :class:`Chooser`. What a formulation adds to the record is a frozen dataclass derived
-from :class:`rmesh_nlp.solving.parts.Part`, handed over as ``Outcome(..., details=(Mine(...),))``.
-"""
+"""What a formulation is, and the installed ones by name; docs/own_formulation.md shows how to write one."""
 
 from __future__ import annotations
 
@@ -78,13 +57,7 @@ class Formulation(Settings, ABC):
 
 @dataclass(frozen=True)
 class Wrapper(Formulation):
-    """A formulation that takes one.
-
-    Attributes
-    ----------
-    inner : Formulation or Chooser
-        What is chosen takes the place of a chooser before it runs.
-    """
+    """A formulation that takes one, ``inner``; what a chooser chooses takes its place before it runs."""
 
     inner: Any
 
@@ -100,15 +73,7 @@ class Wrapper(Formulation):
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen for a problem.
-
-    Attributes
-    ----------
-    formulation : Formulation
-    problem : ContactProblem
-        Perhaps with other rules than the one that was given.
-    why : str
-    """
+    """A formulation, why, and the problem as it is to be solved, perhaps by other rules."""
 
     formulation: Formulation
     problem: ContactProblem
@@ -126,15 +91,7 @@ class Chooser(Settings, ABC):
 
     @abstractmethod
     def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
-        """A formulation, and the reason for it.
-
-        Parameters
-        ----------
-        problem : ContactProblem
-        objective : Objective
-        is_started : bool
-            Whether a start is given that must not be left for another one.
-        """
+        """A formulation, and why; ``is_started`` if a start is given that must not be left."""
 
 
 def available() -> dict[str, EntryPoint]:
