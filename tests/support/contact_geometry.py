@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,16 +25,20 @@ from rmesh_nlp.problem import (
 LAW = PlaneStrain(1.15e4, 0.83e4)
 
 
+def block(name: str, n: int, length: int = 2, **parts: Any) -> ContactProblem:
+    """A block (0, length) x (0, 1), held on the left unless said otherwise."""
+    usual = {"law": LAW, "dirichlet": ("left",), "motion": Motion(Relative(0.3)), "name": name}
+    return ContactProblem(**{"mesh": rectangle(length * n, n, x=(0, length)), **usual, **parts})
+
+
 def block_on_a_circle(n: int = 4) -> ContactProblem:
-    """A block pressed onto a disc below its lower side, held on the left."""
-    return ContactProblem(
-        mesh=rectangle(2 * n, n, x=(0, 2)),
-        law=LAW,
-        dirichlet=("left",),
+    """A block pressed onto a disc below its lower side."""
+    return block(
+        "circle",
+        n,
         obstacle=Obstacle.circle("bottom", (1.4, -3.004), 3.0),
         motion=Motion(Relative(0.3), pinned=("top",)),
         tractions=(Traction("top", (-20.0, -120.0)),),
-        name="circle",
     )
 
 
@@ -50,48 +55,30 @@ def block_sliding_on_a_circle(n: int = 3) -> ContactProblem:
 
 def block_between_two_foundations(n: int = 4) -> ContactProblem:
     """A block that swells against a flat foundation below, with friction, and a curved one above."""
-    return ContactProblem(
-        mesh=rectangle(2 * n, n, x=(0, 2)),
-        law=LAW,
-        dirichlet=("left",),
-        obstacle=(
-            Obstacle.line("bottom", (0, -0.002), (0, 1), friction=30.0),
-            Obstacle.curve("top", lambda x, y: 1.004 + 0.01 * ca.sin(3 * x) - y),
-        ),
-        motion=Motion(Relative(0.3)),
-        tractions=(Traction("right", (-400.0, 100.0)),),
-        name="between",
-    )
+    floor = Obstacle.line("bottom", (0, -0.002), (0, 1), friction=30.0)
+    ceiling = Obstacle.curve("top", lambda x, y: 1.004 + 0.01 * ca.sin(3 * x) - y)
+    load = (Traction("right", (-400.0, 100.0)),)
+    return block("between", n, obstacle=(floor, ceiling), tractions=load)
 
 
 def block_in_a_corner(n: int = 3) -> ContactProblem:
     """A block on a floor and against a wall, held by nothing else; node 0 meets both."""
-    return ContactProblem(
-        mesh=rectangle(n, n),
-        law=LAW,
-        dirichlet=(),
-        obstacle=(
-            Obstacle.line("bottom", (0, 0), (-0.1, 1)),
-            Obstacle.line("left", (0, 0), (1, 0.2)),
-        ),
-        motion=Motion(Relative(0.3)),
-        tractions=(Traction("top", (-30.0, lambda x, y: -100 * (1 + x))), Traction("right", (-80.0, 0.0))),
-        name="corner",
-    )
+    floor, wall = Obstacle.line("bottom", (0, 0), (-0.1, 1)), Obstacle.line("left", (0, 0), (1, 0.2))
+    loads = (Traction("top", (-30.0, lambda x, y: -100 * (1 + x))), Traction("right", (-80.0, 0.0)))
+    return block("corner", n, 1, dirichlet=(), obstacle=(floor, wall), tractions=loads)
 
 
 def punch_held_by_symmetry(n: int = 4) -> ContactProblem:
     """Right half of a block pressed on a floor: symmetry on the left, contact below, nothing else."""
     mesh = named(rectangle(n, n), {"middle": lambda p: np.isclose(p[1], 0) & (p[0] < 0.6)})
-    return ContactProblem(
+    return block(
+        "punch",
+        n,
         mesh=mesh,
-        law=LAW,
         dirichlet=(Dirichlet("left", (0.0, None)),),
         obstacle=Obstacle("middle", offset=lambda x, y: 0.01 * x**2),
-        motion=Motion(Relative(0.3)),
         tractions=(Traction("top", (0.0, -200.0)),),
         point_loads=(PointLoad(mesh.p.shape[1] - 1, (5.0, -3.0)),),
-        name="punch",
     )
 
 

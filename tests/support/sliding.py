@@ -41,40 +41,33 @@ def displacement(x: Any, y: Any) -> Any:
     return ca.vertcat(SLIDE * past * past * past + y * shear / MU, PRESS * y)
 
 
-def _stress(x: Any, y: Any) -> Any:
-    u = displacement(x, y)
-    slope = ca.horzcat(ca.jacobian(u, x), ca.jacobian(u, y))
-    strain = (slope + slope.T) / 2
-    return LAMBDA * ca.trace(strain) * ca.SX.eye(2) + 2 * MU * strain, strain
-
-
 def _functions() -> tuple[ca.Function, ca.Function, ca.Function]:
     """The body force that the solution needs, its stress, and the density of its energy without friction."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    stress, strain = _stress(x, y)
+    u = displacement(x, y)
+    slope = ca.horzcat(ca.jacobian(u, x), ca.jacobian(u, y))
+    strain = (slope + slope.T) / 2
+    stress = LAMBDA * ca.trace(strain) * ca.SX.eye(2) + 2 * MU * strain
     force = -(ca.jacobian(stress[:, 0], x) + ca.jacobian(stress[:, 1], y))
-    density = ca.dot(stress, strain) / 2 - ca.dot(force, displacement(x, y))
-    return (
-        ca.Function("force", [x, y], [force[0], force[1]]),
-        ca.Function("stress", [x, y], [stress[0, 0], stress[0, 1], stress[1, 1]]),
-        ca.Function("density", [x, y], [density]),
-    )
+    density = ca.dot(stress, strain) / 2 - ca.dot(force, u)
+    results = {"force": force, "stress": stress, "density": density}
+    one, two, three = (ca.Function(name, [x, y], [value]) for name, value in results.items())
+    return one, two, three
 
 
 def exact_energy() -> float:
     """J(u) by Gauss rules on either side of TURN, where the solution is a polynomial."""
     _, stress, density = _functions()
     points, weights = np.polynomial.legendre.leggauss(12)
-    total = 0.0
+    y, wy = (points + 1) / 2, weights / 2
+    total = BOUND * SLIDE * (1 - TURN) ** 4 / 4
     for low, high in ((0.0, TURN), (TURN, 1.0)):
-        x, wx = low + (high - low) * (points + 1) / 2, weights * (high - low) / 2
-        y, wy = (points + 1) / 2, weights / 2
-        total += sum(wx[i] * wy[j] * float(density(x[i], y[j])) for i in range(x.size) for j in range(y.size))
-        for s, w in zip(x, wx, strict=True):  # the top
-            total -= w * float(ca.dot(ca.vertcat(*stress(s, 1.0)[1:]), displacement(s, 1.0)))
-    for s, w in zip((points + 1) / 2, weights / 2, strict=True):  # the right
-        total -= w * float(ca.dot(ca.vertcat(*stress(1.0, s)[:2]), displacement(1.0, s)))
-    return total + BOUND * SLIDE * (1 - TURN) ** 4 / 4
+        for x, wx in zip(low + (high - low) * y, (high - low) * wy, strict=True):
+            total += wx * sum(w * float(density(x, at)) for at, w in zip(y, wy, strict=True))
+            total -= wx * float(ca.dot(stress(x, 1.0)[:, 1], displacement(x, 1.0)))  # the top
+    for at, w in zip(y, wy, strict=True):  # the right
+        total -= w * float(ca.dot(stress(1.0, at)[:, 0], displacement(1.0, at)))
+    return total
 
 
 def sliding_block(n: int) -> ContactProblem:
@@ -85,13 +78,13 @@ def sliding_block(n: int) -> ContactProblem:
     force, stress, _ = _functions()
     return ContactProblem(
         mesh=rectangle(n, n),
-        law=PlaneStrain(LAMBDA, MU, tuple(partial(_part, force, i) for i in range(2))),
+        law=PlaneStrain(LAMBDA, MU, (partial(_entry, force, 0), partial(_entry, force, 1))),
         dirichlet=(Dirichlet("left", (0.0, lambda x, y: PRESS * y)),),
         tractions=(
-            Traction("top", tuple(partial(_part, stress, i) for i in (1, 2))),
-            Traction("right", tuple(partial(_part, stress, i) for i in (0, 1))),
+            Traction("top", (partial(_entry, stress, 2), partial(_entry, stress, 3))),
+            Traction("right", (partial(_entry, stress, 0), partial(_entry, stress, 1))),
         ),
-        obstacle=Obstacle("bottom", (0.0, 1.0), 0.0, BOUND),
+        obstacle=Obstacle("bottom", friction=BOUND),
         motion=Motion((0.02, 0.02)),
         quadrature=6,
         exact=ExactSolution(displacement, exact_energy()),
@@ -99,5 +92,5 @@ def sliding_block(n: int) -> ContactProblem:
     )
 
 
-def _part(force: ca.Function, i: int, x: Any, y: Any) -> Any:
-    return force(x, y)[i]
+def _entry(function: ca.Function, i: int, x: Any, y: Any) -> Any:
+    return ca.vec(function(x, y))[i]
