@@ -6,7 +6,6 @@ gmsh is an optional extra: ``pip install rmesh-nlp[gmsh]``.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,10 @@ from skfem import MeshTri
 
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.reading import read_mesh
+
+Point = tuple[float, float]
+Vertex = tuple[Point, float, Point | None]
+"""A place, the length of edges there, and the centre of the arc to the next one (None: a line)."""
 
 DIAGONALS = ("rising", "falling")
 
@@ -75,16 +78,11 @@ def plate_with_hole(h: float, *, size: float = 10.0, radius: float = 2.5) -> Mes
         raise ValueError(f"the hole of radius {radius} does not fit into a square of side {size}")
     _affordable(2.3 * (size / h) ** 2)
 
-    def draw(gmsh: Any) -> None:
-        geo = gmsh.model.geo
-        lines = _lines(geo, [(0, 0), (size, 0), (size, size), (0, size)], h)
-        c, r = size / 2, radius
-        centre = geo.addPoint(c, c, 0)
-        ring = [geo.addPoint(x, y, 0, h) for x, y in ((c + r, c), (c, c + r), (c - r, c), (c, c - r))]
-        arcs = [geo.addCircleArc(ring[i], centre, ring[(i + 1) % 4]) for i in range(4)]
-        _surface(gmsh, [lines, arcs], {**_each(("bottom", "right", "top", "left"), lines), "hole": arcs})
-
-    return _with_gmsh(draw)
+    c, r = size / 2, radius
+    square: list[Vertex] = [((x, y), h, None) for x, y in ((0, 0), (size, 0), (size, size), (0, size))]
+    hole: list[Vertex] = [((x, y), h, (c, c)) for x, y in ((c + r, c), (c, c + r), (c - r, c), (c, c - r))]
+    sides = {"bottom": [0], "right": [1], "top": [2], "left": [3]}
+    return _drawn([square, hole], {**sides, "hole": [4, 5, 6, 7]})
 
 
 def half_disc(h: float, *, radius: float = 1.0, contact: float = 0.1, h_contact: float = 0.01) -> MeshTri:
@@ -100,21 +98,14 @@ def half_disc(h: float, *, radius: float = 1.0, contact: float = 0.1, h_contact:
         raise ValueError(f"the contact half-length {contact} must be smaller than the radius {radius}")
     _affordable(2.3 * ((radius / h) ** 2 + (contact / h_contact) ** 2))
 
-    def draw(gmsh: Any) -> None:
-        geo = gmsh.model.geo
-        low = radius - np.sqrt(radius**2 - contact**2)
-        centre = geo.addPoint(0, radius, 0, h)
-        bottom, end = geo.addPoint(0, low, 0, h_contact), geo.addPoint(contact, low, 0, h_contact)
-        right = geo.addPoint(radius, radius, 0, h)
-        lines = [
-            geo.addLine(bottom, end),
-            geo.addCircleArc(end, centre, right),
-            geo.addLine(right, centre),
-            geo.addLine(centre, bottom),
-        ]
-        _surface(gmsh, [lines], _each(("contact", "arc", "top", "axis"), lines))
-
-    return _with_gmsh(draw)
+    low, centre = radius - np.sqrt(radius**2 - contact**2), (0, radius)
+    loop: list[Vertex] = [
+        ((0, low), h_contact, None),
+        ((contact, low), h_contact, centre),
+        ((radius, radius), h, None),
+        (centre, h, None),
+    ]
+    return _drawn([loop], {"contact": [0], "arc": [1], "top": [2], "axis": [3]})
 
 
 def wedge_block(h: float, *, width: float = 4.0, height: float = 1.0, rise: float = 0.2) -> MeshTri:
@@ -131,9 +122,7 @@ def wedge_block(h: float, *, width: float = 4.0, height: float = 1.0, rise: floa
     return _polygon(points, h, {"wedge": [0, 1], "right": [2], "top": [3], "left": [4]})
 
 
-def polygon(
-    points: list[tuple[float, float]], h: float, boundaries: dict[str, list[int]] | None = None
-) -> MeshTri:
+def polygon(points: list[Point], h: float, boundaries: dict[str, list[int]] | None = None) -> MeshTri:
     """A simple polygon, counter-clockwise, meshed with edges of length ``h``.
 
     ``boundaries`` names its edges by number, edge i running from point i to the next; by
@@ -151,35 +140,15 @@ def polygon(
     return _polygon(points, h, names)
 
 
-def _polygon(points: list[tuple[float, float]], h: float, boundaries: dict[str, list[int]]) -> MeshTri:
-    def draw(gmsh: Any) -> None:
-        lines = _lines(gmsh.model.geo, points, h)
-        _surface(gmsh, [lines], {name: [lines[i] for i in edges] for name, edges in boundaries.items()})
-
-    return _with_gmsh(draw)
+def _polygon(points: list[Point], h: float, boundaries: dict[str, list[int]]) -> MeshTri:
+    return _drawn([[(point, h, None) for point in points]], boundaries)
 
 
-def _lines(geo: Any, points: list[tuple[float, float]], h: float) -> list[int]:
-    tags = [geo.addPoint(x, y, 0, h) for x, y in points]
-    return [geo.addLine(tags[i], tags[(i + 1) % len(tags)]) for i in range(len(tags))]
+def _drawn(loops: list[list[Vertex]], boundaries: dict[str, list[int]]) -> MeshTri:
+    """What gmsh makes of the surface within the first loop and outside the others.
 
-
-def _each(names: tuple[str, ...], lines: list[int]) -> dict[str, list[int]]:
-    return {name: [line] for name, line in zip(names, lines, strict=True)}
-
-
-def _surface(gmsh: Any, loops: list[list[int]], boundaries: dict[str, list[int]]) -> None:
-    """The surface within the first loop and outside the others, with its boundaries named."""
-    geo = gmsh.model.geo
-    surface = geo.addPlaneSurface([geo.addCurveLoop(lines) for lines in loops])
-    geo.synchronize()
-    for name, lines in boundaries.items():
-        gmsh.model.addPhysicalGroup(1, lines, name=name)
-    gmsh.model.addPhysicalGroup(2, [surface], name="body")
-
-
-def _with_gmsh(draw: Callable[[Any], None]) -> MeshTri:
-    """Run gmsh on what ``draw`` draws; the same drawing gives the same mesh."""
+    ``boundaries`` names edges by their numbers, loop after loop. The same drawing gives the same mesh.
+    """
     try:
         gmsh = import_module("gmsh")
     except (ImportError, OSError) as error:  # OSError: its library needs libGLU
@@ -188,7 +157,13 @@ def _with_gmsh(draw: Callable[[Any], None]) -> MeshTri:
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.model.add("shape")
-        draw(gmsh)
+        lines = [_lines(gmsh.model.geo, loop) for loop in loops]
+        surface = gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(line) for line in lines])
+        gmsh.model.geo.synchronize()
+        every = [tag for line in lines for tag in line]
+        for name, edges in boundaries.items():
+            gmsh.model.addPhysicalGroup(1, [every[i] for i in edges], name=name)
+        gmsh.model.addPhysicalGroup(2, [surface], name="body")
         gmsh.model.mesh.generate(2)
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "shape.msh"
@@ -200,6 +175,16 @@ def _with_gmsh(draw: Callable[[Any], None]) -> MeshTri:
         raise ValueError(f"gmsh cannot mesh this shape: {error}") from error
     finally:
         gmsh.finalize()
+
+
+def _lines(geo: Any, loop: list[Vertex]) -> list[int]:
+    sizes = {point: size for point, size, _ in loop}
+    places = dict.fromkeys([*(centre for *_, centre in loop if centre), *sizes])
+    tags = {(x, y): geo.addPoint(x, y, 0, sizes.get((x, y), 0.0)) for x, y in places}
+    return [
+        geo.addCircleArc(tags[a], tags[centre], tags[b]) if centre else geo.addLine(tags[a], tags[b])
+        for (a, _, centre), (b, _, _) in zip(loop, [*loop[1:], loop[0]], strict=True)
+    ]
 
 
 def _affordable(triangles: float) -> None:
