@@ -18,10 +18,7 @@ from rmesh_nlp.study.study_file import StudyTable, read_study
 
 STUDY_FILE = "study.toml"
 
-# entries of a planned solve in ``--dry-run --json``, by what they are in the plan
-DETAILS = {"key": "key", "problem": "name"} | {
-    name: name for name in ("family", "size", "variant", "formulation", "options", "repeat")
-}
+DETAILS = ("family", "size", "variant", "formulation", "options", "repeat")
 
 
 def study(
@@ -66,7 +63,10 @@ def dry_run(path: Path, out: Path, jobs: int, voice: str = "text") -> int:
             "study": stated.name or path.stem,
             "solves": [solve.key for solve in plan],
             "missing": [solve.key for solve in todo],
-            "details": [{name: getattr(solve, what) for name, what in DETAILS.items()} for solve in plan],
+            "details": [
+                {"key": solve.key, "problem": solve.name, **{name: getattr(solve, name) for name in DETAILS}}
+                for solve in plan
+            ],
             "guess_s": seconds_of_plan(todo, read_rows(out)) / jobs,
         }
         print(json.dumps(content))

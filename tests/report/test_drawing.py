@@ -14,7 +14,7 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
-from rmesh_nlp.report.drawing import Body, Foundation, magnification
+from rmesh_nlp.report.drawing import Body, Foundation, magnification, window
 from rmesh_nlp.report.figures import grid_figure
 from rmesh_nlp.report.pictures import pictures
 from rmesh_nlp.report.style import Page, new_figure
@@ -82,6 +82,34 @@ def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:
     assert magnification([body(0 * u, even)]) == magnification([body(1e4 * u, even)]) == 1.0
     (near,) = body(u, even).near
     np.testing.assert_allclose(near.displaced(5.0)[:, 0], 5 * even)
+
+
+def test_a_window_holds_the_body_its_motion_and_what_is_near_of_the_foundation() -> None:
+    still = body(np.zeros((2, 3)), np.tile([[0.0], [-5.0]], 4))
+    np.testing.assert_allclose(window([still]), [[-0.02, 1.02]] * 2)
+    # the foundation is seen up to 0.15 of the extent below the body
+    np.testing.assert_allclose(window([still], 1.0), [[-0.023, 1.023], [-0.173, 1.023]])
+    np.testing.assert_allclose(window([body(np.full((2, 3), 0.1))], 10.0), [[-0.04, 2.04]] * 2)
+
+
+@pytest.mark.parametrize(
+    ("columns", "height", "size", "rows"),
+    [
+        (1, 0.5, (3.35, 2 * (2.6 * 0.5 + 0.62)), 2),  # flat bodies stand one below the other
+        (1, 1.0, (3.35, 1.3 + 0.62), 1),
+        (2, 0.5, (7.0, 3.125 * 0.5 + 0.62), 1),
+        (2, 9.0, (7.0, 3.125 * 2 + 0.62), 1),  # as tall as twice their width at most
+    ],
+)
+def test_panels_fill_the_width_of_the_page(
+    columns: int, height: float, size: tuple[float, float], rows: int
+) -> None:
+    figure, axes = Page(columns).panels(2, [np.array([[0.0, 1.0], [0.0, height]])], "mm")
+    assert figure.get_size_inches() == pytest.approx(size)
+    assert axes.shape == (1, 2)
+    assert axes[0, 0].get_gridspec().nrows == rows
+    assert axes[0, 0].get_ylabel() == "$x_2$ [mm]"
+    assert axes[0, 0].get_ylim() == (0.0, height)
 
 
 @pytest.mark.parametrize("what", ["displacement", "pressure"])

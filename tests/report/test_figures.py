@@ -129,6 +129,13 @@ def test_missing_or_broken_solution_file_is_named(
         write_figures([Result(results[0].record, path, results[0].history)], tmp_path)
 
 
+def test_a_figure_whose_name_is_taken_is_numbered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = [(name, new_figure(1, 1)) for name in ("a", "b", "a", "a")]
+    monkeypatch.setattr("rmesh_nlp.report.figures._all_figures", lambda results: iter(drawn))
+    paths = write_figures([], tmp_path)
+    assert [path.name for path in paths if path.suffix == ".pdf"] == ["a.pdf", "b.pdf", "a-2.pdf", "a-3.pdf"]
+
+
 def test_looks_are_told_apart_without_colour() -> None:
     assert len({(one.linestyle, one.marker) for one in LOOKS}) == len(LOOKS)
 

@@ -54,11 +54,13 @@ def test_common_level_is_reached_by_all_and_infeasible_iterates_do_not_count(tmp
 
 def test_costs_are_in_the_median_unit_and_scaled_to_the_median_time(tmp_path: Path) -> None:
     steps: Steps = [(0.5, -1.4, 1e-6)]
-    joint = result(tmp_path, "joint", -1.4, steps, contact_time_s=0.01, first_cost_s=1.0)
-    nested = result(tmp_path, "nested", -1.4, steps, contact_time_s=0.03)
+    exact = {"stationarity_residual": 1e-9}
+    joint = result(tmp_path, "joint", -1.4, steps, contact_time_s=0.01, first_cost_s=1.0, **exact)
+    nested = result(tmp_path, "nested", -1.4, steps, contact_time_s=0.03, **exact)
     # the unit is 0.02 s; the first run of joint took twice its median
-    costs = [row["cost_to_objective"] for row in with_common_costs([joint, nested])]
-    assert costs == pytest.approx([12.5, 25])
+    rows = with_common_costs([joint, nested])
+    assert [row["cost_to_objective"] for row in rows] == pytest.approx([12.5, 25])
+    assert [row["common_stationarity"] for row in rows] == [1e-6] * 2  # less is not told apart
 
 
 def test_curve_has_costs_of_at_least_one_contact_solve(tmp_path: Path) -> None:

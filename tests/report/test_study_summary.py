@@ -36,6 +36,7 @@ USELESS = quality_profiles({"a": [1.0, INF], "b": [2.0, INF]}, [0.0, 0.0])
         (COSTS["a"], [0.99, 1, 1.9, 2, 100], [0, 0.4, 0.4, 0.6, 0.6]),
         (COSTS["b"], [1, 2, 2.9, 3, 100], [0.4, 0.6, 0.6, 0.8, 0.8]),
         (FREE["a"], [0.99, 1], [0, 1]),
+        (performance_profiles({"a": [1.0], "b": [1 + 1e-10]})["b"], [1], [1]),  # a tie
         (FREE["b"], [1, 1e9], [0.5, 0.5]),
         (FREE["c"], [1, 1e300], [0, 0]),
         (DATA["a"], [0, 1, 9, 10, 99, 100, 1e9], [0, 0.25, 0.25, 0.5, 0.5, 0.75, 0.75]),
@@ -75,6 +76,8 @@ def test_failure_is_a_failure_in_table_and_profiles() -> None:
         ["1"] * 5,
         ["1", "1", "1", "0", "1"],
     ]
+    costs = {"iterations", "contact_solves", "time_contact_solves", "build_and_solve"}
+    assert set(drawn(rows)) == {*costs, "quality", "data-90", "data-99", "data-99.9"}
     for name, profiles in drawn(rows).items():
         assert (profiles["a"](1e9), profiles["b"](1e9)) == (0.5, 1.0), name
     assert not drawn(rows[:3])  # one formulation has nothing to be compared with

@@ -172,6 +172,10 @@ def test_relocation_stands_beside_refinement() -> None:
     ]
     (note,) = refinement_notes([finer, given, moved])
     assert "one uniform refinement (400 nodes) gains 2 times as much as joint on 100 nodes, in 0.1" in note
+    useless = {**moved, "energy_audited": -1.0}
+    assert refinement_notes([given, useless, finer]) == ["6.2: no formulation gained on the given mesh."]
+    for no_row in ({**moved, "success": False}, {**moved, "objective": "error-l2"}, {**moved, "nodes": None}):
+        assert len(refinement_rows([given, finer, no_row])[0][1]) == 2
     assert "Relocation against uniform refinement" in markdown([given, moved, finer])
     assert "Relocation against uniform refinement" not in markdown([given, moved])
 
