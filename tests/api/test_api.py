@@ -13,6 +13,7 @@ from formulations.joint import Joint
 from formulations.multistart import MultiStart
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.models import reduced_model
 from rmesh_nlp.problem import NO_CONTACT
 
@@ -124,8 +125,18 @@ def test_the_pressure_curve_is_the_pressure(comparison: rm.Comparison) -> None:
 
 
 def test_stress_is_drawn_per_element(comparison: rm.Comparison) -> None:
-    (painted,) = comparison["joint"].plot("stress").collections
-    assert painted.get_array().size == comparison["joint"].problem.mesh.t.shape[1]
+    solution = comparison["joint"]
+    (painted,) = solution.plot("stress").collections
+    stress = stresses(solution.problem, solution.mesh.p, solution.displacement)
+    np.testing.assert_array_equal(painted.get_array(), von_mises(stress))
+
+
+def test_mesh_is_drawn_over_the_given_one_where_it_moved(comparison: rm.Comparison) -> None:
+    for name, meshes in (("fixed", 1), ("joint", 2)):
+        lines = comparison[name].plot("mesh").lines[::2]  # each has its markers in a second line
+        assert len(lines) == meshes
+        corner = np.nanmax(lines[-1].get_xydata(), axis=0)
+        np.testing.assert_array_equal(corner, comparison[name].mesh.p.max(axis=1))
 
 
 def test_solutions_side_by_side_share_their_scale(comparison: rm.Comparison) -> None:

@@ -9,11 +9,13 @@ import subprocess
 from html import unescape
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.io.results import Results, read_results
+from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.report.html_page import page, write_report
 from rmesh_nlp.study.comparison import plan_comparison, run
 from support.reporting import failed_61, joint_61
@@ -41,6 +43,26 @@ def test_page_loads_nothing_and_has_all_parts(folder: Path) -> None:
     for section in SECTIONS:
         assert f'<section id="{section}">' in text
     assert text.count('<svg class="chart"') >= 8
+
+
+def test_meshes_on_the_page_are_those_of_the_solutions(folder: Path) -> None:
+    text = (folder / "report.html").read_text()
+    match = re.search(r'id="meshes-json">(.*?)</script>', text, re.S)
+    assert match is not None
+    shown = json.loads(match[1])
+    assert [one["name"] for one in shown] == [
+        "6.1, n = 4, joint",
+        "6.1, n = 4, nested",
+    ]  # fixed has no motion
+    fields = read_vtu(folder / "solutions" / "6.1-4-q6-joint.vtu")
+    assert shown[0]["t"] == fields.triangles.T.tolist()
+    drawn = np.array([shown[0][name] for name in ("x", "y", "x0", "y0")])
+    np.testing.assert_allclose(drawn, np.vstack([fields.nodes, fields.initial]), rtol=1e-4)
+    motion = np.linalg.norm(fields.nodes - fields.initial, axis=0)
+    values = {"u": fields.displacement[0], "contact stress": fields.pressure, "motion": motion}
+    assert set(shown[0]["fields"]) == set(values)
+    for name, expected in values.items():
+        np.testing.assert_allclose(shown[0]["fields"][name], expected, rtol=1e-4, atol=1e-9)
 
 
 def test_hostile_text_stays_text(tmp_path: Path) -> None:

@@ -89,6 +89,17 @@ def test_the_contact_set_of_a_membrane_is_where_it_touches() -> None:
         assert inside[np.argmin(np.linalg.norm(middle, axis=0))]
 
 
+def test_state_before_is_the_solution_on_the_given_mesh() -> None:
+    for problem in (membrane(), block_between_two_foundations()):
+        solution = fixed.solve(problem)
+        cold, warm, again = before(problem), before(problem, solution.pressure), after(solution)
+        for state in (cold, warm):
+            np.testing.assert_allclose(state.displacement, solution.displacement, atol=1e-12)
+            np.testing.assert_allclose(state.pressure, solution.pressure, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(state.stress, again.stress, rtol=1e-9)
+        assert (cold.title, again.title) == ("given mesh", "given mesh, nothing moved")
+
+
 def test_a_least_angle_holds_the_nodes_of_its_element() -> None:
     problem = replace(membrane(), motion=Motion(None))
     angle = np.eye(problem.mesh.t.shape[1])[0]
