@@ -228,7 +228,7 @@ def _mesh(record: Record, fields: Fields) -> dict[str, Any]:
     return {
         "name": ", ".join(part for part in parts if part),
         **{name: _rounded(place, size) for name, place in places},
-        "t": fields.triangles.T.tolist(),
+        "t": fields.triangles[:3].T.tolist(),
         "fields": {name: _rounded(v, float(np.abs(v).max())) for name, v in values.items()},
     }
 

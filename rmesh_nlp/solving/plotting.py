@@ -102,8 +102,8 @@ def is_fine(triangles: NDArray[Any]) -> bool:
 
 
 def triangulation(nodes: Array, triangles: NDArray[Any]) -> Triangulation:
-    """Matplotlib's mesh."""
-    return Triangulation(nodes[0], nodes[1], triangles.T)
+    """Matplotlib's mesh, of the corners where elements have further nodes."""
+    return Triangulation(nodes[0], nodes[1], triangles[:3].T)
 
 
 def draw_mesh(axis: Axes, nodes: Array, triangles: NDArray[Any], thin: float = 1.0, **options: Any) -> None:

@@ -142,7 +142,7 @@ def test_lines_of_fine_meshes_are_rasterised_and_fields_always(
     assert all(line.get_rasterized() is fine for line in axis.lines)
     assert mesh.p.shape == (2, 12)
     assert mesh.t.shape == (3, 12)  # so that the number of values does not tell what they belong to
-    smooth = draw_nodal(axis, mesh.p, mesh.t, 2 * mesh.p[0])
+    smooth = draw_nodal(axis, mesh.p, np.vstack([mesh.t, mesh.t]), 2 * mesh.p[0])  # corners are drawn
     constant = draw_elements(axis, mesh.p, mesh.t, np.arange(mesh.t.shape[1]))
     assert (type(smooth).__name__, type(constant).__name__) == ("TriMesh", "PolyCollection")
     assert smooth.get_rasterized()
