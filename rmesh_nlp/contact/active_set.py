@@ -4,12 +4,10 @@ At fixed node positions the inner problem is a strictly convex quadratic program
 
     min 1/2 u^T K u - F^T u + sum_i b_i |t_i . u_i|   with   gap = N u + gamma >= 0,
 
-(5.1), (5.8), with Tresca bounds b_i = g omega_i >= 0. The active set (which nodes touch,
-which stick) is found by a semismooth Newton method [1]_; when that does not make progress,
-single least-index changes [2]_ guarantee that no set is visited for ever.
-
-A cold solve begins with a guess from the dual problem. The stiffness without contact is factorised once;
-the contact forces ``y = (lambda, tau)`` minimise
+(5.1), (5.8), with Tresca bounds b_i = g omega_i >= 0. The active set (which nodes touch, which stick) is
+found by a semismooth Newton method [1]_; when that does not make progress, single least-index changes [2]_
+guarantee that no set is visited for ever. A cold solve guesses it from the dual problem: the contact forces
+``y = (lambda, tau)`` minimise
 
     1/2 (F + B^T y)^T K^-1 (F + B^T y) + gamma . lambda    over    lambda >= 0, |tau| <= b,
 
@@ -18,11 +16,8 @@ B having the rows N and T: few unknowns in a box, and one back-substitution per 
 A body that contact holds, and not the given displacements alone, has rigid motions Z left. With f the work
 of the load in them and A the change of the gaps, an equilibrium exists if every motion that opens no gap
 into the foundation, ``A r >= 0``, is one that the load resists, ``f . r < 0``. It is unique if the nodes that
-press on the foundation prevent every motion: two solutions differ by a rigid motion that keeps those gaps
-closed.
+press on the foundation prevent every motion: two solutions differ by a rigid motion that keeps those closed.
 
-References
-----------
 .. [1] M. Hintermüller, K. Ito, K. Kunisch, The primal-dual active set strategy as a
    semismooth Newton method, SIAM J. Optim. 13 (2003) 865-888.
 .. [2] J. J. Júdice, F. M. Pires, A block principal pivoting algorithm for large-scale

@@ -1,9 +1,7 @@
 """The discretisation of a problem: what its contact solver and all its models are made of.
 
-Unknowns of each kind (outer variables q, displacements u, slips s, contact forces) are numbered from zero
-here. A model puts them one after the other, each field
-:meth:`~rmesh_nlp.fem.fields.Field.numbered_from` where its kind begins, and sums the same element terms on
-these fields.
+Unknowns of each kind (outer variables q, displacements u, slips s, contact forces) are numbered from zero; a
+model puts them one after the other (:meth:`~rmesh_nlp.fem.fields.Field.numbered_from`).
 """
 
 from __future__ import annotations
@@ -34,13 +32,7 @@ from rmesh_nlp.vectorised import USUAL, AssemblySettings
 class Discretisation:
     """Space, fields, element terms and validity rows of one problem, each made once, when first asked for.
 
-    Attributes
-    ----------
-    problem : ContactProblem
-    assembly : AssemblySettings
-        How its sums over elements are evaluated.
-    displacement_space : DisplacementSpace, optional
-        By default continuous displacements that are linear on each triangle, numbered as the vertices.
+    The displacement space is by default that of functions linear on each triangle, numbered as the vertices.
     """
 
     problem: ContactProblem
@@ -157,7 +149,7 @@ class Discretisation:
         return validity(self.problem, self.mesh_map, self.assembly)
 
     def assemble(self, groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> Assembled:
-        """Sum element groups, see :class:`rmesh_nlp.fem.assembly.Assembled`."""
+        """Sum element groups."""
         return Assembled(groups, x, p, n_rows, self.assembly)
 
     def bulk(self, positions: Field, displacement: Field, p: Field | None = None) -> list[ElementGroup]:

@@ -1,7 +1,7 @@
 """Elements and contact edges beside a curve, whose edge is an arc and not its chord.
 
-Nodes slide along a curve, and the polygon through them loses area, and contact with a foundation, as edges
-grow: an optimiser would find that. So a triangle with an arc between its nodes a and b, apex c, is blended
+With chords the polygon through sliding nodes would lose area and contact as edges grow, and an optimiser
+would find that. A triangle with an arc between its nodes a and b, apex c, is blended
 (:mod:`rmesh_nlp.problem.body`): with r from 0 at the apex to 1 at the arc, and s from a to b,
 
     x(r, s) = c + r (arc(s) - c),     u(r, s) = u_c + r ((1 - s) u_a + s u_b - u_c).

@@ -1,13 +1,9 @@
 """From element Functions to a global objective, constraints and their sparse derivatives.
 
-A mesh problem is partially separable: its objective and constraints are sums over elements of one small
-function of a few local values. The small function is differentiated once, as SX, mapped over all elements,
-and its results are summed into the nonzeros of the global derivatives by one constant sparse matrix. Building
-and evaluating are both linear in the number of elements; the sparsity never changes.
-
-CasADi's expressions of these sums can be differentiated further and cost least on a small mesh. On a large
-one they take twice the time of Functions that run in numpy: the results of an element lie side by side, so
-that each operation strides through the memory.
+Each is a sum over elements of one small function of a few local values, which is differentiated once, mapped
+over all elements, and summed into the nonzeros of the global derivatives by one constant sparse matrix.
+CasADi's expressions of these sums can be differentiated further and cost least on a small mesh; on a large
+one they take twice the time of Functions that run in numpy, for the results of an element lie side by side.
 """
 
 from __future__ import annotations
@@ -243,22 +239,9 @@ def _sparse(shape: Shape, row: Index, column: Index, value: Array) -> ca.DM:
 class Assembled:
     """Global objective and constraints as MX expressions, and their derivatives, each built when asked for.
 
-    This object must live as long as any Function made of the derivatives: some are Python callbacks, which
-    CasADi does not own.
-
-    Parameters
-    ----------
-    groups : sequence of ElementGroup
-        Their fields index ``x`` or ``p``.
-    x, p : MX symbols, columns
-    n_rows : int
-        Number of constraints; rows that no group touches are zero.
-    settings : AssemblySettings
-
-    Attributes
-    ----------
-    kernels : list
-        The callbacks behind the derivatives that were asked for so far.
+    The fields of the groups index the columns ``x`` or ``p``; of ``n_rows`` constraints those that no group
+    touches are zero. This object must live as long as any Function made of the derivatives: some are Python
+    callbacks, ``kernels``, which CasADi does not own.
     """
 
     def __init__(

@@ -1,19 +1,17 @@
 """Gaps that hold along contact edges, and not at their nodes only.
 
-A displacement that is linear on the edges keeps a convex foundation out of the body at the nodes, and lets it
-pass in between: by ``k h^2 / 8`` on an edge of length h at a curvature k of the foundation and of the body
-together. Relocation could gain by making edges longer. Here every node keeps off by as much as its edges
-need; then the admissible displacements of the mesh are admissible for the continuous problem.
+Between nodes a convex foundation passes into an edge of length h by ``k h^2 / 8`` at a curvature k of
+foundation and body, and relocation could gain by longer edges. Here every node keeps off by as much as its
+edges need; then the admissible displacements of the mesh are admissible for the continuous problem.
 
 On an edge the foundation rises above the interpolant of its distances at the nodes by
 ``a = I d - d``, on the true curve of the body where it has one. A node keeps off by
 
     r = ( sum_k max(a_k, 0)^p )^(1/p)
 
-over sample points on the edges beside it: at least the largest of these heights, and smooth in
-the positions. For a parabola it is 1.12 times the height, with an edge like it on the other side 1.19 times.
-Beside a node that is held with a gap G the height that counts is ``(a - (1 - s) G) / s``, s the share of the
-free node.
+over sample points on the edges beside it: at least the largest of these heights, and smooth in the positions.
+For a parabola it is 1.12 times the height, with an edge like it on the other side 1.19 times. Beside a node
+that is held with a gap G the height that counts is ``(a - (1 - s) G) / s``, s the share of the free node.
 """
 
 from __future__ import annotations

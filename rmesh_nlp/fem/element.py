@@ -1,8 +1,7 @@
 """The function of one element, and its derivatives.
 
-A load or an exact solution enters an element only through its values at a few points. Its
-derivatives are taken with respect to the two coordinates of a point, once, and carried to the
-nodes by the chain rule: a third of the operations of differentiating it node by node.
+A load or an exact solution enters through its values at a few points. Its derivatives by the coordinates of a
+point are carried to the nodes by the chain rule: a third of the operations of going node by node.
 """
 
 from __future__ import annotations

@@ -21,13 +21,8 @@ class DisplacementSpace:
     """Continuous displacements that are linear on each triangle (P1).
 
     A node of the space carries one unknown for each component that is not given. Gaps, weights, fields and
-    output ask the space for nodes and never take vertices of the mesh for them.
-
-    Attributes
-    ----------
-    problem : ContactProblem
-    number : (vertices,) int array
-        The node of the space at each vertex.
+    output ask the space for nodes and never take vertices of the mesh for them. ``number`` (vertices,) is the
+    node at each vertex.
     """
 
     problem: ContactProblem

@@ -120,15 +120,7 @@ class MeshMap:
 
 
 class VertexParameters:
-    """Vertex positions as parameters of a function, and with them where on the curves the vertices are.
-
-    Attributes
-    ----------
-    positions : Field
-        (2, vertices), of the parameters.
-    symbol : MX symbol
-        The parameters.
-    """
+    """Vertex positions as parameters ``symbol`` of a function, and where on the curves the vertices are."""
 
     def __init__(self, problem: ContactProblem) -> None:
         n = problem.mesh.p.shape[1]
