@@ -24,14 +24,16 @@ DISC = Obstacle.circle("bottom", (1.0, -1.0), 1.0)
 
 def block(n: int, obstacle: Obstacle) -> ContactProblem:
     sides = (Dirichlet("left", (0.0, None)), Dirichlet("right", (0.0, None)))
-    return ContactProblem(
-        rectangle(2 * n, n, x=(0, 2)),
-        LAW,
-        sides,
-        obstacle,
-        Motion(None),
-        (Traction("top", (0.0, -900.0)),),
-    )
+    load = Traction("top", (0.0, -900.0))
+    return ContactProblem(rectangle(2 * n, n, x=(0, 2)), LAW, sides, obstacle, Motion(None), (load,))
+
+
+def passes(problem: ContactProblem, body: ContactProblem | None = None) -> tuple[float, float]:
+    """How deep the foundation passes into the body (by default its own), and the energy."""
+    model, nodes = ContactSolver(problem), problem.mesh.p
+    state = model.solve(nodes)
+    assert np.sum(state.active.touching) >= 2
+    return penetration(body or problem, nodes, model.displacement.values(state.u)), state.energy
 
 
 def shaken(problem: ContactProblem, seed: int) -> ContactProblem:
@@ -85,32 +87,21 @@ def test_only_foundations_that_rise_above_their_chords_are_changed() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_passes_between_the_nodes_of_any_mesh(obstacle: Obstacle, seed: int) -> None:
     at_nodes = shaken(block(6, obstacle), seed)
-    along = with_edge_gaps(at_nodes)
-    depths, energies = [], []
-    for problem in (at_nodes, along):
-        model, nodes = ContactSolver(problem), np.asarray(problem.mesh.p)
-        state = model.solve(nodes)
-        depths.append(penetration(problem, nodes, model.displacement.values(state.u)))
-        energies.append(state.energy)
-    assert np.sum(state.active.touching) >= 2
-    assert depths[0] > 1e-4
-    assert depths[1] < 1e-12
-    assert energies[1] > energies[0]
+    (deep, low), (none, high) = passes(at_nodes), passes(with_edge_gaps(at_nodes))
+    assert deep > 1e-4
+    assert none < 1e-12
+    assert high > low
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("obstacle", [PARABOLA, DISC])
 def test_energies_fall_to_the_limit_from_above(obstacle: Obstacle) -> None:
-    energies = {
-        gap: [
-            ContactSolver(p).solve(p.mesh.p).energy
-            for p in (block(n, replace(obstacle, gap=gap)) for n in (4, 8, 16))
-        ]
-        for gap in ("node", "edge")
-    }
-    assert np.all(np.diff(energies["edge"]) < 0)
+    node, edge = (
+        [passes(block(n, replace(obstacle, gap=gap)))[1] for n in (4, 8, 16)] for gap in ("node", "edge")
+    )
+    assert np.all(np.diff(edge) < 0)
     # both tend to the same, the error and the difference by a factor of about four
-    difference = np.subtract(energies["edge"], energies["node"])
+    difference = np.subtract(edge, node)
     assert np.all(difference[:-1] / difference[1:] > 3)
 
 
@@ -119,12 +110,8 @@ def test_contact_of_a_curved_body_is_where_its_true_curve_touches() -> None:
     pressed = (Dirichlet("axis", (0.0, None)), Dirichlet("top", (None, -0.2)))
     body = disc({"arc": Circle((0.0, 1.0), 1.0)})
     problem = replace(body, obstacle=Obstacle.graph("arc", 0.0), dirichlet=pressed)
-    model, nodes = ContactSolver(problem), np.asarray(problem.mesh.p)
-    state = model.solve(nodes)
-    assert np.sum(state.active.touching) >= 2
-    assert penetration(problem, nodes, model.displacement.values(state.u)) < 1e-12
-    at_nodes = ContactSolver(replace(problem, motion=Motion(None))).solve(nodes)
-    assert penetration(problem, nodes, model.displacement.values(at_nodes.u)) > 1e-5
+    assert passes(problem)[0] < 1e-12
+    assert passes(replace(problem, motion=Motion(None)), body=problem)[0] > 1e-5
 
 
 def test_bad_gaps_are_refused() -> None:
@@ -140,11 +127,5 @@ def test_nothing_passes_through_the_triangles_over_an_obstacle(seed: int) -> Non
     nodes[:, inside] += np.random.default_rng(seed).uniform(-0.04, 0.04, (2, inside.size))
     mesh = replace(mesh, doflocs=nodes)
     problem = ContactProblem(mesh, Laplace(-2.0), ("left", "right"), dome, Motion(None))
-    depths = []
-    for one in (problem, with_edge_gaps(problem)):
-        model = ContactSolver(one)
-        state = model.solve(nodes)
-        depths.append(penetration(one, nodes, model.displacement.values(state.u)))
-        assert np.sum(state.active.touching) > 5
-    assert depths[0] > 1e-3
-    assert depths[1] < 1e-12
+    assert passes(problem)[0] > 1e-3
+    assert passes(with_edge_gaps(problem))[0] < 1e-12

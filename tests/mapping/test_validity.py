@@ -19,23 +19,31 @@ def problem(motion: Motion) -> ContactProblem:
 
 def squeezed(to: float) -> np.ndarray:
     """Nodes with the middle one at the height ``to``: the least element has 2 ``to`` of its area."""
-    given = problem(Motion(delta=None))
-    nodes = np.array(given.mesh.p)
+    nodes = np.array(problem(Motion(delta=None)).mesh.p)
     middle = np.flatnonzero(np.all(nodes == 0.5, axis=0))
     assert middle.size == 1
     nodes[1, middle] = to
     return nodes
 
 
-@pytest.mark.parametrize(("height", "valid"), [(0.5, True), (0.06, True), (0.04, False), (-0.1, False)])
-def test_a_least_area_is_a_fraction_of_the_given_one(height: float, valid: bool) -> None:
-    assert is_valid(problem(Motion(delta=None, min_area_fraction=0.1)), squeezed(height)) is valid
-
-
-@pytest.mark.parametrize(("height", "valid"), [(0.5, True), (0.04, True), (1e-9, True), (-1e-9, False)])
-def test_with_a_barrier_a_positive_area_is_enough(height: float, valid: bool) -> None:
-    motion = Motion(delta=None, min_area_fraction=0.1)
-    assert bool(is_valid(problem(motion), squeezed(height), by_barrier=True)) is valid
+@pytest.mark.parametrize(
+    ("height", "upright", "valid"),
+    [
+        (0.5, True, True),
+        (0.0501, True, True),
+        (0.0499, True, False),
+        (1e-9, True, False),
+        (0.0, False, False),
+        (-1e-9, False, False),
+        (-0.1, False, False),
+    ],
+)
+def test_a_least_area_is_a_fraction_of_the_given_one(height: float, upright: bool, valid: bool) -> None:
+    """With a barrier a positive area is enough."""
+    given, nodes = problem(Motion(delta=None, min_area_fraction=0.1)), squeezed(height)
+    assert is_upright(given, nodes) is upright
+    assert is_valid(given, nodes) is valid
+    assert is_valid(given, nodes, by_barrier=True) is upright
 
 
 @pytest.mark.parametrize("by_barrier", [False, True])
@@ -59,11 +67,6 @@ def test_an_inverted_element_is_not_a_number_and_no_other_is(min_angle: float) -
         assert np.any(np.isnan(upright)) == inverted
         if not inverted:
             assert np.array_equal(upright, given)
-
-
-@pytest.mark.parametrize(("height", "upright"), [(0.5, True), (1e-9, True), (0.0, False), (-1e-9, False)])
-def test_one_flat_element_is_enough(height: float, upright: bool) -> None:
-    assert is_upright(problem(Motion(delta=None, min_area_fraction=0.1)), squeezed(height)) is upright
 
 
 def test_a_least_angle_is_a_row_of_every_element_that_moves() -> None:
