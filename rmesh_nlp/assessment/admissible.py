@@ -192,13 +192,8 @@ def admissible(
 ) -> Admissible:
     """The energy of the continuous problem on a mesh, by an admissible displacement.
 
-    Parameters
-    ----------
-    problem : ContactProblem or Discretisation
-    nodes : (2, vertices) array, optional
-        Positions of the vertices; those of the mesh by default.
-    start : ActiveSet, optional
-        Contact to begin with.
+    ``nodes`` (2, vertices) are the positions of the vertices, by default those of the mesh; ``start`` is the
+    contact to begin with.
     """
     for _ in range(REFINEMENTS):
         here = Continuous(problem, nodes)

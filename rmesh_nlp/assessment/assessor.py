@@ -28,27 +28,13 @@ EXPLOITS = ("quadrature", "penetration", "friction", "geometry")
 
 @dataclass(frozen=True)
 class Audit:
-    """Measured properties of a solution.
+    """Measured properties of a solution."""
 
-    Attributes
-    ----------
-    energy_audited : float
-        Energy of the continuous problem on the mesh, see :mod:`rmesh_nlp.assessment.admissible`.
-    equilibrium_residual : float
-        Largest out-of-balance nodal force, relative to the largest applied one.
-    complementarity_residual : float
-        Largest natural residual of contact and friction laws, see :func:`law_residual`.
-    min_area_ratio : float
-        Least signed element area over its initial one; not positive if inverted.
-    penetration : float
-        Deepest penetration of the formulation's own displacement between contact nodes, in units of length.
-    """
-
-    energy_audited: float
-    equilibrium_residual: float
-    complementarity_residual: float
-    min_area_ratio: float
-    penetration: float = float("nan")
+    energy_audited: float  # of the continuous problem, see :mod:`rmesh_nlp.assessment.admissible`
+    equilibrium_residual: float  # largest out-of-balance nodal force, relative to the largest applied one
+    complementarity_residual: float  # of contact and friction laws, see :func:`law_residual`
+    min_area_ratio: float  # least signed element area over its initial one; not positive if inverted
+    penetration: float = float("nan")  # deepest one between contact nodes, in units of length
 
 
 class Assessor:

@@ -82,22 +82,11 @@ class Bracket:
 
 
 def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: int | None = None) -> Bracket:
-    """Bounds of the least energy of a problem.
+    """Bounds of the least energy of a problem, by a guess computed with its nodes at ``nodes`` (2, nodes).
 
-    Parameters
-    ----------
-    problem : ContactProblem
-    nodes : (2, nodes) array
-        Positions on which ``guess`` was computed.
-    guess : Guess
-        Displacement and contact stresses; the better the closer the bounds, but any are valid.
-    products : int, optional
-        Back-substitutions that improve the contact forces of the lower bound; by default ``PRODUCTS``.
-
-    Raises
-    ------
-    NotCertifiableError
-        If the problem is of a kind for which no certificate is known.
+    The better the guess the closer the bounds, but any one is valid. ``products`` back-substitutions improve
+    the contact forces of the lower bound; by default ``PRODUCTS``. Raises NotCertifiableError for a kind of
+    problem for which no certificate is known.
     """
     if rigid_motions(problem).size > 0:
         raise NotCertifiableError("only contact holds the body")

@@ -68,10 +68,7 @@ class Conditions:
 def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     """The conditions of a problem on its mesh at the given positions.
 
-    Raises
-    ------
-    NotCertifiableError
-        For contact that tractions linear on edges cannot express.
+    Raises NotCertifiableError for contact that tractions linear on edges cannot express.
     """
     supports, loads = _given_displacement(problem, skeleton), _tractions(problem, skeleton)
     parts = _contact_parts(problem, supports[0])

@@ -50,15 +50,8 @@ def korn(skeleton: Skeleton) -> Array:
 def oscillation(skeleton: Skeleton, load: Array, edges: Array, gradient_by_energy: Array) -> Array:
     """r_T (elements,) in units of the energy norm.
 
-    Parameters
-    ----------
-    skeleton : Skeleton
-    load : (elements,) array
-        L2 norms of f - f_h on the elements.
-    edges : (edges,) array
-        L2 norms of g - g_h on the edges.
-    gradient_by_energy : (elements,) array
-        Constants c with ``|grad v| <= c |v|_T`` on each element, rigid motions apart.
+    ``load`` (elements,) are the L2 norms of f - f_h, ``edges`` (edges,) those of g - g_h, and
+    ``gradient_by_energy`` (elements,) constants c with ``|grad v| <= c |v|_T``, rigid motions apart.
     """
     h = skeleton.diameters
     total = POINCARE * h * load
