@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.special import jn_zeros
+from skfem import MeshTri
 
 from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.displacement import penetration, potential
@@ -32,6 +33,11 @@ def plate(**changes) -> ContactProblem:
         "tractions": (Traction("top", (2.0, lambda x, y: 4 * x * x)),),
     }
     return ContactProblem(**{**settings, **changes})
+
+
+def half_named(mesh: MeshTri) -> MeshTri:
+    """With the left half of its bottom as a boundary of its own."""
+    return mesh.with_boundaries({"half": lambda x: np.isclose(x[1], 0) & (x[0] < 1)})
 
 
 def on(problem: ContactProblem, nodes=None) -> Skeleton:
@@ -132,6 +138,12 @@ def test_conditions_of_edges_by_hand() -> None:
         excess -= 3 + shape(along @ np.stack([a, b]))
         assert np.max(excess) <= 1e-12
         assert np.min(np.max(excess, axis=0)) > -1e-12
+    # edges whose displacement is given along the normal are not in contact
+    half = half_named(problem.mesh)
+    for given, gone in (((0.0, None), []), ((None, 0.0), half.boundaries["half"])):
+        rollers = plate(mesh=half, dirichlet=("left", Dirichlet("half", given)))
+        wanted = np.setdiff1d(sides["bottom"], gone)
+        np.testing.assert_array_equal(conditions_of(rollers, skeleton).contact, wanted)
     bent = conditions_of(plate(dirichlet=(Dirichlet("left", (0.0, lambda x, y: y * y)),)), skeleton)
     largest = (4 * 0.75**2 / 2 + 1) / 6  # the moment of y^2 at y = 1 by Simpson's rule
     assert np.max(np.abs(bent.given)) == pytest.approx(largest)
@@ -225,8 +237,7 @@ def test_the_domain_is_the_same_unless_its_boundary_moves() -> None:
 @pytest.mark.parametrize("role", ["obstacle", "dirichlet", "tractions", "no role"])
 def test_parts_of_the_boundary_may_not_slide_where_they_are_in_use(role: str) -> None:
     """The end of a named part slides along a straight side, whose shape and the area stay."""
-    mesh = rectangle(4, 2, x=(0, 2))
-    mesh = mesh.with_boundaries({"half": lambda x: np.isclose(x[1], 0) & (x[0] < 1)})
+    mesh = half_named(plate().mesh)
     kinds = {"obstacle": Obstacle, "dirichlet": Dirichlet, "tractions": Traction}
     given = {"obstacle": (0.0, 1.0), "dirichlet": (0.0, 0.0), "tractions": (1.0, 0.0)}
     uses = {"obstacle": [], "dirichlet": [Dirichlet("left", (0.0, 0.0))], "tractions": []}
