@@ -106,7 +106,7 @@ class Maps(Formulation):
 
 
 class _Levels:
-    """What listens to a cascade: :data:`rmesh_nlp.models.cascade.OnMove`."""
+    """What listens to a cascade: :data:`rmesh_nlp.models.cascade.OnStep`."""
 
     def __init__(self, outer: Outer, settings: CascadeSettings, monitor: Monitor) -> None:
         self._outer, self._settings, self._monitor = outer, settings, monitor

@@ -122,7 +122,7 @@ class CascadeSettings(Settings):
         return min(math.ceil(first * GROWTH**above), self.iterations)
 
 
-OnMove = Callable[[int, ReducedEnergy, Array, float], bool | None]
+OnStep = Callable[[int, ReducedEnergy, Array, float], bool | None]
 """``(iteration, energy, q, value)`` of a level; the descent stops if it returns True."""
 
 IsLate = Callable[[], bool]
@@ -181,7 +181,7 @@ class CascadeResult:
 def cascade(
     problem: ContactProblem,
     settings: CascadeSettings | None = None,
-    on_move: OnMove | None = None,
+    on_step: OnStep | None = None,
     is_late: IsLate = lambda: False,
 ) -> CascadeResult:
     """Minimise the energy over the positions of all nodes, without move limits, by a cascade of meshes.
@@ -191,7 +191,7 @@ def cascade(
     problem : ContactProblem
         Move limits are obeyed if there are any; without, the distortion alone keeps the elements valid.
     settings : CascadeSettings, optional
-    on_move : callable, optional
+    on_step : callable, optional
         Called after each iteration on each mesh.
     is_late : callable, optional
         Once it is true nothing more is built or solved: the map of the last mesh is prolonged to the given
@@ -205,7 +205,7 @@ def cascade(
     chosen = settings or CascadeSettings()
     problems = _hierarchy(problem, chosen.coarsest, is_late)
     _check_time(is_late)
-    run = _Descents(chosen, on_move, is_late)
+    run = _Descents(chosen, on_step, is_late)
     sizes = [one.mesh.p.shape[1] for one in problems]
     whole_error = gain_estimate(problems[0]).value * sizes[0]
     shift, levels, built = np.zeros((2, 0)), [], None
@@ -271,8 +271,8 @@ class _Descents:
     ``error`` is the estimated error of the energy there.
     """
 
-    def __init__(self, settings: CascadeSettings, on_move: OnMove | None, is_late: IsLate) -> None:
-        self._settings, self._on_move, self._is_late = settings, on_move, is_late
+    def __init__(self, settings: CascadeSettings, on_step: OnStep | None, is_late: IsLate) -> None:
+        self._settings, self._on_step, self._is_late = settings, on_step, is_late
         self._reported, self.stopped, self.error = 0, False, float("nan")
         self._clear()
 
@@ -344,7 +344,7 @@ class _Descents:
         before = self._reported
 
         def report(iteration: int, x: Array, value: float) -> bool:
-            if self._on_move is not None and self._on_move(before + iteration, energy, x, value):
+            if self._on_step is not None and self._on_step(before + iteration, energy, x, value):
                 self.stopped = True
             return self.stopped
 

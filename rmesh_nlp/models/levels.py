@@ -169,20 +169,20 @@ def _barycentric(corner: Array, point: Array) -> Array:
 
 
 def prolonged(
-    coarse_nodes: Array, coarse_triangles: NDArray, move: Array, fine: Relocation | Discretisation
+    coarse_nodes: Array, coarse_triangles: NDArray, shift: Array, fine: Relocation | Discretisation
 ) -> Array:
-    """Outer variables of a finer mesh that follow the ``move`` (2, coarse nodes) of a coarser one.
+    """Outer variables of a finer mesh that follow the ``shift`` (2, coarse nodes) of a coarser one.
 
     On a uniform refinement every element stays as valid as the one it is a part of. On another mesh
-    an element may be inverted, since it lies across several: there the move is smoothed, and if that does
+    an element may be inverted, since it lies across several: there the shift is smoothed, and if that does
     not help, made smaller as a whole.
     """
     X0, triangles, mesh_map = fine.problem.mesh.p, fine.problem.triangles, fine.mesh_map
-    before, after = (signed_areas(x, coarse_triangles) for x in (coarse_nodes, coarse_nodes + move))
+    before, after = (signed_areas(x, coarse_triangles) for x in (coarse_nodes, coarse_nodes + shift))
     # slivers that the coarse map makes on purpose are kept, and are no reason to damp the map
     least = max(0.5 * float(np.min(after / before)), 1e-9)
     initial = signed_areas(X0, triangles)
-    q = mesh_map.q_of(X0 + interpolated(coarse_nodes, coarse_triangles, move, X0))
+    q = mesh_map.q_of(X0 + interpolated(coarse_nodes, coarse_triangles, shift, X0))
     for _ in range(MENDINGS):
         now = mesh_map.positions.values(q)
         small = signed_areas(now, triangles) < min(SMALL, least) * initial

@@ -36,7 +36,7 @@ from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy
 from rmesh_nlp.models.residual import OuterResidual
-from rmesh_nlp.models.second_derivatives import Curvature, curvature_of
+from rmesh_nlp.models.second_derivatives import Curvature, Lifted, curvature_of
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.problem.body import Body
@@ -117,13 +117,22 @@ class _Oracle(PythonFunction):
         return [point.value / self._scale, point.gradient / self._scale]
 
 
+Values = Callable[[Array, float, sp.csc_array | None], Array]
+"""``(q, factor, rows) ->`` nonzeros of ``factor F''`` and the Hessian of the rows, where there are any."""
+
+
 class _SecondOracle(PythonFunction):
     """Upper triangle of the Hessian of ``lam_f f + lam_g^T g``, f in the units of the NLP."""
 
-    def __init__(self, problem: ReducedNLP, upper: ca.Sparsity) -> None:
-        self._function, self._scale, self._upper = problem.function, problem.scale, upper
-        self._n, self._rows = problem.nlp.n_x, problem.nlp.n_g
-        inputs = [ca.Sparsity.dense(size) for size in (self._n, 1, self._rows)]
+    def __init__(self, problem: ReducedNLP, upper: ca.Sparsity, values: Values) -> None:
+        self._function, self._scale, self._upper, self._values = (
+            problem.function,
+            problem.scale,
+            upper,
+            values,
+        )
+        self._rows = problem.nlp.n_g
+        inputs = [ca.Sparsity.dense(size) for size in (problem.nlp.n_x, 1, self._rows)]
         super().__init__("reduced_hessian", inputs, [upper])
 
     def eval(self, arg: list[ca.DM]) -> list[ca.DM]:
@@ -131,66 +140,18 @@ class _SecondOracle(PythonFunction):
         rows = self._function.energy.validity.hessian(q, lam_g) if self._rows else None
         return [ca.DM(self._upper, self._values(q, lam_f, rows).tolist())]
 
-    def _values(self, q: Array, factor: float, rows: sp.csc_array | None) -> Array:
-        """Nonzeros of ``factor F''`` and the Hessian of the rows."""
-        raise NotImplementedError
-
-
-class _Dense(_SecondOracle):
-    """As a dense matrix."""
-
-    def __init__(self, problem: ReducedNLP) -> None:
-        super().__init__(problem, ca.Sparsity.upper(problem.nlp.n_x))
-        self._curvature = curvature_of(problem.function)
-        self._at = tuple(np.array(index, dtype=np.int64) for index in self._upper.get_triplet())
-
-    def _values(self, q: Array, factor: float, rows: sp.csc_array | None) -> Array:
-        hessian = dense(self._curvature.at(self._function(q)), self._n) * factor
-        return np.asarray((hessian if rows is None else hessian + rows)[self._at])
-
-
-class _Lifted(_SecondOracle):
-    """As a sparse matrix in outer variables and displacements."""
-
-    def __init__(self, problem: ReducedNLP, energy: ReducedEnergy) -> None:
-        pattern = _pattern(energy.relocation)
-        self._curvature, self._keys = Curvature(energy), _keys(pattern)
-        columns, rows = pattern.indptr.tolist(), pattern.indices.tolist()
-        super().__init__(problem, ca.Sparsity(*pattern.shape, columns, rows))
-
-    def _values(self, q: Array, factor: float, rows: sp.csc_array | None) -> Array:
-        matrix, values = self._matrix(q, factor, rows), np.zeros(self._keys.size)
-        keys = _keys(matrix)
-        place = np.minimum(np.searchsorted(self._keys, keys), self._keys.size - 1)
-        known = self._keys[place] == keys
-        if np.any(matrix.data[~known]):
-            raise RuntimeError("the lifted Hessian has entries outside its pattern")
-        values[place[known]] = matrix.data[known]
-        return values
-
-    def _matrix(self, q: Array, factor: float, rows: sp.csc_array | None) -> sp.csc_array:
-        """The upper triangle over all unknowns."""
-        found = self._curvature.at(self._function.energy(q)).lifted()
-        outer = factor * found.outer
-        if rows is not None:
-            outer = outer + rows
-        size = float(np.max(np.abs(outer.data), initial=0.0)) or 1.0
-        # in these units of w the factor, which may be 0, need not be divided by
-        unit = sp.diags_array(np.sqrt(STIFF * size / found.stiffness.diagonal()))
-        stiffness, mixed = unit @ found.stiffness @ unit, np.sqrt(factor) * (unit @ found.mixed)
-        diagonal = np.full(found.n_u, STIFF * size)  # of unknowns that contact determines
-        diagonal[found.free] = 0.0
-        put = sp.csc_array(_incidence(found.free, np.arange(found.free.size), found.n_u, found.free.size))
-        corner = put @ stiffness @ put.T + sp.diags_array(diagonal)
-        mixed = put @ mixed
-        matrix = sp.csc_array(sp.triu(sp.block_array([[outer, mixed.T], [mixed, corner]])))
-        matrix.sum_duplicates()
-        return matrix
-
 
 def with_hessian(problem: ReducedNLP) -> ReducedNLP:
     """The same NLP, with the second derivatives of its Lagrangian as a dense matrix."""
-    return replace(problem, nlp=_with(problem.nlp, _Dense(problem), problem.nlp.n_x))
+    n, function, curvature = problem.nlp.n_x, problem.function, curvature_of(problem.function)
+    upper = ca.Sparsity.upper(n)
+    at = tuple(np.array(index, dtype=np.int64) for index in upper.get_triplet())
+
+    def values(q: Array, factor: float, rows: sp.csc_array | None) -> Array:
+        hessian = dense(curvature.at(function(q)), n) * factor
+        return np.asarray((hessian if rows is None else hessian + rows)[at])
+
+    return replace(problem, nlp=_with(problem.nlp, _SecondOracle(problem, upper, values), n))
 
 
 def lifted(problem: ReducedNLP) -> NLP:
@@ -201,10 +162,42 @@ def lifted(problem: ReducedNLP) -> NLP:
     function = problem.function
     if not isinstance(function, ReducedEnergy):
         raise TypeError("only the energy's second derivatives are lifted")
+    curvature, pattern = Curvature(function), _pattern(function.relocation)
+    known = _keys(pattern)
+
+    def values(q: Array, factor: float, rows: sp.csc_array | None) -> Array:
+        matrix, result = _upper(curvature.at(function(q)).lifted(), factor, rows), np.zeros(known.size)
+        keys = _keys(matrix)
+        place = np.minimum(np.searchsorted(known, keys), known.size - 1)
+        inside = known[place] == keys
+        if np.any(matrix.data[~inside]):
+            raise RuntimeError("the lifted Hessian has entries outside its pattern")
+        result[place[inside]] = matrix.data[inside]
+        return result
+
     n_w = function.relocation.n_u
     free = np.full(n_w, np.inf)
     larger = problem.nlp.extended(x=ca.MX.sym("w", n_w), lbx=-free, ubx=free)
-    return _with(larger, _Lifted(problem, function), problem.nlp.n_x)
+    sparsity = ca.Sparsity(*pattern.shape, pattern.indptr.tolist(), pattern.indices.tolist())
+    return _with(larger, _SecondOracle(problem, sparsity, values), problem.nlp.n_x)
+
+
+def _upper(found: Lifted, factor: float, rows: sp.csc_array | None) -> sp.csc_array:
+    """The upper triangle over all unknowns of a lifted Hessian, times a factor, and that of the rows."""
+    outer = factor * found.outer
+    if rows is not None:
+        outer = outer + rows
+    size = float(np.max(np.abs(outer.data), initial=0.0)) or 1.0
+    # in these units of w the factor, which may be 0, need not be divided by
+    unit = sp.diags_array(np.sqrt(STIFF * size / found.stiffness.diagonal()))
+    stiffness, mixed = unit @ found.stiffness @ unit, np.sqrt(factor) * (unit @ found.mixed)
+    diagonal = np.full(found.n_u, STIFF * size)  # of unknowns that contact determines
+    diagonal[found.free] = 0.0
+    put = sp.csc_array(_incidence(found.free, np.arange(found.free.size), found.n_u, found.free.size))
+    corner, mixed = put @ stiffness @ put.T + sp.diags_array(diagonal), put @ mixed
+    matrix = sp.csc_array(sp.triu(sp.block_array([[outer, mixed.T], [mixed, corner]])))
+    matrix.sum_duplicates()
+    return matrix
 
 
 def _with(nlp: NLP, oracle: _SecondOracle, n_q: int) -> NLP:

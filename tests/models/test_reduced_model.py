@@ -145,6 +145,14 @@ def test_the_energy_gradient_is_the_adjoint_gradient_of_the_energy(name: str) ->
     np.testing.assert_allclose(adjoint.gradient, envelope.gradient, atol=1e-10 * size)
 
 
+def test_strict_complementarity_fails_where_a_touching_node_has_no_force() -> None:
+    energy = reduced(CONTACTS["6.1"]())
+    point = energy(np.zeros(energy.relocation.n_q))
+    state = replace(point.equilibrium, normal_force=0 * point.equilibrium.normal_force)
+    assert 0 < np.sum(state.active.touching) < state.active.touching.size
+    np.testing.assert_array_equal(replace(point, equilibrium=state).weak, state.active.touching)
+
+
 @pytest.fixture(scope="module")
 def small() -> ContactProblem:
     return EXAMPLES["6.3"]((4, 2))
