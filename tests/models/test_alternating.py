@@ -44,8 +44,9 @@ def test_they_are_halved_until_the_mesh_is_valid() -> None:
     ("fine", "name", "size", "added"),
     [(100, "6.1", 8, True), (1000, "6.1", 8, False), (10, "6.3", (12, 6), False)],
 )
-def test_joint_starts_with_them_on_fine_meshes_without_area_constraints(fine, name, size, added) -> None:
+def test_joint_starts_with_them_on_fine_meshes_without_areas(fine, name, size, added, monkeypatch) -> None:
+    monkeypatch.setattr("formulations.joint.FINE", fine)
     outer, first = Outer(EXAMPLES[name](size)), []
     monitor = Monitor(on_step=lambda step: first.append(step.q))
-    Joint(fine=fine, ipopt={"max_iter": 0}).minimised(outer, np.zeros(outer.n), monitor.track(outer))
+    Joint(ipopt={"max_iter": 0}).minimised(outer, np.zeros(outer.n), monitor.track(outer))
     assert (np.max(np.abs(alternating(outer.relocation) * first[0])) > 0.2) == added
