@@ -22,7 +22,7 @@ from rmesh_nlp.solving.exploited import (
     back,
     better,
     damped,
-    is_hollow,
+    is_spurious,
     reduced_error,
     safe_discretisation,
     surviving_gain,
@@ -102,7 +102,7 @@ def solve(
         start = seed = None
     outer = _outer(choice.problem, outer_objective, tolerance, monitor)
     end, safe = _ended(chosen, outer, start, seed, monitor), None
-    if is_hollow(end.found):
+    if is_spurious(end.found):
         end, safe = _safe(chosen, end, start, seed, monitor)
     if monitor.stopped is not None and end.outcome.status is monitor.stopped and not end.found.success:
         end = monitor.finish(lambda: back(end))

@@ -48,7 +48,7 @@ def test_what_is_not_known_is_written_only_where_it_has_no_default() -> None:
 
 def test_work_is_added_up_and_contact_solves_stand_in_the_record_already() -> None:
     total = Work(1, 1, 5) + Work(2, 3, 0, 7)
-    assert total == Work(3, 4, 5, 7)
+    assert total == Work(3, 4, 5, 7) + Work()
     assert total.record() == {"cold_contact_solves": 4, "contact_factorisations": 5, "kkt_factorisations": 7}
     assert Work(8, 0, 1).record() == {"contact_factorisations": 1}
 

@@ -15,7 +15,7 @@ from rmesh_nlp.solving.solution import Solution
 
 def solve_once(problem: ContactProblem, *args: Any, **options: Any) -> Solution:
     """``rm.solve`` without the second solve that follows an exploited end."""
-    with patch.object(driver, "is_hollow", lambda _: False):
+    with patch.object(driver, "is_spurious", lambda _: False):
         return driver.solve(problem, *args, **options)
 
 
