@@ -102,7 +102,7 @@ def test_a_problem_file_is_known_by_its_content(path):
     [
         (JOINT, "there is nothing to solve"),
         ("examples = ['6.1']", "formulations = nothing"),
-        (JOINT + "examples = ['6.9']", "unknown example '6.9'"),
+        (JOINT + "examples = ['6.9']", "examples: unknown example '6.9'"),
         ("examples = ['6.1']\nformulations = ['jiont']", "did you mean joint"),
         (JOINT + "examples = ['6.1']\nsize = [3]", "unknown key, did you mean 'sizes'?"),
         (JOINT + "examples = ['6.1']\nsizes = [1]", "expected sizes such as 8 or '12x6'"),
@@ -154,6 +154,8 @@ def test_every_solve_of_the_template_succeeds(path):
 def test_the_time_of_a_plan_is_that_of_its_rows_or_a_rule():
     one = PlannedSolve({}, "6.1", "6.1", "8", "a", "nested", time_s=9.5)
     assert seconds_of_plan([one, one], []) == pytest.approx(3.0)
+    rules = {"fixed": 0.1, "joint": 0.5, "mpcc": 2.5, "of others": 1.0}
+    assert [seconds_of_plan([replace(one, formulation=name)], []) for name in rules] == [*rules.values()]
     finer = replace(one, size="16x16")
     assert seconds_of_plan([finer], []) == pytest.approx(1.5 * 4**1.3)
     rows = [{"variant": "a", "family": "6.1", "task_time_s": t} for t in (1.0, 2.0, 30.0, None)]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from rmesh_nlp.solving.clock import TOLERANCE
 from rmesh_nlp.solving.parts import Step
+from rmesh_nlp.study import progress
+from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.progress import EVERY, Pace, SolvesProgress
 
 
@@ -57,14 +60,30 @@ def test_a_gain_counts_from_the_mesh_that_the_step_is_on():
 def test_a_study_has_lines_for_failures_and_for_every_so_many(capsys):
     row: dict[str, Any] = {"example": "6.1", "variant": "a", "status": "converged", "success": True}
     bad = {**row, "success": False, "status": "died", "message": "[gone]", "wall_time_s": 1.0}
-    with SolvesProgress(EVERY + 3, 1, each=False) as progress:
+    with SolvesProgress(EVERY + 3, 1, each=False) as shown:
         for one in (bad, {**bad, "status": "refused"}, {"key": "k", "found": True}, *[row] * (EVERY - 1)):
-            progress.finish(one)
+            shown.finish(one)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == f"1 of {EVERY + 3} solves have a row already"
     assert lines[1:] == [
         "6.1 a: died, 1.00 s: [gone]", f"{EVERY} of {EVERY + 3} solves", f"{EVERY + 3} of {EVERY + 3} solves"
     ]  # fmt: skip
-    with SolvesProgress(1, quiet=True) as progress:
-        progress.finish(bad)
+    with SolvesProgress(1, quiet=True) as shown:
+        shown.finish(bad)
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("options", "limited"), [({}, False), ({"starts": 2}, False), ({"seed": 1}, True)])
+def test_a_solve_that_goes_on_has_a_line_every_so_many_seconds(options, limited, capsys, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    limit = {"time_limit_s": 60.0} if options else {}
+    solve = PlannedSolve({}, "6.1", "6.1", "8", "", "joint", options | limit)
+    with SolvesProgress(1) as shown:
+        shown.start(solve)
+        for seconds in (9.0, 10.5, 19.0, 21.0):
+            now[0] = 100.0 + seconds
+            shown.step(Step(int(seconds), -1.0, 0.0, 0.0, 0.0, 0, seconds))
+    lines = [line for line in capsys.readouterr().err.splitlines() if line]
+    assert [line.partition(",")[0] for line in lines] == [f"6.1 joint: iteration {k}" for k in (10, 21)]
+    assert [line.endswith("at most 39 s left") for line in lines] == [False, limited]
