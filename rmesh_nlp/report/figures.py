@@ -203,7 +203,7 @@ def error_figure(field: Fields, bounds: tuple[Array, Array], record: Record) -> 
     """
     meshes = (field.initial, field.nodes)
     density = [
-        np.sqrt(2 * np.maximum(local, 0) / np.abs(signed_areas(nodes, field.triangles)))
+        np.sqrt(2 * np.maximum(local, 0) / np.abs(signed_areas(nodes, field.triangles[:3])))
         for nodes, local in zip(meshes, bounds, strict=True)
     ]
     high = float(np.max(density))
