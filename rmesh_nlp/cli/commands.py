@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from rmesh_nlp import __version__
 from rmesh_nlp.cli import options as o
@@ -31,7 +32,7 @@ def _rmesh(
     context: typer.Context,
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and leave."),
+        Option("--version", callback=_show_version, is_eager=True, help="Show the version and leave."),
     ] = False,
 ) -> None:
     """Relocate the nodes of finite-element meshes for contact problems.
@@ -59,11 +60,11 @@ def _rmesh(
 def solve(
     context: typer.Context,
     example: Annotated[
-        str, typer.Argument(metavar="EXAMPLE", help="6.1, 6.2 or 6.3, or a problem file such as my.toml.")
+        str, Argument(metavar="EXAMPLE", help="6.1, 6.2 or 6.3, or a problem file such as my.toml.")
     ],
     formulation: Annotated[
         str | None,
-        typer.Option(
+        Option(
             "--formulation",
             "-f",
             help="fixed, nested, joint, mpcc, auto, or one you installed. Default: joint; of a file "
@@ -89,15 +90,13 @@ def solve(
     settings: o.Set = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
+        Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
     ] = None,
     json: o.Json = False,
     quiet: o.Quiet = False,
     figures: Annotated[
         bool,
-        typer.Option(
-            "--figures/--no-figures", help="Draw before and after to DIR/figures (for a problem file)."
-        ),
+        Option("--figures/--no-figures", help="Draw before and after to DIR/figures (for a problem file)."),
     ] = True,
     columns: o.Columns = 2,
 ) -> None:
@@ -127,13 +126,13 @@ def solve(
 
 @app.command()
 def path(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A problem file with a table [path].")],
+    file: Annotated[Path, Argument(metavar="FILE", help="A problem file with a table [path].")],
     formulation: Annotated[
-        str | None, typer.Option("--formulation", "-f", help="Formulation; default: that of the file.")
+        str | None, Option("--formulation", "-f", help="Formulation; default: that of the file.")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder to write; default: results/<name>-path."),
+        Option("--out", metavar="DIR", help="Folder to write; default: results/<name>-path."),
     ] = None,
 ) -> None:
     """Move a foundation in steps and solve each: a load path.
@@ -153,7 +152,7 @@ def check(
     file: o.File,
     picture: Annotated[
         Path | None,
-        typer.Option("--picture", metavar="FILE", help="Where to draw; default: beside the problem file."),
+        Option("--picture", metavar="FILE", help="Where to draw; default: beside the problem file."),
     ] = None,
 ) -> None:
     """Validate a problem file, print what it says, draw its mesh with boundary roles and motion.
@@ -182,8 +181,8 @@ def advise(file: o.File) -> None:
 
 @app.command()
 def new(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The file to write.")],
-    study: Annotated[bool, typer.Option("--study", help="A study file instead of a problem file.")] = False,
+    file: Annotated[Path, Argument(metavar="FILE", help="The file to write.")],
+    study: Annotated[bool, Option("--study", help="A study file instead of a problem file.")] = False,
 ) -> None:
     """Write a commented template of a problem file, or of a study; it solves as it is.
 
@@ -196,18 +195,16 @@ def new(
 
 @app.command()
 def study(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A study file.")],
+    file: Annotated[Path, Argument(metavar="FILE", help="A study file.")],
     out: o.Out,
     jobs: o.Jobs = 1,
     scheduler: Annotated[
         str | None,
-        typer.Option("--scheduler", metavar="ADDRESS", help="A running dask scheduler: tls://host:8786."),
+        Option("--scheduler", metavar="ADDRESS", help="A running dask scheduler: tls://host:8786."),
     ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print the plan and a guess of its time.")
-    ] = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="Print the plan and a guess of its time.")] = False,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Solve again what has a row that is a failure.")
+        bool, Option("--retry-failed", help="Solve again what has a row that is a failure.")
     ] = False,
     json: o.Json = False,
     quiet: o.Quiet = False,
@@ -234,11 +231,11 @@ def study(
 def compare(
     context: typer.Context,
     examples: Annotated[
-        list[str] | None, typer.Argument(help="Examples, or problem files; the three examples by default.")
+        list[str] | None, Argument(help="Examples, or problem files; the three examples by default.")
     ] = None,
     formulations: Annotated[
         str,
-        typer.Option(
+        Option(
             "--formulations",
             metavar="NAMES",
             help="Formulations, separated by commas; options of their own as in mpcc:start=joint.",
@@ -263,7 +260,7 @@ def compare(
     settings: o.Set = None,
     out: o.Out = Path("results"),
     resume: Annotated[
-        bool, typer.Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
+        bool, Option("--resume", help="Keep the rows in DIR that succeeded and solve only the others.")
     ] = False,
     jobs: o.Jobs = 1,
     repeats: o.Repeats = 1,
@@ -333,7 +330,7 @@ def report(folder: o.Folder) -> None:
 @app.command()
 def reproduce(
     out: o.Out = Path("reproduction"),
-    quick: Annotated[bool, typer.Option("--quick", help="One random start instead of 40.")] = False,
+    quick: Annotated[bool, Option("--quick", help="One random start instead of 40.")] = False,
     quiet: o.Quiet = False,
 ) -> None:
     """Derive again every statement about the paper's figures: printed value, ours, met or not, and why.
@@ -351,7 +348,7 @@ def reproduce(
 @app.command()
 def export(
     folder: o.Folder,
-    parquet: Annotated[Path, typer.Option("--parquet", metavar="FILE", help="The Parquet file to write.")],
+    parquet: Annotated[Path, Option("--parquet", metavar="FILE", help="The Parquet file to write.")],
 ) -> None:
     """Write the rows of DIR, joined by key, as a Parquet file for pandas, DuckDB or R.
 

@@ -12,19 +12,19 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import typer
+from typer import Argument, Option
 
 from rmesh_nlp.errors import BadInputError
 
 Size = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--n", metavar="SIZE", help="Squares per side, 8, or columns by rows, 12x6. Default: the paper's."
     ),
 ]
 Delta = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--delta",
         metavar="D[,D]",
         help="Move limits of the nodes, or two, along x and y; none for no limits. "
@@ -33,17 +33,15 @@ Delta = Annotated[
 ]
 Seed = Annotated[
     str | None,
-    typer.Option(
-        "--seed", metavar="NUMBER", help="Start from random node positions instead of the given mesh."
-    ),
+    Option("--seed", metavar="NUMBER", help="Start from random node positions instead of the given mesh."),
 ]
 Quadrature = Annotated[
     str,
-    typer.Option("--quadrature", metavar="RULE", help="Rule for the load: midpoint, or a degree such as 6."),
+    Option("--quadrature", metavar="RULE", help="Rule for the load: midpoint, or a degree such as 6."),
 ]
 Objective = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--objective",
         metavar="TERMS",
         help="Outer objective: energy (default), certificate (the guaranteed bound of the error, scalar "
@@ -53,7 +51,7 @@ Objective = Annotated[
 ]
 Objectives = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--objective",
         metavar="TERMS",
         help="Outer objective, as for solve; given several times, all of them stand in one table.",
@@ -61,7 +59,7 @@ Objectives = Annotated[
 ]
 Seeds = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--seed",
         metavar="N[,N...]",
         help="Start from random node positions; several seeds, or the option repeated, in one table.",
@@ -69,7 +67,7 @@ Seeds = Annotated[
 ]
 Regularisation = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--regularisation",
         metavar="W[,W...]",
         help="Weight of the distortion in the energy, relative to the error of the energy, or a schedule of "
@@ -77,29 +75,29 @@ Regularisation = Annotated[
     ),
 ]
 Flips = Annotated[
-    bool, typer.Option("--flips", help="Flip edges by energy between relocations, until neither gains.")
+    bool, Option("--flips", help="Flip edges by energy between relocations, until neither gains.")
 ]
 Starts = Annotated[
     int | None,
-    typer.Option(
+    Option(
         "--starts", min=1, metavar="N", help="As many random starts besides the given mesh; the best counts."
     ),
 ]
 Levels = Annotated[
     int | None,
-    typer.Option(
+    Option(
         "--levels", min=1, max=4, metavar="N", help="Optimise, refine the mesh uniformly, go on, so often."
     ),
 ]
 Relaxation = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--relaxation", metavar="NAME", help="Relaxation of complementarity in mpcc; scholtes by default."
     ),
 ]
 Outer = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--outer",
         metavar="NAME",
         help="Outer solver of nested: newton (default), newton-cg or ipopt.",
@@ -107,16 +105,16 @@ Outer = Annotated[
 ]
 TimeLimit = Annotated[
     float | None,
-    typer.Option(
+    Option(
         "--time-limit", min=0.001, metavar="SECONDS", help="Of each solve; its best valid mesh then counts."
     ),
 ]
 MaxIterations = Annotated[
-    int | None, typer.Option("--max-iterations", min=1, metavar="N", help="Of each solve, likewise.")
+    int | None, Option("--max-iterations", min=1, metavar="N", help="Of each solve, likewise.")
 ]
 Tolerance = Annotated[
     float | None,
-    typer.Option(
+    Option(
         "--tolerance",
         metavar="NUMBER",
         help="Largest first-order residual, relative to the given mesh, of what is called converged (1e-6).",
@@ -124,43 +122,43 @@ Tolerance = Annotated[
 ]
 Begin = Annotated[
     str | None,
-    typer.Option("--start", metavar="NAME", help="given (default), or a formulation whose end is the start."),
+    Option("--start", metavar="NAME", help="given (default), or a formulation whose end is the start."),
 ]
 Set = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--set",
         metavar="NAME=VALUE",
         help="A setting of the formulation, such as tol=1e-8 or newton.forcing=0.2; repeat.",
     ),
 ]
 Jobs = Annotated[
-    int, typer.Option("--jobs", min=1, metavar="N", help="Processes that solve; more than 1 needs dask.")
+    int, Option("--jobs", min=1, metavar="N", help="Processes that solve; more than 1 needs dask.")
 ]
 Repeats = Annotated[
     int,
-    typer.Option(
+    Option(
         "--repeats", min=1, metavar="N", help="Solve each N times: tables show medians of times and ranges."
     ),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="Say nothing but errors.")]
 Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Print all tables of DIR/table.md instead of the main one.")
+    bool, Option("--verbose", "-v", help="Print all tables of DIR/table.md instead of the main one.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout instead of text.")]
+Json = Annotated[bool, Option("--json", help="Print JSON to stdout instead of text.")]
 Certify = Annotated[
     bool,
-    typer.Option("--certify", help="Bound the error in the energy norm, before and after the relocation."),
+    Option("--certify", help="Bound the error in the energy norm, before and after the relocation."),
 ]
 Columns = Annotated[
-    int, typer.Option("--columns", min=1, max=2, help="Width of the figures: columns of a printed page.")
+    int, Option("--columns", min=1, max=2, help="Width of the figures: columns of a printed page.")
 ]
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A folder that solve, compare or study wrote.")]
-File = Annotated[Path, typer.Argument(metavar="FILE", help="A problem file.")]
-Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")]
+Folder = Annotated[Path, Argument(metavar="DIR", help="A folder that solve, compare or study wrote.")]
+File = Annotated[Path, Argument(metavar="FILE", help="A problem file.")]
+Out = Annotated[Path, Option("--out", metavar="DIR", help="Folder to write.")]
 Figures = Annotated[
     bool,
-    typer.Option("--figures/--no-figures", help="Draw to DIR/figures; rmesh figures DIR does it later."),
+    Option("--figures/--no-figures", help="Draw to DIR/figures; rmesh figures DIR does it later."),
 ]
 
 HIGHEST_DEGREE = 50  # rules above it have so many points that building the energy takes minutes
