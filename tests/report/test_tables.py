@@ -170,7 +170,8 @@ def test_relocation_stands_beside_refinement() -> None:
         ["as given", "joint", "100", "0.2"],
         ["refined", "no motion", "400", "0.4"],
     ]
-    (note,) = refinement_notes([finer, given, moved])
+    worse, finest = {**moved, "energy_audited": -1.1}, {**finer, "nodes": 1600, "energy_audited": -1.5}
+    (note,) = refinement_notes([finest, worse, finer, given, moved])
     assert "one uniform refinement (400 nodes) gains 2 times as much as joint on 100 nodes, in 0.1" in note
     useless = {**moved, "energy_audited": -1.0}
     assert refinement_notes([given, useless, finer]) == ["6.2: no formulation gained on the given mesh."]
