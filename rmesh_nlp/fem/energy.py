@@ -165,26 +165,22 @@ def _elements(problem: ContactProblem) -> list[tuple[Law, Index, list[tuple[Curv
 
     A triangle with two arcs counts as one beside the first of them: its other side is a chord.
     """
-    nodes_of: dict[int, Index] = {}
-    owner = np.full(problem.triangles.shape[1], CONSTANT)
+    vertices, owner = problem.triangles.copy(), np.full(problem.triangles.shape[1], CONSTANT)
     for number, name in enumerate(problem.motion.curves):
         sides = sides_on(problem, np.asarray(problem.mesh.boundaries[name], dtype=np.int64))
         elements, first = np.unique(sides.element, return_index=True)
-        first = first[owner[elements] == CONSTANT]
-        elements, ends = sides.element[first], sides.ends[:, first]
+        new = owner[elements] == CONSTANT
+        elements, apex = elements[new], 3 - sides.ends[:, first[new]].sum(axis=0)
         owner[elements] = number
-        apex = 3 - ends.sum(axis=0)
-        local = np.stack([(apex + 1) % 3, (apex + 2) % 3, apex])  # counter-clockwise
-        nodes_of[number] = np.zeros((3, owner.size), np.int64)
-        nodes_of[number][:, elements] = np.take_along_axis(problem.triangles[:, elements], local, axis=0)
+        local = np.stack([(apex + 1) % 3, (apex + 2) % 3, apex])  # counter-clockwise, the arc first
+        vertices[:, elements] = np.take_along_axis(vertices[:, elements], local, axis=0)
     found = []
     for law, elements in problem.regions:
+        of = owner[elements]
         beside = [
-            (problem.curves[number], (number, nodes[:, elements[owner[elements] == number]]))
-            for number, nodes in nodes_of.items()
+            (problem.curves[k], (k, vertices[:, elements[of == k]])) for k in np.unique(of[of >= 0]).tolist()
         ]
-        present = [(curve, place) for curve, place in beside if place[1].size]
-        found.append((law, elements[owner[elements] == CONSTANT], present))
+        found.append((law, elements[of == CONSTANT], beside))
     return found
 
 
