@@ -1,6 +1,7 @@
 """A contact problem as a whole: refinement keeps it, its description fits a screen, mistakes are named."""
 
 from dataclasses import FrozenInstanceError, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -9,10 +10,11 @@ import pytest
 from formulations.refined import prolong
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import named
-from rmesh_nlp.meshes.curves import Circle
+from rmesh_nlp.meshes.curves import Circle, Parametrised
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
+    NO_CONTACT,
     ContactProblem,
     Dirichlet,
     Laplace,
@@ -26,7 +28,9 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.problem.conditions import symmetric
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
+from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.motion import BY_BARRIER
+from rmesh_nlp.problem.rigid import rigid_motions
 from support.formulations import fixed, joint, mpcc
 
 
@@ -52,6 +56,8 @@ BODY = {
 }
 WALL = Obstacle.line("right", (1.0, 0.0), (-1.0, 0.0))
 DISC = Circle((0.0, 0.0), 1.0)
+GAP = Traction("top", lambda x, y: ca.log(ca.fabs(x - 0.06) - 0.01))
+BEAM = BODY | {"mesh": rectangle(4, 1, x=(0, 100)), "obstacle": NO_CONTACT}
 POLE = Laplace(lambda x, y: 1 / (x - 0.25))
 
 
@@ -86,6 +92,7 @@ POLE = Laplace(lambda x, y: 1 / (x - 0.25))
         (SCALAR, {"tractions": Traction("top", lambda x, y: 1 / x)}, "tractions", "on 'top' is inf"),
         # finite at the nodes, not at the points of the rule beside them
         (SCALAR, {"law": POLE, "quadrature": "midpoint"}, "law", r"the source is .*inf at \(0.25, "),
+        (SCALAR, {"tractions": GAP, "quadrature": "midpoint"}, "tractions", r"is nan at \(0.0563508, 1\)"),
         (BODY, {"law": PlaneStrain(1, 1, (0.0, np.inf))}, "law", "component 2 of the body force"),
         (BODY, {"dirichlet": ()}, "dirichlet", "can still move as a rigid body"),
         (BODY, {"dirichlet": Dirichlet("left", (0.0, None)), "obstacle": WALL}, "dirichlet", "rigid"),
@@ -101,14 +108,67 @@ def test_contradictions_name_their_part(base: dict, change: dict, part: str, mes
     assert caught.value.part == part
 
 
+def on_a_line(height: float) -> Motion:
+    line = Parametrised(lambda t: t, lambda t: 1 + height + 0 * t, (-1.0, 2.0))
+    return Motion(None, curves={"top": line})
+
+
+def given_twice(value: float) -> tuple[Dirichlet, Dirichlet]:
+    return Dirichlet("left", 1.0), Dirichlet("bottom", value)
+
+
+def corner_with_a_wall(slope: float) -> tuple[Obstacle, Obstacle]:
+    return Obstacle("bottom"), Obstacle.line("right", (1.0, 0.0), (-slope, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("base", "taken", "refused", "message"),
+    [
+        # displacements given twice agree up to rounding
+        (SCALAR, *({"dirichlet": given_twice(1 + d)} for d in (1e-13, 1e-11)), "where another boundary"),
+        # nodes are on their curve, by the shortest edge of 0.5
+        (SCALAR, *({"motion": on_a_line(height)} for height in (0.4e-3, 0.6e-3)), "off its curve"),
+        # normals at a node of two foundations are independent
+        (BODY, *({"obstacle": corner_with_a_wall(slope)} for slope in (1e-3, 1e-7)), "cannot obey all"),
+        # a long body held at a short edge
+        (BEAM, {}, {"dirichlet": Dirichlet("left", (0.0, None))}, "still move as a rigid body"),
+    ],
+)  # fmt: skip
+def test_thresholds_are_rounding(base: dict, taken: dict, refused: dict, message: str) -> None:
+    ContactProblem(**(base | taken))
+    with pytest.raises(ProblemError, match=message):
+        ContactProblem(**(base | refused))
+
+
+@pytest.mark.parametrize(
+    ("given", "offset", "message"),
+    [
+        (0.1, -0.05, "no node of the contact set is free"),
+        (-0.1, 0.05, "node 0, .* makes its gap -0.05"),
+        (0.0, lambda x, y: ca.if_else(y > 0.9, -1e-12, 1.0), "no node of the contact set is free"),
+        (0.0, lambda x, y: ca.if_else(y > 0.9, -1e-9, 1.0), "makes its gap -1e-09"),
+    ],
+)
+def test_given_displacements_leave_room(given: float, offset: Any, message: str) -> None:
+    contact = Obstacle("left", (1.0,), offset)
+    with pytest.raises(ProblemError, match=message):
+        replace(ContactProblem(**SCALAR), dirichlet=Dirichlet("left", given), obstacle=contact)
+
+
 def test_what_does_not_contradict_itself_is_taken() -> None:
     ContactProblem(**(BODY | {"obstacle": (Obstacle("bottom"), WALL)}))
     ContactProblem(**(BODY | {"dirichlet": ("left", Dirichlet("bottom", (0.0, None)))}))
     ContactProblem(**(BODY | {"dirichlet": Dirichlet("left", (0.0, None))}))  # the floor holds the rest
-    # gaps that rounding closes
-    rounded = Obstacle("left", offset=lambda x, y: ca.if_else(y > 0.9, -1e-12, 1.0))
-    with pytest.raises(ProblemError, match="no node of the contact set is free"):
-        ContactProblem(**(BODY | {"obstacle": rounded}))
+
+
+def test_rigid_motions_of_a_free_body_are_translations_and_the_rotation() -> None:
+    mesh = rectangle(3, 2, x=(1, 4))
+    motions = rigid_motions(ProblemData(mesh, PlaneStrain(1.0, 1.0), ()))
+    (x, y), zero = mesh.p, np.zeros(mesh.p.shape[1])
+    known = np.array([[zero + 1, zero], [zero, zero + 1], [-y, x]]).reshape(3, -1).T
+    found = motions.reshape(len(motions), -1).T
+    assert np.linalg.matrix_rank(found) == 3
+    np.testing.assert_allclose(known @ np.linalg.lstsq(known, found, rcond=None)[0], found, atol=1e-12)
 
 
 def boundary_lengths(problem: ContactProblem) -> dict[str, float]:
