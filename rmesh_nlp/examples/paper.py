@@ -14,9 +14,7 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from skfem import MeshTri
 
-from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -130,15 +128,9 @@ def example_61(n: Size = 8, delta: Delta | None = None) -> ContactProblem:
     The printed source (6.1) is misprinted; f is derived from the exact solution (6.2).
     """
     nx, ny = _size(n)
-    mesh = _renamed(
-        rectangle(nx, ny, diagonal="rising"),
-        {
-            "left": lambda x: np.isclose(x[0], 0),
-            "bottom": lambda x: np.isclose(x[1], 0),
-            "top": lambda x: np.isclose(x[1], 1),
-            "contact": lambda x: np.isclose(x[0], 1),
-        },
-    )
+    mesh = rectangle(nx, ny, diagonal="rising")
+    names = {"left": "left", "bottom": "bottom", "top": "top", "contact": "right"}
+    mesh = replace(mesh, _boundaries={name: mesh.boundaries[side] for name, side in names.items()})
     return ContactProblem(
         mesh=mesh,
         law=Laplace(source=negative_laplacian(exact_displacement_61)),
@@ -182,16 +174,13 @@ def _elastic(
         raise ValueError(f"{name}: the bottom row is moved up to {bottom}, beyond the next one of {ny} rows")
     grid = rectangle(nx, ny, x=(0, 4), diagonal="falling")
     p = np.where([[False], [True]] & (grid.p == 0), bottom, grid.p)
-    mesh = _renamed(
-        replace(grid, doflocs=p),
-        {
-            "left": lambda x: np.isclose(x[0], 0),
-            "right": lambda x: np.isclose(x[0], 4),
-            "top": lambda x: np.isclose(x[1], 1),
-            "load": lambda x: np.isclose(x[1], 1) & (x[0] > 2),
-            "contact": lambda x: np.isclose(x[1], bottom),
-        },
-    )
+    sides, top = grid.boundaries, grid.boundaries["top"]
+    names = {
+        **{name: sides[name] for name in ("left", "right", "top")},
+        "load": top[p[0, grid.facets[:, top]].mean(axis=0) > 2],
+        "contact": sides["bottom"],
+    }
+    mesh = replace(grid, doflocs=p, _boundaries=names)
     alpha = PiecewiseLinear((0.0, 4.0), (bottom, bottom))
     return ContactProblem(
         mesh=mesh,
@@ -209,11 +198,6 @@ def _elastic(
 
 EXAMPLES: dict[str, Callable[..., ContactProblem]] = {"6.1": example_61, "6.2": example_62, "6.3": example_63}
 """The paper's examples by number; each takes ``n`` and ``delta``."""
-
-
-def _renamed(mesh: MeshTri, boundaries: dict[str, Callable[[Array], Any]]) -> MeshTri:
-    """The mesh with these boundaries alone, each by a condition on the midpoints of its edges."""
-    return replace(mesh, _boundaries=None).with_boundaries(boundaries)
 
 
 def _size(n: Size) -> tuple[int, int]:

@@ -40,6 +40,12 @@ def test_repairs_are_said_and_keep_names() -> None:
     assert mesh.p[:, mesh.facets[:, mesh.boundaries["top"]]].mean(axis=1).ravel().tolist() == [0.5, 1.0]
 
 
+def test_only_rounding_of_the_size_is_no_area() -> None:
+    assert from_arrays([[0, 0], [1, 0], [0.5, 1e-9]], [[0, 1, 2]]).t.shape[1] == 1
+    with pytest.raises(ValueError, match="triangle 0 has no area"):
+        from_arrays([[0, 0], [1, 0], [0.5, 1e-14]], [[0, 1, 2]])
+
+
 @pytest.mark.filterwarnings("ignore::rmesh_nlp.meshes.MeshRepairWarning")
 @pytest.mark.parametrize(("gap", "left"), [(0.9e-10, 4), (1.1e-10, 5)])
 def test_nodes_closer_than_rounding_of_the_size_are_one(gap: float, left: int) -> None:
@@ -125,6 +131,10 @@ def test_rectangle_has_its_sides_and_diagonals(diagonal: str, slope: int) -> Non
         (lambda: shapes.half_disc(0.1, contact=1.0), "contact half-length 1.0 must be smaller"),
         (lambda: shapes.wedge_block(0.1, rise=1.0), "rise 1.0 must be at least 0 and smaller"),
         (lambda: shapes.l_shape(0.0), "h must be positive, got 0.0"),
+        (lambda: shapes.l_shape(2.6e-3), "more than 1e"),
+        (lambda: shapes.plate_with_hole(0.015), "more than 1e"),
+        (lambda: shapes.wedge_block(3e-3), "more than 1e"),
+        (lambda: shapes.half_disc(0.1, h_contact=1.5e-4), "more than 1e"),
         (lambda: shapes.polygon([(0, 0), (1, 0)], 0.1), "3 or more finite points"),
         (lambda: shapes.polygon([(0, 0), (1, 0), (0, 1)], 0.1, {"a": [3]}), "edge 3; edges run to 2"),
         (lambda: shapes.polygon([(0, 0), (1, 1), (1, 0), (0, 1)], 1e-9), "more than 1e"),

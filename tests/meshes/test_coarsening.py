@@ -87,7 +87,9 @@ def test_a_decimated_problem_keeps_domain_names_and_corners(seed: int) -> None:
     coarse = coarsened(problem, least=20)
     assert coarse is not None
     assert coarse.mesh.p.shape[1] < problem.mesh.p.shape[1] / 2
-    assert np.min(shape_quality(coarse.mesh.p, coarse.triangles)) > 0.05
+    assert (
+        np.min(shape_quality(coarse.mesh.p, coarse.triangles)) > 0.25
+    )  # mergers leave 0.2, flips improve that
     assert sizes(coarse.mesh) == pytest.approx(sizes(problem.mesh), rel=1e-12)
     # coarser spaces have higher energies, up to quadrature: the problem is the same one
     solved = ContactSolver(replace(coarse, quadrature=12)).solve(coarse.mesh.p)

@@ -31,6 +31,7 @@ from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.motion import BY_BARRIER
 from rmesh_nlp.problem.rigid import rigid_motions
+from support.curved import HOLE, plate
 from support.formulations import fixed, joint, mpcc
 
 
@@ -187,6 +188,17 @@ def test_refined_meshes_keep_boundaries_and_move_limits() -> None:
     for one in (whole, part):
         assert boundary_lengths(one) == pytest.approx(boundary_lengths(problem))
         assert signed_areas(one.mesh.p, one.triangles).sum() == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("polygon", [False, True])
+def test_new_nodes_of_a_curve_are_on_it_or_on_the_edges(polygon: bool) -> None:
+    coarse = plate({"hole": HOLE})
+    fine = refined(coarse, polygon=polygon)
+    nodes = fine.boundary_nodes(("hole",))
+    off = np.linalg.norm(fine.mesh.p[:, nodes] - np.array([HOLE.centre]).T, axis=0) - HOLE.radius
+    assert (np.min(off) < -0.01) == polygon
+    assert np.max(np.abs(off)) < 1e-12 or polygon
+    assert set(fine.motion.curves) == (set() if polygon else {"hole"})
 
 
 def test_boundary_on_an_axis_of_symmetry_stays_on_it() -> None:
