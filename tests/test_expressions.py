@@ -28,9 +28,15 @@ def test_values_are_those_of_numpy() -> None:
         ("sin(2*pi*x)*y - x**2/3", np.sin(2 * np.pi * x) * y - x**2 / 3),
         ("where(x < 0.5 and not y > 1, hypot(x, y), -max(x, y))", chosen),
         ("0 < x <= 1", (x > 0) & (x <= 1)),
+        ("x >= 0.3", x >= 0.3),
+        ("+x - -y", x + y),
+        ("atan2(y, x) + min(x, y)*abs(y)", np.arctan2(y, x) + np.minimum(x, y) * np.abs(y)),
+        ("tan(x) + asin(x) + acos(x) + atan(y)", np.tan(x) + np.arcsin(x) + np.arccos(x) + np.arctan(y)),
+        ("sinh(x) + cosh(y) + tanh(y) + cos(y)", np.sinh(x) + np.cosh(y) + np.tanh(y) + np.cos(y)),
+        ("exp(y) + log(x + 1) + sqrt(x) + 1e5", np.exp(y) + np.log(x + 1) + np.sqrt(x) + 1e5),
         ("x == 0.1 + 0.2 or y != 0.5", (x == 0.3) | (y != 0.5)),
     ]:
-        np.testing.assert_allclose(Expression(text).on(points), expected, atol=1e-15)
+        np.testing.assert_allclose(Expression(text).on(points), expected, rtol=1e-14, atol=1e-15)
 
 
 @pytest.mark.parametrize(

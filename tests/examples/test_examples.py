@@ -31,12 +31,8 @@ def test_initial_energies_are_those_of_the_paper(name: str, n: int, energy: floa
 
 
 def test_figures_are_truncated_as_the_paper_does() -> None:
-    assert [truncated(value) for value in (-1.124602, -1.12469, -1.1246, 0.1)] == [
-        -11246,
-        -11246,
-        -11246,
-        1000,
-    ]
+    assert [truncated(value) for value in (-1.124602, -1.12469, 0.1)] == [-11246, -11246, 1000]
+    assert all(truncated(k / 1e4) == k for k in range(-20_000, 20_000))  # no binary fractions
 
 
 def test_move_limits_follow_the_mesh_width_unless_given() -> None:

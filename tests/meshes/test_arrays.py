@@ -9,7 +9,7 @@ import pytest
 from skfem import MeshTri
 
 from rmesh_nlp.meshes import MeshRepairWarning, from_arrays, named, shapes
-from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.meshes.geometry import shape_quality, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 
 SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
@@ -40,8 +40,14 @@ def test_repairs_are_said_and_keep_names() -> None:
     assert mesh.p[:, mesh.facets[:, mesh.boundaries["top"]]].mean(axis=1).ravel().tolist() == [0.5, 1.0]
 
 
+def test_shape_of_triangles() -> None:
+    nodes = np.array([[0, 1, 0.5, 0], [0, 0, np.sqrt(0.75), 1]])
+    found = shape_quality(nodes, np.array([[0, 0, 0], [1, 2, 1], [2, 1, 3]]))
+    np.testing.assert_allclose(found, [1, -1, np.sqrt(0.75)], rtol=1e-14)
+
+
 def test_only_rounding_of_the_size_is_no_area() -> None:
-    assert from_arrays([[0, 0], [1, 0], [0.5, 1e-9]], [[0, 1, 2]]).t.shape[1] == 1
+    assert from_arrays([[0, 0], [1, 0], [0.5, 1e-5]], [[0, 1, 2]]).t.shape[1] == 1
     with pytest.raises(ValueError, match="triangle 0 has no area"):
         from_arrays([[0, 0], [1, 0], [0.5, 1e-14]], [[0, 1, 2]])
 
