@@ -13,6 +13,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving import driver
 from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.monitor import Monitor
@@ -79,7 +80,25 @@ def test_ctrl_c_in_a_callback_keeps_the_best_mesh(problem: ContactProblem) -> No
     assert solution.energy < solution.energy_initial
 
 
-def test_of_all_moves_that_were_reported_the_lowest_are_kept(problem: ContactProblem) -> None:
+@pytest.mark.parametrize("during", ["reduced_error", "surviving_gain"])
+def test_ctrl_c_after_the_assessment_keeps_the_solution(
+    problem: ContactProblem, during: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = solve(problem)
+
+    def press(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(driver, during, press)
+    solution = solve(problem, certify=True)
+    assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
+    assert solution.energy == usual.energy
+    assert usual.error_reduction is not None
+    assert (solution.error_reduction is None) == (during == "reduced_error")
+    assert solution.certificate is solution.certificate_remark is None  # nothing more is begun
+
+
+def test_of_all_that_was_reported_the_lowest_is_kept(problem: ContactProblem) -> None:
     outer = Outer(problem)
     slope = outer.energy(outer.variables()).gradient
     ways = [-part * slope / np.max(np.abs(slope)) for part in (0.0, 0.3, 0.1, -0.3)]
@@ -114,7 +133,7 @@ def test_what_is_stopped_is_never_made_worse(problem: ContactProblem, way: str) 
         assert (worse.status, worse.success) == (Status.WORSE, False)
 
 
-def test_moves_are_shown_of_the_given_mesh_only(problem: ContactProblem) -> None:
+def test_outer_variables_are_shown_of_the_given_mesh_only(problem: ContactProblem) -> None:
     seen: list[Step] = []
     other = Outer(EXAMPLES["6.2"]((2, 2)))
 
