@@ -194,6 +194,18 @@ def test_a_local_cluster_writes_the_same_rows(tmp_path):
     assert list(engine.run(PLAN, tmp_path, jobs=2)) == []
 
 
+def test_a_solve_whose_worker_was_lost_for_good_is_a_row(tmp_path, monkeypatch):
+    told = {"key": PLAN[0].key, "status": "converged"}
+    ended = [(PLAN[0], told), (PLAN[1], None)]
+    monkeypatch.setattr(engine, "distributed_rows", lambda todo, *_: iter(ended))
+    first, lost = engine.run(PLAN, tmp_path, jobs=2)
+    assert first == told  # which its worker has written
+    assert (lost["key"], lost["status"], lost["shared"]) == (PLAN[1].key, "died", True)
+    (path,) = row_files(tmp_path)
+    assert path.name == f"records-{lost['worker']}.jsonl"
+    assert rows_of(tmp_path) == [lost]
+
+
 def test_failures_are_tried_again_when_that_is_asked_for(tmp_path, answers):
     answers.update(zip((one.key for one in PLAN), ("converged", "time_limit", "refused"), strict=True))
     with worker.Worker(tmp_path) as outlives:  # as on a cluster that goes on from client to client
