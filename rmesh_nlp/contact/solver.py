@@ -75,7 +75,9 @@ class ContactSolver:
         self.problem = problem = parts.problem
         self.displacement, self.n_u = parts.displacement, parts.n_u
         self.contact_nodes = parts.contact_nodes
-        self._elastic = _AtZero(parts, (*parts.strain, *parts.gaps), self.displacement, self.n_u)
+        self._elastic = _AtZero(
+            parts, (*parts.strain, *parts.gaps), self.displacement, self.n_u, quadratic=True
+        )
         self._loads = _AtZero(parts, parts.loads, self.displacement, self.n_u)
         self._friction = _AtZero(parts, parts.friction, parts.slip, parts.n_s)
         self._curved = any(part.level is not None for part in problem.obstacles)
@@ -104,13 +106,13 @@ class ContactSolver:
     def system(self, nodes: Array) -> ContactSystem:
         """The quadratic program at vertex positions (2, vertices)."""
         given = self.discretisation.vertices.values(nodes)
-        value, pull, offset, stiffness = self._elastic.quadratic(given)
-        work, push = self._loads(given)
+        value, (pull, offset, hessian) = self._elastic(given)
+        work, (push,) = self._loads(given)
         normals, tangents = self.normals, self.tangents
         if self._curved:
             normals, tangents = self._directions.rows(nodes)
         return ContactSystem(
-            stiffness=stiffness,
+            stiffness=self._elastic.matrix(hessian),
             load=-pull - push,
             constant=value + work,
             normals=normals,
@@ -129,8 +131,8 @@ class ContactSolver:
     def strain_and_friction(self, nodes: Array, u: Array) -> tuple[float, float]:
         """Strain energy and friction energy of a displacement at vertex positions."""
         given = self.discretisation.vertices.values(nodes)
-        value, pull, _, stiffness = self._elastic.quadratic(given)
-        strain = 0.5 * float(u @ (stiffness @ u)) + float(pull @ u) + value
+        value, (pull, _, hessian) = self._elastic(given)
+        strain = 0.5 * float(u @ (self._elastic.matrix(hessian) @ u)) + float(pull @ u) + value
         bound = self._slip_bound(given)
         return strain, float(bound @ np.abs(self.slips(nodes, u))) if bound.size else 0.0
 
@@ -143,7 +145,7 @@ class ContactSolver:
         """(gaps,) the largest friction forces; empty without friction."""
         bound = np.zeros(self.frictional.size if self.problem.frictional else 0)
         if bound.size:  # the friction energy is linear in the slips: its gradient is their bounds
-            bound[self.frictional] = self._friction(given)[1]
+            bound[self.frictional] = self._friction(given)[1][0]
         return bound
 
     @cached_property
@@ -156,35 +158,33 @@ class ContactSolver:
 
 
 class _AtZero:
-    """A sum over elements as a function of the vertex positions, its unknowns zero."""
+    """A sum over elements as a function of the vertex positions, its unknowns zero: value and gradient.
 
-    def __init__(self, parts: Discretisation, terms: Iterable[ElementTerm], field: Field, n: int) -> None:
+    With ``quadratic`` also its rows and the nonzeros of its Hessian, which ``matrix`` makes one of.
+    """
+
+    def __init__(
+        self,
+        parts: Discretisation,
+        terms: Iterable[ElementTerm],
+        field: Field,
+        n: int,
+        *,
+        quadratic: bool = False,
+    ) -> None:
         positions, X = parts.vertices.positions, parts.vertices.symbol
-        self._x, self._zero, self._X = ca.MX.sym("x", n), ca.MX.zeros(n), X
-        # kept, for CasADi does not own the callbacks of its derivatives
-        self._sums = parts.assemble(
-            [term.on(positions, field) for term in terms], self._x, X, parts.n_contact
-        )
-        self._linear = [ca.densify(part) for part in self._sums.grad_f(self._zero, X)]
-        self._evaluate = Evaluator(ca.Function("at_zero", [X], self._linear))
+        x, zero, n_rows = ca.MX.sym("x", n), ca.MX.zeros(n), parts.n_contact
+        sums = parts.assemble([term.on(positions, field) for term in terms], x, X, n_rows)
+        self._kept = sums  # CasADi does not own the callbacks of its derivatives
+        results = [ca.densify(part) for part in sums.grad_f(zero, X)]
+        if quadratic:
+            gap = ca.Function("gap", [x, X], [sums.g])(zero, X)
+            hessian = sums.hess_lag(zero, X, 1.0, ca.MX.zeros(n_rows))
+            self.matrix = Symmetric(numbered(hessian.sparsity()))
+            results += [ca.densify(gap), hessian]  # a constant gap may be a sparse zero
+        self._evaluate = Evaluator(ca.Function("at_zero", [X], results))
 
-    def __call__(self, given: Array) -> tuple[float, Array]:
-        """Value and gradient of the energy."""
-        value, gradient = self._evaluate(given)
-        return float(value[0]), gradient
-
-    @cached_property
-    def _second(self) -> tuple[Evaluator, Symmetric]:
-        gap = ca.Function("gap", [self._x, self._X], [self._sums.g])(self._zero, self._X)
-        hessian = self._sums.hess_lag(self._zero, self._X, 1.0, ca.MX.zeros(gap.shape[0]))
-        # a constant gap may be a sparse zero
-        results = [*self._linear, ca.densify(gap), hessian]
-        return Evaluator(ca.Function("quadratic", [self._X], results)), Symmetric(
-            numbered(hessian.sparsity())
-        )
-
-    def quadratic(self, given: Array) -> tuple[float, Array, Array, sp.csc_array]:
-        """Value and gradient of the energy, the rows, and the Hessian of the energy."""
-        evaluate, symmetric = self._second
-        value, gradient, gap, hessian = evaluate(given)
-        return float(value[0]), gradient, gap, symmetric(hessian)
+    def __call__(self, given: Array) -> tuple[float, list[Array]]:
+        """The value, and all else."""
+        value, *rest = self._evaluate(given)
+        return float(value[0]), rest
