@@ -126,6 +126,10 @@ def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bou
     if system.slip_bound.size:
         assert np.max(np.abs(found.tangential_force)) > 0.1
         forces += system.tangents.T @ found.tangential_force
+        slides = found.active.sliding != 0
+        slipped = -system.slip_bound[slides] * found.active.sliding[slides]
+        np.testing.assert_allclose(found.tangential_force[slides], slipped)
+        assert np.any(slides)
     np.testing.assert_allclose(system.stiffness @ found.u - system.load, forces, atol=1e-7)
 
 
