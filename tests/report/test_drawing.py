@@ -14,7 +14,7 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
-from rmesh_nlp.report.drawing import Body, Foundation, magnification, window
+from rmesh_nlp.report.drawing import Body, Foundation, foundations, magnification, window
 from rmesh_nlp.report.figures import grid_figure
 from rmesh_nlp.report.pictures import pictures
 from rmesh_nlp.report.style import Page, new_figure
@@ -71,6 +71,14 @@ def body(displacement: np.ndarray, *ways: np.ndarray) -> Body:
         for start, way in zip(starts, ways, strict=True)
     ]
     return Body(nodes, np.array([[0], [1], [2]]), displacement, tuple(known))
+
+
+@pytest.mark.parametrize(("below", "is_far"), [(1.9, False), (2.1, True)])
+def test_foundation_farther_than_the_body_is_long_is_not_drawn(below: float, is_far: bool) -> None:
+    problem = replace(pressed(0.0).problem, obstacle=Obstacle.line("bottom", (0.0, -below), (0.0, 1.0)))
+    (one,) = foundations(problem, problem.mesh.p)
+    assert (one.name, one.is_far) == ("bottom", is_far)
+    np.testing.assert_allclose(one.gaps, below)
 
 
 def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:

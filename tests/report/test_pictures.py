@@ -80,13 +80,18 @@ def test_nothing_that_is_zero_is_drawn() -> None:
 def test_the_contact_set_of_a_membrane_is_where_it_touches() -> None:
     problem = membrane()
     solution = joint.solve(problem)
-    for state in (before(problem), after(solution)):
+    _, meshes = next(pictures(solution, Page()))
+    for state, axis in zip((before(problem), after(solution)), meshes.axes, strict=True):
         inside = state.closed
         assert 0 < inside.sum() < inside.size
         middle = state.nodes[:, problem.triangles].mean(axis=1)
         # in the middle, and not at the corners, where the nodes are held above the obstacle
         assert np.max(np.abs(middle[:, inside])) < 0.9
         assert inside[np.argmin(np.linalg.norm(middle, axis=0))]
+        pairs = np.sort(np.hstack([problem.triangles[[i, i - 1]][:, inside] for i in range(3)]), axis=0)
+        rim = np.sum(np.unique(pairs, axis=1, return_counts=True)[1] == 1)
+        _, edge = axis.collections
+        assert len(edge.get_segments()) == rim
 
 
 def test_state_before_is_the_solution_on_the_given_mesh() -> None:
@@ -98,6 +103,18 @@ def test_state_before_is_the_solution_on_the_given_mesh() -> None:
             np.testing.assert_allclose(state.pressure, solution.pressure, rtol=1e-9, atol=1e-9)
             np.testing.assert_allclose(state.stress, again.stress, rtol=1e-9)
         assert (cold.title, again.title) == ("given mesh", "given mesh, nothing moved")
+
+
+def test_a_node_is_at_its_move_limit_if_its_multiplier_counts() -> None:
+    problem = membrane()
+    nodes = np.flatnonzero(limits(SimpleNamespace(problem=problem, multipliers=None)) == Limit.NOTHING)
+    push, nothing = np.zeros(problem.mesh.p.shape[1]), np.zeros(problem.mesh.t.shape[1])
+    push[nodes[:3]] = 1.0, 1e-3, 1e-7
+    found = limits(
+        SimpleNamespace(problem=problem, multipliers=SimpleNamespace(area=nothing, angle=nothing, limit=push))
+    )
+    assert np.flatnonzero(found == Limit.MOVE_LIMIT).tolist() == nodes[:2].tolist()
+    assert Limit.AREA not in found
 
 
 def test_a_least_angle_holds_the_nodes_of_its_element() -> None:
