@@ -15,8 +15,14 @@ from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.problem.units import Units
 from rmesh_nlp.report.blocks import blocks
-from rmesh_nlp.report.figures import block_figures, stress_figure, write_figures
-from rmesh_nlp.report.histories import curve
+from rmesh_nlp.report.figures import (
+    block_figures,
+    convergence_figure,
+    error_figure,
+    stress_figure,
+    write_figures,
+)
+from rmesh_nlp.report.histories import Curve, curve
 from rmesh_nlp.report.style import LOOKS, SETTINGS, TWO_COLUMNS, add_legend, new_figure
 from rmesh_nlp.study.comparison import plan_comparison, run
 
@@ -196,6 +202,27 @@ def test_with_friction_a_second_panel_has_the_bounds() -> None:
     rough = fields(0.0)
     rough.friction_bound[2] = 1.0
     assert len(stress_figure({"a": fields(0.0), "b": rough}).axes) == 2
+
+
+def test_error_is_drawn_per_root_of_area_on_each_mesh() -> None:
+    record = {"relative_error_bound": 0.25, "guaranteed_lower": True}
+    figure = error_figure(fields(0.0), (np.array([0.2]), np.array([0.05])), record)  # of area 0.1
+    before, after = figure.axes[:2]
+    assert [axis.collections[0].get_array() for axis in (before, after)] == [
+        pytest.approx(2),
+        pytest.approx(1),
+    ]
+    assert (before.get_title(), after.get_title()) == ("given, ", "relocated, error estimated at 25 %")
+
+
+def test_convergence_is_drawn_down_to_a_part_of_the_best() -> None:
+    way = Curve(
+        "joint", np.arange(3), np.array([1.0, 2.0, 4.0]), np.array([-1.0, -1.5, -2.0]), np.ones(3, bool)
+    )
+    iterations, costs = convergence_figure([way], {"objective": "energy", "energy": -9.0}).axes
+    np.testing.assert_allclose(iterations.lines[0].get_xydata(), [[0, 1], [1, 0.5], [2, 2e-8]])
+    np.testing.assert_allclose(costs.lines[0].get_xdata(), way.cost)
+    assert iterations.get_ylabel() == "|J − J*|"
 
 
 @pytest.mark.parametrize(("components", "label"), [(1, "contact stress"), (2, "contact stress [N/m²]")])

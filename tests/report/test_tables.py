@@ -140,6 +140,9 @@ def test_latex_continues_a_long_table_and_wraps_a_long_label() -> None:
     assert text.count(r"\begin{table}") == text.count("a $-$1 note") == 2
     assert r"\addtocounter{table}{-1}\caption{Starts. (continued)}" in text
     assert text.count("seed ") == LINES
+    full = [("first", rows[: LINES - 4]), ("second", rows[:1])]  # a title without rows is not begun
+    first, second = latex_table(["start", "J"], full, "").split(r"\end{table}")[:2]
+    assert ("second" in first, "second" in second) == (False, True)
     wide = latex_table(["solve", *"abcdefg"], [("all", [["a long label " * 4, *["-1.234567"] * 7]])], "")
     assert r"\begin{table*}" in wide
     assert r"\parbox[t]{60pt}{\raggedright a long label" in wide
