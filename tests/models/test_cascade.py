@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.models import cascade as module
 from rmesh_nlp.models.cascade import CascadeSettings, cascade
+from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.optimize.status import Status, StoppedError
+from rmesh_nlp.optimize.trust_region import NewtonResult
 from rmesh_nlp.problem import ContactProblem
 from support.problems import no_boxes
 
@@ -37,8 +40,14 @@ def test_of_several_schedules_the_best_end_counts_and_weights_are_continued(
         np.testing.assert_array_equal(descents[lighter][0][1], descents[heavier][-1][1])
 
 
-def test_levels_have_the_weight_of_their_error_and_add_up() -> None:
-    problem, seen = square(8), []
+def test_levels_have_the_weight_of_their_error_and_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, seen, gains, descend = square(8), [], [], module.descend
+
+    def noted(energy: ReducedEnergy, q: np.ndarray, **options: Any) -> NewtonResult:
+        gains.append(options["reference"] - energy(q).value)
+        return descend(energy, q, **options)
+
+    monkeypatch.setattr(module, "descend", noted)
     result = cascade(problem, CascadeSettings(coarsest=20, iterations=6), lambda i, *_: seen.append(i))
     coarse, fine = result.levels
     assert (coarse.nodes, fine.nodes, coarse.triangles, fine.triangles) == (25, 81, 32, 128)
@@ -50,6 +59,9 @@ def test_levels_have_the_weight_of_their_error_and_add_up() -> None:
     assert np.isnan([coarse.prolonged, coarse.taken]).all()
     assert fine.taken == 1
     assert fine.energy == result.energy(result.q).equilibrium.energy < fine.prolonged
+    assert fine.prolonged < result.energy(0 * result.q).equilibrium.energy
+    # a descent ends where little of the whole error is predicted
+    assert gains == pytest.approx([*[error] * (len(gains) - 1), error * 25 / 81])
     # the last iterate of each descent is reported with the number of those before it
     assert seen == sorted(seen)
     assert seen[-1] == coarse.iterations + fine.iterations

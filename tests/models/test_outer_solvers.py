@@ -56,7 +56,13 @@ def test_many_variables_and_another_objective_take_limited_memory_then_newton(
 
 
 @pytest.mark.parametrize(
-    ("start", "end", "status"), [(0.5, 0.5, Status.STALLED), (1.5, 1.0, Status.CONVERGED)]
+    ("start", "end", "status"),
+    [
+        (0.5, 0.5, Status.STALLED),
+        (1 - 1e-11, 1 - 1e-11, Status.STALLED),
+        (1 - 2e-13, 1.0, Status.CONVERGED),  # above by no more than the error of a contact solve
+        (1.5, 1.0, Status.CONVERGED),
+    ],
 )
 def test_an_interior_point_never_ends_above_its_start(start, end, status, monkeypatch) -> None:
     at_one = SimpleNamespace(x=np.ones(1), f=-1.0, converged=True, status=Status.CONVERGED, iterations=3)

@@ -34,6 +34,13 @@ def test_the_gain_of_one_edge_by_hand() -> None:
     np.testing.assert_allclose(edge_gains(problem), [1 / 16, 1 / 16], rtol=1e-9)
 
 
+def test_edges_of_the_boundary_gain_unless_they_are_fixed_at_both_ends() -> None:
+    # with the left side alone fixed the right corners have 4/3 and 5/3, and the gains by hand are 2/27 below,
+    # 1/216 on the right, 1/24 above and 1/18 on the diagonal
+    problem = ContactProblem(rectangle(1, 1), Laplace(3.0), ("left",), motion=Motion(None))
+    np.testing.assert_allclose(np.sort(edge_gains(problem)), [15 / 216, 23 / 216], rtol=1e-9)
+
+
 @pytest.mark.slow
 def test_edge_gains_estimate_the_error_and_adaptive_refinement_beats_uniform_refinement() -> None:
     for n in (8, 16, 32):

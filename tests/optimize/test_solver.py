@@ -1,13 +1,15 @@
-"""The one call of CasADi's solvers: wrong options are named, and Ipopt prints nothing of its own."""
+"""The one call of CasADi's solvers: wrong options are named, Ctrl-C stops them, units do not matter."""
 
+import signal
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.optimize.units import Units
 
 
 @pytest.mark.parametrize(
@@ -27,3 +29,37 @@ def test_a_wrong_option_of_ipopt_is_named(
         Solver(nlp, options=option)
     assert str(caught.value) == message
     assert capfd.readouterr().out == ""
+
+
+def test_ctrl_c_ends_a_solver_at_the_iteration_in_which_it_is_pressed() -> None:
+    x, seen = ca.MX.sym("x", 2), []
+    valley = (1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2
+    free, none = np.full(2, np.inf), np.zeros(0)
+
+    def monitor(iteration: int, *_: object) -> None:
+        seen.append(iteration)
+        if iteration == 1:
+            signal.raise_signal(signal.SIGINT)
+
+    solver = Solver(NLP(x, ca.MX(0, 1), valley, ca.MX(0, 1), -free, free, none, none), monitor=monitor)
+    with pytest.raises(KeyboardInterrupt):
+        solver([-1.2, 1.0])
+    assert seen == [0, 1]
+
+
+@pytest.mark.parametrize(("upper", "x", "lam_x", "lam_g"), [(9.0, 1.0, 0.0, 2.0), (0.5, 0.5, 5.0, 0.0)])
+def test_results_in_other_units_are_those_of_the_nlp(upper, x, lam_x, lam_g) -> None:
+    # (x - 3)^2 with 2 x <= 2 and x <= upper
+    unknown, p, lam_f, lam = ca.MX.sym("x"), ca.MX(0, 1), ca.MX.sym("lam_f"), ca.MX.sym("lam")
+    f, g = (unknown - 3) ** 2, 2 * unknown
+    derivatives = Derivatives(
+        ca.Function("f", [unknown, p], [f, ca.gradient(f, unknown)]),
+        ca.Function("g", [unknown, p], [g, ca.jacobian(g, unknown)]),
+        ca.Function("h", [unknown, p, lam_f, lam], [2 * lam_f]),
+    )
+    ends = (np.array([end]) for end in (-9.0, upper, -np.inf, 2.0))
+    units = Units(np.array([10.0]), np.array([0.25]))
+    solver = Solver(units.program(NLP(unknown, p, f, g, *ends, derivatives)))
+    found = units.result(solver(np.array([0.0])))
+    measured = np.concatenate([found.x, found.g, found.lam_x, found.lam_g, [found.f]])
+    np.testing.assert_allclose(measured, [x, 2 * x, lam_x, lam_g, (x - 3) ** 2], atol=1e-6)
