@@ -1,6 +1,7 @@
 """Refinement, flips and relocation in turn, and the advice that rests on them."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +14,12 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.models import hr as module
 from rmesh_nlp.models.cascade import CascadeSettings
 from rmesh_nlp.models.hr import EFFECTIVITY, _with_new_nodes, hr, reference_as_given
+from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import edge_gains
+from rmesh_nlp.optimize.trust_region import NewtonResult
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.solving import advice as advising
@@ -42,14 +46,24 @@ def test_refinement_keeps_domain_names_and_old_nodes(seed: int) -> None:
     assert set(two.subdomains or {}) == set(one.subdomains or {})
 
 
-def test_stages_refine_until_there_are_enough_nodes_or_the_error_is_small() -> None:
-    settings = CascadeSettings(iterations=8, brief=4)
+def test_stages_refine_until_there_are_enough_nodes_or_the_error_is_small(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    settings, descend, gains = CascadeSettings(iterations=8, brief=4), module.descend, []
+
+    def noted(energy: ReducedEnergy, q: np.ndarray, **options: Any) -> NewtonResult:
+        whole = edge_gains(energy.relocation.problem).sum() / EFFECTIVITY
+        gains.append((options["reference"] - energy(q).value) / whole)
+        return descend(energy, q, **options)
+
+    monkeypatch.setattr(module, "descend", noted)
     stages = hr(signorini(4), nodes=30, settings=settings)
     nodes = [stage.problem.mesh.p.shape[1] for stage in stages]
     assert nodes[0] == 25
     assert nodes[-2] < 30 <= nodes[-1]
     assert np.all(np.diff([stage.energy for stage in stages]) < 0)
     last = stages[-1]
+    assert gains[0] == pytest.approx(1)  # what is gained counts from the whole error
     assert last.error_estimate == pytest.approx(edge_gains(last.problem).sum() / EFFECTIVITY)
     assert last.energy == pytest.approx(ContactSolver(last.problem).solve(last.problem.mesh.p).energy)
     assert last.problem.reference is None
@@ -73,10 +87,11 @@ def test_new_nodes_are_amid_their_edges_on_the_mesh_as_given() -> None:
 def test_elements_are_compared_with_the_mesh_as_given_and_none_with_a_flat_one() -> None:
     p = np.array([[0.0, 1.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 1.0, 0.0]])
     # node 4 is amid the lower side: the first triangle is flat where its nodes were
-    shapes = reference_as_given(p, np.array([[0, 4, 1], [4, 2, 3]]).T)
+    shapes = reference_as_given(p, np.array([[0, 4, 1], [4, 2, 3], [1, 4, 2]]).T)
     flat, good = shapes[:, :, 0], shapes[:, :, 1]
     np.testing.assert_array_equal(good, p[:, [4, 2, 3]])
-    assert signed_areas(flat, np.arange(3)[:, None]) > 0
+    # node 4 has a third of the area 1/2, the others of the flat one nothing: inverted elements count as none
+    assert signed_areas(flat, np.arange(3)[:, None]) == pytest.approx(1 / 18)
     sides = np.linalg.norm(flat - np.roll(flat, 1, axis=1), axis=0)
     np.testing.assert_allclose(sides, sides[0])
 

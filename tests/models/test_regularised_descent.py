@@ -122,6 +122,17 @@ def test_steps_that_raise_the_residual_are_not_taken() -> None:
 
 
 @pytest.mark.parametrize(
+    ("residual", "status", "factorised"),
+    [(5e-7, Status.CONVERGED, False), (5e-6, Status.STALLED, True), (1.0, Status.STALLED, False)],
+)
+def test_the_residual_says_what_is_stationary_and_when_to_factorise(residual, status, factorised) -> None:
+    energy = reduced(EXAMPLES["6.1"](n=3), "energy + 0.01*quality")
+    given, limits = np.zeros(energy.relocation.n_q), {"tolerance": 1e-6, "max_iterations": 100}
+    end = finished(energy, given, lambda point: residual, reference=energy(given).value, **limits)
+    assert (end.result.status, end.residual, end.factorisations > 0) == (status, residual, factorised)
+
+
+@pytest.mark.parametrize(
     ("name", "size"),
     [
         ("6.1", 3),
