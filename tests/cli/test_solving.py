@@ -115,6 +115,7 @@ def test_an_objective_that_joint_refuses_is_a_dash_and_no_failure(rmesh) -> None
 
 
 def test_refusing_the_only_objective_is_no_success(rmesh) -> None:
+    assert not does_not_apply({"status": "refused", "objective": "energy"})
     assert rmesh("compare 6.1 --n 4 --formulations joint -q --no-figures --objective error-l2").code == 1
 
 
