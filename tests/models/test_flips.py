@@ -77,9 +77,13 @@ def test_flips_keep_the_least_angle_and_area_of_the_motion() -> None:
     kept = flip_edges(replace(problem, motion=Motion(None, min_angle=present)), gain)
     assert kept.flips > 0
     assert least_angles(p, kept.problem.triangles).min() >= present
-    large = flip_edges(replace(problem, motion=Motion(None, min_area_fraction=0.9)), gain).problem.triangles
-    ratio = signed_areas(p, large) / mean_around(t, signed_areas(p, t), 49)[large].mean(axis=0)
-    assert ratio[~is_known(problem, large)].min() >= 0.9
+    around = mean_around(t, signed_areas(p, t), 49)
+    for fraction in (0.9, 0.3):
+        motion = Motion(None, min_area_fraction=fraction)
+        new = flip_edges(replace(problem, motion=motion), gain).problem.triangles
+        ratio = (signed_areas(p, new) / around[new].mean(axis=0))[~is_known(problem, new)]
+        assert ratio.min() >= fraction
+        assert (ratio.min() < 0.9) == (fraction < 0.9)
 
 
 def test_means_around_nodes_and_mended_triangles_by_hand() -> None:

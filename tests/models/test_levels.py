@@ -134,3 +134,9 @@ def test_coarser_meshes_have_about_a_quarter_of_the_nodes_or_are_none() -> None:
     assert coarse is not None
     assert coarse.mesh.p.shape[1] == 81
     assert coarsened(EXAMPLES["6.1"](16), least=82) is None
+    problem = plate(h=1.2)
+    n = problem.mesh.p.shape[1]
+    fewer = coarsened(problem, least=round(0.45 * n))
+    assert fewer is not None
+    assert 0.45 * n - 1 <= fewer.mesh.p.shape[1] <= n / 2
+    assert coarsened(problem, least=round(0.6 * n)) is None  # not worth a mesh
