@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from skfem import MeshTri
 
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.reading import read_mesh
 
@@ -132,12 +133,26 @@ def polygon(points: list[Point], h: float, boundaries: dict[str, list[int]] | No
     if len(points) < 3 or not np.all(np.isfinite(points)):
         raise ValueError(f"a polygon needs 3 or more finite points, got {points}")
     _affordable(2.3 * float(np.prod(np.ptp(points, axis=0))) / h**2)
+    if crossing := _crossing_edges(np.asarray(points, dtype=float)):
+        raise ValueError("edges {} and {} of the polygon cross".format(*crossing))
     names = boundaries or {f"edge-{i}": [i] for i in range(len(points))}
     for name, edges in names.items():
         for edge in edges:
             if not 0 <= edge < len(points):
                 raise ValueError(f"the boundary {name!r} names edge {edge}; edges run to {len(points) - 1}")
     return _polygon(points, h, names)
+
+
+def _crossing_edges(p: Array) -> list[int]:
+    """Numbers of two edges of the closed polygon through points (n, 2) that cross; empty if none do."""
+    a, b = p, np.roll(p, -1, axis=0)
+
+    def side(corner: Array) -> Array:  # (edges, edges), of which of its edges each point is on the left
+        x, y = (b - a).T[:, :, None]
+        return np.sign(x * (corner[:, 1] - a[:, 1:]) - y * (corner[:, 0] - a[:, :1]))
+
+    apart = side(a) * side(b) < 0
+    return [int(i) for i in np.argwhere(apart & apart.T)[0]] if np.any(apart & apart.T) else []
 
 
 def _polygon(points: list[Point], h: float, boundaries: dict[str, list[int]]) -> MeshTri:

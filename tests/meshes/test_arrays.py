@@ -98,6 +98,11 @@ def test_bad_subdomains_are_named(members: list[int], message: str) -> None:
         (lambda: shapes.half_disc(0.1, contact=0.2, h_contact=0.05), np.pi / 4, "axis top arc contact"),
         (lambda: shapes.wedge_block(0.3, rise=0.2), 4 * (1 - 0.1), "left right top wedge"),
         (lambda: shapes.polygon([(0, 0), (2, 0), (0, 2)], 0.5), 2.0, "edge-0 edge-1 edge-2"),
+        (
+            lambda: shapes.polygon([(0, 0), (2, 0), (2, 1), (1, 0.5), (0, 1)], 1),
+            1.5,
+            "edge-0 edge-1 edge-2 edge-3 edge-4",
+        ),
     ],
 )
 def test_shapes_have_their_names_and_the_right_areas(make: Callable, area: float, names: str) -> None:
@@ -143,6 +148,11 @@ def test_rectangle_has_its_sides_and_diagonals(diagonal: str, slope: int) -> Non
         (lambda: shapes.half_disc(0.1, h_contact=1.5e-4), "more than 1e"),
         (lambda: shapes.polygon([(0, 0), (1, 0)], 0.1), "3 or more finite points"),
         (lambda: shapes.polygon([(0, 0), (1, 0), (0, 1)], 0.1, {"a": [3]}), "edge 3; edges run to 2"),
+        (lambda: shapes.polygon([(0, 0), (1, 1), (1, 0), (0, 1)], 0.3), "edges 0 and 2 of the polygon cross"),
+        (
+            lambda: shapes.polygon([(0, 0), (4, 0), (4, 4), (2, -1), (0, 4)], 1),
+            "edges 0 and 2 of the polygon",
+        ),
         (lambda: shapes.polygon([(0, 0), (1, 1), (1, 0), (0, 1)], 1e-9), "more than 1e"),
     ],
 )
