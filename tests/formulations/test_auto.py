@@ -41,12 +41,12 @@ from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
 from support.formulations import auto
-from support.problems import no_boxes
+from support.problems import no_move_limits
 
 
 def free(n: int, quadrature: int | None = None) -> ContactProblem:
     """Example 6.1 without move limits."""
-    problem = no_boxes(EXAMPLES["6.1"](n=n))
+    problem = no_move_limits(EXAMPLES["6.1"](n=n))
     return problem if quadrature is None else replace(problem, quadrature=quadrature)
 
 

@@ -120,11 +120,11 @@ def test_nodes_named_by_number_stay_and_are_renumbered() -> None:
     )
     coarse = coarsened(problem)
     assert coarse is not None
-    boxed = coarsened(replace(problem, motion=Motion(Relative(0.2))))
-    assert boxed is not None
-    # an edge is as much longer as its box is a smaller part of it
-    part = np.sqrt(boxed.mesh.p.shape[1] / problem.mesh.p.shape[1])
-    assert boxed.motion.delta_record() == {"relative": pytest.approx(0.2 * part)}
+    limited = coarsened(replace(problem, motion=Motion(Relative(0.2))))
+    assert limited is not None
+    # an edge is as much longer as its move limit is a smaller part of it
+    part = np.sqrt(limited.mesh.p.shape[1] / problem.mesh.p.shape[1])
+    assert limited.motion.delta_record() == {"relative": pytest.approx(0.2 * part)}
     new = coarse.motion.pinned[0], *coarse.motion.tied[0]
     np.testing.assert_allclose(coarse.mesh.p[:, new], problem.mesh.p[:, [40, 100, 120]])
 
@@ -190,6 +190,6 @@ def test_a_map_is_prolonged_exactly_on_a_uniform_refinement_and_validly_on_any_m
     there = unrelated.nodes(prolonged(coarse.mesh.p, coarse.triangles, move, unrelated))
     assert np.all(signed_areas(there, other.triangles) > 0)
     assert np.max(np.abs(there - other.mesh.p)) > 0.3 * np.max(np.abs(move))
-    boxed = relocation(replace(refined(coarse), motion=Motion(0.01)))
-    short = prolonged(coarse.mesh.p, coarse.triangles, move, boxed)
-    assert np.max(np.abs(short)) == 1.0  # a box: the move itself is wider
+    limited = relocation(replace(refined(coarse), motion=Motion(0.01)))
+    short = prolonged(coarse.mesh.p, coarse.triangles, move, limited)
+    assert np.max(np.abs(short)) == 1.0  # the move itself is wider than the limits

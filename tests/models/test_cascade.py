@@ -16,11 +16,11 @@ from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.optimize.status import Status, StoppedError
 from rmesh_nlp.optimize.trust_region import NewtonResult
 from rmesh_nlp.problem import ContactProblem
-from support.problems import no_boxes
+from support.problems import no_move_limits
 
 
 def square(n: int) -> ContactProblem:
-    return replace(no_boxes(EXAMPLES["6.1"](n=n)), quadrature=4)
+    return replace(no_move_limits(EXAMPLES["6.1"](n=n)), quadrature=4)
 
 
 @pytest.mark.parametrize("schedules", [((3.0,), (0.01,)), ((0.01,), (3.0,))])

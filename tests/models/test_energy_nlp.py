@@ -11,7 +11,7 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation, with_lower_rule
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.solving.outer import Outer
-from support.problems import no_boxes, sloped_block
+from support.problems import no_move_limits, sloped_block
 from support.reduced import reduced
 
 
@@ -62,7 +62,7 @@ def test_bounds_are_move_limits_and_least_areas() -> None:
 
 
 def test_a_distortion_stands_in_the_place_of_area_constraints_but_not_of_angles() -> None:
-    problem, barrier = no_boxes(EXAMPLES["6.1"](4)), parse_objective("energy + 0.1*quality")
+    problem, barrier = no_move_limits(EXAMPLES["6.1"](4)), parse_objective("energy + 0.1*quality")
     angles = replace(problem, motion=replace(problem.motion, min_angle=10))
     n = problem.mesh.t.shape[1]
     found = [relocation(problem), relocation(problem, barrier), relocation(angles, barrier)]

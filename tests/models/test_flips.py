@@ -20,7 +20,7 @@ from rmesh_nlp.models.flips import ElementEnergies, energy_of, flip_edges, flips
 from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.problem import ContactProblem, Motion
 from support.formulations import auto
-from support.problems import no_boxes
+from support.problems import no_move_limits
 
 
 def crooked() -> ContactProblem:
@@ -53,7 +53,7 @@ SEEDS = [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2,
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_flips_lower_the_energy_by_at_least_what_they_say(seed: int) -> None:
-    problem = no_boxes(random_problem(seed))
+    problem = no_move_limits(random_problem(seed))
     result, before = flip_edges(problem, gain_estimate(problem).value), energy_of(problem)
     assert before - energy_of(result.problem) >= result.gain - 1e-10 * abs(before)
     assert result.gain >= 0
@@ -149,7 +149,7 @@ def test_flips_need_a_problem_without_move_limits() -> None:
 
 @pytest.mark.slow
 def test_flips_gain_beyond_relocation_and_refer_to_the_mesh_as_given() -> None:
-    problem = no_boxes(EXAMPLES["6.3"]())
+    problem = no_move_limits(EXAMPLES["6.3"]())
     plain, flipped = auto.solve(problem), auto.solve(problem, flips=True)
     one, two = plain.record(), flipped.record()
     assert one["energy_initial"] == two["energy_initial"]

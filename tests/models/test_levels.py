@@ -17,7 +17,7 @@ from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
 from support.curved import HOLE, plate
-from support.problems import no_boxes
+from support.problems import no_move_limits
 from support.reduced import reduced, with_distortion
 
 
@@ -62,7 +62,7 @@ def test_linear_maps_are_prolonged_exactly(coarse: int, fine: int) -> None:
 
 
 def test_a_map_that_would_invert_elements_of_the_finer_mesh_is_smoothed_or_damped() -> None:
-    one, two = no_boxes(EXAMPLES["6.1"](4)), no_boxes(EXAMPLES["6.1"](7))
+    one, two = no_move_limits(EXAMPLES["6.1"](4)), no_move_limits(EXAMPLES["6.1"](7))
     rng, move = np.random.default_rng(0), np.zeros((2, 25))
     inside = one.mesh.interior_nodes()
     move[:, inside] = 0.12 * rng.uniform(-1, 1, (2, inside.size))
@@ -81,7 +81,7 @@ def continuous(energy: ReducedEnergy, q: Array) -> float:
 
 
 def test_a_map_is_halved_until_it_lowers_the_energy() -> None:
-    energy = with_distortion(replace(no_boxes(EXAMPLES["6.1"](n=3)), quadrature=4))
+    energy = with_distortion(replace(no_move_limits(EXAMPLES["6.1"](n=3)), quadrature=4))
     zero = np.zeros(energy.relocation.n_q)
     slope = energy(zero).gradient
     far = downhill = -1e-2 / np.max(np.abs(slope)) * slope

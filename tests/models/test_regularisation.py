@@ -14,7 +14,7 @@ from rmesh_nlp.models.hr import EFFECTIVITY
 from rmesh_nlp.models.regularisation import _refined, edge_gains, gain_estimate, marked, regularised, weights
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.problem.contact_problem import locally_refined
-from support.problems import energy_error, no_boxes, signorini
+from support.problems import energy_error, no_move_limits, signorini
 
 
 def test_marked_triangles_have_their_share_and_no_more_than_needed() -> None:
@@ -55,7 +55,7 @@ def test_edge_gains_estimate_the_error_and_adaptive_refinement_beats_uniform_ref
 
 
 def test_the_gain_is_estimated_well_where_the_error_is_known() -> None:
-    problem = replace(no_boxes(EXAMPLES["6.1"](n=16)), quadrature=8)
+    problem = replace(no_move_limits(EXAMPLES["6.1"](n=16)), quadrature=8)
     estimate = gain_estimate(problem)
     assert estimate.value == pytest.approx(estimate.energy - problem.exact.energy, rel=0.1)
     refined = _refined(problem).energy
@@ -63,7 +63,7 @@ def test_the_gain_is_estimated_well_where_the_error_is_known() -> None:
 
 
 def test_a_weight_means_the_same_in_every_unit() -> None:
-    problem = no_boxes(EXAMPLES["6.3"]((6, 3)))
+    problem = no_move_limits(EXAMPLES["6.3"]((6, 3)))
     law = problem.law
     stiffer = replace(
         problem,

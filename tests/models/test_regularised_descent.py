@@ -20,7 +20,7 @@ from rmesh_nlp.models.second_derivatives import Curvature
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import Motion
 from rmesh_nlp.solving.outer import Outer
-from support.problems import no_boxes
+from support.problems import no_move_limits
 from support.reduced import FREE, reduced, with_distortion
 
 
@@ -142,7 +142,7 @@ def test_the_residual_says_what_is_stationary_and_when_to_factorise(residual, st
     ],
 )
 def test_the_end_of_a_cascade_leads_to_a_minimum(name: str, size: int | tuple[int, int]) -> None:
-    problem = replace(no_boxes(EXAMPLES[name](n=size)), quadrature=6)
+    problem = replace(no_move_limits(EXAMPLES[name](n=size)), quadrature=6)
     start = cascade(problem)
     residual = Outer(problem, start.energy.relocation.objective).residual
     before = start.energy(start.q).value

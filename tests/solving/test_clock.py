@@ -13,7 +13,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.solving.clock import Clock, Falling
 from rmesh_nlp.solving.parts import Step
 from support.formulations import auto, fixed, joint, nested
-from support.problems import no_boxes
+from support.problems import no_move_limits
 from support.solved import example
 
 
@@ -67,7 +67,7 @@ def test_no_time_is_counted_twice_or_forgotten(
     looks = itertools.count()
     monkeypatch.setattr("time.perf_counter", lambda: 1e-3 * next(looks))
     problem = example("6.1", 3, 6)
-    problem = problem if formulation is joint else no_boxes(problem)
+    problem = problem if formulation is joint else no_move_limits(problem)
     began = next(looks)
     record = formulation.solve(problem, **options).record()
     passed = 1e-3 * (next(looks) - began)

@@ -54,6 +54,6 @@ def energy_error(problem: ContactProblem) -> float:
     return ContactSolver(replace(problem, quadrature=10)).solve(problem.mesh.p).energy - problem.exact.energy
 
 
-def no_boxes(problem: ContactProblem) -> ContactProblem:
+def no_move_limits(problem: ContactProblem) -> ContactProblem:
     """The same without boxes, elements kept by a small least area."""
     return replace(problem, motion=replace(problem.motion, delta=None, min_area_fraction=0.01))

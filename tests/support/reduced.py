@@ -12,7 +12,7 @@ from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised
 from rmesh_nlp.problem import ContactProblem
 from support.contact_geometry import block_sliding_on_a_circle
-from support.problems import no_boxes, sloped_block
+from support.problems import no_move_limits, sloped_block
 
 CONTACTS: dict[str, Callable[[], ContactProblem]] = {
     "6.1": lambda: EXAMPLES["6.1"](4),
@@ -22,9 +22,9 @@ CONTACTS: dict[str, Callable[[], ContactProblem]] = {
     "curved foundation, stick and slip": block_sliding_on_a_circle,
 }
 FREE: dict[str, Callable[[], ContactProblem]] = {
-    "6.1": lambda: replace(no_boxes(EXAMPLES["6.1"](n=4)), quadrature=4),
-    "6.3": lambda: no_boxes(EXAMPLES["6.3"]((6, 3))),
-    "sloped, stick and slip": lambda: no_boxes(sloped_block()),
+    "6.1": lambda: replace(no_move_limits(EXAMPLES["6.1"](n=4)), quadrature=4),
+    "6.3": lambda: no_move_limits(EXAMPLES["6.3"]((6, 3))),
+    "sloped, stick and slip": lambda: no_move_limits(sloped_block()),
 }
 """Without move limits."""
 
