@@ -133,7 +133,7 @@ class Joint(Formulation):
             )
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        track = monitor.track(outer)
+        track, first = monitor.track(outer), outer.energy(q).value
         result = self.minimised(outer, q, track)
         monitor.work += Work(kkt_factorisations=track.iterations)
         monitor.check()
@@ -142,7 +142,7 @@ class Joint(Formulation):
         status = Status.CONVERGED if result.converged else result.status
         if not result.converged and not outer.is_valid(end):
             return Outcome(outer, track.best(q), status)
-        if is_above(outer, end, q):
+        if is_above(result.f, first):
             return Nested().run(outer, q, monitor)
         before = monitor.iterations
         last = end if status is Status.ITERATION_LIMIT else self._finished(outer, end, monitor)
@@ -202,13 +202,9 @@ def build(problem: ContactProblem) -> NLP:
     return relocation(problem).nlp
 
 
-def is_above(outer: Outer, end: Array, start: Array) -> bool:
-    """Whether the energy at a valid end is above that at the start, whose valley a barrier may leave."""
-    energy = outer.energy
-    if not (outer.is_valid(end) and energy.is_defined(end)):
-        return False
-    given = energy(start).value
-    return energy(end).value > given + ROUNDING * abs(given)
+def is_above(energy: float, start: float) -> bool:
+    """Whether an end is above the start, whose valley a barrier may leave."""
+    return energy > start + ROUNDING * abs(start)
 
 
 def _own(outer: Outer, q: Array, result: NLPResult) -> Equilibrium:

@@ -205,7 +205,7 @@ class AllAtOnce(Formulation):
         return super().having(own)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        start, scaling = q, pull(outer.energy(q).gradient)
+        start, begin = q, outer.energy(q)
         is_energy = outer.objective.is_energy
         if is_energy and not outer.is_near:
             q = _in_step(outer, q)
@@ -230,7 +230,7 @@ class AllAtOnce(Formulation):
             monitor.check()
             x, near, solves = first.x, True, 1
             track = monitor.track(outer, program.value)
-        own = _options(outer, program.value / scaling, near)
+        own = _options(outer, program.value / pull(begin.gradient), near)
         limits = {"time_limit_s": max(monitor.remaining, 1e-3), "max_iterations": monitor.iterations_left}
         with monitor.clock.during("build"):
             solver = MPCCSolver(
@@ -242,14 +242,14 @@ class AllAtOnce(Formulation):
         relaxation = Relaxation(self.relaxation)
         if result.status in LIMITS:
             return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))
-        q = np.clip(program.split(result.x)[0], -outer.bound, outer.bound)
-        if is_energy and not near and is_above(outer, q, start):
+        end = _equilibrium(outer, program, result)
+        if is_energy and not near and is_above(end.energy, begin.value):
             return self.run(outer.near(), start, monitor)
         return Outcome(
             outer,
-            q,
+            np.clip(program.split(result.x)[0], -outer.bound, outer.bound),
             result.status,
-            own=_equilibrium(outer, program, result),
+            own=end,
             decides=True,
             label=result.stationarity,
             details=(relaxation, _figures(outer, program, solves, result)),

@@ -99,10 +99,10 @@ def test_equal_functions_share_their_derivatives_and_others_do_not() -> None:
     assert one is not other
     assert differentiated(strain_energy(laws[0]), None, [1]) is not one
     x = np.random.default_rng(0).uniform(0, 1, 12)
-    values = [np.ravel(d.function("gradient")(x[:6], x[6:])[1]) for d in (one, other)]
+    values = [d.function("gradient")(x[:6], x[6:])[1].full() for d in (one, other)]
     assert np.max(np.abs(values[0] - values[1])) > 1e-3
     problem, gradients = EXAMPLES["6.1"](n=3), []
     for load in (lambda x, y: x, lambda x, y: x + y):  # problems that differ in their load alone
         program = relocation(replace(problem, law=replace(problem.law, source=load)))
-        gradients.append(np.ravel(program.assembled.grad_f(np.linspace(0, 1, program.nlp.n_x), [])[1]))
+        gradients.append(program.assembled.grad_f(np.linspace(0, 1, program.nlp.n_x), [])[1].full())
     assert np.max(np.abs(gradients[0] - gradients[1])) > 1e-3
