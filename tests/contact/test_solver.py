@@ -40,6 +40,16 @@ def test_scalar_system_is_that_of_scikit_fem() -> None:
     np.testing.assert_allclose(system.load, F[nodes], atol=1e-13)
 
 
+def test_forces_are_measured_by_the_load_or_by_what_an_overlap_would_take() -> None:
+    problem = EXAMPLES["6.3"]((4, 2))
+    loaded = ContactSolver(problem).system(problem.mesh.p)
+    assert loaded.force_scale == max(np.abs(loaded.load).max(), loaded.slip_bound.max())
+    free = replace(loaded, load=0 * loaded.load, slip_bound=0 * loaded.slip_bound)
+    pressed = replace(free, offset=np.where(np.arange(free.offset.size) == 1, -0.02, 0.1))
+    assert pressed.force_scale == 0.02 * free.stiffness.diagonal().max()
+    assert replace(free, offset=0 * free.offset + 0.1).force_scale == 1e-300
+
+
 def test_elastic_system_is_that_of_scikit_fem() -> None:
     problem = replace(sloped_block(), quadrature=4)
     solver = ContactSolver(problem)
