@@ -137,7 +137,7 @@ class Differentiated:
             f = kind(1, 1)  # without nonzeros: nothing to evaluate
         results = {"f": f, "g": g, "gradient": gradient, "jacobian": jacobian, "hessian": ca.triu(hessian)}
         self.patterns = {name: result.sparsity() for name, result in results.items()}
-        self._nonzeros = {name: r if name in ("f", "g") else r.nz[:] for name, r in results.items()}
+        self._nonzeros = {name: r if name == "f" else r.nz[:] for name, r in results.items()}
         self._functions: dict[str, ca.Function] = {}
 
     def function(self, which: str) -> ca.Function:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from formulations import mpcc as module
 from formulations.joint import Joint
-from formulations.mpcc import OPTIONS
+from formulations.mpcc import OPTIONS, build
 from formulations.nested import Nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import MeshMap
@@ -18,7 +19,7 @@ from rmesh_nlp.mapping.validity import least_area_ratio
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import Solver
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, Obstacle
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import joint, mpcc
 from support.solved import example, solved
@@ -210,3 +211,16 @@ def test_only_on_fine_meshes_the_start_is_given_alternating_displacements(
     assert set(np.round(np.abs(moved), 12)) <= {0.0, *np.round(0.3 * bound, 12)}
     # in the one of both directions that goes downhill
     assert outer.energy(given).gradient @ (moved - given) < 0
+
+
+@pytest.mark.parametrize("friction", [0.0, 10.0])
+def test_a_flat_foundation_is_the_same_as_the_zeros_of_a_level_function(friction: float) -> None:
+    problem = replace(EXAMPLES["6.3"]((4, 2)), obstacle=Obstacle("contact", friction=friction))
+    level = Obstacle("contact", level=lambda x, y: y, friction=friction)  # its slope along x is no entry
+    values = []
+    for one in (problem, replace(problem, obstacle=level)):
+        mpcc = build(one)
+        x = np.random.default_rng(0).uniform(-0.5, 0.5, mpcc.x.numel())
+        found = ca.Function("values", [mpcc.x], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])(x)
+        values.append(np.concatenate([value.full().ravel() for value in found]))
+    np.testing.assert_allclose(values[1], values[0], atol=1e-12)
