@@ -68,6 +68,23 @@ def test_a_guarantee_needs_both_bounds_on_both_meshes(
         assert claim["error"] == pytest.approx((0.0, 0.04))
 
 
+def test_a_guaranteed_lower_bound_is_better_than_a_higher_one_without(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    solution, none = membrane(), np.zeros(0)
+    nodes = np.array(solution.mesh.p)
+    nodes[:, solution.mesh.interior_nodes()] += 0.01
+    moved = replace(solution, mesh=replace(solution.mesh, doflocs=nodes), assessed=None)
+
+    def bounds(_: ContactProblem, where: np.ndarray, *__: object) -> Bracket:
+        known = not np.any(where != solution.mesh.p)
+        return Bracket(-0.5 if known else -0.02, 0.1, known, True, (), none, none, 1.0, 0.0)
+
+    monkeypatch.setattr(certifying, "refined_bracket", bounds)
+    found = certify(moved)
+    assert (found.lower, found.guaranteed_lower) == (-0.5, True)
+
+
 @pytest.mark.parametrize("residual", [1e-6, float("nan")])
 def test_a_field_out_of_equilibrium_proves_nothing(residual: float, monkeypatch: pytest.MonkeyPatch) -> None:
     build = bracketing.equilibrated_flux

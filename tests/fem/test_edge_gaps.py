@@ -65,6 +65,25 @@ def test_a_node_keeps_off_a_parabola_by_the_norm_of_its_heights(lengths: tuple[f
     assert 1 < off / (CURVATURE / 8 * max(h, k) ** 2) < 1.2
 
 
+@pytest.mark.parametrize("given", [0.0, 0.03, -0.03])
+def test_beside_a_held_node_the_free_one_makes_up_for_it(given: float) -> None:
+    h = 0.4
+    x = np.array([0.0, h, 2.0])
+    mesh = from_arrays(
+        np.vstack([np.append(x, x), np.repeat([0.0, 1.0], 3)]).T,
+        [(0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4)],
+        {"bottom": [(0, 1), (1, 2)], "left": [(0, 3)], "right": [(2, 5)]},
+    )
+    hill = Obstacle.graph("bottom", lambda x, y: -CURVATURE / 2 * (x - h) ** 2 * (x < h))  # flat behind it
+    held = Dirichlet("left", (0.0, given)), Dirichlet("right", (0.0, 9.0))
+    problem = ContactProblem(mesh, LAW, held, replace(hill, gap="edge"), Motion(None))
+    (off,) = -ContactSolver(problem).system(mesh.p).offset
+    s = np.arange(1, SAMPLES) / SAMPLES
+    distance = CURVATURE / 2 * h**2 * (1 - s) ** 2  # s from the held node, where the gap is d + given
+    needed = np.maximum((-distance - (1 - s) * given) / s, 0)
+    assert off == pytest.approx(np.sum(needed**POWER) ** (1 / POWER), abs=1e-7)
+
+
 @pytest.mark.parametrize(
     "obstacle",
     [Obstacle.line("bottom", (0, -0.1), (0.1, 1)), Obstacle.graph("bottom", lambda x, y: x**2 - 9)],

@@ -14,6 +14,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
+from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from support.endings import ended
 from support.formulations import fixed, joint
@@ -22,6 +23,17 @@ from support.formulations import fixed, joint
 @pytest.fixture(scope="module")
 def outer() -> Outer:
     return Outer(EXAMPLES["6.3"]((4, 2)))
+
+
+@pytest.mark.parametrize("step", [-1e-3, 1e-3])
+def test_of_an_all_at_once_solver_the_last_iterate_is_kept_only_if_it_is_below_the_start(
+    outer: Outer, step: float
+) -> None:
+    start, track = np.zeros(outer.n), Monitor().track(outer)
+    gradient = outer.energy(start).gradient
+    q = step * gradient / np.max(np.abs(gradient))
+    track(1, np.append(q, np.zeros(outer.relocation.n_u)), 0.0)
+    np.testing.assert_array_equal(track.best(start), q if step < 0 else start)
 
 
 def area_ratio(problem: ContactProblem, nodes: np.ndarray) -> float:
