@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 from hypothesis import settings
 
@@ -13,6 +15,11 @@ from support.problems import sloped_block
 # the same inputs in every run: a test fails for a change, not by chance; scripts/ draw other ones
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
+
+
+# a job in the background is started with Ctrl-C ignored, and so would be all that tests press
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)
