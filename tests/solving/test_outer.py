@@ -36,6 +36,17 @@ def test_of_an_all_at_once_solver_the_last_iterate_is_kept_only_if_it_is_below_t
     np.testing.assert_array_equal(track.best(start), q if step < 0 else start)
 
 
+def test_an_iterate_whose_elements_are_inverted_is_never_kept() -> None:
+    wide = Outer(ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(2.0)))
+    start, track = np.zeros(wide.n), Monitor().track(wide)
+    folded = np.random.default_rng(5).uniform(-1, 1, wide.n)
+    assert not wide.is_valid(folded)
+    here = wide.energy(start)
+    for iteration, (q, value) in enumerate([(start, here.value), (folded, here.value - 1.0)]):
+        track.exact(iteration, q, replace(here, value=value))
+    np.testing.assert_array_equal(track.best(folded), start)
+
+
 def area_ratio(problem: ContactProblem, nodes: np.ndarray) -> float:
     """The least one, by the shoelace formula."""
 
