@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from rmesh_nlp.certificate import bracket as bracketing
 from rmesh_nlp.certificate.bracket import Bracket
 from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace
 from rmesh_nlp.solving import certify as certifying
 from rmesh_nlp.solving.certify import certify
@@ -83,6 +85,15 @@ def test_a_guaranteed_lower_bound_is_better_than_a_higher_one_without(
     monkeypatch.setattr(certifying, "refined_bracket", bounds)
     found = certify(moved)
     assert (found.lower, found.guaranteed_lower) == (-0.5, True)
+
+
+@pytest.mark.parametrize(("status", "upper"), [(Status.CONVERGED, 0.5), (Status.INACCURATE, 0.9)])
+def test_the_upper_bound_is_an_admissible_energy_with_its_doubt(status: Status, upper: float) -> None:
+    none = np.zeros(0)
+    one = Bracket(-0.02, 0.9, True, False, ("upper: a crude one",), none, none, 1.0, 0.0)
+    found = SimpleNamespace(status=status, energy=0.3, doubt=0.2)
+    bounds = certifying._with_upper(one, found)
+    assert (bounds.upper, bounds.guaranteed_upper) == (upper, status is Status.CONVERGED)
 
 
 @pytest.mark.parametrize("residual", [1e-6, float("nan")])
