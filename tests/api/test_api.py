@@ -175,3 +175,8 @@ def test_a_wrong_gradient_is_of_first_order(monkeypatch: pytest.MonkeyPatch) -> 
     test = rm.verify_gradient(rm.EXAMPLES["6.1"](n=4))
     assert not test
     assert "WRONG" in dict(test.summary())["gradient"]
+
+
+def test_a_text_is_no_list_of_formulations() -> None:
+    with pytest.raises(ValueError, match="a list of names, got the text 'joint'"):
+        rm.compare(rm.EXAMPLES["6.1"](n=3), "joint")

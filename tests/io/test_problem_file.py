@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import load_problem
-from rmesh_nlp.io.problem_messages import ProblemFileError
+from rmesh_nlp.io.problem_messages import ProblemFileError, unquoted
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.meshes.curves import Circle, Parametrised, Spline
@@ -316,3 +316,14 @@ def test_starts_and_levels_on_the_command_line(tmp_path, capsys):
     assert cli.run(["solve", "6.1", "--levels", "1", "--starts", "1", *size]) == 2
     assert "starts cannot be combined with levels" in capsys.readouterr().err
     assert cli.run(["solve", "6.1", "--formulation", "fixed", "--starts", "1", *size]) == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        ("at line 2, column 9", "load = 2*y: expressions need quotes (line 2)"),
+        ("at end of document", "line 3"),
+    ],
+)
+def test_the_line_at_which_toml_fails_is_looked_at_or_the_last_one(error: str, said: str) -> None:
+    assert said in unquoted(b"height = 0.5*x\nload = 2*y\nfriction = 3*x", f"Invalid value ({error})")
