@@ -152,7 +152,7 @@ def _crossing_edges(p: Array) -> list[int]:
         return np.sign(x * (corner[:, 1] - a[:, 1:]) - y * (corner[:, 0] - a[:, :1]))
 
     apart = side(a) * side(b) < 0
-    return [int(i) for i in np.argwhere(apart & apart.T)[0]] if np.any(apart & apart.T) else []
+    return np.argwhere(apart & apart.T)[:1].ravel().tolist()
 
 
 def _polygon(points: list[Point], h: float, boundaries: dict[str, list[int]]) -> MeshTri:
