@@ -87,7 +87,8 @@ class Maps(Formulation):
         minimised = f"the energy with {distortion} weighted {weight:g} of its estimated error"
         figures = CascadeFigures("newton", weight, distortion, minimised)
         monitor.work += Work(ESTIMATE_SOLVES)
-        found = monitor.attempt(lambda: cascade(outer.problem, chosen, levels, monitor.is_over))
+        given = outer.problem, chosen, levels, monitor.is_over, outer.contact
+        found = monitor.attempt(lambda: cascade(*given))
         if found is None:
             return Outcome(outer, levels.best(outer), monitor.end, details=(figures,))
         figures = replace(figures, cascade=found.record(), gain_estimate=found.gain_estimate)

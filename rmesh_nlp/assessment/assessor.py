@@ -45,6 +45,7 @@ class Assessor:
 
     def __init__(self, model: ContactSolver, given: Equilibrium) -> None:
         self.problem, self.model, self._given = model.problem, model, given
+        self._last: tuple[Array, Admissible] | None = None
 
     @cached_property
     def initial(self) -> Admissible:
@@ -57,10 +58,12 @@ class Assessor:
         return self.corrections(np.asarray(self.problem.mesh.p), self._given, self.initial)
 
     def solve(self, nodes: Array, start: ActiveSet) -> Admissible:
-        """The admissible displacement at node positions (2, nodes)."""
+        """The admissible displacement at node positions (2, nodes); the last one is remembered."""
         if np.array_equal(nodes, self.problem.mesh.p):
             return self.initial
-        return admissible(self.model.discretisation, nodes, start)
+        if self._last is None or not np.array_equal(nodes, self._last[0]):
+            self._last = np.array(nodes), admissible(self.model.discretisation, nodes, start)
+        return self._last[1]
 
     def audit(self, nodes: Array, found: Equilibrium, exact: Admissible, ratio: float | None = None) -> Audit:
         """Residuals of a solution on a mesh; ``exact`` is that of :meth:`solve`.

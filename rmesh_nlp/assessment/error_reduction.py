@@ -117,7 +117,7 @@ def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | 
     here, falls = last, []
     for _ in range(2 if last.body.nodes.shape[1] <= FEW else 1):
         try:
-            finer = _on_refined(here)
+            finer = on_refined(here)
         except ProblemError:  # new nodes on a curve would fold a thin element
             return None, None
         if finer.status is not Status.CONVERGED:
@@ -130,7 +130,7 @@ def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | 
     return (known + rest / (1 - 1 / FASTEST), known + rest / (1 - 1 / SLOWEST)), here
 
 
-def _on_refined(last: Admissible) -> Admissible:
+def on_refined(last: Admissible) -> Admissible:
     """The admissible displacement on the uniform refinement, beginning with the contact of ``last``."""
     problem = last.problem
     coarse = replace(problem, mesh=relocated_mesh(problem.mesh, last.body.nodes), reference=None)

@@ -183,6 +183,7 @@ def cascade(
     settings: CascadeSettings | None = None,
     on_step: OnStep | None = None,
     is_late: IsLate = lambda: False,
+    solver: ContactSolver | None = None,
 ) -> CascadeResult:
     """Minimise the energy over the positions of all nodes, without move limits, by a cascade of meshes.
 
@@ -196,6 +197,8 @@ def cascade(
     is_late : callable, optional
         Once it is true nothing more is built or solved: the map of the last mesh is prolonged to the given
         one, where it is neither corrected nor compared, and the status is INTERRUPTED.
+    solver : ContactSolver, optional
+        Of the problem, where there is one already.
 
     Raises
     ------
@@ -207,17 +210,22 @@ def cascade(
     _check_time(is_late)
     run = _Descents(chosen, on_step, is_late)
     sizes = [one.mesh.p.shape[1] for one in problems]
-    whole_error = gain_estimate(problems[0]).value * sizes[0]
+
+    def solver_of(here: ContactProblem) -> ContactSolver:
+        return solver if solver is not None and here is problem else ContactSolver(here)
+
+    coarsest = solver_of(problems[0])
+    whole_error = gain_estimate(coarsest).value * sizes[0]
     shift, levels, built = np.zeros((2, 0)), [], None
     for number, here in enumerate(problems):
         run.error = whole_error / sizes[number]  # the error falls like the number of nodes
         before = taken = float("nan")
         if number == 0:
             _check_time(is_late)
-            energy, q, status = run.searched(here, chosen.starts(sizes[0], sizes[-1]))
+            energy, q, status = run.searched(coarsest, chosen.starts(sizes[0], sizes[-1]))
         else:
             coarse = problems[number - 1]
-            energy = run.energy(ContactSolver(here), chosen.regularisation)
+            energy = run.energy(solver_of(here), chosen.regularisation)
             prolonged_q = prolonged(coarse.mesh.p, coarse.triangles, shift, energy.relocation)
             q, taken = accepted(energy, prolonged_q)
             before = energy(prolonged_q).equilibrium.energy
@@ -311,9 +319,9 @@ class _Descents:
         self._clear()
         return level
 
-    def searched(self, problem: ContactProblem, schedules: Schedules) -> tuple[ReducedEnergy, Array, Status]:
+    def searched(self, solver: ContactSolver, schedules: Schedules) -> tuple[ReducedEnergy, Array, Status]:
         """The best end of all schedules on the coarsest mesh; the first map that there is once it is late."""
-        chosen, solver = self._settings, ContactSolver(problem)
+        chosen = self._settings
         best: tuple[float, ReducedEnergy, Array, Status] | None = None
         reached: tuple[ReducedEnergy, Array, Status] | None = None
         ends: dict[tuple[float, ...], Array] = {}

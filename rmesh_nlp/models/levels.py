@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
@@ -217,17 +216,19 @@ HALVINGS = 4
 def accepted(energy: ReducedEnergy, q: Array) -> tuple[Array, float]:
     """The part of ``q`` that is taken, times ``q``, and that part; 0 for the mesh as given.
 
-    The largest part counts whose energy is below that of the mesh as given: the continuous energy
-    (:mod:`rmesh_nlp.assessment.admissible`), since what a coarse map gains by errors of the discretisation
-    does not last on a finer mesh.
+    The largest part counts whose energy is below that of the mesh as given. Where a foundation is curved
+    that is the continuous energy (:mod:`rmesh_nlp.assessment.admissible`), since what a coarse map gains by
+    penetration does not last on a finer mesh.
     """
+    rel = energy.relocation
+    curved = any(part.level is not None for part in rel.problem.obstacles) or bool(rel.problem.motion.curves)
 
-    def continuous(q: Array) -> float:
-        rel = energy.relocation
-        return admissible(rel.problem, rel.nodes(q), energy(q).equilibrium.active).energy
+    def measured(q: Array) -> float:
+        found = energy(q).equilibrium
+        return energy.assessor.solve(rel.nodes(q), found.active).energy if curved else found.energy
 
-    given = continuous(np.zeros_like(q))
+    given = energy.assessor.initial.energy if curved else energy.given.energy
     for part in (0.5**k for k in range(HALVINGS)):
-        if energy.is_defined(part * q) and continuous(part * q) < given:
+        if energy.is_defined(part * q) and measured(part * q) < given:
             return part * q, part
     return np.zeros_like(q), 0.0

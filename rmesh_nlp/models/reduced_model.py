@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from rmesh_nlp.assessment.assessor import Assessor
 from rmesh_nlp.certificate.lower_bound import DEGREE, LowerBound
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
@@ -119,16 +120,26 @@ class ReducedEnergy:
         """Whether the terms in the positions are; with a barrier no element is inverted or cut by its arc."""
         return _has_upright(self.objective, self.relocation, q) and bool(np.isfinite(self.of_positions(q)))
 
+    @property
+    def given(self) -> Equilibrium:
+        """The contact solution on the mesh as given: a cold solve once it is first asked for."""
+        return self.model.given if self._given is None else self._given
+
     def knows(self, given: Equilibrium) -> None:
-        """Take over the contact solution on the mesh as given: a cold solve once it is first asked for."""
+        """Take over the contact solution on the mesh as given."""
         self._given = given
+
+    @cached_property
+    def assessor(self) -> Assessor:
+        """Measures meshes against the continuous problem."""
+        return Assessor(self.model, self.given)
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at ``q``; the last point is remembered."""
         if self._last is not None and np.array_equal(self._last.q, q):
             return self._last
         system = self.model.system(self.relocation.nodes(q))
-        given = None if np.any(q) else self._given
+        given = None if np.any(q) else self.given
         equilibrium = solve(system, self._active) if given is None else given
         if given is None or not self._is_given_counted:
             self.contact_solves += 1

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
+from rmesh_nlp.assessment.error_reduction import on_refined
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.evaluation import Array
@@ -27,7 +28,6 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.flips import ElementEnergies
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.contact_problem import refined
 
 SHARE = 0.5
 """Dörfler's parameter: part of the sum of the indicators that the marked triangles must have."""
@@ -98,22 +98,24 @@ ESTIMATE_SOLVES = 2
 """Contact solves of an estimate."""
 
 
-def gain_estimate(problem: ContactProblem) -> GainEstimate:
+def gain_estimate(problem: ContactProblem | ContactSolver) -> GainEstimate:
     """Estimate the error of the continuous energy of the mesh as given, by two contact solves.
 
     Where the contact problem cannot be solved on the refined mesh, or its energy does not fall, the gains of
     new nodes on edges estimate it.
     """
-    here, there = admissible(problem), _refined(problem)
+    solver = problem if isinstance(problem, ContactSolver) else ContactSolver(problem)
+    here = admissible(solver.discretisation, start=solver.given.active)
+    there = _refined(here)
     floor = LEAST_GAIN * max(abs(here.energy), 1e-300)
     if there is not None and there.status is Status.CONVERGED and there.energy < here.energy:
         return GainEstimate(here.energy, max(EXTRAPOLATION * (here.energy - there.energy), floor))
-    return GainEstimate(here.energy, max(float(edge_gains(problem).sum()), floor))
+    return GainEstimate(here.energy, max(float(edge_gains(solver.problem).sum()), floor))
 
 
-def _refined(problem: ContactProblem) -> Admissible | None:
+def _refined(here: Admissible) -> Admissible | None:
     try:
-        return admissible(refined(problem))
+        return on_refined(here)
     except ProblemError:  # new nodes on a curve fold a thin element
         return None
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache, wraps
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -21,6 +22,26 @@ from rmesh_nlp.vectorised import columnwise
 PositionFunction = Callable[[Any, Any], Any]
 Coefficient = float | PositionFunction
 """A number, or a function of position (x, y)."""
+
+
+T = TypeVar("T")
+
+KEPT = 64
+"""Coefficients for which what was made of them is kept."""
+
+
+def _once(make: Callable[[Coefficient], T]) -> Callable[[Coefficient], T]:
+    """Kept per coefficient: functions of position are pure, and the meshes of a problem share them."""
+    kept = lru_cache(maxsize=KEPT)(make)
+
+    @wraps(make)
+    def made(coefficient: Coefficient) -> T:
+        try:
+            return kept(coefficient)
+        except TypeError:  # it cannot be hashed
+            return make(coefficient)
+
+    return made
 
 
 BRANCH = (
@@ -63,13 +84,17 @@ def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficien
     elif points.shape[1] == 0:
         return np.zeros(0)
     else:
-        x, y = ca.SX.sym("x"), ca.SX.sym("y")
-        function = ca.Function("coefficient", [x, y], [ca.densify(at(coefficient, x, y))])
-        values = columnwise(function, points.shape[1])([points[:1], points[1:]])[0].ravel()
+        values = columnwise(_function(coefficient), points.shape[1])([points[:1], points[1:]])[0].ravel()
     if not np.all(np.isfinite(values)):
         bad = int(np.flatnonzero(~np.isfinite(values))[0])
         raise ValueError(f"{what} is {values[bad]} at ({points[0, bad]:.6g}, {points[1, bad]:.6g})")
     return values
+
+
+@_once
+def _function(coefficient: Coefficient) -> ca.Function:
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    return ca.Function("coefficient", [x, y], [ca.densify(at(coefficient, x, y))])
 
 
 def is_nonzero(coefficient: Coefficient) -> bool:
@@ -139,6 +164,7 @@ def suitable_rule(loads: Sequence[Coefficient], tractions: Sequence[Coefficient]
     return MIDPOINT if needed <= 2 else needed
 
 
+@_once
 def polynomial_degree(coefficient: Coefficient) -> int | None:
     """Degree in x and y together; None if it is no polynomial up to ``HIGH - 1``, where that is exact."""
     if not callable(coefficient):

@@ -42,7 +42,7 @@ T = TypeVar("T")
 
 Phase = Literal["build", "solve", "audit"]
 
-TIMING_SECONDS = 0.05
+TIMING_SECONDS = 0.01
 """Time spent on measuring something short, which is then repeated up to five times."""
 
 

@@ -137,14 +137,15 @@ def _chosen(
 
 
 def _outer(problem: ContactProblem, objective: Objective, tolerance: float, monitor: Monitor) -> Outer:
-    """The outer problem, with the contact solution on the mesh as given and its time."""
+    """The outer problem, with the contact solution on the mesh as given and its time.
+
+    A model of the given mesh is built when a formulation first asks for it.
+    """
     clock, monitor.mesh = monitor.clock, problem.mesh
     with clock.during("build"):
         outer = Outer(problem, objective, tolerance)
     with clock.during("audit"):
-        _ = outer.given
-    with clock.during("build"):
-        _ = outer.residual
+        outer.time_contact()
     return outer
 
 

@@ -129,6 +129,8 @@ class Monitor:
         unit : float
             Value of the objective where the program's is one.
         """
+        with self.clock.during("build"):
+            _ = outer.residual  # of a model that is built when it is first asked for
         self._track = Track(self, self.tracked(outer), unit)
         return self._track
 
@@ -140,7 +142,7 @@ class Monitor:
 
     def estimate(self, outer: Outer) -> float:
         """Estimate the error of the energy on the mesh as given, for ``outer.gain``; count the work."""
-        outer.gain = gain_estimate(outer.problem).value
+        outer.gain = gain_estimate(outer.contact).value
         self.work += Work(ESTIMATE_SOLVES)
         return outer.gain
 

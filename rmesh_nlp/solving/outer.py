@@ -39,11 +39,6 @@ class Outer:
     discretisation : Discretisation
     contact : ContactSolver
         Contact solves by the problem's own rule.
-    relocation : Relocation
-        The NLP in outer variables, displacements and slips: of the objective where the two levels collapse
-        for it, else of the energy.
-    energy : ReducedEnergy
-        The objective of ``relocation`` as a function of the outer variables.
     contact_seconds : float
         Wall time of a contact solve on the mesh as given, from nothing: the unit of cost.
     is_near : bool
@@ -64,30 +59,22 @@ class Outer:
         self.discretisation: Discretisation = discretise(problem)
         self.discretisation.check_unknowns()
         self.contact = ContactSolver(self.discretisation)
-        self._minimise(parse_objective(objective))
-
-    def _minimise(self, objective: Objective) -> None:
-        self.objective = objective
-        self.energy = ReducedEnergy.of(self.contact, objective if objective.collapses else ENERGY)
-        self.relocation: Relocation = self.energy.relocation
+        self.objective = parse_objective(objective)
 
     @classmethod
     def around(cls, energy: ReducedEnergy, tolerance: float = TOLERANCE) -> Outer:
         """The outer problem of an energy that is built already."""
         outer, built = cls.__new__(cls), energy.relocation
         outer.problem, outer.objective, outer.tolerance = built.problem, built.objective, tolerance
-        outer.discretisation, outer.contact = built.discretisation, energy.model
-        outer.relocation, outer.energy = built, energy
+        outer.discretisation, outer.contact, outer.energy = built.discretisation, energy.model, energy
         return outer
 
     def minimising(self, objective: Objective) -> Outer:
         """The same with another objective."""
         other = copy.copy(self)
-        for name in ("function", "residual"):
+        for name in ("energy", "function", "residual"):
             other.__dict__.pop(name, None)
-        other._minimise(objective)
-        if "given" in self.__dict__:
-            other.energy.knows(self.given)
+        other.objective = objective
         return other
 
     def on(self, problem: ContactProblem) -> Outer:
@@ -98,16 +85,30 @@ class Outer:
 
     def near(self) -> Outer:
         """The same from a start that is likely to be close to a minimiser."""
+        _ = self.energy  # one model, and one count of contact solves
         other = copy.copy(self)
         other.is_near = True
         return other
 
     @cached_property
+    def energy(self) -> ReducedEnergy:
+        """The objective, or the energy where the levels do not collapse for it, as a function of q."""
+        return ReducedEnergy.of(self.contact, self.objective if self.objective.collapses else ENERGY)
+
+    @property
+    def relocation(self) -> Relocation:
+        """The NLP of ``energy``."""
+        return self.energy.relocation
+
+    @cached_property
     def given(self) -> Equilibrium:
-        """The contact solution on the mesh as given; its time is the unit of cost."""
-        found, self.contact_seconds = timed(lambda: self.contact.solve(np.asarray(self.problem.mesh.p)))
-        self.energy.knows(found)
-        return found
+        """The contact solution on the mesh as given."""
+        return self.contact.given
+
+    def time_contact(self) -> None:
+        """Measure the unit of cost; the contact solution on the mesh as given is known then."""
+        X0 = np.asarray(self.problem.mesh.p)
+        self.contact.given, self.contact_seconds = timed(lambda: self.contact.solve(X0))
 
     @cached_property
     def function(self) -> Reduced:
@@ -126,17 +127,17 @@ class Outer:
     @cached_property
     def assessor(self) -> Assessor:
         """Measures meshes against the continuous problem."""
-        return Assessor(self.contact, self.given)
+        return self.energy.assessor
 
     @property
     def n(self) -> int:
         """Number of outer variables."""
-        return self.relocation.n_q
+        return self.discretisation.n_q
 
     @property
     def bound(self) -> Array:
         """(n,) half-widths of the move limits, infinite where there is none."""
-        return self.relocation.mesh_map.bound
+        return self.discretisation.mesh_map.bound
 
     @property
     def spent(self) -> Work:
@@ -145,11 +146,16 @@ class Outer:
 
     def nodes(self, q: Array) -> Array:
         """(2, nodes) positions at outer variables ``q``."""
-        return self.relocation.nodes(q)
+        return self.discretisation.mesh_map.positions.values(q)
+
+    @property
+    def has_barrier(self) -> bool:
+        """Whether the objective keeps elements valid by itself."""
+        return self.objective.collapses and self.objective.has_barrier
 
     def is_valid(self, q: Array) -> bool:
         """Whether all elements are valid at outer variables ``q``, see :mod:`rmesh_nlp.mapping.validity`."""
-        return is_valid(self.problem, self.nodes(q), by_barrier=self.relocation.objective.has_barrier)
+        return is_valid(self.problem, self.nodes(q), by_barrier=self.has_barrier)
 
     def variables(self, positions: Array | None = None, seed: int | None = None) -> Array:
         """Where to start: zero, at ``positions`` (2, nodes), or drawn from the move limits with a seed.
@@ -158,7 +164,7 @@ class Outer:
         edge. Outer variables that break element validity are halved until they do not.
         """
         if positions is not None:  # stay close to what was asked for; a draw may shrink faster
-            q, factor = np.clip(self.relocation.mesh_map.q_of(positions), -self.bound, self.bound), 0.95
+            q, factor = np.clip(self.discretisation.mesh_map.q_of(positions), -self.bound, self.bound), 0.95
         elif seed is not None:
             q, factor = np.random.default_rng(seed).uniform(-1, 1, self.n), 0.5
         else:

@@ -140,7 +140,7 @@ def test_errors_are_bounded_by_what_refinements_gain(
 ) -> None:
     before, last = on_square(0.5)
     monkeypatch.setattr(module, "FEW", few)
-    monkeypatch.setattr(module, "_on_refined", Refinement(falls))
+    monkeypatch.setattr(module, "on_refined", Refinement(falls))
     found, _ = error_reduction(before, last, 3)
     if low is None:
         assert found is None
@@ -160,7 +160,7 @@ def test_meshes_of_up_to_a_hundred_nodes_are_refined_twice(
 ) -> None:
     mesh = rectangle(9, 9) if nodes == 100 else rectangle(100, 1)
     refinement = Refinement((1.0, 0.5))
-    monkeypatch.setattr(module, "_on_refined", refinement)
+    monkeypatch.setattr(module, "on_refined", refinement)
     error_reduction(*on_square(0.5, mesh), 3)
     assert len(refinement.falls) == 2 - times
 

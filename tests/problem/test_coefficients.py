@@ -130,3 +130,31 @@ def test_where_and_functions_of_numpy_work_without_a_warning() -> None:
     # np.maximum and np.abs need casadi 3.8
     assert fixed.solve(stated(lambda x, y: np.sin(x) * np.sqrt(y + 0.2), obstacle=obstacle)).success
     assert fixed.solve(stated(lambda x, y: where(x > 0.5, 1.0, 0.0))).energy < 0
+
+
+class Slope:
+    """A function of position that cannot be hashed."""
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, rate: float) -> None:
+        self.rate = rate
+
+    def __call__(self, x: Any, y: Any) -> Any:
+        return self.rate * x
+
+
+def test_what_is_kept_of_a_coefficient_is_its_own() -> None:
+    at = np.array([[1.0, 2.0], [0.0, 0.0]])
+    calls = []
+
+    def counted(x: Any, y: Any) -> Any:
+        calls.append(1)
+        return x * y
+
+    for _ in range(2):
+        assert polynomial_degree(counted) == 2
+        for rate in (1.0, 3.0):
+            np.testing.assert_allclose(on_points(Slope(rate), at), rate * at[0])
+            np.testing.assert_allclose(on_points(lambda x, y, rate=rate: rate * x, at), rate * at[0])
+    assert len(calls) == 1

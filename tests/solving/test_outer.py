@@ -206,3 +206,25 @@ class TestAssessment:
         assert (found.valid, found.improved, found.success) == (False, False, False)
         assert np.all(np.isnan([*found.displacement.ravel(), *found.pressure, found.energy]))
         assert found.audit.min_area_ratio < 0
+
+
+def test_all_models_of_a_mesh_share_the_contact_solution_as_given_and_its_assessment() -> None:
+    first = Outer(EXAMPLES["6.1"](n=3))
+    first.time_contact()
+    assert np.isfinite(first.contact_seconds)
+    other = Outer.around(first.minimising(parse_objective("energy + 0.01*quality")).energy)
+    assert other.given is first.given is first.contact.given
+    assert other.assessor is other.energy.assessor
+    near = first.near()
+    assert near.energy is first.energy
+    nodes = np.asarray(first.problem.mesh.p)
+    assert first.assessor.solve(nodes, first.given.active) is first.assessor.initial
+    moved = first.nodes(0.1 * np.ones(first.n))
+    found = first.assessor.solve(moved, first.given.active)
+    assert first.assessor.solve(moved.copy(), first.given.active) is found
+    assert first.assessor.solve(first.nodes(-0.1 * np.ones(first.n)), first.given.active) is not found
+
+
+def test_another_rule_has_a_contact_solution_of_its_own() -> None:
+    contact = Outer(replace(EXAMPLES["6.1"](n=3), quadrature="midpoint")).contact
+    assert contact.with_rule(8).given.energy != contact.given.energy
