@@ -41,7 +41,7 @@ USUAL = AssemblySettings()
 OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_NEG: np.negative,
     ca.OP_SQ: np.square,
-    ca.OP_TWICE: lambda a, out: np.add(a, a, out=out),
+    ca.OP_TWICE: lambda a, out: np.add(a, a, out),
     ca.OP_INV: np.reciprocal,
     ca.OP_SQRT: np.sqrt,
     ca.OP_SIN: np.sin,
@@ -51,7 +51,7 @@ OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_LOG: np.log,
     ca.OP_FABS: np.abs,
     ca.OP_SIGN: np.sign,
-    ca.OP_NOT: lambda a, out: np.equal(a, 0, out=out),
+    ca.OP_NOT: lambda a, out: np.equal(a, 0, out),
     ca.OP_ADD: np.add,
     ca.OP_SUB: np.subtract,
     ca.OP_MUL: np.multiply,
@@ -106,33 +106,51 @@ class Vectorised:
     """The same in numpy, ``chunk`` columns at a time, of a Function that :func:`is_vectorisable`."""
 
     def __init__(self, function: ca.Function, n: int, chunk: int = USUAL.chunk) -> None:
-        self._n, self._chunk = n, chunk
-        self._lengths = [function.nnz_out(i) for i in range(function.n_out())]
-        self._program = _instructions(function)
-        self._store = np.zeros((function.sz_w(), min(chunk, n)))
+        self._function, self._n, self._chunk = function, n, chunk
+        self._bound: dict[int, _Bound] = {}
 
     def __call__(self, arguments: Sequence[Array | None]) -> list[Array]:
         """See :data:`Columns`."""
-        results = [np.empty((length, self._n)) for length in self._lengths]
+        lengths = (self._function.nnz_out(i) for i in range(self._function.n_out()))
+        results = [np.empty((length, self._n)) for length in lengths]
         with np.errstate(all="ignore"):  # as CasADi: what is not finite shows in the result
             for first in range(0, self._n, self._chunk):
-                self._run(arguments, results, slice(first, min(first + self._chunk, self._n)))
+                columns = slice(first, min(first + self._chunk, self._n))
+                width = columns.stop - columns.start
+                if width not in self._bound:
+                    self._bound[width] = _Bound(self._function, width)
+                self._bound[width].run(arguments, results, columns)
         return results
 
-    def _run(self, arguments: Sequence[Array | None], results: list[Array], columns: slice) -> None:
-        store = [row[: columns.stop - columns.start] for row in self._store]
-        work: list[Any] = [0.0] * len(store)
-        for operation, target, sources in self._program:
+
+class _Bound:
+    """The operations of a Function on arrays of its own of one width: looking them up takes as long."""
+
+    def __init__(self, function: ca.Function, width: int) -> None:
+        store, held = list(np.empty((function.sz_w(), width))), [np.zeros(0)] * function.sz_w()
+        self._inputs: dict[tuple[int, int], Array] = {}
+        self._outputs = [np.empty((function.nnz_out(i), width)) for i in range(function.n_out())]
+        self._steps: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
+        for operation, target, sources in _instructions(function):
             if operation == ca.OP_CONST:
-                work[target] = sources
+                held[target] = sources
             elif operation == ca.OP_INPUT:
-                given = arguments[sources[0]]
-                work[target] = 0.0 if given is None else given[sources[1], columns]
+                held[target] = self._inputs.setdefault(sources, np.zeros(width))
             elif operation == ca.OP_OUTPUT:
-                results[target[0]][target[1], columns] = work[sources]
-            else:  # into a row of its own, for the operands may be rows of the arguments
-                operation(*[work[source] for source in sources], out=store[target])
-                work[target] = store[target]
+                self._steps.append((np.copyto, (self._outputs[target[0]][target[1]], held[sources])))
+            else:
+                operands = [held[source] for source in sources]
+                held[target] = store[target]
+                self._steps.append((operation, (*operands, store[target])))
+
+    def run(self, arguments: Sequence[Array | None], results: list[Array], columns: slice) -> None:
+        for (number, row), values in self._inputs.items():
+            given = arguments[number]
+            values[:] = 0.0 if given is None else given[row, columns]
+        for operation, operands in self._steps:
+            operation(*operands)
+        for result, output in zip(results, self._outputs, strict=True):
+            result[:, columns] = output
 
 
 @lru_cache(maxsize=256)

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from rmesh_nlp.contact.active_set import check_load, check_unique, solve
 from rmesh_nlp.contact.system import LARGE, ActiveSet, ContactSystem, Equilibrium, elimination_order
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
+from rmesh_nlp.evaluation import Array, Symmetric
 from rmesh_nlp.fem.fields import ElementTerm, Field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem
@@ -179,18 +179,20 @@ class _AtZero:
         quadratic: bool = False,
     ) -> None:
         positions, X = parts.vertices.positions, parts.vertices.symbol
-        x, zero, n_rows = ca.MX.sym("x", n), ca.MX.zeros(n), parts.n_contact
-        sums = parts.assemble([term.on(positions, field) for term in terms], x, X, n_rows)
-        self._kept = sums  # CasADi does not own the callbacks of its derivatives
-        results = [ca.densify(part) for part in sums.grad_f(zero, X)]
+        x, groups = ca.MX.sym("x", n), [term.on(positions, field) for term in terms]
+        sums = parts.assemble(groups, x, X, parts.n_contact)
+        self._zero, self._no_forces = np.zeros(n), np.zeros(parts.n_contact)
+        self._first = sums.numeric("gradient")
+        self._quadratic = quadratic
         if quadratic:
-            gap = ca.Function("gap", [x, X], [sums.g])(zero, X)
-            hessian = sums.hess_lag(zero, X, 1.0, ca.MX.zeros(n_rows))
-            self.matrix = Symmetric(numbered(hessian.sparsity()))
-            results += [ca.densify(gap), hessian]  # a constant gap may be a sparse zero
-        self._evaluate = Evaluator(ca.Function("at_zero", [X], results))
+            self._rows, self._second = sums.numeric("values"), sums.numeric("hessian")
+            self.matrix = Symmetric(self._second.sums[0].numbered)
 
     def __call__(self, given: Array) -> tuple[float, list[Array]]:
         """The value, and all else."""
-        value, *rest = self._evaluate(given)
-        return float(value[0]), rest
+        value, gradient = self._first(self._zero, given)
+        if not self._quadratic:
+            return float(value[0]), [gradient]
+        _, rows = self._rows(self._zero, given)
+        (hessian,) = self._second(self._zero, given, np.ones(1), self._no_forces)
+        return float(value[0]), [gradient, rows, hessian]

@@ -159,6 +159,7 @@ def gradient_group(group: ElementGroup, argument: int, shift: int, unit: float) 
         group,
         function=ca.Function(f"{function.name()}_gradient", symbols, [0, residual]),
         rows=np.where(index == CONSTANT, CONSTANT, index + shift),
+        closed=None,
     )
 
 

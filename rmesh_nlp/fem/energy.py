@@ -13,8 +13,10 @@ from skfem.quadrature import get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem import arcs
+from rmesh_nlp.fem.closed_forms import Strain
 from rmesh_nlp.fem.element import NO_ROWS, PointValues, affine, corners, line_rule, point_values, vector
 from rmesh_nlp.fem.fields import CONSTANT, ElementTerm, Field, constant_field
+from rmesh_nlp.fem.load_moments import Load
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, PointLoad, Traction
@@ -66,46 +68,12 @@ def load_energy(law: Law, quadrature: str | int) -> tuple[ca.Function, PointValu
     """``(X_e, u_e, load at the points) -> (-integral of load . u, empty)`` of one P1 triangle."""
     shares, weights = triangle_rule(quadrature)
     X, u = corners(3, law.components)
-    return _load_energy(law, X, u, _area(X, 0, 1, 2), X @ ca.DM(shares), u @ ca.DM(shares * weights))
-
-
-def load_energy_of_edge(law: Law) -> tuple[ca.Function, PointValues]:
-    """What the midpoint of an edge adds to :func:`load_energy` from the triangles on both sides.
-
-    ``X_e`` holds the ends and the vertices to the left and right of the edge, ``u_e`` the ends.
-    Two triangles share the values there, a third of the work for each of its three edges.
-    """
-    X, u = corners(4, 1)[0], corners(2, law.components)[1]
-    thirds = (_area(X, 0, 1, 2) + _area(X, 1, 0, 3)) / 3
-    return _load_energy(law, X, u, thirds, (X[:, 0] + X[:, 1]) / 2, (u[:, 0] + u[:, 1]) / 2)
-
-
-def _load_energy(
-    law: Law, X: ca.SX, u: ca.SX, area: ca.SX, points: ca.SX, weighted: ca.SX
-) -> tuple[ca.Function, PointValues]:
-    load, columns = ca.SX.sym("f", *weighted.shape), [ca.vec(X), ca.vec(u)]
-    energy = ca.Function("load_energy", [*columns, ca.vec(load)], [-area * ca.dot(load, weighted), NO_ROWS])
-    return energy, point_values(columns, points, lambda x, y: vector(law.load, ca.vertcat(x, y)))
-
-
-def _area(X: ca.SX, i: int, j: int, k: int) -> ca.SX:
-    return ((X[0, j] - X[0, i]) * (X[1, k] - X[1, i]) - (X[0, k] - X[0, i]) * (X[1, j] - X[1, i])) / 2
-
-
-def edges_with_opposite(triangles: Index) -> Index:
-    """(4, edges): the ends of each edge of some triangles (3, elements), then the vertices beside it.
-
-    Left of the edge first. Where there is no triangle on the right, the first end stands for
-    its vertex: that triangle has no area, wherever the nodes go.
-    """
-    first, second, third = triangles
-    directed = np.hstack([[first, second, third], [second, third, first], [third, first, second]])
-    low, high = np.sort(directed[:2], axis=0)
-    _, left, edge = np.unique(low * (triangles.max() + 1) + high, return_index=True, return_inverse=True)
-    result = np.vstack([directed[:, left], directed[0, left]])
-    right = np.setdiff1d(np.arange(edge.size), left)
-    result[3, edge[right]] = directed[2, right]
-    return result
+    weighted, columns = u @ ca.DM(shares * weights), [ca.vec(X), ca.vec(u)]
+    load = ca.SX.sym("f", *weighted.shape)
+    work = affine(X, u)[0] / 2 * ca.dot(load, weighted)
+    energy = ca.Function("load_energy", [*columns, ca.vec(load)], [-work, NO_ROWS])
+    at_points = point_values(columns, X @ ca.DM(shares), lambda x, y: vector(law.load, ca.vertcat(x, y)))
+    return energy, at_points
 
 
 def traction_energy(traction: Traction, degree: int) -> ca.Function:
@@ -130,7 +98,8 @@ def strain_terms(space: DisplacementSpace) -> list[ElementTerm]:
     terms = []
     for law, straight, beside in _elements(space.problem):
         vertices = space.problem.triangles[:, straight]
-        terms.append(ElementTerm(strain_energy(law), (vertices, space.nodes_of(vertices))))
+        nodes = vertices, space.nodes_of(vertices)
+        terms.append(ElementTerm(strain_energy(law), nodes, closed=Strain(law)))
         terms += [_beside(space, arcs.strain_energy(law, curve), *place) for curve, place in beside]
     return terms
 
@@ -189,12 +158,9 @@ def _beside(space: DisplacementSpace, function: ca.Function, number: int, vertic
 
 
 def _load_term(space: DisplacementSpace, law: Law, rule: str | int, triangles: Index) -> ElementTerm:
-    if rule == "midpoint":
-        edges = edges_with_opposite(triangles)
-        function, at_points = load_energy_of_edge(law)
-        return ElementTerm(function, (edges, space.nodes_of(edges[:2])), at_points=at_points)
     function, at_points = load_energy(law, rule)
-    return ElementTerm(function, (triangles, space.nodes_of(triangles)), at_points=at_points)
+    closed = Load(at_points.function, triangle_rule(rule))
+    return ElementTerm(function, (triangles, space.nodes_of(triangles)), at_points=at_points, closed=closed)
 
 
 def displacement_field(space: DisplacementSpace) -> tuple[Field, int]:

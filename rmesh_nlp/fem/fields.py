@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.closed_forms import ClosedForm
 from rmesh_nlp.fem.element import PointValues, local_symbols
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.space import Index as Index
@@ -150,12 +151,21 @@ class ElementGroup:
         For each other argument its local values, (length, elements).
     rows : (len(g), elements) int array
         Constraint row that each local ``g`` is added to; ``CONSTANT`` drops it.
+    closed : ClosedForm, optional
+        The same function in closed form, of the first ``used`` arguments: positions of the corners of
+        triangles, and their displacements.
     """
 
     function: ca.Function
     arguments: tuple[Field, ...]
     rows: Index
     at_points: PointValues | None = None
+    closed: ClosedForm | None = None
+
+    @property
+    def used(self) -> int:
+        """Number of arguments that the closed form takes."""
+        return 0 if self.closed is None else self.closed.arguments
 
     @property
     def size(self) -> int:
@@ -165,7 +175,8 @@ class ElementGroup:
     def some(self, chosen: Index) -> ElementGroup:
         """The same group of some of its elements."""
         arguments = tuple(field.elements(chosen) for field in self.arguments)
-        return replace(self, arguments=arguments, rows=self.rows[:, chosen])
+        closed = None if self.closed is None else self.closed.some(chosen)
+        return replace(self, arguments=arguments, rows=self.rows[:, chosen], closed=closed)
 
 
 def objective_group(function: ca.Function, local: tuple[Field, ...]) -> ElementGroup:
@@ -193,6 +204,8 @@ class ElementTerm:
     constants : (length, elements) array, optional
     parameters : int array, optional
         Numbers of those entries of p that the function takes, the same for all elements.
+    closed : ClosedForm, optional
+        See :class:`ElementGroup`.
     """
 
     function: ca.Function
@@ -203,6 +216,7 @@ class ElementTerm:
     arc: tuple[int, Index] | None = None
     constants: Array | None = None
     parameters: Index | None = None
+    closed: ClosedForm | None = None
 
     def on(self, *fields: Field, first_row: int = 0, p: Field | None = None) -> ElementGroup:
         """The element group on these fields and parameters (1, n_p), its rows numbered from ``first_row``."""
@@ -221,7 +235,7 @@ class ElementTerm:
                 raise ValueError(f"{self.function.name()} takes {self.parameters.size} parameters, got none")
             local = (p.at(np.tile(self.parameters[:, None], size)), *local)
         rows = np.zeros((0, size), dtype=np.int64) if self.rows is None else first_row + self.rows
-        return ElementGroup(self.function, local, rows, self.at_points)
+        return ElementGroup(self.function, local, rows, self.at_points, self.closed)
 
 
 def straightened(group: ElementGroup) -> list[ElementGroup]:
@@ -261,7 +275,7 @@ def _composed(group: ElementGroup, sort: list[Index]) -> ElementGroup:
     composed = ca.Function(function.name(), [*columns, *values], function(*bent, *values))
     if at_points is not None:
         at_points = PointValues(ca.Function("points", columns, [at_points.points(*bent)]), at_points.function)
-    return replace(group, function=composed, at_points=at_points)
+    return replace(group, function=composed, at_points=at_points, closed=None)
 
 
 def _bent(column: Any, row: Index, functions: tuple[ca.Function, ...]) -> Any:

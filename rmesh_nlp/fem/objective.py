@@ -177,4 +177,6 @@ def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
         return group
     symbols = local_symbols(group.function)
     f, g = group.function(*symbols)
-    return replace(group, function=ca.Function(group.function.name(), symbols, [weight * f, g]))
+    function = ca.Function(group.function.name(), symbols, [weight * f, g])
+    closed = None if group.closed is None else group.closed.scaled(weight)
+    return replace(group, function=function, closed=closed)

@@ -48,9 +48,8 @@ class Relocation:
 
     Attributes
     ----------
-    assembled : Assembled
-        Objective, rows and derivatives by ``x``, each built when it is first asked for: a descent in q alone
-        needs the first derivatives only.
+    energies, rows : tuples of ElementGroup
+        Of the objective, and of the gaps and the two slip rows of each contact node.
     displacement, slip : Field
         (components, nodes) and (obstacles, nodes), functions of ``x``; slip is zero where there is no
         friction.
@@ -62,12 +61,33 @@ class Relocation:
 
     discretisation: Discretisation
     x: ca.MX
-    assembled: Assembled
+    energies: tuple[ElementGroup, ...]
+    rows: tuple[ElementGroup, ...]
     displacement: Field
     slip: Field
     validity: Validity
     objective: Objective = ENERGY
     position_groups: tuple[ElementGroup, ...] = ()
+
+    @cached_property
+    def assembled(self) -> Assembled:
+        """Objective, all rows and derivatives by ``x``, each built when it is first asked for."""
+        first = self.n_contact + 2 * self.n_s
+        valid = replace(self.validity.upright_group, rows=self.validity.group.rows + first)
+        return self._assembled((*self.energies, *self.rows, valid), self.n_rows)
+
+    @cached_property
+    def lagrangian(self) -> Assembled:
+        """The same without validity rows."""
+        return self._assembled((*self.energies, *self.rows), self.n_contact + 2 * self.n_s)
+
+    @cached_property
+    def contact_rows(self) -> Assembled:
+        """Gaps and slip rows alone."""
+        return self._assembled(self.rows, self.n_contact + 2 * self.n_s)
+
+    def _assembled(self, groups: tuple[ElementGroup, ...], n_rows: int) -> Assembled:
+        return self.discretisation.assemble(groups, self.x, ca.MX(0, 1), n_rows)
 
     @cached_property
     def nlp(self) -> NLP:
@@ -182,18 +202,15 @@ def relocation(problem: ContactProblem | Discretisation, objective: Objective = 
     displacement = parts.displacement.numbered_from(free.n)
     slip = parts.slip.numbered_from(free.n + n_u)
     position_groups = parts.objective(objective.in_positions, free.positions, displacement, slip)
-    groups = [
-        *parts.bulk(free.positions, displacement),
+    rows = (
         *(term.on(free.positions, displacement) for term in parts.gaps),
-        *(term.on(free.positions, slip) for term in parts.friction),
         *(term.on(free.positions, displacement, slip, first_row=n_contact) for term in parts.slips),
-        *position_groups,
-    ]
-    n_rows = n_contact + 2 * n_s
-    groups.append(replace(validity.upright_group, rows=validity.group.rows + n_rows))
+    )
+    energies = (*parts.energy(free.positions, displacement, slip), *position_groups)
     x = ca.MX.sym("x", free.n + n_u + n_s)
-    assembled = parts.assemble(groups, x, ca.MX(0, 1), n_rows + validity.size)
-    return Relocation(parts, x, assembled, displacement, slip, validity, objective, tuple(position_groups))
+    return Relocation(
+        parts, x, energies, rows, displacement, slip, validity, objective, tuple(position_groups)
+    )
 
 
 @dataclass(frozen=True)
@@ -221,24 +238,24 @@ class SecondDerivatives:
     def __init__(self, relocation: Relocation, rule: int | None = None) -> None:
         self._relocation = rel = relocation
         self._modelled = rel if rule is None else with_lower_rule(rel, rule)
-        hessian, jacobian = self._modelled.assembled.hess_lag, rel.assembled.jac_g
-        self._hessian, self._jacobian = Evaluator(hessian), Evaluator(jacobian)
+        self._hessian = self._modelled.lagrangian.numeric("hessian", rel.n_q)
+        self._jacobian = rel.contact_rows.numeric("jacobian")
         q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
-        upper = numbered(hessian.sparsity_out(0))
+        upper = self._hessian.sums[0].numbered
         self._qq = Symmetric(upper, rel.n_q)
         self._qu, self._qs = Block(upper, q, u), Block(upper, q, s)
-        first = numbered(jacobian.sparsity_out(1))
+        first = self._jacobian.sums[1].numbered
         self._gap, self._slip = Block(first, rel.gap_rows, q), Block(first, rel.slip_rows, q)
 
     def __call__(self, x: Array, equilibrium: Equilibrium) -> Blocks:
         """At unknowns ``x = (q, u, s)`` of a contact solution."""
         rel = self._relocation
-        rows = np.zeros(rel.n_rows)
+        rows = np.zeros(rel.n_contact + 2 * rel.n_s)
         rows[rel.gap_rows] = -equilibrium.normal_force
         if rel.n_s:
             rows[rel.slip_rows] = -equilibrium.tangential_force[rel.friction_rows]
-        (values,) = self._hessian(x, [], 1.0, rows)
-        _, first = self._jacobian(x, [])
+        (values,) = self._hessian(x, None, np.ones(1), rows)
+        _, first = self._jacobian(x, None)
         return Blocks(
             self._qq(values), self._qu(values), self._qs(values), self._gap(first), self._slip(first)
         )

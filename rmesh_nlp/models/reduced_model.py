@@ -26,7 +26,7 @@ from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.evaluation import Array, Block
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.fem.objective import Objective
@@ -77,18 +77,10 @@ class ReducedEnergy:
         self._given: Equilibrium | None = None
         self._is_given_counted = False
         self._last: ReducedPoint | None = None
-        x, none, assembled, n_q = relocation.x, ca.MX(0, 1), relocation.assembled, relocation.n_q
-        normal, tangential = (
-            ca.MX.sym("normal", relocation.n_contact),
-            ca.MX.sym("tangential", relocation.n_s),
-        )
-        jacobian = assembled.jac_g(x, none)[1][:, :n_q]
-        gradient = assembled.grad_f(x, none)[1][:n_q, :]
-        gradient -= jacobian[relocation.gap_rows, :].T @ normal
-        gradient -= jacobian[relocation.slip_rows, :].T @ tangential
-        self._gradient = Evaluator(
-            ca.Function("reduced_gradient", [x, normal, tangential], [ca.densify(gradient)])
-        )
+        self._gradient = relocation.lagrangian.numeric("gradient")
+        self._jacobian = relocation.contact_rows.numeric("jacobian")
+        numbers, rows = self._jacobian.sums[1].numbered, relocation.n_contact + 2 * relocation.n_s
+        self._rows = Block(numbers, slice(0, rows), slice(0, relocation.n_q))
         self._position_terms = element_values(relocation.position_groups)
 
     @classmethod
@@ -162,7 +154,11 @@ class ReducedEnergy:
 
         ``friction`` (n_s,) has the tangential forces where friction may act.
         """
-        return self._gradient(x, normal_force, friction)[0]
+        rel = self.relocation
+        forces = np.zeros(rel.n_contact + 2 * rel.n_s)
+        forces[rel.gap_rows], forces[rel.slip_rows] = normal_force, friction
+        (_, gradient), (_, rows) = self._gradient(x), self._jacobian(x)
+        return np.asarray(gradient[: rel.n_q] - self._rows(rows).T @ forces)
 
     def point(self, q: Array, equilibrium: Equilibrium) -> Array:
         """The unknowns ``(q, u, s)`` of the energy NLP at a contact solution."""
@@ -195,8 +191,7 @@ class ReducedObjective:
         fields = (rel.mesh_map.positions, rel.displacement, rel.slip)
         groups = rel.discretisation.objective(objective, *fields)
         outer = rel.discretisation.assemble(groups, rel.x, ca.MX(0, 1), 0)
-        self._kept = outer
-        self._outer = Evaluator(outer.grad_f)
+        self._outer = outer.numeric("gradient")
         self._derivatives = SecondDerivatives(rel)
 
     def is_defined(self, q: Array) -> bool:
@@ -211,7 +206,7 @@ class ReducedObjective:
         """The objective where the energy and its contact solution are known."""
         rel, q, system, state = self.energy.relocation, inner.q, inner.system, inner.equilibrium
         x = self.energy.point(q, state)
-        value, gradient = self._outer(x, [])
+        value, gradient = self._outer(x)
         f_q, f_u, f_s = np.split(gradient, [rel.n_q, rel.n_q + rel.n_u])
         rows = rel.friction_rows
         if rel.n_s:
