@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +142,7 @@ def refined(problem: ContactProblem, *, polygon: bool = False) -> ContactProblem
         motion = replace(motion, delta=Relative(2 * motion.delta.fraction))
     if polygon:
         motion = replace(motion, curves={})
-    return _on_mesh(problem, problem.mesh.refined(1), motion)
+    return on_mesh(problem, problem.mesh.refined(1), motion)
 
 
 def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProblem:
@@ -157,9 +158,12 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
         for name, facets in (old.boundaries or {}).items()
     }
     mesh = from_arrays(new.p.T, counter_clockwise(new.p, new.t).T, boundaries, new.subdomains)
-    return _on_mesh(problem, mesh, problem.motion)
+    return on_mesh(problem, mesh, problem.motion)
 
 
-def _on_mesh(problem: ContactProblem, mesh: MeshTri, motion: Motion) -> ContactProblem:
+def on_mesh(problem: ContactProblem, mesh: MeshTri, motion: Motion, **changes: Any) -> ContactProblem:
+    """The problem on another mesh of its domain, whose nodes are put on their curves."""
     mesh = onto_curves(mesh, motion.curves, anywhere=True)
-    return replace(problem, mesh=mesh, motion=motion, size=f"{mesh.t.shape[1]} triangles", reference=None)
+    return replace(
+        problem, mesh=mesh, motion=motion, size=f"{mesh.t.shape[1]} triangles", reference=None, **changes
+    )

@@ -1,0 +1,71 @@
+"""The metric start: a mesh by Mmg that suits the solution, on which the nodes are relocated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.meshes.mmg import MISSING, is_available
+from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.models.remeshing import Solved, metric_start
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.motion import Relative
+from rmesh_nlp.solving.formulation import Wrapper
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Part, Work
+
+
+@dataclass(frozen=True)
+class Remeshing(Part):
+    """Nodes and energies of the meshes that were made in turn, before any node moved."""
+
+    remeshed_nodes: tuple[int, ...]
+    remeshed_energies: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Remeshed(Wrapper):
+    """Runs a formulation on a new mesh of the domain, made for the solution; without absolute move limits.
+
+    Names of boundaries and subdomains are kept; nodes that cannot move stay. Energies are compared with those
+    of the given mesh.
+
+    Attributes
+    ----------
+    nodes : int or True
+        Nodes of the new mesh, up to two percent; True for as many as the given one has.
+    """
+
+    nodes: int | bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.nodes is not True and self.nodes < 3:
+            raise BadInputError(f"a mesh needs 3 nodes at least, got {self.nodes}")
+
+    def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        super().accepts(problem, objective)
+        if not is_available():
+            raise BadInputError(MISSING)
+        if not objective.is_energy:
+            raise BadInputError(f"remeshing lowers the error of the energy, not {objective.text!r}")
+        delta = problem.motion.delta
+        if delta is not None and not isinstance(delta, Relative):
+            said = "move limits in units of length belong to the nodes of the given mesh"
+            raise BadInputError(f'{said}: remeshing needs relative ones, or none (delta = "none")')
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        nodes = outer.problem.mesh.p.shape[1] if self.nodes is True else int(self.nodes)
+        with monitor.clock.during("build"):
+            start = metric_start(Solved(outer.contact, outer.given), nodes, monitor.is_over)
+        monitor.work += Work(len(start.nodes), len(start.nodes))
+        energy = ReducedEnergy.of(start.solved.solver, outer.objective)
+        energy.knows(start.solved.state)
+        there = Outer.around(energy, outer.tolerance).near()
+        there.gain = start.error
+        found = monitor.run(self.inner, there, there.variables())
+        return found.having(Remeshing(start.nodes, start.energies))

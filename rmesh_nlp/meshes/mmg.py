@@ -1,0 +1,94 @@
+"""Remeshing by Mmg (C. Dapogny, C. Dobrzynski, P. Frey, J. Comput. Phys. 262 (2014) 358-378), as mmgpy wraps it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from skfem import MeshTri
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.arrays import from_arrays
+from rmesh_nlp.meshes.geometry import counter_clockwise
+
+Index = NDArray[np.int64]
+
+MISSING = "remeshing needs Mmg: pip install 'rmesh-nlp[remesh]'"
+
+
+def is_available() -> bool:
+    """Whether mmgpy is installed."""
+    return find_spec("mmgpy") is not None
+
+
+def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curves: float | None) -> MeshTri:
+    """A mesh of the same domain whose edges have about length one in a metric; names are kept.
+
+    Parameters
+    ----------
+    mesh : MeshTri
+    tensors : (3, nodes) array
+        Entries xx, xy, yy of the metric at its nodes, in one over length squared.
+    lines : (n,) int array
+        Facets on lines that the new edges must follow: boundary, interfaces, named parts.
+    fixed : (m,) int array
+        Nodes that stay: corners, ends of parts.
+    off_curves : float, optional
+        How far new edges on curved lines may be from the arc, in units of length.
+
+    Raises
+    ------
+    BadInputError
+        If mmgpy is not installed, or Mmg gives up.
+    """
+    if not is_available():
+        raise BadInputError(MISSING)
+    from mmgpy import MmgMesh2D
+
+    edge_sets, edge_mark = _marks(mesh.boundaries, lines)
+    cell_sets, cell_mark = _marks(mesh.subdomains, np.arange(mesh.t.shape[1]))
+    work = MmgMesh2D()
+    work.set_mesh_size(vertices=mesh.p.shape[1], triangles=mesh.t.shape[1], edges=lines.size)
+    work.set_vertices(np.ascontiguousarray(mesh.p.T))
+    work.set_triangles(_rows(counter_clockwise(mesh.p, mesh.t)), cell_mark)
+    work.set_edges(_rows(mesh.facets[:, lines]), edge_mark)
+    work.set_corners(fixed.astype(np.int32))
+    work.set_required_vertices(fixed.astype(np.int32))
+    work["tensor"] = np.ascontiguousarray(tensors.T)
+    size = float(np.max(np.ptp(mesh.p, axis=1)))
+    try:
+        # sizes change as fast as the metric says; lines within one subdomain are kept as well
+        work.remesh(verbose=-1, hgrad=-1.0, hausd=off_curves or size, opnbdy=1)
+    except RuntimeError as error:
+        raise BadInputError(f"Mmg cannot remesh this domain: {error}") from error
+    triangles, cell_mark = work.get_triangles_with_refs()
+    edges, edge_mark = work.get_edges_with_refs()
+    used, flat = np.unique(triangles, return_inverse=True)
+    number = np.full(int(np.max(edges, initial=0)) + 1, -1)
+    number[used[used < number.size]] = np.flatnonzero(used < number.size)
+    try:
+        return from_arrays(
+            work.get_vertices()[used],
+            flat.reshape(-1, 3),
+            {name: number[edges[np.isin(edge_mark, marks)]] for name, marks in edge_sets.items()},
+            {name: np.flatnonzero(np.isin(cell_mark, marks)) for name, marks in cell_sets.items()},
+        )
+    except ValueError as error:
+        raise BadInputError(f"the mesh that Mmg made is not in order: {error}") from error
+
+
+def _marks(groups: Mapping[str, Any] | None, chosen: Index) -> tuple[dict[str, Index], Index]:
+    """The marks of each name, and the mark (chosen,) of each member: one for every combination of names."""
+    known = {name: np.asarray(one) for name, one in (groups or {}).items() if not name.startswith("gmsh:")}
+    member = np.array([np.isin(chosen, one) for one in known.values()]).reshape(len(known), chosen.size)
+    kinds, mark = np.unique(member.T, axis=0, return_inverse=True)
+    sets = {name: 1 + np.flatnonzero(kinds[:, number]) for number, name in enumerate(known)}
+    return sets, (1 + mark.ravel()).astype(np.int64)
+
+
+def _rows(columns: Any) -> NDArray[np.int32]:
+    return np.ascontiguousarray(columns.T, dtype=np.int32)
