@@ -12,15 +12,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from formulations.cascade import Cascade, Descent, Polished
+from formulations.cascade import Cascade
 from formulations.confirmed import Confirmed, first_rule
-from formulations.flips import Flips
 from formulations.joint import Joint
 from formulations.nested import Nested
 from formulations.schedule import Schedule
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.mapping import MeshMap
+from rmesh_nlp.meshes.mmg import is_available
 from rmesh_nlp.models.regularisation import weights
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation
@@ -51,13 +51,10 @@ class Auto(Chooser):
         Settings of the cascade, where it runs.
     regularisation : float, str or tuple of float, optional
         Final weight of the distortion in the place of that of the cascade, or a whole schedule.
-    flips : bool
-        Flip edges by energy between relocations, until neither gains; without move limits only.
     """
 
     cascade: Cascade = field(default_factory=Cascade)
     regularisation: Any = None
-    flips: bool = False
 
     def having(self, given: Mapping[str, Any]) -> Auto:
         """With other values of fields, and of those of ``cascade`` by their own names."""
@@ -70,7 +67,7 @@ class Auto(Chooser):
     def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
         along = with_edge_gaps(problem)
         formulation, why = self._chosen(along, objective, is_started)
-        if isinstance(formulation, (Cascade, Polished, Flips)) or along.motion.min_angle > 0:
+        if isinstance(formulation, Cascade) or along.motion.min_angle > 0:
             along = replace(along, quadrature=first_rule(along))
         if along.obstacles != problem.obstacles:
             why += "; gaps along edges: a foundation is curved"
@@ -83,31 +80,28 @@ class Auto(Chooser):
         if not objective.is_energy:
             return self._around(Nested()), "nested: the objective is not the energy"
         if motion.delta is not None:
-            if n > MANY and not self.flips and self.regularisation is None:
+            if n > MANY and self.regularisation is None:
                 why = f"nested, newton: nodes have move limits, and more than {MANY} outer variables are many"
                 return Nested(enough=enough_for(n)), why
             return self._around(Joint()), "joint: nodes have move limits"
         if motion.min_angle > 0:
             held = Confirmed(Schedule(Joint(), self.regularisation or SCHEDULE))
             why = "joint, regularised: a least angle is asked for, which must hold as a constraint"
-            return (Flips(held) if self.flips else held), why
+            return held, why
         chosen = self._weighted()
         if is_started:
             inner = Schedule(Nested(), chosen.regularisation, chosen.distortion)
             why = "nested, newton: relocation from the start that was given"
-            return (Flips(inner) if self.flips else inner), why
+            return inner, why
         if n == 0:
             return Nested(), "nested: no node can move"
-        found: Formulation = chosen
-        if self.flips:
-            flips = Flips(chosen, then=Descent(end=chosen.end, iterations=chosen.brief))
-            found = Polished(flips, nodes=chosen.stationary, finish=chosen.finish, most=chosen.most)
-        return found, "cascade: relocation without move limits"
+        why = "cascade: relocation without move limits"
+        if not is_available():
+            why += "; with mmgpy installed --remesh begins on a mesh that suits the solution"
+        return chosen, why
 
     def _around(self, formulation: Formulation) -> Formulation:
-        if self.regularisation is not None:
-            formulation = Schedule(formulation, self.regularisation)
-        return Flips(formulation) if self.flips else formulation
+        return formulation if self.regularisation is None else Schedule(formulation, self.regularisation)
 
     def _weighted(self) -> Cascade:
         """The settings with another final weight, or with another schedule."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formulations.confirmed import Confirmed
+from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -46,9 +47,15 @@ class Cascade(CascadeSettings, Formulation):
             )
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        maps = Confirmed(Maps(self), Descent(end=self.end))
+        maps = Confirmed(self._descents(outer), Descent(end=self.end))
         whole = Polished(maps, nodes=self.stationary, finish=self.finish, most=self.most)
         return whole.run(outer, q, monitor)
+
+    def _descents(self, outer: Outer) -> Formulation:
+        if not outer.is_near:
+            return Maps(self)
+        # a mesh that was made for the solution: coarser ones know less of it
+        return Schedule(Descent(self.end, self.brief_unnested), (self.regularisation,), self.distortion)
 
 
 @dataclass(frozen=True)

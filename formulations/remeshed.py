@@ -44,8 +44,9 @@ class Remeshed(Wrapper):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.nodes is not True and self.nodes < 3:
-            raise BadInputError(f"a mesh needs 3 nodes at least, got {self.nodes}")
+        whole = isinstance(self.nodes, int) and not isinstance(self.nodes, bool)
+        if self.nodes is not True and not (whole and self.nodes >= 3):
+            raise BadInputError(f"remesh must be true or a number of nodes of at least 3, got {self.nodes!r}")
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         super().accepts(problem, objective)
@@ -66,6 +67,7 @@ class Remeshed(Wrapper):
         energy = ReducedEnergy.of(start.solved.solver, outer.objective)
         energy.knows(start.solved.state)
         there = Outer.around(energy, outer.tolerance).near()
-        there.gain = start.error
+        there.gain = start.solved.error
         found = monitor.run(self.inner, there, there.variables())
-        return found.having(Remeshing(start.nodes, start.energies))
+        made = f"on a mesh of {start.solved.problem.mesh.p.shape[1]} nodes that Mmg made for the solution"
+        return found.having(Remeshing(start.nodes, start.energies), remarks=(made, *found.remarks))

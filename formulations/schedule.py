@@ -56,7 +56,7 @@ class Schedule(Wrapper):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         schedule = weights(self.weights)
-        gain = monitor.estimate(outer)
+        gain = monitor.estimate(outer) if outer.gain is None else outer.gain
         for weight in schedule:
             with monitor.clock.during("build"):
                 weighted = outer.minimising(regularised(gain, weight, self.distortion))

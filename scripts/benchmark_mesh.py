@@ -43,10 +43,7 @@ def tasks(case: Case, sizes: Sequence[int]) -> Iterator[tuple[str, int, Callable
     for size in sizes:
         yield "relocated", size, partial(methods.relocated, case, size, False)
     for size in sizes:
-        yield "relocated, flips", size, partial(methods.relocated, case, size, True)
-    for nodes in methods.SIZES_OF_HR if case.name == "6.1" else ():
-        if nodes <= most:
-            yield "refined and relocated", nodes, partial(methods.refined_and_relocated, case, nodes)
+        yield "remeshed, relocated", size, partial(methods.relocated, case, size, True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -79,7 +79,8 @@ def solve(
     relaxation: o.Relaxation = None,
     outer: o.Outer = None,
     regularisation: o.Regularisation = None,
-    flips: o.Flips = False,
+    remesh: o.Remesh = False,
+    nodes: o.Nodes = None,
     starts: o.Starts = None,
     levels: o.Levels = None,
     certify: o.Certify = False,
@@ -112,6 +113,7 @@ def solve(
     rmesh solve 6.1 --formulation nested --outer newton --n 32
     rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
     rmesh solve my.toml --formulation nested --certify
+    rmesh solve my.toml --remesh
     rmesh solve my.toml --columns 1
     """
     given, voice = o.keywords(context.params), _voice(json, quiet)
@@ -249,7 +251,6 @@ def compare(
     relaxation: o.Relaxation = None,
     outer: o.Outer = None,
     regularisation: o.Regularisation = None,
-    flips: o.Flips = False,
     starts: o.Starts = None,
     levels: o.Levels = None,
     certify: o.Certify = False,

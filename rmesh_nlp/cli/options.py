@@ -74,8 +74,16 @@ Regularisation = Annotated[
         "weights such as 1,0.1,0.01: for relocation without move limits.",
     ),
 ]
-Flips = Annotated[
-    bool, Option("--flips", help="Flip edges by energy between relocations, until neither gains.")
+Remesh = Annotated[
+    bool,
+    Option(
+        "--remesh",
+        help="Begin on a mesh that Mmg makes for the solution, with as many nodes: for relocation without "
+        "absolute move limits. Needs mmgpy.",
+    ),
+]
+Nodes = Annotated[
+    int | None, Option("--nodes", min=3, metavar="N", help="With --remesh: nodes of the new mesh.")
 ]
 Starts = Annotated[
     int | None,
@@ -264,13 +272,18 @@ PARSERS: dict[str, Callable[[Any], Any]] = {
 
 SETTINGS = ("n", "delta", "quadrature", "certify", "repeats")
 OPTIONS = (  # of :func:`rmesh_nlp.solving.driver.solve_by_options`
-    *("seed", "objective", "relaxation", "outer", "regularisation", "flips", "starts", "levels"),
+    *("seed", "objective", "relaxation", "outer", "regularisation", "remesh", "starts", "levels"),
     *("time_limit_s", "max_iterations", "tolerance", "start", "settings"),
 )
 
 
 def keywords(typed: Mapping[str, Any]) -> dict[str, Any]:
     """Keywords of :func:`~rmesh_nlp.study.comparison.plan_comparison`: what was given to a command."""
+    typed = dict(typed)
+    if (nodes := typed.pop("nodes", None)) is not None:
+        if not typed.get("remesh"):
+            raise BadInputError(f"--nodes {nodes} is for --remesh")
+        typed["remesh"] = nodes
     given = {
         name: PARSERS[name](value) if name in PARSERS else value
         for name, value in typed.items()

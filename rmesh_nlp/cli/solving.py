@@ -81,8 +81,9 @@ def solve_file(
     folder = Path("results") / safe_name(problem.name) if out is None else out
     with writable(folder, FILES) as results:
         with SolvesProgress(1, quiet=voice != "text") as progress:
-            # of several starts or levels the iterates are on different meshes
-            done = _performed(one, progress, None if options.keys() & {"starts", "levels"} else series)
+            # then the iterates are on different meshes
+            several = options.keys() & {"starts", "levels", "remesh"}
+            done = _performed(one, progress, None if several else series)
         if done.row["status"] == "refused":
             raise BadInputError(f"{path}: {done.row['message']}")
         with deferred() as interrupted:

@@ -1,10 +1,11 @@
 """Error of linear interpolation on a triangle, in the energy of a law, from second derivatives.
 
 Let u be quadratic with second derivatives H, and e_i the edge opposite to vertex i of a triangle. At the
-midpoint of e_i the gradient of the interpolation error is ``(e_j' H e_k) / 2 * grad(lambda_i)`` up to its sign,
-with j and k the other two vertices. The energy is quadratic in it, so that the rule of the three midpoints is
-exact. With ``g = grad(lambda_i)`` the energy density of a gradient ``w g'`` is ``kappa w^2 |g|^2 / 2`` for the
-scalar law, and ``((lambda + mu) (w.g)^2 + mu |w|^2 |g|^2) / 2`` for isotropic elasticity.
+midpoint of e_i the gradient of the interpolation error is ``(e_j' H e_k) / 2 * grad(lambda_i)`` up to its
+sign, with j and k the other two vertices. The energy is quadratic in it, so that the rule of the three
+midpoints is exact. With ``g = grad(lambda_i)`` the energy density of a gradient ``w g'`` is
+``kappa w^2 |g|^2 / 2`` for the scalar law, and ``((lambda + mu) (w.g)^2 + mu |w|^2 |g|^2) / 2`` for isotropic
+elasticity.
 
 The error of a triangle of area A is ``phi(shape, H) A^2``. So N triangles of the best shapes have the least
 error, ``(integral of sqrt(phi))^2 / N``, where their number per area is proportional to ``sqrt(phi)``.
@@ -79,7 +80,7 @@ def best_shapes(
     stretch = np.minimum(-np.log(np.maximum(ratio, 1e-8)) / 4, np.log(largest_aspect) / 2)
 
     def value(point: Array) -> Array:
-        return np.mean([errors(law, stretched(*point, turn), second) for turn in TURNS], axis=0)
+        return np.mean([errors(law, stretched(point[0], point[1], turn), second) for turn in TURNS], axis=0)
 
     (stretch, angle), found = _descended(value, np.stack([stretch, angle]), largest_aspect)
     return stretch, angle, found
@@ -92,7 +93,7 @@ def least_errors(law: Law, second: Array, stretch: Array, angle: Array) -> Array
     """
 
     def value(point: Array) -> Array:
-        return errors(law, stretched(*point), second)
+        return errors(law, stretched(point[0], point[1], point[2]), second)
 
     starts = (
         np.stack([stretch + more, angle + off, np.full(angle.size, turn)])

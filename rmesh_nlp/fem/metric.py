@@ -14,11 +14,14 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT, best_shapes
-from rmesh_nlp.fem.recovery import Recovered
+from rmesh_nlp.fem.recovery import Index, Recovered
 from rmesh_nlp.meshes.geometry import signed_areas
 
+EQUILATERAL = np.sqrt(3) / 4
+"""Area of the triangle with edges of length one."""
+
 FLOOR = 0.05
-"""Least number of triangles per area, in parts of its mean: where a displacement is linear none would be needed.
+"""Least number of triangles per area, in parts of its mean: a linear displacement would need none.
 Between 0.02 and 0.2 it hardly matters (L-shape, Example 6.3, free boundary, Signorini)."""
 
 
@@ -56,9 +59,7 @@ class Metric:
         size = np.hypot(a, b)  # c is -a
         rate = np.divide(np.sinh(size), size, out=np.ones_like(size), where=size > 0)
         unit = np.stack([np.cosh(size) + rate * a, rate * b, np.cosh(size) + rate * c])
-        return np.asarray(
-            unit * (np.sqrt(3) / 4 * self.density)
-        )  # an equilateral unit triangle has that area
+        return np.asarray(unit * (EQUILATERAL * self.density))
 
 
 def best_metric(nodes: Array, regions: Sequence[Recovered], largest_aspect: float = LARGEST_ASPECT) -> Metric:
@@ -81,7 +82,7 @@ def best_metric(nodes: Array, regions: Sequence[Recovered], largest_aspect: floa
     return Metric(logarithm / weights, density + floor, weights)
 
 
-def nodal_areas(nodes: Array, triangles: Array) -> Array:
+def nodal_areas(nodes: Array, triangles: Index) -> Array:
     """(nodes,) a third of the area of the triangles at each node."""
     share = np.tile(signed_areas(nodes, triangles) / 3, 3)
-    return np.bincount(triangles.ravel(), share, nodes.shape[1])
+    return np.asarray(np.bincount(triangles.ravel(), share, nodes.shape[1]), dtype=float)

@@ -94,6 +94,10 @@ _Two = tuple[_Real, _Real]
 _Relative = Annotated[dict[Literal["relative"], _Above0], Field(min_length=1)]
 
 Flag = Annotated[bool, Field(strict=True), expected("true or false")]
+Remesh = Annotated[
+    Annotated[bool, Field(strict=True)] | Annotated[int, Field(strict=True, ge=3)],
+    expected("true, or the number of nodes of the new mesh, 3 or more"),
+]
 Finite = Annotated[_Real, expected("a finite number")]
 Positive = Annotated[_Above0, expected("a positive number")]
 Poisson = Annotated[_Real, Field(gt=-1, lt=0.5), expected("a number between -1 and 0.5")]
@@ -313,7 +317,7 @@ class SolveTable(Table):
     starts: Seed = 0
     levels: Levels = 0
     regularisation: Weights | None = None
-    flips: Flag = False
+    remesh: Remesh = False
     certify: bool = False
 
     @model_validator(mode="after")

@@ -1,8 +1,14 @@
-"""Remeshing by Mmg (C. Dapogny, C. Dobrzynski, P. Frey, J. Comput. Phys. 262 (2014) 358-378), as mmgpy wraps it."""
+"""Remeshing by Mmg, as mmgpy wraps it.
+
+(C. Dapogny, C. Dobrzynski, P. Frey, J. Comput. Phys. 262 (2014) 358-378.)
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import ctypes
+import signal
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any
 
@@ -18,6 +24,10 @@ from rmesh_nlp.meshes.geometry import counter_clockwise
 Index = NDArray[np.int64]
 
 MISSING = "remeshing needs Mmg: pip install 'rmesh-nlp[remesh]'"
+
+
+REPLACED = (signal.SIGABRT, signal.SIGFPE, signal.SIGILL, signal.SIGINT, signal.SIGSEGV, signal.SIGTERM)
+"""Signals that Mmg has handlers of its own for."""
 
 
 def is_available() -> bool:
@@ -62,7 +72,8 @@ def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curv
     size = float(np.max(np.ptp(mesh.p, axis=1)))
     try:
         # sizes change as fast as the metric says; lines within one subdomain are kept as well
-        work.remesh(verbose=-1, hgrad=-1.0, hausd=off_curves or size, opnbdy=1)
+        with _own_signals():
+            work.remesh(verbose=-1, hgrad=-1.0, hausd=off_curves or size, opnbdy=1)
     except RuntimeError as error:
         raise BadInputError(f"Mmg cannot remesh this domain: {error}") from error
     triangles, cell_mark = work.get_triangles_with_refs()
@@ -79,6 +90,27 @@ def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curv
         )
     except ValueError as error:
         raise BadInputError(f"the mesh that Mmg made is not in order: {error}") from error
+
+
+@contextmanager
+def _own_signals() -> Iterator[None]:
+    """Put back the handlers of signals that Mmg replaces, of which that of Ctrl-C ends the process.
+
+    Ctrl-C waits until then. The handlers are those of C, so that it works in any thread.
+    """
+    get, put = ctypes.pythonapi.PyOS_getsig, ctypes.pythonapi.PyOS_setsig
+    get.argtypes, get.restype = [ctypes.c_int], ctypes.c_void_p
+    put.argtypes, put.restype = [ctypes.c_int, ctypes.c_void_p], ctypes.c_void_p
+    before = {number: get(number) for number in REPLACED}
+    has_mask = hasattr(signal, "pthread_sigmask")
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if has_mask else set()
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            put(number, handler)
+        if has_mask:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _marks(groups: Mapping[str, Any] | None, chosen: Index) -> tuple[dict[str, Index], Index]:

@@ -1,13 +1,14 @@
 """The metric start: solve, recover second derivatives, remesh in the best metric, and once more.
 
-A mesh of a given number of nodes whose triangles suit the solution. Relocation begins there: it moves nodes but
-keeps the connectivity, which bounds what it can gain.
+Relocation begins on a mesh whose triangles suit the solution: it keeps the connectivity, which bounds what
+it can gain.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,6 @@ from scipy.spatial import cKDTree
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.errors import BadInputError, ProblemError
-from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT, errors
 from rmesh_nlp.fem.metric import Metric, best_metric
 from rmesh_nlp.fem.recovery import Recovered, second_derivatives
@@ -36,10 +36,10 @@ WORTHWHILE = 0.05
 """Fall of the energy in a round, in parts of the error that is left, for another round to follow."""
 
 GROWTH = 4.0
-"""Factor by which the nodes may grow in number in a round: a coarse mesh knows little of what a fine one needs."""
+"""Largest factor of the number of nodes in a round: a coarse mesh knows little of what a fine one needs."""
 
 EXACT, ROUGH = 0.02, 0.2
-"""Relative differences from a number of nodes on the way there, and at the end ..."""
+"""Largest relative differences from the number of nodes at the end, and on the way there, ..."""
 
 TRIALS = 6
 """... and runs of Mmg to come that near."""
@@ -66,27 +66,25 @@ class Solved:
         solver = ContactSolver(problem)
         return Solved(solver, solver.solve(np.asarray(problem.mesh.p)))
 
-    def recovered(self) -> tuple[Recovered, ...]:
+    @cached_property
+    def regions(self) -> tuple[Recovered, ...]:
         """Second derivatives of the displacement."""
         displacement, space = self.solver.displacement.values(self.state.u), self.solver.discretisation.space
         return second_derivatives(self.problem, displacement[:, space.number])
 
-
-def interpolation_errors(problem: ContactProblem, regions: tuple[Recovered, ...]) -> Array:
-    """(elements,) estimated errors in the energy of a mesh, from recovered second derivatives."""
-    found = np.zeros(problem.mesh.t.shape[1])
-    corners = np.asarray(problem.mesh.p)[:, problem.triangles]
-    for region in regions:
-        found[region.elements] = errors(region.law, corners[:, :, region.elements], region.in_elements)
-    return found
+    @cached_property
+    def error(self) -> float:
+        """Estimated error of the energy: that of interpolation."""
+        corners = np.asarray(self.problem.mesh.p)[:, self.problem.triangles]
+        parts = (errors(one.law, corners[:, :, one.elements], one.in_elements) for one in self.regions)
+        return float(sum(part.sum() for part in parts))
 
 
 @dataclass(frozen=True)
 class MetricStart:
-    """Where the rounds ended: numbers of nodes and energies of all of them, and the estimated error at the end."""
+    """Where the rounds ended, and the numbers of nodes and energies of all of them."""
 
     solved: Solved
-    error: float
     nodes: tuple[int, ...]
     energies: tuple[float, ...]
 
@@ -94,7 +92,7 @@ class MetricStart:
 def metric_start(first: Solved, nodes: int, is_late: Callable[[], bool] = lambda: False) -> MetricStart:
     """Remesh the domain of a problem with a number of nodes, up to two percent, in the best metric.
 
-    Rounds go on until the energy hardly falls; the mesh of least energy counts. Once ``is_late`` no round follows.
+    Rounds go on until the energy hardly falls, or it ``is_late``; the mesh of least energy counts.
 
     Raises
     ------
@@ -106,28 +104,32 @@ def metric_start(first: Solved, nodes: int, is_late: Callable[[], bool] = lambda
     here, ratio, best = first, float("nan"), None
     done: list[Solved] = []
     for size in _sizes(first.problem.mesh.p.shape[1], nodes):
-        regions = here.recovered()
-        problem, ratio = remeshed_problem(
-            here.problem, regions, size, ratio, EXACT if size == nodes else ROUGH
-        )
-        there = Solved.of(problem)
-        if there.state.status is not Status.CONVERGED:
-            raise ProblemError(
-                "mesh", f"the contact solve failed on a mesh of {problem.mesh.p.shape[1]} nodes"
-            )
+        tolerance = EXACT if size == nodes else ROUGH
+        problem, ratio = remeshed_problem(here.problem, here.regions, size, ratio, tolerance)
+        try:
+            there = _solved(problem)
+        except ProblemError:
+            if best is None:
+                raise
+            break
         done.append(there)
         if size == nodes:
             fall = np.inf if best is None else best.state.energy - there.state.energy
             best = there if fall > 0 else best
-            if is_late() or fall < WORTHWHILE * float(
-                interpolation_errors(there.problem, there.recovered()).sum()
-            ):
+            if is_late() or fall < WORTHWHILE * there.error:
                 break
         here = there
     assert best is not None
-    error = float(interpolation_errors(best.problem, best.recovered()).sum())
     counts = tuple(int(one.problem.mesh.p.shape[1]) for one in done)
-    return MetricStart(best, error, counts, tuple(one.state.energy for one in done))
+    return MetricStart(best, counts, tuple(one.state.energy for one in done))
+
+
+def _solved(problem: ContactProblem) -> Solved:
+    found = Solved.of(problem)
+    if found.state.status is not Status.CONVERGED:
+        count = problem.mesh.p.shape[1]
+        raise ProblemError("mesh", f"the contact problem was not solved on a new mesh of {count} nodes")
+    return found
 
 
 def _sizes(now: int, last: int) -> list[int]:
@@ -146,10 +148,10 @@ def remeshed_problem(
     ratio: float = float("nan"),
     tolerance: float = EXACT,
 ) -> tuple[ContactProblem, float]:
-    """The problem on a mesh of a number of nodes, best for second derivatives that were recovered on its own.
+    """The problem on a mesh of a number of nodes, the best for second derivatives recovered on its own.
 
-    ``ratio`` is that of the triangles of the metric to the nodes of the mesh, which is returned as well: known
-    from another mesh it saves runs of Mmg.
+    ``ratio`` is that of the triangles of the metric to the nodes of the mesh, which is returned as well:
+    known from another mesh it saves runs of Mmg.
     """
     mesh, X = problem.mesh, np.asarray(problem.mesh.p)
     aspect, angle = LARGEST_ASPECT, problem.motion.min_angle
@@ -173,7 +175,7 @@ def remeshed_problem(
             return found, best_ratio
         if aspect == 1.0:
             raise BadInputError(
-                f"Mmg makes no mesh of {nodes} nodes whose angles are at least {angle:g} degrees"
+                f"Mmg makes no mesh of {nodes} nodes with angles of {angle:g} degrees or more"
             )
         aspect = max(FLATTER * aspect, 1.0)
 
@@ -182,9 +184,8 @@ def _remeshed(problem: ContactProblem, metric: Metric) -> ContactProblem:
     """The problem on a mesh that Mmg makes for a metric at its nodes; nodes that cannot move stay."""
     mesh, motion = problem.mesh, problem.motion
     numbers = [*motion.numbers, *(load.node for load in problem.point_loads)]
-    fixed = np.union1d(np.flatnonzero(MeshMap.of(problem).mobility == Mobility.PINNED), numbers).astype(
-        np.int64
-    )
+    fixed = np.flatnonzero(MeshMap.of(problem).mobility == Mobility.PINNED)
+    fixed = np.union1d(fixed, np.array(numbers, dtype=np.int64))
     new = remeshed(mesh, metric.tensors, line_facets(problem), fixed, _sagitta(problem))
     there = cKDTree(new.p.T).query(mesh.p[:, numbers].T)[1] if numbers else []
     number = dict(zip(numbers, map(int, there), strict=True))
@@ -202,11 +203,8 @@ def _remeshed(problem: ContactProblem, metric: Metric) -> ContactProblem:
 
 def _sagitta(problem: ContactProblem) -> float | None:
     """The largest height of an arc over its edge; None without curves."""
-    heights = []
+    heights, mesh = [], problem.mesh
     for name, curve in problem.motion.curves.items():
-        a, b = np.asarray(problem.mesh.p)[:, problem.mesh.facets[:, problem.mesh.boundaries[name]]].transpose(
-            1, 0, 2
-        )
-        middle = (a + b) / 2
+        middle = mesh.p[:, mesh.facets[:, np.asarray(mesh.boundaries[name])]].mean(axis=1)
         heights.append(np.linalg.norm(curve.at(curve.nearest(middle)) - middle, axis=0).max())
     return max(map(float, heights), default=None)

@@ -84,7 +84,7 @@ def recommended(factor: float, rate: float) -> str:
     """What to do, from the least factor of relocation and the rate under uniform refinement."""
     move, refine = factor >= WORTHWHILE, rate < SMOOTH
     if move and refine:
-        return "both: relocate (rmesh solve), then refine where the error is (rmesh_nlp.models.hr)"
+        return "both: relocate (rmesh solve), then refine where the error is (--remesh)"
     if move:
         return "relocate: rmesh solve"
     if refine:

@@ -16,7 +16,6 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.meshes.geometry import relocated_mesh
-from rmesh_nlp.models.flips import mean_around
 from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.residual import multipliers, size_of
 from rmesh_nlp.optimize.status import Status
@@ -77,9 +76,9 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         Whether the formulation moves nodes at all.
     """
     outer, q = outcome.outer, outcome.q
-    problem, nodes = outer.problem, outer.nodes(q)
+    problem, nodes, given = outer.problem, outer.nodes(q), np.array(outer.problem.mesh.p)
     begin = outer if is_comparable(first, outer) else first  # what it begins from, by the same rules
-    start, areas = begin.assessor.initial, _given_areas(begin.problem, problem)
+    start, areas = begin.assessor.initial, signed_areas(given, problem.triangles)
     ratio = float(np.min(signed_areas(nodes, problem.triangles) / areas))
     common: dict[str, Any] = {
         "problem": problem,
@@ -88,7 +87,7 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         "energy_initial": begin.given.energy,
         "energy_initial_audited": start.energy,
         "solver_status": outcome.status,
-        "initial_nodes": np.array(begin.problem.mesh.p),
+        "initial_nodes": given,
         "initial_areas": areas,
         "details": outcome.details,
     }
@@ -140,14 +139,15 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
 
 
 def is_comparable(first: Outer, last: Outer) -> bool:
-    """Whether an end is compared with its own mesh before any motion.
+    """Whether an end is compared with its own mesh before any motion, and not with the given one.
 
-    That is the given one, or a refinement. With other edges it is one that was relocated already.
+    Its mesh is the given one or a refinement of it: nodes of that keep their numbers. A new mesh was
+    made to have less error.
     """
     one, other = first.problem.mesh, last.problem.mesh
-    if one is other or one.p.shape != other.p.shape:
-        return True
-    return np.array_equal(one.p, other.p) and np.array_equal(one.t, other.t)
+    n = one.p.shape[1]
+    kept = other.p.shape[1] >= n and np.array_equal(one.p, other.p[:, :n])
+    return one is other or (kept and (other.p.shape[1] > n or np.array_equal(one.t, other.t)))
 
 
 def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state: Equilibrium) -> float:
@@ -240,12 +240,12 @@ def _findings(ends: _Ends, own: Equilibrium, given: ContactProblem, exploits: st
 
 def _warnings(ends: _Ends) -> tuple[str, ...]:
     """Signs of a wrong set-up, and of foundations that pass into the relocated mesh."""
-    problem, contact, start = ends.outer.problem, ends.outer.contact, ends.outer.assessor.initial
-    load = start.system.load if start.problem is problem else None  # by an accurate rule
-    found = [
-        one for one in setup_warnings(problem, contact, ends.begin.given, load) if one.kind != "penetration"
-    ]
-    found += penetration_warnings(problem, ends.nodes, contact.displacement.values(ends.found.u))
+    begin, start = ends.begin, ends.start
+    load = start.system.load if start.problem is begin.problem else None  # by an accurate rule
+    said = setup_warnings(begin.problem, begin.contact, begin.given, load)
+    found = [one for one in said if one.kind != "penetration"]
+    displacement = ends.outer.contact.displacement.values(ends.found.u)
+    found += penetration_warnings(ends.outer.problem, ends.nodes, displacement)
     return tuple(one.message for one in found)
 
 
@@ -268,15 +268,3 @@ def _nodal_stress(ends: _Ends, force: Array) -> Array:
         # a node may meet two foundations
         np.add.at(stress, model.contact_nodes, force / space.weights(ends.nodes))
     return stress
-
-
-def _given_areas(given: ContactProblem, last: ContactProblem) -> Array:
-    """(elements,) areas in the mesh as given of the last triangles, some of which it may not have."""
-    own, p = given.triangles, given.mesh.p
-    areas = signed_areas(p, own)
-    if given is last:
-        return areas
-    around = mean_around(own, areas, p.shape[1])[last.triangles].mean(axis=0)
-    known = {frozenset(t): area for t, area in zip(own.T.tolist(), areas, strict=True)}
-    sought = zip(last.triangles.T.tolist(), around, strict=True)
-    return np.array([known.get(frozenset(t), mean) for t, mean in sought])

@@ -42,20 +42,24 @@ def certify(solution: Assessment, *, refinements: int | None = None) -> Certific
     if not np.all(np.isfinite(solution.displacement)):
         raise ValueError(f"there is nothing to certify: the solution is {solution.status.value}")
     problem, nodes = solution.problem, np.asarray(solution.mesh.p)
-    given, assessed = np.asarray(problem.mesh.p), None if problem.motion.curves else solution.assessed
+    assessed = None if problem.motion.curves else solution.assessed
+    first = problem if solution.assessed is None else solution.assessed[0].problem
+    given, is_new = np.asarray(first.mesh.p), not np.array_equal(first.mesh.t, problem.mesh.t)
     guess = Guess(solution.displacement, solution.pressure, solution.tangential_stress)
     after = refined_bracket(problem, nodes, guess, refinements)
     if assessed is not None:
         after = _with_upper(after, assessed[1])
-    if np.array_equal(nodes, given):
+    if not is_new and np.array_equal(nodes, given):
         return _certificate(after, after, after.why)
-    guess = contact_solution(ContactSolver(problem), given)
-    before = refined_bracket(problem, given, guess, refinements)
-    if assessed is not None and np.array_equal(solution.initial_nodes, given):
+    guess = contact_solution(ContactSolver(first), given)
+    before = refined_bracket(first, given, guess, refinements)
+    if assessed is not None:
         before = _with_upper(before, assessed[0])
-    if same_domain(problem, nodes):
+    if same_domain(problem, nodes) and not (is_new and problem.motion.curves):
         best = max((before, after), key=lambda one: (one.guaranteed_lower, one.lower))
         before, after = _with_lower(before, best), _with_lower(after, best)
+    if is_new:  # the elements of a file are those of the last mesh
+        before = replace(before, local=np.full(problem.mesh.t.shape[1], np.nan))
     return _certificate(before, after, (*after.why, *(f"given mesh: {reason}" for reason in before.why)))
 
 

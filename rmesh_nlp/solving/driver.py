@@ -75,7 +75,7 @@ def solve(
         Bound the error of the solution: ``solution.certificate``.
     settings
         Settings of a formulation that is named, and of what takes one, as on the command line:
-        ``flips=True``, ``starts=8``. ``time_limit_s`` and ``max_iterations``, the limits of 0.1, still work
+        ``remesh=True``, ``starts=8``. ``time_limit_s`` and ``max_iterations``, the limits of 0.1, still work
         and warn.
 
     Returns

@@ -22,7 +22,7 @@ WRAPPERS = "rmesh_nlp.wrappers"
 """Entry points of formulations that take one, by the option of the command line that asks for them."""
 
 
-INSIDE_OUT = ("regularisation", "flips", "levels", "starts")
+INSIDE_OUT = ("regularisation", "remesh", "levels", "starts")
 """Which of these options is meant of what: of several starts each one takes the whole schedule of weights."""
 
 

@@ -88,6 +88,12 @@ def request(formulation: str | Formulation | Chooser, options: Mapping[str, Any]
     rest = {key: value for key, value in options.items() if value is not None}
     if rest.get("starts") and (rest.get("levels") or "seed" in rest):
         raise BadInputError("starts cannot be combined with levels or a seed")
+    if rest.get("remesh"):
+        for other in ("starts", "levels", "seed", "start"):
+            if other in rest and not (rest[other] == 0 and other != "seed"):
+                raise BadInputError(
+                    f"remesh cannot be combined with {other}, which belongs to the given mesh"
+                )
     limits = Limits(**{name: rest.pop(key) for key, name in LIMITS.items() if key in rest})
     asked = {key: rest.pop(key) for key in ASKED if key in rest}
     known = _known(formulation)

@@ -78,7 +78,7 @@ class Outer:
         return other
 
     def on(self, problem: ContactProblem) -> Outer:
-        """The same objective with other edges or another rule, whose estimated error is taken over."""
+        """The same objective by another rule, whose estimated error is taken over."""
         other = Outer(problem, self.objective, self.tolerance)
         other.gain = self.gain
         return other

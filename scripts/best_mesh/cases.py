@@ -19,7 +19,7 @@ from peer_solvers import source_61
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
 from rmesh_nlp.fem.stress import gradients
-from rmesh_nlp.models.regularisation import edge_gains, marked
+from rmesh_nlp.models.edge_gains import edge_gains, marked
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 

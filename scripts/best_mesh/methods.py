@@ -15,13 +15,9 @@ from best_mesh.cases import LAPLACIAN_61, RULE, Case
 from best_mesh.rows import ADAPTIVE, GIVEN, Row
 from peer_solvers import unassessed
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.models.hr import hr
-from rmesh_nlp.models.regularisation import marked
+from rmesh_nlp.models.edge_gains import marked
 from rmesh_nlp.problem.contact_problem import locally_refined
 from rmesh_nlp.solving.solution import Solution
-
-SIZES_OF_HR = (300, 1000, 3000)
-"""Nodes up to which meshes are refined and relocated in turn."""
 
 
 def warm_up() -> None:
@@ -67,21 +63,12 @@ def move_limits(case: Case, size: int) -> Iterator[Row]:
     yield _relocated(case, "relocated, move limits", size, rm.solve(problem, "nested"), began)
 
 
-def relocated(case: Case, size: int, flips: bool) -> Iterator[Row]:
+def relocated(case: Case, size: int, remesh: bool) -> Iterator[Row]:
     """Relocation without move limits."""
     problem = case.problem(size)
     began = time.process_time()
-    solution = rm.solve(problem, flips=flips)
-    yield _relocated(case, "relocated, flips" if flips else "relocated", size, solution, began)
-
-
-def refined_and_relocated(case: Case, most: int) -> Iterator[Row]:
-    """Refined where new nodes gain most, flipped and relocated in turn."""
-    began = time.process_time()
-    last = hr(case.problem(case.sizes[0]), nodes=most)[-1].problem
-    seconds = time.process_time() - began
-    nodes = int(last.mesh.p.shape[1])
-    yield Row(case.name, "refined and relocated", str(most), nodes, case.error(last), seconds)
+    solution = rm.solve(problem, remesh=remesh)
+    yield _relocated(case, "remeshed, relocated" if remesh else "relocated", size, solution, began)
 
 
 def _relocated(case: Case, method: str, size: int, solution: Solution, began: float) -> Row:

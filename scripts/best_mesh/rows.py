@@ -17,8 +17,7 @@ STYLES = {
     ADAPTIVE: ("#56B4E9", "D", "--"),
     "relocated, move limits": ("#999999", "v", "-"),
     "relocated": ("#D55E00", "^", "-"),
-    "relocated, flips": ("#CC79A7", "P", "-"),
-    "refined and relocated": ("#009E73", "*", "--"),
+    "remeshed, relocated": ("#009E73", "*", "-"),
 }
 """Colour (Okabe and Ito's, told apart by colour-blind readers), marker and line of each method."""
 

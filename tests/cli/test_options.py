@@ -41,7 +41,7 @@ MEANT = {
 def test_every_option_of_solve_reaches_the_planned_solve(rmesh, plans: list[PlannedSolve]) -> None:
     for typed in (
         f"6.1 -f mpcc --n 4 --delta 0.02,0.01 --quadrature 5 {TYPED}",
-        "6.2 --n 4x2 --delta none --regularisation 1,0.1 --flips",
+        "6.2 --n 4x2 --delta none --regularisation 1,0.1 --remesh --nodes 40",
         "6.2 -f nested --outer ipopt --starts 2",
         "6.2 --levels 2",
     ):
@@ -52,7 +52,7 @@ def test_every_option_of_solve_reaches_the_planned_solve(rmesh, plans: list[Plan
     assert mpcc.identity["quadrature"] == 5
     assert (joint.formulation, joint.size, joint.certify) == ("joint", "4x2", False)
     assert joint.identity["delta"] is None
-    assert joint.options == {"regularisation": (1.0, 0.1), "flips": True}
+    assert joint.options == {"regularisation": (1.0, 0.1), "remesh": 40}
     assert nested.options == {"outer": "ipopt", "starts": 2}
     assert levels.options == {"levels": 2}
 
@@ -64,7 +64,7 @@ def test_compare_takes_several_seeds_and_objectives(rmesh, plans: list[PlannedSo
     assert (first.options, first.repeats) == ({"seed": 1}, 2)
 
 
-IN_FILE = {"regularisation": (0.1, 0.02), "flips": True, "seed": 4}
+IN_FILE = {"regularisation": (0.1, 0.02), "remesh": 50, "seed": 4}
 TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
 
 
@@ -73,7 +73,7 @@ TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
     [
         (True, "", "joint", IN_FILE),
         (True, f"-f nested {TYPED_TOO}", "nested",
-         {"regularisation": (0.5,), "flips": True, "seed": 0, "objective": "quality", "time_limit_s": 9.0}),
+         {"regularisation": (0.5,), "remesh": 50, "seed": 0, "objective": "quality", "time_limit_s": 9.0}),
         # a formulation without iterations needs no limits
         (False, "-f fixed --time-limit 9 --tolerance 1", "fixed", {}),
     ],
@@ -81,13 +81,13 @@ TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
 def test_options_of_the_command_line_override_those_of_a_file(
     rmesh, plans: list[PlannedSolve], asked: bool, typed: str, formulation: str, options: dict[str, Any]
 ) -> None:
-    in_file = "regularisation = [0.1, 0.02]\nflips = true\ncertify = true\nseed = 4\n"
+    in_file = "regularisation = [0.1, 0.02]\nremesh = 50\ncertify = true\nseed = 4\n"
     Path("my.toml").write_text(VALID + in_file * asked)
     assert rmesh(f"solve my.toml {typed}").code == 130
     (plan,) = plans
     assert (plan.formulation, plan.certify, plan.options) == (formulation, asked, options)
     if asked:
-        assert rmesh("solve my.toml -f fixed").code == 2  # it takes no flips
+        assert rmesh("solve my.toml -f fixed").code == 2  # it takes no remesh
 
 
 @pytest.mark.parametrize(

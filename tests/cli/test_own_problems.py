@@ -86,7 +86,7 @@ def test_a_body_that_the_load_pulls_off_is_bad_input(rmesh, block: Path) -> None
     [
         ('formulation = "<svg>"', "solve.formulation: unknown formulation '<svg>'"),
         ('objective = "energie"', "solve.objective: unknown objective 'energie'"),
-        ('formulation = "fixed"\nflips = true', "the formulation 'fixed' takes no flips"),
+        ('formulation = "fixed"\nremesh = true', "the formulation 'fixed' takes no remesh"),
         ("regularisation = [1, 0, 0.1]", "solve.regularisation = [1, 0, 0.1]: expected"),
     ],
 )
@@ -165,11 +165,11 @@ def test_check_says_what_to_do_about_missing_names(rmesh) -> None:
 
 
 @pytest.mark.slow
-def test_without_move_limits_a_file_asks_for_weights_and_flips(rmesh, block: Path) -> None:
+def test_without_move_limits_a_file_asks_for_weights_and_a_new_mesh(rmesh, block: Path) -> None:
     text = BLOCK + "[motion]\ndelta = 'none'\n[solve]\nformulation = 'joint'\n"
-    block.write_text(f"{text}regularisation = [0.1, 0.02]\nflips = true\n")
+    block.write_text(f"{text}regularisation = [0.1, 0.02]\nremesh = true\n")
     assert rmesh("solve block.toml --out one --no-figures -q").code == 0
     found = record()
     assert (found["regularisation"], found["delta"]) == ([0.1, 0.02], None)
-    assert "flip_rounds" in found
+    assert found["remeshed_nodes"]
     assert found["gain_audited"] > 0

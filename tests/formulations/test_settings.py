@@ -11,12 +11,12 @@ from formulations.auto import Auto
 from formulations.cascade import Cascade, Descent, Polished
 from formulations.confirmed import Confirmed
 from formulations.fixed import Fixed
-from formulations.flips import Flips
 from formulations.joint import Joint
 from formulations.mpcc import AllAtOnce
 from formulations.multistart import MultiStart
 from formulations.nested import Nested
 from formulations.refined import Refined
+from formulations.remeshed import Remeshed
 from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.models.cascade import CascadeSettings
@@ -27,7 +27,7 @@ from rmesh_nlp.settings import Settings
 from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.vectorised import AssemblySettings
 
-WRAPPERS = (Confirmed, Flips, MultiStart, Polished, Refined, Schedule)
+WRAPPERS = (Confirmed, MultiStart, Polished, Refined, Remeshed, Schedule)
 FORMULATIONS = (AllAtOnce, Auto, Descent, Fixed, Joint, Nested, *WRAPPERS)
 KINDS = (NewtonSettings, *FORMULATIONS, NestedSettings, CascadeSettings, AssemblySettings, Options, Limits)
 

@@ -222,7 +222,7 @@ def test_mistakes_of_structure_are_named(write, text, message):
         ("[solve]\nlevels = 4", "[solve]\nlevels = 5"),
         ("[solve]\nregularisation = [1, 0]", "[solve]\nregularisation = [0, 1]"),
         ("[motion]\nmin_area_fraction = 0.99", "[motion]\nmin_area_fraction = 1.0"),
-        ("[solve]\nflips = true", "[solve]\nflips = 1"),
+        ("[solve]\nremesh = true", "[solve]\nremesh = 2"),
     ],
 )
 def test_bounds_of_numbers_are_exact(write, good, bad):

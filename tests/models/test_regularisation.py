@@ -11,8 +11,8 @@ from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.hr import EFFECTIVITY
-from rmesh_nlp.models.regularisation import _refined, edge_gains, gain_estimate, marked, regularised, weights
+from rmesh_nlp.models.edge_gains import EFFECTIVITY, edge_gains, marked
+from rmesh_nlp.models.regularisation import _refined, gain_estimate, regularised, weights
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.problem.contact_problem import locally_refined
 from support.problems import energy_error, no_move_limits, signorini

@@ -54,11 +54,10 @@ def test_the_unit_of_cost_is_one_cold_contact_solve(monkeypatch: pytest.MonkeyPa
     [
         (joint, {}),
         (nested, {"regularisation": (0.1, 0.01)}),
-        pytest.param(nested, {"regularisation": 0.01, "flips": True}, marks=pytest.mark.slow),
         pytest.param(auto, {}, marks=pytest.mark.slow),
-        pytest.param(auto, {"flips": True}, marks=pytest.mark.slow),
+        pytest.param(auto, {"remesh": True}, marks=pytest.mark.slow),
     ],
-    ids=["joint", "weights", "weights and flips", "cascade", "cascade and flips"],
+    ids=["joint", "weights", "cascade", "metric start"],
 )
 def test_no_time_is_counted_twice_or_forgotten(
     formulation: Any, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from formulations.confirmed import Confirmed
-from formulations.flips import Flips
 from formulations.multistart import MultiStart, Starts
 from formulations.refined import Refined, prolong
+from formulations.remeshed import Remeshed
 from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.flips import flip_edges
-from rmesh_nlp.models.regularisation import gain_estimate, regularised
+from rmesh_nlp.models.regularisation import regularised
+from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
 from rmesh_nlp.problem.contact_problem import refined
@@ -210,59 +210,41 @@ def test_a_higher_rule_goes_on_from_where_the_last_one_ended(
 
 
 @pytest.fixture(scope="module")
-def crooked() -> ContactProblem:
-    """Example 6.1 with shaken nodes, whose flips gain."""
-    outer = Outer(replace(EXAMPLES["6.1"](n=6), motion=Motion(None), quadrature=6))
-    nodes = outer.nodes(0.3 * np.random.default_rng(2).uniform(-1, 1, outer.n))
-    return replace(outer.problem, mesh=replace(outer.problem.mesh, doflocs=nodes))
+def given() -> ContactProblem:
+    return replace(EXAMPLES["6.1"](n=6), motion=Motion(None), quadrature=6)
 
 
 @pytest.fixture(scope="module")
-def ends(crooked: ContactProblem) -> tuple[Outer, Callable[[], Outer]]:
-    """The mesh as given, and the flipped one, whose energy is lower."""
-    flipped = flip_edges(crooked, gain_estimate(crooked).value).problem
-    nodes = np.array(flipped.mesh.p)
-    nodes[:, flipped.mesh.interior_nodes()] += 1e-4
-    return Outer(crooked), lambda: Outer(replace(flipped, mesh=replace(flipped.mesh, doflocs=nodes)))
+def ends(given: ContactProblem) -> tuple[Outer, Callable[[], Outer]]:
+    """The mesh as given, and one that suits the solution, whose energy is lower."""
+    first = Outer(given)
+    made = metric_start(Solved(first.contact, first.given), 49).solved.problem
+    return first, lambda: Outer(made)
 
 
-class TestFlips:
-    def test_edges_are_flipped_until_neither_flips_nor_moves_gain(self, crooked: ContactProblem) -> None:
-        first = Ends(lambda outer, q, _: Outcome(outer, q, Status.CONVERGED, details=(Own(1),)))
-        again = Script(*[0.001] * 9)
-        solution = solve_once(crooked, Flips(first, then=again.formulation))
-        row = solution.record()
-        assert again.begun
-        assert row["own"] == len(again.begun) - 1
-        assert row["flips"] == sum(one["flips"] for one in row["flip_rounds"]) > 0
-        assert row["changed_triangles"] > 0
-        np.testing.assert_array_equal(solution.initial_nodes, crooked.mesh.p)
-        assert solution.energy_initial == pytest.approx(Outer(crooked).given.energy, rel=1e-12)
-        assert solution.gain_audited > 0
-        assert solution.energy <= row["flip_rounds"][-1]["relocated"] + 1e-12
-
-    @pytest.mark.parametrize("during", [True, False])
-    def test_ctrl_c_keeps_the_best_mesh_so_far(
-        self, crooked: ContactProblem, during: bool, monkeypatch: pytest.MonkeyPatch
+class TestRemeshed:
+    def test_the_inner_formulation_runs_on_the_new_mesh_and_energies_are_of_the_given_one(
+        self, given: ContactProblem
     ) -> None:
-        """``during`` flips it is the mesh before them, in the relocation after them the flipped one."""
-        script, seen = Script(0.001, tracks=True), []
-        if during:
-            monkeypatch.setattr("rmesh_nlp.models.flips.flip_edges", pressed)
-        again = Ends(lambda outer, q, monitor: monitor.track(outer).exact(1, q) or pressed())
-        solution = solve(crooked, Flips(script.formulation, then=again), on_step=seen.append)
-        assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
-        assert ("changed_triangles" in solution.extra) == (not during)
-        np.testing.assert_array_equal([step.q is None for step in seen], [False, *([True] * (not during))])
-        assert solution.energy == pytest.approx(seen[-1].energy, rel=1e-9)
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        script = Script(0.001)
+        solution = solve_once(given, Remeshed(script.formulation, 60))
+        ((outer, q),) = script.begun
+        row, nodes = solution.record(), outer.problem.mesh.p.shape[1]
+        assert (outer.is_near, np.any(q)) == (True, False)
+        assert abs(nodes - 60) <= 2
+        assert (
+            row["remeshed_nodes"][-1] == nodes or min(row["remeshed_energies"]) < row["remeshed_energies"][-1]
+        )
+        np.testing.assert_array_equal(solution.initial_nodes, outer.problem.mesh.p)
+        assert solution.energy_initial == pytest.approx(Outer(given).given.energy, rel=1e-12)
+        assert solution.gain_audited > 0
+        assert solution.problem.mesh.boundaries.keys() == given.mesh.boundaries.keys()
 
-    def test_after_flips_a_schedule_is_not_gone_through_again(self, crooked: ContactProblem) -> None:
-        script = Script(*[0.001] * 12)
-        solve_once(crooked, Flips(Schedule(script.formulation, (1.0, 0.01))))
-        weights = [outer.objective.text for outer, _ in script.begun]
-        assert len(weights) > 2
-        assert set(weights[1:]) == {weights[1]} != {weights[0]}
+    def test_ctrl_c_keeps_the_new_mesh(self, given: ContactProblem) -> None:
+        inner = Ends(lambda outer, q, monitor: monitor.track(outer).exact(1, q) or pressed())
+        solution = solve(given, Remeshed(inner))
+        assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
+        assert solution.gain_audited > 0
 
     def test_the_gain_is_that_of_all_rounds(self, ends: Any) -> None:
         first, there = ends[0], ends[1]()
@@ -293,6 +275,34 @@ class TestFlips:
         found = assess(lower, Outcome(there, there.variables(), Status.CONVERGED))
         assert (found.status, found.valid, found.improved) == (Status.WORSE, True, False)
 
-    def test_move_limits_are_refused(self, problem: ContactProblem) -> None:
-        with pytest.raises(BadInputError, match="move limits"):
-            solve(problem, Flips(Script().formulation))
+    @pytest.mark.parametrize(
+        ("motion", "objective", "words"),
+        [
+            (Motion(0.1), "energy", "move limits in units of length"),
+            (Motion(None), "quality", "not 'quality'"),
+        ],
+    )
+    def test_what_belongs_to_the_given_mesh_is_refused(
+        self, given: ContactProblem, motion: Motion, objective: str, words: str
+    ) -> None:
+        with pytest.raises(BadInputError, match=words):
+            solve(replace(given, motion=motion), Remeshed(Script().formulation), objective=objective)
+
+    def test_without_mmgpy_it_says_what_to_install(
+        self, given: ContactProblem, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("formulations.remeshed.is_available", lambda: False)
+        with pytest.raises(BadInputError, match=r"pip install 'rmesh-nlp\[remesh\]'"):
+            solve(given, Remeshed(Script().formulation))
+
+    @pytest.mark.parametrize("other", [{"starts": 2}, {"levels": 1}, {"seed": 0}, {"start": "given"}])
+    def test_it_is_not_combined_with_what_belongs_to_the_given_mesh(
+        self, given: ContactProblem, other: dict[str, Any]
+    ) -> None:
+        with pytest.raises(BadInputError, match=f"combined with {next(iter(other))}"):
+            solve_by_options(given, "nested", {"remesh": True, **other})
+
+    @pytest.mark.parametrize("nodes", [2, -1, 7.5, "many", False])
+    def test_a_number_of_nodes_is_one(self, nodes: Any) -> None:
+        with pytest.raises(BadInputError, match="number of nodes of at least 3"):
+            Remeshed(Script().formulation, nodes)
