@@ -155,9 +155,7 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[NDArray[np.int64
     varying = [d.boundary for d in problem.supports if any(callable(value) for value in d.value)]
     held = problem.boundary_nodes(tuple(varying)).tolist()
     loaded = [load.node for load in problem.point_loads]
-    for part in problem.contact_sets:
-        at_kink = np.isclose(mesh.p[0, part.nodes, None], np.array(part.obstacle.kinks)).any(axis=1)
-        mobility[part.nodes[at_kink]] = Mobility.PINNED
+    mobility[problem.kink_nodes] = Mobility.PINNED
     mobility[[*held, *loaded, *np.setdiff1d(np.arange(mobility.size), mesh.t)]] = Mobility.PINNED
     rules = (motion.free, Mobility.FREE), (motion.slides, Mobility.SLIDING), (motion.pinned, Mobility.PINNED)
     for places, mobile in rules:

@@ -1,4 +1,11 @@
-"""Coarser meshes of the same domain: the one that was refined uniformly, or one with nodes taken out."""
+"""Coarser meshes by taking nodes out, with edges along those of the given mesh.
+
+The best map of a mesh depends on the directions of its edges: one found with other directions is of little use
+(docs/notes/large_moves.md, "Meshes that are not nested"). So the nodes that stay are grown from the lines
+inwards as in a mesh refined uniformly: beyond the neighbour of one that stays, as far again, is the next. The
+others are merged into them, and edges flipped until the mesh is Delaunay in the metric of the given one, in
+which its triangles are equilateral. Where that is regular, so is the coarser one, with the same directions.
+"""
 
 from __future__ import annotations
 
@@ -8,25 +15,22 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.flips import flipped, sum_of_cotangents
-from rmesh_nlp.meshes.geometry import counter_clockwise, shape_quality
+from rmesh_nlp.meshes.flips import flipped
+from rmesh_nlp.meshes.geometry import signed_areas
 
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-LEAST_QUALITY = 0.2
-"""Shape (1 for an equilateral triangle, 0 for a flat one) that a merger must leave."""
+FAR = 0.7
+"""Distance, in edges, from where the next node that stays is looked for, beyond which it is not taken for it."""
 
-LEAST_PROGRESS = 0.03
-"""Part of the nodes that a round must take out for another one to follow."""
+LEAST_QUALITY = 0.2
+"""Shape (1 for an equilateral triangle, 0 for a flat one) in the metric that a merger must leave."""
 
 PASSES = 3
-"""Draws of independent nodes per round."""
+"""Draws of independent nodes between flips."""
 
 
 @dataclass(frozen=True)
@@ -49,46 +53,144 @@ class Decimated:
     into: Index
 
 
-def decimated(nodes: Array, triangles: NDArray, lines: Lines, target: int) -> Decimated:
-    """Take out nodes until ``target`` are left, or no more can go; triangles are counter-clockwise."""
-    rng = np.random.default_rng(0)  # the same mesh each time
-    t, element = np.array(triangles), np.arange(triangles.shape[1])
-    into = np.arange(nodes.shape[1])
-    on_line = np.zeros(nodes.shape[1], dtype=bool)
+def decimated(nodes: Array, triangles: NDArray, lines: Lines) -> Decimated:
+    """Take out about three quarters of the nodes (2, nodes); triangles (3, elements) are counter-clockwise."""
+    rng, n = np.random.default_rng(0), nodes.shape[1]  # the same mesh each time
+    metric = mean_metric(nodes, triangles)
+    worth = partial(_flatness, nodes, metric)
+    t, element, into = np.array(triangles), np.arange(triangles.shape[1]), np.arange(n)
+    on_line = np.zeros(n, dtype=bool)
     on_line[lines.edges] = True
-    left = np.unique(t).size
-    while left > target:
-        before = left
+    left = ~staying(nodes, triangles, lines, rng)
+    merged = True
+    while merged and np.any(left):
+        merged = False
         for _ in range(PASSES):
-            merges = _merges(nodes, t, into[lines.edges], on_line, lines.kept, rng)[:, : left - target]
+            merges = _merges(worth, t, into[lines.edges], on_line, rng.permutation(n) * left)
             if merges.shape[1] == 0:
                 break
-            step = np.arange(nodes.shape[1])
+            step, merged = np.arange(n), True
             step[merges[0]] = merges[1]
-            into, t = step[into], step[t]
+            into, t, left[merges[0]] = step[into], step[t], False
             real = (t[0] != t[1]) & (t[1] != t[2]) & (t[2] != t[0])
             t, element = t[:, real], element[real]
-            left -= merges.shape[1]
         edges = into[lines.edges]
         # in their places: flips never cross a line, so each triangle stays within its subdomain
-        t = flipped(nodes, t, edges[:, edges[0] != edges[1]], partial(sum_of_cotangents, nodes)).triangles
-        if before - left < LEAST_PROGRESS * before:
-            break
+        t = flipped(nodes, t, edges[:, edges[0] != edges[1]], worth).triangles
     return Decimated(t, element, into)
 
 
-def _merges(
-    nodes: Array, t: NDArray, line_edges: NDArray, on_line: Mask, kept: Mask, rng: np.random.Generator
-) -> Index:
-    """Pairs (2, merges): nodes no two of which share a triangle, and the neighbours they merge into."""
+def mean_metric(nodes: Array, triangles: NDArray) -> Array:
+    """(3, nodes) components xx, xy, yy at each node of the metric in which triangles are equilateral.
+
+    The mean of those of the triangles around, weighted with their areas; edges have the length 1.
+    """
+    edges = nodes[:, triangles] - nodes[:, np.roll(triangles, 1, axis=0)]
+    area, n = signed_areas(nodes, triangles), nodes.shape[1]
+    # the edges e of an equilateral triangle with sides 1 have a sum of e e^T of 3/2 the identity
+    xx, xy, yy = ((edges[i] * edges[j]).sum(axis=0) for i, j in ((0, 0), (0, 1), (1, 1)))
+    weighted = 1.5 * area / (xx * yy - xy**2) * np.stack([yy, -xy, xx])
+    around = np.bincount(triangles.ravel(), np.tile(area, 3), n)
+    total = [np.bincount(triangles.ravel(), np.tile(one, 3), n) for one in weighted]
+    return np.asarray(np.stack(total) / np.where(around > 0, around, 1.0))
+
+
+def _squared(metric: Array, vector: Array) -> Array:
+    """Squared length of vectors (2, ...) in a metric (3, ...)."""
+    x, y = vector
+    return np.asarray(metric[0] * x**2 + 2 * metric[1] * x * y + metric[2] * y**2)
+
+
+def _flatness(nodes: Array, metric: Array, triangles: NDArray, _: NDArray | None = None) -> Array:
+    """The inverse of the shape in the metric: 1 for equilateral triangles, huge for flat and inverted ones.
+
+    Up to a factor the sum of the cotangents, which the Delaunay mesh has least
+    (O. R. Musin, Properties of the Delaunay triangulation, SoCG 1997).
+    """
+    here, corner = metric[:, triangles].mean(axis=1), nodes[:, triangles]
+    edges = _squared(here[:, None], corner - np.roll(corner, 1, axis=1)).sum(axis=0)
+    area = signed_areas(nodes, triangles) * np.sqrt(here[0] * here[2] - here[1] ** 2)
+    return np.asarray(edges / (4 * np.sqrt(3) * np.maximum(area, 1e-300)))
+
+
+def staying(nodes: Array, triangles: NDArray, lines: Lines, rng: np.random.Generator) -> Mask:
+    """Nodes that stay: those kept, first others on lines, then inside; each node is one or has one beside it."""
     n = nodes.shape[1]
-    # where the mesh is finest first, so that what is left is even; the draw decides between equals
-    priority = rng.uniform(1, 2, n) / _mean_edges(nodes, t)
-    priority[kept] = -1.0
+    metric, draw = mean_metric(nodes, triangles), rng.permutation(n) / n
+    beside = _graph(np.hstack([triangles[[0, 1]], triangles[[1, 2]], triangles[[2, 0]]]), n)
+    on_line = np.zeros(n, dtype=bool)
+    on_line[lines.edges] = True
+    on_lines = _grown(nodes, metric, _graph(lines.edges, n), lines.kept, on_line, draw)
+    return _grown(nodes, metric, beside, on_lines, ~on_line, draw)
+
+
+def _graph(edges: NDArray, n: int) -> sp.csr_array:
+    both = np.hstack([edges, edges[::-1]])
+    return sp.csr_array((np.ones(both.shape[1], dtype=bool), both), shape=(n, n))
+
+
+def _grown(nodes: Array, metric: Array, beside: sp.csr_array, seeds: Mask, allowed: Mask, draw: Array) -> Mask:
+    """The seeds and allowed nodes no two of which are neighbours, as many as there can be.
+
+    They are found front by front; the one nearest to where it is looked for comes first, ``draw`` (nodes,), in
+    [0, 1), decides between equals.
+    """
+    chosen, front = np.array(seeds), np.flatnonzero(seeds)
+    free = allowed & ~chosen
+    free[beside[front].indices] = False
+    while np.any(free):
+        found, off = _beyond(nodes, metric, beside, front)
+        near = free[found] & (off < FAR)
+        rank = np.full(free.size, np.inf)
+        np.minimum.at(rank, found[near], off[near] + 1e-6 * draw[found[near]])
+        if not np.any(near):
+            rank[free] = draw[free]
+        front = _independent(rank, beside)
+        chosen[front], free[front] = True, False
+        free[beside[front].indices] = False
+    return chosen
+
+
+def _beyond(nodes: Array, metric: Array, beside: sp.csr_array, front: Index) -> tuple[Index, Array]:
+    """Nodes two edges from the front, and how far each is, in edges, from where a straight line would end."""
+
+    def neighbours(of: Index) -> tuple[Index, Index]:
+        rows = beside[of]
+        return np.repeat(np.arange(of.size), np.diff(rows.indptr)), rows.indices
+
+    start, middle = neighbours(front)
+    way, end = neighbours(middle)
+    start, middle = front[start[way]], middle[way]
+    edge, off = nodes[:, middle] - nodes[:, start], nodes[:, end] - nodes[:, middle]
+    length = np.maximum(_squared(metric[:, middle], edge), 1e-300)
+    return end, np.sqrt(_squared(metric[:, middle], off - edge) / length)
+
+
+def _independent(rank: Array, beside: sp.csr_array) -> Index:
+    """Nodes of finite rank, no two of them neighbours, the lowest ranks first, as many as there can be."""
+    rank, found = np.array(rank), np.zeros(rank.size, dtype=bool)
+    while (left := np.flatnonzero(np.isfinite(rank))).size:
+        rows = beside[left]
+        least = np.full(left.size, np.inf)
+        np.minimum.at(least, np.repeat(np.arange(left.size), np.diff(rows.indptr)), rank[rows.indices])
+        first = left[rank[left] < least]
+        found[first] = True
+        rank[first] = rank[beside[first].indices] = np.inf
+    return np.flatnonzero(found)
+
+
+def _merges(
+    worth: partial[Array], t: NDArray, line_edges: NDArray, on_line: Mask, priority: NDArray
+) -> Index:
+    """Pairs (2, merges): nodes no two of which share a triangle, and the neighbours they merge into.
+
+    Only nodes of positive ``priority`` (nodes,) are merged.
+    """
+    n = priority.size
     edges = np.hstack([t[[i, j]] for i in range(3) for j in range(3) if i != j])
     best = np.zeros(n)
     np.maximum.at(best, edges[0], priority[edges[1]])
-    chosen = (priority > best) & ~kept
+    chosen = priority > best
     # all pairs of a chosen node and a neighbour it may merge into
     edges = np.unique(edges[:, chosen[edges[0]] & ~on_line[edges[0]]], axis=1)
     along = line_edges[:, line_edges[0] != line_edges[1]]
@@ -97,11 +199,11 @@ def _merges(
     pairs = np.hstack([edges, np.unique(along[:, chosen[along[0]]], axis=1)])
     if pairs.shape[1] == 0:
         return pairs
-    quality = _least_quality(nodes, t, pairs)
-    order = np.lexsort((-quality, pairs[0]))
-    pairs, quality = pairs[:, order], quality[order]
+    flatness = _worst(worth, t, pairs)
+    order = np.lexsort((flatness, pairs[0]))
+    pairs, flatness = pairs[:, order], flatness[order]
     _, first = np.unique(pairs[0], return_index=True)
-    return pairs[:, first[quality[first] > LEAST_QUALITY]]
+    return pairs[:, first[flatness[first] < 1 / LEAST_QUALITY]]
 
 
 def _in_short_loops(along: NDArray, n: int) -> Mask:
@@ -119,121 +221,12 @@ def _in_short_loops(along: NDArray, n: int) -> Mask:
     return found
 
 
-def _mean_edges(nodes: Array, t: NDArray) -> Array:
-    """Mean length of the edges at each node (of those of its triangles), 1 where there is none."""
-    ends = t[[0, 1, 1, 2, 2, 0]]
-    length = np.linalg.norm(nodes[:, ends[::2]] - nodes[:, ends[1::2]], axis=0)
-    n, ends = nodes.shape[1], ends.ravel()
-    total, count = np.bincount(ends, np.repeat(length, 2, axis=0).ravel(), n), np.bincount(ends, minlength=n)
-    return np.asarray(np.where(count > 0, total, 1.0) / np.maximum(count, 1))
-
-
-def _least_quality(nodes: Array, t: NDArray, pairs: NDArray) -> Array:
-    """Quality of the worst triangle that merging the first node of each pair into the second leaves."""
+def _worst(worth: partial[Array], t: NDArray, pairs: NDArray) -> Array:
+    """Flatness of the flattest triangle that merging the first node of each pair into the second leaves."""
     elements = np.tile(np.arange(t.shape[1]), 3)
     around = sp.csr_array((np.ones(t.size), (t.ravel(), elements)))[pairs[0]]  # a row per pair
     one, other = np.repeat(pairs, np.diff(around.indptr), axis=1)
     corner = t[:, around.indices]
     vanishes = np.any(corner == other, axis=0)
-    value = np.where(vanishes, 1.0, shape_quality(nodes, np.where(corner == one, other, corner)))
-    return np.asarray(np.minimum.reduceat(value, around.indptr[:-1]))
-
-
-CLOSE = 1e-7
-"""Distance, in parts of the shortest edge, at which a node is where it is looked for."""
-
-STRAIGHT = 1e-6
-"""Sine of the angle at a node of the outer boundary above which it is a corner."""
-
-
-@dataclass(frozen=True)
-class Coarse:
-    """A coarse mesh and the numbers (coarse nodes,) that its nodes have in the fine one."""
-
-    mesh: MeshTri
-    nodes: Index
-
-
-def unrefined(mesh: MeshTri) -> Coarse | None:
-    """The mesh whose uniform refinement is ``mesh``, in whatever order of nodes; None if there is none.
-
-    Named boundaries and subdomains are kept; None also if a name covers a part of a coarse edge or
-    triangle only.
-    """
-    a, b = mesh.facets
-    tree = cKDTree(mesh.p.T)
-    tolerance = CLOSE * float(np.min(np.linalg.norm(mesh.p[:, a] - mesh.p[:, b], axis=0)))
-    coarse = _coarse_nodes(mesh, tree, tolerance)
-    if coarse is None:
-        return None
-    t = counter_clockwise(mesh.p, mesh.t)
-    corners = coarse[t].sum(axis=0)
-    central = corners == 0
-    if 4 * central.sum() != t.shape[1] or np.any(corners > 1):
-        return None
-    P = mesh.p[:, t[:, central]]  # the vertices of a coarse triangle are opposite to those of its central one
-    distance, vertices = tree.query(np.moveaxis(P.sum(axis=1, keepdims=True) - 2 * P, 0, -1))
-    names = _names(mesh, coarse, central)
-    if names is None or np.any(distance > tolerance):
-        return None
-    nodes, number = np.flatnonzero(coarse), np.cumsum(coarse) - 1
-    result = from_arrays(mesh.p[:, nodes].T, number[vertices].T, *names)
-    return Coarse(result, nodes) if result.p.shape[1] == nodes.size else None
-
-
-def _coarse_nodes(mesh: MeshTri, tree: cKDTree, tolerance: float) -> Mask | None:
-    """Coarse nodes, found from the corners of the outer boundary onwards; None if they contradict."""
-    n = mesh.p.shape[1]
-    neighbours = sp.csr_array(
-        (np.ones(2 * mesh.facets.shape[1]), np.hstack([mesh.facets, mesh.facets[::-1]])), shape=(n, n)
-    )
-    coarse, middle = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    frontier = _corners(mesh)
-    coarse[frontier] = True
-    while frontier.size:
-        beside = neighbours[frontier]
-        owner, neighbour = np.repeat(frontier, np.diff(beside.indptr)), beside.indices
-        middle[neighbour] = True
-        distance, beyond = tree.query((2 * mesh.p[:, neighbour] - mesh.p[:, owner]).T)
-        if np.any(distance > tolerance):
-            return None
-        frontier = np.unique(beyond[~coarse[beyond]])
-        coarse[frontier] = True
-    return coarse if np.all(coarse != middle) else None
-
-
-def _corners(mesh: MeshTri) -> Index:
-    """Nodes of the outer boundary that are not in the middle of a straight piece."""
-    ends = mesh.facets[:, mesh.boundary_facets()]
-    direction = mesh.p[:, ends[1]] - mesh.p[:, ends[0]]
-    x, y = np.tile(direction / np.linalg.norm(direction, axis=0), 2)
-    n, ends = mesh.p.shape[1], ends.ravel()
-    # with the two directions at a node d and e the determinant of d d^T + e e^T is the squared sine
-    xx, xy, yy = (np.bincount(ends, moment, n) for moment in (x * x, x * y, y * y))
-    sine = np.sqrt(np.maximum(xx * yy - xy**2, 0))
-    degree = np.bincount(ends, minlength=n)
-    return np.flatnonzero((degree > 0) & ((sine > STRAIGHT) | (degree != 2)))
-
-
-def _names(mesh: MeshTri, coarse: Mask, central: Mask) -> tuple[dict[str, Index], dict[str, Index]] | None:
-    """Named edges (as pairs of coarse nodes) and subdomains of the coarse mesh."""
-    number, place = np.cumsum(coarse) - 1, np.cumsum(central) - 1
-    boundaries: dict[str, Index] = {}
-    for name, facets in (mesh.boundaries or {}).items():
-        ends = mesh.facets[:, np.asarray(facets)]
-        ends = np.take_along_axis(ends, np.argsort(coarse[ends], axis=0), axis=0)  # the coarse end second
-        middle, outer = ends[:, np.argsort(ends[0], kind="stable")]
-        if np.any(coarse[middle] | ~coarse[outer]) or middle.size % 2 or np.any(middle[::2] != middle[1::2]):
-            return None
-        boundaries[name] = number[outer].reshape(-1, 2)
-    # the triangles at the corners of a coarse one share an edge with its central one
-    one, two = mesh.f2t[:, mesh.f2t[1] >= 0]
-    family = central[one] | central[two]
-    subdomains: dict[str, Index] = {}
-    for name, elements in (mesh.subdomains or {}).items():
-        member = np.zeros(mesh.t.shape[1], dtype=bool)
-        member[np.asarray(elements)] = True
-        if np.any(member[one[family]] != member[two[family]]):
-            return None
-        subdomains[name] = place[member & central]
-    return boundaries, subdomains
+    value = np.where(vanishes, 1.0, worth(np.where(corner == one, other, corner)))
+    return np.asarray(np.maximum.reduceat(value, around.indptr[:-1]))

@@ -13,8 +13,9 @@ from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.coarsening import Coarse, Lines, decimated, unrefined
+from rmesh_nlp.meshes.coarsening import Lines, decimated
 from rmesh_nlp.meshes.curves import Curve
+from rmesh_nlp.meshes.unrefinement import Coarse, unrefined
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.problem import ContactProblem, Relative, signed_areas
@@ -22,13 +23,11 @@ from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.lines import line_facets, on_curve, sliding_directions
 
 COARSER = 4
-"""How many times fewer nodes the next coarser mesh has."""
+"""About how many times fewer nodes the next coarser mesh has."""
 
-SHARES = (1 / COARSER, 0.33, 0.42, 0.5)
-"""Parts of the nodes that are tried for a coarser mesh by taking nodes out."""
-
-TURN = 0.6
-"""Radians by which a curve may turn along an edge of a coarser mesh, or its arc cuts through triangles."""
+TURNS = (0.6, 0.3, 0.15)
+"""Radians by which a curve may turn along an edge of a coarser mesh; the next one is tried where its arc cuts
+through triangles."""
 
 WORTHWHILE = 2.0
 """Least factor by which a coarser mesh must be coarser."""
@@ -38,21 +37,25 @@ def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None
     """The same problem on a coarser mesh with at least ``least`` nodes; None if there is none.
 
     The mesh of which the given one is the uniform refinement, if it is one and not too coarse; else nodes
-    are taken out, fewer where the arcs of curves would cut through triangles. Nodes that the motion names by
+    are taken out, fewer where the arcs of curves would cut through triangles. Nodes that the problem names by
     number stay, and are renumbered.
     """
-    n = problem.mesh.p.shape[1]
     coarse = unrefined(problem.mesh)
-    if coarse is not None and set(problem.motion.numbers) <= set(coarse.nodes.tolist()):
+    if coarse is not None and set(_numbers(problem)) <= set(coarse.nodes.tolist()):
         return _on(problem, coarse, least)
-    for share in SHARES if problem.motion.curves else SHARES[:1]:
+    for turn in TURNS if problem.motion.curves else TURNS[:1]:
         try:
-            found = _on(problem, _decimated(problem, max(round(share * n), least)), least)
+            found = _on(problem, _decimated(problem, turn), least)
         except ValueError:
             continue  # nothing is left of a boundary or a subdomain
         if found is not None:
             return found
     return None
+
+
+def _numbers(problem: ContactProblem) -> list[int]:
+    """Nodes that the problem names by number."""
+    return [*problem.motion.numbers, *(load.node for load in problem.point_loads)]
 
 
 def _on(problem: ContactProblem, coarse: Coarse, least: int) -> ContactProblem | None:
@@ -71,33 +74,36 @@ def _on(problem: ContactProblem, coarse: Coarse, least: int) -> ContactProblem |
     if isinstance(delta, Relative):
         delta = Relative(delta.fraction * np.sqrt(size / n))
     motion = replace(motion, delta=delta, tied=tied, **places)
+    loads = tuple(replace(load, node=number[load.node]) for load in problem.point_loads)
     try:
-        found = replace(problem, mesh=coarse.mesh, motion=motion, size=triangles, reference=None)
+        found = replace(
+            problem, mesh=coarse.mesh, motion=motion, point_loads=loads, size=triangles, reference=None
+        )
     except ProblemError:
         return None  # too coarse for what the problem says
     return found if Body(found, found.mesh.p).is_upright() else None  # too coarse for its curves
 
 
-def _turning(curve: Curve, nodes: NDArray[np.int64], points: Array) -> NDArray[np.int64]:
-    """Some of the nodes on a curve, between which it turns by little more than ``TURN``."""
+def _turning(curve: Curve, nodes: NDArray[np.int64], points: Array, turn: float) -> NDArray[np.int64]:
+    """Some of the nodes on a curve, between which it turns by little more than ``turn``."""
     t = curve.nearest(points[:, nodes])
     order = np.argsort(t)
     angle = np.unwrap(np.arctan2(*curve.velocity(t[order])[::-1]))
-    turned = np.floor(np.abs(angle - angle[0]) / TURN)
+    turned = np.floor(np.abs(angle - angle[0]) / turn)
     return nodes[order][np.append(True, np.diff(turned) > 0)]
 
 
-def _decimated(problem: ContactProblem, target: int) -> Coarse:
-    """The mesh with nodes taken out; corners, nodes with a number and enough nodes on curves stay."""
+def _decimated(problem: ContactProblem, turn: float) -> Coarse:
+    """The mesh with nodes taken out; corners, nodes with a number, at kinks and enough on curves stay."""
     mesh = problem.mesh
     on_line, tangent = sliding_directions(problem)
     kept = np.zeros(mesh.p.shape[1], dtype=bool)
     kept[on_line] = ~(np.any(tangent[:, on_line] != 0, axis=0) | (on_curve(problem)[on_line] >= 0))
-    kept[list(problem.motion.numbers)] = True
+    kept[[*_numbers(problem), *problem.kink_nodes]] = True
     for name, curve in problem.motion.curves.items():
-        kept[_turning(curve, problem.boundary_nodes((name,)), mesh.p)] = True
+        kept[_turning(curve, problem.boundary_nodes((name,)), mesh.p, turn)] = True
     lines = Lines(kept, mesh.facets[:, line_facets(problem)])
-    result = decimated(mesh.p, problem.triangles, lines, target)
+    result = decimated(mesh.p, problem.triangles, lines)
     nodes = np.unique(result.triangles)
     number, place = np.full(mesh.p.shape[1], -1), np.full(mesh.t.shape[1], -1)
     number[nodes], place[result.element] = np.arange(nodes.size), np.arange(result.element.size)

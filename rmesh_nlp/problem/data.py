@@ -178,6 +178,15 @@ class ProblemData:
         return np.concatenate([np.zeros(0, np.int64), *(part.nodes for part in self.contact_sets)])
 
     @property
+    def kink_nodes(self) -> NDArray[np.int64]:
+        """Contact nodes at kinks of foundations: they do not move, and coarser meshes keep them."""
+        parts = [
+            part.nodes[np.isclose(self.mesh.p[0, part.nodes, None], part.obstacle.kinks).any(axis=1)]
+            for part in self.contact_sets
+        ]
+        return np.concatenate([np.zeros(0, np.int64), *parts])
+
+    @property
     def friction_rows(self) -> NDArray[np.int64]:
         """Numbers of those gaps at which friction may act."""
         rows = [part.rows for part in self.contact_sets if part.obstacle.frictional]

@@ -13,7 +13,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays, named
-from rmesh_nlp.meshes.coarsening import unrefined
+from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.flips import flipped, sum_of_cotangents
 from rmesh_nlp.meshes.geometry import counter_clockwise, shape_quality, signed_areas
