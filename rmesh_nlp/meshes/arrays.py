@@ -150,7 +150,8 @@ def _facets(mesh: MeshTri, name: str, edges: NDArray, number: Index) -> Index:
     if edges.size and (edges.ndim != 2 or edges.shape[1] != 2):
         raise ValueError(f"the boundary {name!r} must be an array of shape (edges, 2), got {edges.shape}")
     edges = edges if edges.size else np.zeros((0, 2), dtype=np.int64)
-    ends, size = number[edges.T], mesh.p.shape[1]
+    ends = number[edges.T]
+    size = np.int64(mesh.p.shape[1])  # scikit-fem's numbers of nodes are 32 bits wide, their products are not
     keys = np.min(mesh.facets, axis=0) * size + np.max(mesh.facets, axis=0)
     wanted = np.min(ends, axis=0) * size + np.max(ends, axis=0)
     for a, b in edges[~np.isin(wanted, keys)]:

@@ -1,8 +1,9 @@
 """Relocation without move limits by a cascade of meshes: search where it is cheap, correct where it is dear.
 
-The best positions for an energy with a distortion are a map of the domain that hardly depends on the mesh, if
-the weight falls like the error of the energy. So the map is found on a coarse mesh, by continuation from
-heavy to light weights, prolonged to the next finer mesh, and there only corrected.
+The best positions for an energy with a distortion are a map of the domain that depends on the directions of
+the edges and hardly on their length, if the weight falls like the error of the energy. So the map is found on
+a coarse mesh, by continuation from heavy to light weights, prolonged to the next finer mesh, and there only
+corrected.
 
 1. Meshes: each coarser one has about a quarter of the nodes (:func:`rmesh_nlp.models.levels.coarsened`).
 2. The error of the energy is estimated on the coarsest mesh; on the others it falls like the number of nodes.

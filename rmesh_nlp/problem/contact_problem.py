@@ -149,8 +149,9 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
     """The problem with some triangles refined, and what neighbours need; old nodes keep their numbers."""
     old = problem.mesh
     new = replace(old, _boundaries=None).refined(np.asarray(elements))
-    n, (a, b) = new.p.shape[1], old.facets
-    whole = np.isin(a * n + b, new.facets[0] * n + new.facets[1])
+    (a, b), (c, d) = old.facets, new.facets
+    n = np.int64(new.p.shape[1])  # scikit-fem's numbers of nodes are 32 bits wide, their products are not
+    whole = np.isin(a * n + b, c * n + d)
     middle = cKDTree(new.p.T).query((old.p[:, a] + old.p[:, b]).T / 2)[1]
     pieces = np.where(whole, [a, b, a, b], [a, middle, middle, b])
     boundaries = {

@@ -159,3 +159,11 @@ def test_rectangle_has_its_sides_and_diagonals(diagonal: str, slope: int) -> Non
 def test_bad_shapes_are_named(make: Callable, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_boundaries_of_meshes_whose_edges_32_bits_do_not_number() -> None:
+    mesh = rectangle(216, 216)
+    edges = mesh.facets[:, mesh.boundaries["right"]]
+    assert mesh.p.shape[1] ** 2 > 2**31
+    found = from_arrays(mesh.p.T, mesh.t.T, {"side": edges.T})
+    np.testing.assert_array_equal(np.sort(found.facets[:, found.boundaries["side"]]), np.sort(edges))

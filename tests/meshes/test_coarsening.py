@@ -1,23 +1,23 @@
-"""Coarser meshes, edge flips, and maps between meshes."""
+"""Coarser meshes, Delaunay meshes in a metric, and maps between meshes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 from skfem import MeshTri
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays, named
-from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.meshes.curves import Circle
-from rmesh_nlp.meshes.flips import flipped, sum_of_cotangents
+from rmesh_nlp.meshes.delaunay import Measured, delaunay
 from rmesh_nlp.meshes.geometry import counter_clockwise, shape_quality, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.levels import coarsened, interpolated, located, prolonged
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Relative
@@ -87,13 +87,54 @@ def test_a_decimated_problem_keeps_domain_names_and_corners(seed: int) -> None:
     coarse = coarsened(problem, least=20)
     assert coarse is not None
     assert coarse.mesh.p.shape[1] < problem.mesh.p.shape[1] / 2
-    assert (
-        np.min(shape_quality(coarse.mesh.p, coarse.triangles)) > 0.25
-    )  # mergers leave 0.2, flips improve that
+    # mergers leave 0.2, flips improve that
+    assert np.min(shape_quality(coarse.mesh.p, coarse.triangles)) > 0.35
     assert sizes(coarse.mesh) == pytest.approx(sizes(problem.mesh), rel=1e-12)
     # coarser spaces have higher energies, up to quadrature: the problem is the same one
     solved = ContactSolver(replace(coarse, quadrature=12)).solve(coarse.mesh.p)
     assert solved.status.value == "converged"
+
+
+def directions(mesh: MeshTri) -> np.ndarray:
+    """Directions of the edges inside as angles in [0, pi)."""
+    inside = np.setdiff1d(np.arange(mesh.facets.shape[1]), mesh.boundary_facets())
+    a, b = mesh.p[:, mesh.facets[:, inside]].transpose(1, 0, 2)
+    return np.asarray(np.round(np.mod(np.arctan2(*(b - a)[::-1]), np.pi), 6) % np.round(np.pi, 6))
+
+
+@pytest.mark.parametrize("diagonal", ["rising", "falling"])
+@pytest.mark.parametrize("size", [(17, 17), (24, 13), (31, 9)])
+def test_edges_of_coarser_meshes_have_the_directions_of_the_given_one(
+    size: tuple[int, int], diagonal: str
+) -> None:
+    """A map found with other directions is of little use on the given mesh."""
+    mesh = rectangle(*size, x=(0, 3), diagonal=diagonal)
+    assert unrefined(mesh) is None
+    coarse = coarsened(ContactProblem(mesh, Laplace(1.0), "left", motion=Motion(None)), least=20)
+    assert coarse is not None
+    assert 0.2 < coarse.mesh.p.shape[1] / mesh.p.shape[1] < 0.32
+    kept = np.isin(directions(coarse.mesh), np.unique(directions(mesh)))
+    assert np.mean(kept) > 0.7
+
+
+@pytest.mark.parametrize("stretch", [1, 20])
+def test_coarsening_does_not_depend_on_how_much_a_mesh_is_stretched(stretch: float) -> None:
+    """Its metric is its own: layers stay layers."""
+    mesh = rectangle(13, 11)
+    coarse = [
+        coarsened(
+            ContactProblem(
+                replace(mesh, doflocs=mesh.p * [[s], [1]]), Laplace(1.0), "left", motion=Motion(None)
+            ),
+            least=20,
+        )
+        for s in (1, stretch)
+    ]
+    assert coarse[0] is not None
+    assert coarse[1] is not None
+    np.testing.assert_allclose(coarse[1].mesh.p, coarse[0].mesh.p * [[stretch], [1]], rtol=1e-12)
+    one, other = ({frozenset(t) for t in found.mesh.t.T.tolist()} for found in coarse)
+    assert len(one & other) > 0.9 * len(one)  # merges between equals are decided by rounding
 
 
 @pytest.mark.parametrize("edges", [4, 8])
@@ -129,25 +170,37 @@ def test_nodes_named_by_number_stay_and_are_renumbered() -> None:
     np.testing.assert_allclose(coarse.mesh.p[:, new], problem.mesh.p[:, [40, 100, 120]])
 
 
-def test_flips_lower_what_they_are_to_lower_and_keep_fixed_edges() -> None:
+def test_delaunay_in_the_plane_is_scipys_and_keeps_fixed_edges() -> None:
     rng = np.random.default_rng(1)
     mesh = rectangle(6, 6)
     p = mesh.p.copy()
     inside = mesh.interior_nodes()
     p[:, inside] += rng.uniform(-0.07, 0.07, (2, inside.size))
-    t = counter_clockwise(p, mesh.t)
-    fixed = mesh.facets[:, [10, 20, 30]]
-    before = sum_of_cotangents(p, t).sum()
-    result = flipped(p, t, fixed, partial(sum_of_cotangents, p))
-    assert result.flips > 0
-    assert sum_of_cotangents(p, result.triangles).sum() == pytest.approx(before - result.gain)
-    areas = signed_areas(p, result.triangles)
-    assert np.all(areas > 0)
-    assert areas.sum() == pytest.approx(1)
-    facets = {tuple(f) for f in np.sort(MeshTri(p, result.triangles).facets, axis=0).T}
+    plane = Measured(p, np.tile([[1.0], [0.0], [1.0]], p.shape[1]))
+    t, fixed = counter_clockwise(p, mesh.t), mesh.facets[:, [10, 20, 30]]
+    found = delaunay(plane, t, np.zeros((2, 0), dtype=int))
+    expected = Delaunay(p.T).simplices
+    flat = signed_areas(p, expected.T)  # along the sides, whose nodes are on a line only up to rounding
+    assert {frozenset(one) for one in found.T.tolist()} == {
+        frozenset(one) for one in expected[np.abs(flat) > 1e-9].tolist()
+    }
+    held = delaunay(plane, t, fixed)
+    assert signed_areas(p, held).min() > 0
+    facets = {tuple(f) for f in np.sort(MeshTri(p, held).facets, axis=0).T}
     assert all(tuple(np.sort(edge)) in facets for edge in fixed.T)
-    # nothing is left to gain: the mesh is Delaunay away from the fixed edges
-    assert flipped(p, result.triangles, fixed, partial(sum_of_cotangents, p)).flips == 0
+    assert plane.flatness(t).sum() > plane.flatness(held).sum() > plane.flatness(found).sum()
+
+
+def test_a_lattice_is_delaunay_in_its_own_metric_and_no_other() -> None:
+    mesh = rectangle(6, 4, x=(0, 5))
+    p, t = mesh.p, counter_clockwise(mesh.p, mesh.t)
+    own, none = Measured.by(p, t), np.zeros((2, 0), dtype=int)
+    np.testing.assert_allclose(own.flatness(t), 1)
+    ends = p[:, mesh.facets]
+    np.testing.assert_allclose(own.squared_lengths(mesh.facets[0], ends[:, 0] - ends[:, 1]), 1)
+    np.testing.assert_array_equal(delaunay(own, t, none), t)
+    mirrored = Measured(p, own.metric * [[1], [-1], [1]])
+    assert np.any(delaunay(mirrored, t, none) != t)
 
 
 def test_interpolation_is_exact_for_linear_fields_also_just_outside() -> None:

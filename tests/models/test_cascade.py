@@ -7,15 +7,25 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.meshes import named
+from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models import cascade as module
 from rmesh_nlp.models.cascade import CascadeSettings, cascade
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.optimize.status import Status, StoppedError
 from rmesh_nlp.optimize.trust_region import NewtonResult
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Motion,
+    Obstacle,
+    PiecewiseLinear,
+    PlaneStrain,
+    Traction,
+)
 from support.problems import no_move_limits
 
 
@@ -93,3 +103,33 @@ def test_it_stops_when_asked_to_and_when_the_time_is_up() -> None:
 def test_bad_settings_are_refused(bad: dict) -> None:
     with pytest.raises(BadInputError):
         CascadeSettings.of(bad)
+
+
+LEAST = -3.66907
+"""Energy of the block on a ridge, from relocated meshes refined four times."""
+
+
+def wedge(n: int) -> ContactProblem:
+    """A block on a ridge, 4 n times n cells."""
+    mesh = named(
+        rectangle(4 * n, n, x=(0, 4), diagonal="falling"), {"load": lambda x: (x[1] == 1) & (x[0] > 2)}
+    )
+    return ContactProblem(
+        mesh=mesh,
+        law=PlaneStrain(lame_lambda=1.15e4, lame_mu=0.83e4),
+        dirichlet=("left",),
+        obstacle=Obstacle.graph("bottom", PiecewiseLinear((0.0, 3.0, 4.0), (-0.12, -0.03, -0.06))),
+        motion=Motion(None),
+        tractions=(Traction("load", (-20.0, -57.5)),),
+    )
+
+
+@pytest.mark.slow
+def test_meshes_that_are_not_nested_gain_as_much_as_their_neighbours() -> None:
+    """Error times nodes hardly depends on the size, whether a mesh is a refinement of others or not."""
+    products = []
+    for n in (12, 13, 16, 17):
+        found = cascade(wedge(n))
+        relocated = admissible(found.problem, found.energy.relocation.nodes(found.q))
+        products.append((relocated.energy - LEAST) * relocated.problem.mesh.p.shape[1])
+    assert max(products) < 1.15 * min(products)

@@ -15,7 +15,17 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.levels import accepted, coarsened, interpolated, located, prolonged
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularised_descent import descend
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Laplace,
+    Motion,
+    Obstacle,
+    PiecewiseLinear,
+    PlaneStrain,
+    PointLoad,
+    Traction,
+)
 from support.curved import HOLE, plate
 from support.problems import no_move_limits
 from support.reduced import reduced, with_distortion
@@ -134,9 +144,28 @@ def test_coarser_meshes_have_about_a_quarter_of_the_nodes_or_are_none() -> None:
     assert coarse is not None
     assert coarse.mesh.p.shape[1] == 81
     assert coarsened(EXAMPLES["6.1"](16), least=82) is None
-    problem = plate(h=1.2)
+    problem = plate({"hole": HOLE}, h=0.8)
     n = problem.mesh.p.shape[1]
-    fewer = coarsened(problem, least=round(0.45 * n))
+    fewer = coarsened(problem, least=20)
     assert fewer is not None
-    assert 0.45 * n - 1 <= fewer.mesh.p.shape[1] <= n / 2
-    assert coarsened(problem, least=round(0.6 * n)) is None  # not worth a mesh
+    size = fewer.mesh.p.shape[1]
+    assert n / 5 < size < n / 3
+    assert coarsened(problem, least=size) is not None
+    assert coarsened(problem, least=round(0.6 * n)) is None
+
+
+def test_coarser_meshes_keep_nodes_at_kinks_and_under_point_loads() -> None:
+    mesh, place = rectangle(9, 9), np.array([0.0, 4 / 9])
+    node = int(np.argmin(np.linalg.norm(mesh.p - place[:, None], axis=0)))
+    problem = ContactProblem(
+        mesh,
+        PlaneStrain.from_young(1000.0, 0.3),
+        dirichlet=("right",),
+        obstacle=Obstacle.graph("bottom", PiecewiseLinear((0.0, 5 / 9, 1.0), (-0.1, 0.0, -0.1))),
+        point_loads=(PointLoad(node, (1.0, 0.0)),),
+        motion=Motion(None),
+    )
+    coarse = coarsened(problem, least=10)
+    assert coarse is not None
+    np.testing.assert_allclose(coarse.mesh.p[:, coarse.point_loads[0].node], place)
+    assert coarse.mesh.p[0, coarse.kink_nodes] == pytest.approx([5 / 9])

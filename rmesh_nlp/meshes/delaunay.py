@@ -1,0 +1,115 @@
+"""Delaunay meshes in a metric, by edge flips: two triangles give way to those along the other diagonal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.geometry import signed_areas
+
+Index = NDArray[np.int64]
+
+MAX_ROUNDS = 50
+
+LEAST_AREA = 1e-3
+"""Area of a new triangle, in parts of the two, below which an edge is not flipped."""
+
+WORTHWHILE = 1e-9
+"""Gain of a flip that is no rounding: equal diagonals stay as they are."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Nodes (2, nodes) and at each a metric (3, nodes), with the entries xx, xy and yy."""
+
+    nodes: Array
+    metric: Array
+
+    @classmethod
+    def by(cls, nodes: Array, triangles: NDArray) -> Measured:
+        """With the metric in which the triangles (3, elements) are equilateral with edges of length one.
+
+        At a node it is the mean of those of the triangles around, weighted with their areas.
+        """
+        edges = nodes[:, triangles] - nodes[:, np.roll(triangles, 1, axis=0)]
+        area, n = signed_areas(nodes, triangles), nodes.shape[1]
+        # the sum of e e^T over the edges of an equilateral triangle is 3/2 the identity
+        xx, xy, yy = ((edges[i] * edges[j]).sum(axis=0) for i, j in ((0, 0), (0, 1), (1, 1)))
+        weighted = 1.5 * area / (xx * yy - xy**2) * np.stack([yy, -xy, xx])
+        around = np.bincount(triangles.ravel(), np.tile(area, 3), n)
+        total = [np.bincount(triangles.ravel(), np.tile(one, 3), n) for one in weighted]
+        return cls(nodes, np.stack(total) / np.where(around > 0, around, 1.0))
+
+    def flatness(self, triangles: NDArray) -> Array:
+        """The inverse of the shape in the metric: 1 for equilateral triangles, huge for inverted ones.
+
+        Up to a factor it is the sum of the cotangents of the angles, whose total the Delaunay mesh has least
+        (O. R. Musin, Properties of the Delaunay triangulation, SoCG 1997).
+        """
+        corner, metric = self.nodes[:, triangles], self.metric[:, triangles].mean(axis=1)
+        edges = _squared(metric[:, None], corner - np.roll(corner, 1, axis=1)).sum(axis=0)
+        area = signed_areas(self.nodes, triangles) * np.sqrt(metric[0] * metric[2] - metric[1] ** 2)
+        return np.asarray(edges / (4 * np.sqrt(3) * np.maximum(area, 1e-300)))
+
+    def squared_lengths(self, at: NDArray, vectors: Array) -> Array:
+        """Of vectors (2, n) in the metric at nodes (n,)."""
+        return _squared(self.metric[:, at], vectors)
+
+
+def _squared(metric: Array, vectors: Array) -> Array:
+    x, y = vectors
+    return np.asarray(metric[0] * x**2 + 2 * metric[1] * x * y + metric[2] * y**2)
+
+
+def delaunay(measured: Measured, triangles: NDArray, fixed: NDArray) -> Index:
+    """Flip edges until the mesh is Delaunay in the metric; new triangles take the places of old ones.
+
+    ``triangles`` (3, elements) are counter-clockwise. The edges ``fixed`` (2, edges) and those of the outer
+    boundary stay.
+    """
+    t = np.array(triangles, dtype=np.int64)
+    n = measured.nodes.shape[1]
+    fixed_keys = np.min(fixed, axis=0) * n + np.max(fixed, axis=0)
+    value = measured.flatness(t)
+    for _ in range(MAX_ROUNDS):
+        left, right, (a, b, c, d) = _interior_edges(t, n, fixed_keys)
+        one, two = np.stack([c, d, b]), np.stack([d, c, a])
+        area = signed_areas(measured.nodes, np.hstack([one, two])).reshape(2, -1)
+        convex = np.min(area, axis=0) > LEAST_AREA * np.sum(area, axis=0)
+        left, right, one, two = left[convex], right[convex], one[:, convex], two[:, convex]
+        new = measured.flatness(np.hstack([one, two])).reshape(2, -1)
+        gain = value[left] + value[right] - new.sum(axis=0)
+        chosen = _independent(gain, left, right, t.shape[1])
+        if chosen.size == 0:
+            break
+        t[:, left[chosen]], t[:, right[chosen]] = one[:, chosen], two[:, chosen]
+        value[left[chosen]], value[right[chosen]] = new[:, chosen]
+    return t
+
+
+def _interior_edges(t: Index, n: int, fixed_keys: Index) -> tuple[Index, Index, Index]:
+    """Elements left and right of the edges that may be flipped, and their vertices (4, edges).
+
+    These are the ends a and b, then the vertex left and the vertex right of the way from a to b.
+    """
+    a, b, opposite = t.ravel(), t[[1, 2, 0]].ravel(), t[[2, 0, 1]].ravel()
+    key = np.minimum(a, b) * n + np.maximum(a, b)
+    order = np.argsort(key, kind="stable")
+    pair = np.flatnonzero(key[order][1:] == key[order][:-1])
+    pair = pair[~np.isin(key[order[pair]], fixed_keys)]
+    one, two = order[pair], order[pair + 1]
+    return one % t.shape[1], two % t.shape[1], np.stack([a[one], b[one], opposite[one], opposite[two]])
+
+
+def _independent(gain: Array, left: Index, right: Index, n: int) -> Index:
+    """Flips that gain, each more than any other that shares a triangle with it; the first of equals."""
+    best, rank = np.full(n, -np.inf), np.full(n, gain.size)
+    for side in (left, right):
+        np.maximum.at(best, side, gain)
+    number = np.flatnonzero((gain >= best[left]) & (gain >= best[right]) & (gain > WORTHWHILE))
+    for side in (left, right):
+        np.minimum.at(rank, side[number], number)
+    return number[(rank[left[number]] == number) & (rank[right[number]] == number)]
