@@ -1,7 +1,7 @@
 """What a whole solve costs, in contact solves of its mesh, and where that goes.
 
     python scripts/benchmark_cost.py                       Example 6.1 without move limits, 8 to 64 squares
-    python scripts/benchmark_cost.py 6.1:128 L-shape:12 my.toml
+    python scripts/benchmark_cost.py 6.1:128 L-shape:1 6.2:6 my.toml
 
 Processor time of one thread, in units of a contact solve of the mesh as given from nothing, assembly
 included, measured before and after in the same process; a first solve of a small mesh loads the libraries.
@@ -26,11 +26,10 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
 SCRIPTS = Path(__file__).resolve().parent
 sys.path[:0] = [str(path) for path in (SCRIPTS, SCRIPTS / "gallery") if str(path) not in sys.path]
 
-import l_shape  # noqa: E402
 import numpy as np  # noqa: E402
-import wedge  # noqa: E402
 
 import rmesh_nlp as rm  # noqa: E402
+from best_mesh.cases import CASES  # noqa: E402
 from formulations import auto, cascade, confirmed  # noqa: E402, F401
 from rmesh_nlp.contact.solver import ContactSolver  # noqa: E402
 from rmesh_nlp.examples import EXAMPLES  # noqa: E402
@@ -58,19 +57,16 @@ PARTS = {
 }
 """Functions whose time is told apart, below ``rmesh_nlp``."""
 
-WHOLE = {"6.1": EXAMPLES["6.1"], "6.2": EXAMPLES["6.2"], "6.3": EXAMPLES["6.3"]}
-GALLERY = {"L-shape": l_shape.problem, "wedge": wedge.problem}
-
 
 def problem(text: str) -> ContactProblem:
     """``NAME:SIZE`` or a file, without move limits and without its exact solution."""
     name, _, size = text.partition(":")
-    if name in WHOLE:
-        n: Any = int(size) if name == "6.1" else (2 * int(size), int(size))
-        found = EXAMPLES[name](n=n, delta="none")
+    if name in CASES:
+        found = CASES[name].problem(int(size))
     else:
-        found = GALLERY[name](int(size)) if name in GALLERY else load_problem(Path(text))
-    return replace(found, motion=replace(found.motion, delta=None), exact=None, reference=None)
+        found = EXAMPLES[name](n=(2 * int(size), int(size))) if name in EXAMPLES else load_problem(Path(text))
+    motion = replace(found.motion, delta=None)
+    return replace(found, motion=motion, quadrature="auto", exact=None, reference=None)
 
 
 class Parts:

@@ -10,7 +10,7 @@ that occur, so ``e_1`` is at most ``d / (1 - 1 / r)``; a second refinement tells
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -132,9 +132,8 @@ def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | 
 
 def on_refined(last: Admissible) -> Admissible:
     """The admissible displacement on the uniform refinement, beginning with the contact of ``last``."""
-    problem = last.problem
-    coarse = replace(problem, mesh=relocated_mesh(problem.mesh, last.body.nodes), reference=None)
-    fine = discretise(refined(coarse))
+    moved = relocated_mesh(last.problem.mesh, last.body.nodes)
+    fine = discretise(refined(last.problem, mesh=moved))
     return admissible(fine, start=_refined_set(last.parts.space, last.state.active, fine.space))
 
 
