@@ -36,8 +36,8 @@ SPARE = 6
 class Cascade(CascadeSettings, Formulation):
     """Minimises the energy over the positions of all nodes, by a cascade of meshes, from the given mesh.
 
-    The rule for the loads is raised until the assessment agrees with the gain. On small meshes the descent
-    goes on to a stationary point.
+    The rule for the loads is raised until the assessment agrees with the gain. Where it is asked for, with
+    ``stationary``, the descent goes on to a stationary point.
     """
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
@@ -55,7 +55,8 @@ class Cascade(CascadeSettings, Formulation):
         if not outer.is_near:
             return Maps(self)
         # a mesh that was made for the solution: coarser ones know less of it
-        return Schedule(Descent(self.end, self.brief_unnested), (self.regularisation,), self.distortion)
+        descent = Descent(iterations=self.brief_unnested)
+        return Schedule(descent, (self.regularisation,), self.distortion)
 
 
 @dataclass(frozen=True)
@@ -146,10 +147,10 @@ class _Levels:
         chosen, most = self._settings, self._outer.problem.mesh.p.shape[1]
         rate = (time.perf_counter() - self._began) / (done * nodes)
         limits = {True: chosen.iterations, False: chosen.brief_unnested}
-        left = max(limits[nodes <= chosen.thorough] - done, 0) * nodes
+        left = max(limits[nodes < most] - done, 0) * nodes
         while nodes < most:
             nodes = min(COARSER * nodes, most)
-            left += limits[nodes <= chosen.thorough and nodes < most] * nodes
+            left += limits[nodes < most] * nodes
         return rate * left
 
     def best(self, outer: Outer) -> Array:
@@ -196,7 +197,7 @@ class Descent(Formulation):
 
 @dataclass(frozen=True)
 class Polished(Wrapper):
-    """Goes on from the end of a formulation to a stationary point, on small meshes.
+    """Goes on from the end of a formulation to a stationary point.
 
     Attributes
     ----------

@@ -241,7 +241,7 @@ def test_a_time_limit_on_the_way_to_a_stationary_point_is_said(monkeypatch: pyte
         return finished(*given, **options)
 
     monkeypatch.setattr(of_formulation, "finished", late)
-    row = auto.solve(free(3)).record()
+    row = auto.solve(free(3), settings={"stationary": 100}).record()
     assert (row["status"], row["valid"]) == ("time_limit", True)
     assert row["gain_audited"] > 0
     assert row.get("error_reduction") is None
@@ -275,9 +275,10 @@ def test_ctrl_c_keeps_the_best_mesh_or_the_map_that_there_is(n: int, when: Any, 
 
 @pytest.mark.slow
 def test_the_way_to_a_stationary_point_keeps_to_its_contact_solves() -> None:
-    problem = free(3, 8)
-    most = auto.solve(problem, tolerance=1e-15).contact_solves - 1  # a tolerance that is not met
-    held = auto.solve(problem, tolerance=1e-15, settings={"most": most})
+    problem, asked = free(3, 8), {"stationary": 100}
+    # a tolerance that is not met
+    most = auto.solve(problem, tolerance=1e-15, settings=asked).contact_solves - 1
+    held = auto.solve(problem, tolerance=1e-15, settings={**asked, "most": most})
     assert held.contact_solves <= most
     assert held.status is Status.ITERATION_LIMIT
     assert held.success
