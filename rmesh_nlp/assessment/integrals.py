@@ -30,8 +30,8 @@ OnCells = Callable[[Index, Array, Array, int], Array]
 FIRST, SECOND, CUT = (4, 6), (6, 10), (4, 6)
 """Gauss points per direction of the rules that are compared: of all cells, of those where these differ, and
 of the parts of those where these differ too, beside kinks. (k, l) is of degrees 2 k - 2 and 2 l - 2 on a
-triangle. (6, 10) for all takes twice as long on Example 6.1 (n = 64) and agrees to 3e-10; of 60 bumps a fiftieth
-of an edge wide it misses one, these two, and (3, 5) first nine."""
+triangle. (6, 10) for all takes twice as long on Example 6.1 (n = 64) and agrees to 3e-10. Of 60 bumps a
+fiftieth of an edge wide it misses one, these two, and (3, 5) in the first place nine."""
 
 AGREEMENT = 1e-9
 """Largest difference of two rules on a cell, in parts of the sum of the sizes of all cells."""
