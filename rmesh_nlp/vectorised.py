@@ -25,13 +25,13 @@ class AssemblySettings(Settings):
     Attributes
     ----------
     numpy_from : int
-        Number of elements from which on numpy takes the place of CasADi's map. On Example 6.1 (Laplace with
-        a load) both are as fast near 1000.
+        Number of elements from which on numpy takes the place of CasADi's map. Functions of 128 to 5000
+        operations are as fast in both with 200, and with 1000 three times as fast in numpy.
     chunk : int
         Elements at a time, so that what is being worked on stays in the cache.
     """
 
-    numpy_from: Count = 1000
+    numpy_from: Count = 200
     chunk: Count = 4096
 
 
