@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from rmesh_nlp.assessment.standoff import Cells
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium, factorised
+from rmesh_nlp.contact.factorisation import factorised
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.optimize.status import Status

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Any
 
@@ -43,6 +44,12 @@ def _complain(message: str) -> int:
     return BAD_INPUT
 
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables of the threads of linear algebra, which are read when numpy is imported."""
+
+
 def main() -> None:
-    """Entry point of ``rmesh``."""
+    """Entry point of ``rmesh``; linear algebra takes one thread unless the environment says otherwise."""
+    if not any(name in os.environ for name in THREADS):
+        os.environ.update(dict.fromkeys(THREADS, "1"))
     sys.exit(run(sys.argv[1:]))

@@ -50,7 +50,8 @@ def _rmesh(
     rmesh reproduce                                   the paper's figures, printed and computed
 
     Exit code: 0 if every requested solve succeeded, 1 if one did not, 2 for bad input,
-    130 after Ctrl-C.
+    130 after Ctrl-C. Linear algebra takes one thread unless OMP_NUM_THREADS or
+    OPENBLAS_NUM_THREADS is set.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())

@@ -11,7 +11,7 @@ guarantee that no set is visited for ever. A cold solve guesses it from the dual
 
     1/2 (F + B^T y)^T K^-1 (F + B^T y) + gamma . lambda    over    lambda >= 0, |tau| <= b,
 
-B having the rows N and T: few unknowns in a box, and one back-substitution per product with the Hessian.
+B having the rows N and T: few unknowns in a box.
 
 A body that contact holds, and not the given displacements alone, has rigid motions Z left. With f the work
 of the load in them and A the change of the gaps, an equilibrium exists if every motion that opens no gap
@@ -27,15 +27,18 @@ press on the foundation prevent every motion: two solutions differ by a rigid mo
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium, factorised
+from rmesh_nlp.contact.factorisation import factorised
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import Index
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import Evaluation, minimise
 
@@ -56,6 +59,12 @@ EXACT = 1e-14
 FEW = 20
 """Contact nodes below which guessing costs more than it saves; four times as many with friction."""
 
+
+DENSE = 8.0
+"""The dual Hessian is formed where forces act on at most the root of this times the number of unknowns: along
+a boundary, not on all of an interior. These unknowns are eliminated last: the trailing block of the factors,
+inverted, gives the Hessian. On Example 6.1 with 448 squares a side 430 back-substitutions took 13 of the 15 s
+of a cold solve; the factors have 7 % more entries."""
 
 RANK = 1e-9
 """Singular values below this part of the largest are zero."""
@@ -168,9 +177,15 @@ class DualEnergy:
         at_rest = np.zeros(system.slip_bound.size) if slip is None or not frictional else slip
         self._load, self._gap = system.load, np.concatenate([system.offset, at_rest])
         self._stiffness = K = system.stiffness
+        last = np.unique(self._rows.indices)  # the unknowns that forces act on
+        few = last.size**2 <= DENSE * self._load.size
         ordered = system.order is not None
-        self._order = system.order if ordered else slice(None)
+        self._order = slice(None) if system.order is None else system.order
+        if system.order is not None and few:
+            first = system.order[np.isin(system.order, last, invert=True)]
+            self._order = np.concatenate([first, last])
         self._factor = factorised(K[:, self._order][self._order] if ordered else K, ordered=ordered)
+        self._compliance = self._dense(last, ordered) if few else None
         compliance = 1 / K.diagonal()
         self._diagonal = self._rows.multiply(self._rows) @ compliance + 1e-3 * np.max(compliance)
 
@@ -193,14 +208,36 @@ class DualEnergy:
             return u
         return u + self._solved(residual)
 
+    def _dense(self, last: Index, ordered: bool) -> Array | None:
+        """Gaps and slips by contact forces, from the inverse of the stiffness at the unknowns they act on."""
+        if not ordered:
+            return np.asarray(self._rows @ self._factor.solve(self._columns.toarray()))
+        trailing = self._factor.trailing(last.size)
+        if trailing is None:
+            return None
+        rows = self._rows[:, last].toarray()
+        return np.asarray(rows @ np.linalg.solve(trailing, rows.T))
+
+    @cached_property
+    def _unloaded(self) -> tuple[float, Array]:
+        """The dual function and its gradient without contact forces."""
+        u = self.displacement(np.zeros(self._gap.size))
+        return 0.5 * float(self._load @ u), self._rows @ u + self._gap
+
     def evaluate(self, y: Array) -> Evaluation:
         """The dual function, gap and slip as its gradient."""
+        if self._compliance is not None:
+            value, gradient = self._unloaded
+            change = self._compliance @ y
+            return Evaluation(value + float((gradient + 0.5 * change) @ y), gradient + change, lambda: self)
         u = self.displacement(y)
         value = 0.5 * float((self._load + self._columns @ y) @ u) + float(self._gap @ y)
         return Evaluation(value, self._rows @ u + self._gap, lambda: self)
 
     def __call__(self, d: Array) -> Array:
         """Gap and slip that contact forces ``d`` alone would make."""
+        if self._compliance is not None:
+            return np.asarray(self._compliance @ d)
         return np.asarray(self._rows @ self._solved(self._columns @ d))
 
     def diagonal(self) -> Array:

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import SuperLU, splu
 
+from rmesh_nlp.contact.factorisation import Factor, factorised
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.fem.space import Index
@@ -135,16 +134,6 @@ class Equilibrium:
     iterations: int
 
 
-def factorised(K: sp.csc_array, *, ordered: bool = False) -> SuperLU:
-    """Sparse factorisation of a symmetric positive definite matrix, in its own order if ``ordered``."""
-    # SuperLU takes 32-bit indices; SciPy before 1.13 makes 64-bit ones when a matrix is sliced
-    indices, starts = (a.astype(np.int32, copy=False) for a in (K.indices, K.indptr))
-    K = sp.csc_array((K.data, indices, starts), shape=K.shape)
-    # pivots on the diagonal: anything else would give up the ordering, and with it the sparsity
-    order = "NATURAL" if ordered else "MMD_AT_PLUS_A"
-    return splu(K, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-
-
 class RotatedSystem:
     """The stiffness in coordinates in which every gap and slip is one unknown (plus a constant).
 
@@ -158,7 +147,7 @@ class RotatedSystem:
         self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
         self.F = self.turned(system.load)
         self._order = system.order
-        self._factor: tuple[bytes, Index, Any] | None = None
+        self._factor: tuple[bytes, Index, Factor] | None = None
 
     def turned(self, force: Array) -> Array:
         """Forces (m,) or (m, k) in these coordinates."""
@@ -172,7 +161,7 @@ class RotatedSystem:
         """Nodes whose slip the active set holds."""
         return self.slips & (active.sliding == 0) if active.sliding.size else np.zeros_like(self.slips)
 
-    def factor(self, active: ActiveSet) -> tuple[Index, Any]:
+    def factor(self, active: ActiveSet) -> tuple[Index, Factor]:
         """The free unknowns, in the order of elimination, and the factorised stiffness; the last is kept.
 
         So derivatives at a contact solution need no factorisation of their own.

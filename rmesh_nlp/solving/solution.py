@@ -15,6 +15,7 @@ from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.assessor import Audit
 from rmesh_nlp.assessment.conclusion import Measured
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
+from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
 from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.residual import Multipliers
@@ -306,5 +307,7 @@ def _gain(gain: float, initial: float) -> str:
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that decide the figures."""
-    packages = ("rmesh-nlp", "casadi", "numpy", "scipy", "scikit-fem")
+    packages: tuple[str, ...] = ("rmesh-nlp", "casadi", "numpy", "scipy", "scikit-fem")
+    if HAS_CHOLMOD:  # factors by CHOLMOD differ by rounding
+        packages = (*packages, "scikit-sparse")
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -73,3 +74,24 @@ def test_interrupt_keeps_finished_rows(rmesh, formulation: str) -> None:
     # the other one has a row if it had a valid mesh to keep by then
     assert all(row["status"] == "interrupted" for row in rest)
     assert rmesh("table cut").code == 0
+
+
+def threads(**environment: str) -> str:
+    """What ``rmesh`` makes of the environment."""
+    code = (
+        "import os, sys; from rmesh_nlp.cli import app; app.run = lambda _: 0\n"
+        "assert 'numpy' not in sys.modules\n"
+        "try: app.main()\n"
+        "except SystemExit: print(*(os.environ.get(name) for name in app.THREADS))"
+    )
+    kept = {name: value for name, value in os.environ.items() if "NUM_THREADS" not in name}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**kept, **environment}, capture_output=True, text=True, check=True
+    )
+    return done.stdout.strip()
+
+
+def test_the_command_takes_one_thread_unless_told() -> None:
+    assert threads() == "1 1 1"
+    assert threads(OMP_NUM_THREADS="3") == "3 None None"
+    assert threads(OPENBLAS_NUM_THREADS="2") == "None 2 None"

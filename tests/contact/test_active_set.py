@@ -1,12 +1,14 @@
 """The active set solves the quadratic program: Ipopt agrees, from any start, in any coordinates."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from rmesh_nlp.contact import active_set
 from rmesh_nlp.contact.active_set import DualEnergy, predicted_set, solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem
@@ -138,6 +140,28 @@ def test_the_dual_energy_has_gaps_and_slips_as_its_gradient() -> None:
     # quadratic: one expansion is exact
     expected = here.value + here.gradient @ d + dual(d) @ d / 2
     assert dual.evaluate(y + d).value == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("ordered", [False, True])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_dual_hessian_is_the_same_by_back_substitutions(name, ordered, monkeypatch) -> None:
+    system = SYSTEMS[name]()
+    if system.rigid is not None:
+        pytest.skip("contact alone holds the body")
+    if ordered:
+        order = np.random.default_rng(0).permutation(system.load.size)
+        system = replace(system, order=order)
+    monkeypatch.setattr(active_set, "DENSE", np.inf)
+    formed = DualEnergy(system)
+    monkeypatch.setattr(active_set, "DENSE", 0.0)
+    solved = DualEnergy(system)
+    y, d = np.random.default_rng(1).standard_normal((2, solved.diagonal().size))
+    one, other = formed.evaluate(y), solved.evaluate(y)
+    assert one.value == pytest.approx(other.value, rel=1e-8)
+    np.testing.assert_allclose(
+        one.gradient, other.gradient, rtol=1e-8, atol=1e-8 * np.max(abs(other.gradient))
+    )
+    np.testing.assert_allclose(formed(d), solved(d), rtol=1e-8, atol=1e-8 * np.max(np.abs(solved(d))))
 
 
 def test_the_iteration_limit_is_reported() -> None:

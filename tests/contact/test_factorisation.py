@@ -1,0 +1,54 @@
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from rmesh_nlp.contact import factorisation
+from rmesh_nlp.contact.factorisation import HAS_CHOLMOD, factorised
+from rmesh_nlp.solving.solution import versions
+
+
+@pytest.fixture(
+    params=[False, pytest.param(True, marks=pytest.mark.skipif(not HAS_CHOLMOD, reason="no CHOLMOD"))]
+)
+def by_cholmod(request, monkeypatch) -> bool:
+    monkeypatch.setattr(factorisation, "HAS_CHOLMOD", request.param)
+    return request.param
+
+
+def stiffness(n: int, seed: int = 0) -> sp.csc_array:
+    """A sparse symmetric positive definite matrix."""
+    half = sp.random_array((n, n), density=0.1, rng=np.random.default_rng(seed))
+    return sp.csc_array(half @ half.T + sp.eye_array(n))
+
+
+@pytest.mark.parametrize("ordered", [False, True])
+def test_solutions_of_one_and_of_many_right_sides(by_cholmod, ordered) -> None:
+    K, B = stiffness(40), np.random.default_rng(1).standard_normal((40, 3))
+    factor = factorised(K, ordered=ordered)
+    exact = np.linalg.solve(K.toarray(), B)
+    np.testing.assert_allclose(factor.solve(B), exact, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(factor.solve(B[:, 0]), exact[:, 0], rtol=1e-10, atol=1e-12)
+
+
+def test_the_trailing_block_is_a_schur_complement(by_cholmod) -> None:
+    K, k = stiffness(40), 7
+    dense = K.toarray()
+    a, b, c = dense[:-k, :-k], dense[:-k, -k:], dense[-k:, -k:]
+    found = factorised(K, ordered=True).trailing(k)
+    np.testing.assert_allclose(found, c - b.T @ np.linalg.solve(a, b), rtol=1e-9, atol=1e-12)
+
+
+def test_an_order_that_was_changed_has_no_trailing_block(by_cholmod) -> None:
+    arrow = np.eye(30) * 40
+    arrow[0], arrow[:, 0] = 1, 1
+    arrow[0, 0] = 40
+    assert factorised(sp.csc_array(arrow)).trailing(3) is None
+
+
+def test_an_indefinite_matrix_is_solved_too(by_cholmod) -> None:
+    K = sp.csc_array(np.diag([2.0, -1.0, 3.0]))
+    np.testing.assert_allclose(factorised(K).solve(np.ones(3)), [0.5, -1.0, 1 / 3])
+
+
+def test_the_record_says_what_factorised() -> None:
+    assert ("scikit-sparse" in versions()) == HAS_CHOLMOD
