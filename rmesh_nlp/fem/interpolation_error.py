@@ -78,6 +78,7 @@ def best_shapes(
     mean, spread = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     ratio = np.sqrt(np.maximum(mean - spread, 0.0) / np.maximum(mean + spread, 1e-300))
     stretch = np.minimum(-np.log(np.maximum(ratio, 1e-8)) / 4, np.log(largest_aspect) / 2)
+    stretch[mean == 0] = 0.0  # no second derivatives: all shapes are as good
 
     def value(point: Array) -> Array:
         return np.mean([errors(law, stretched(point[0], point[1], turn), second) for turn in TURNS], axis=0)

@@ -52,6 +52,10 @@ class Metric:
         """The same for another number of triangles."""
         return Metric(self.logarithm, self.density * (number / self.triangles), self.weights)
 
+    def evened(self, part: float) -> Metric:
+        """With this part of the differences in shape and, in logarithms, in density."""
+        return Metric(part * self.logarithm, self.density**part, self.weights)
+
     @property
     def tensors(self) -> Array:
         """(3, nodes) entries xx, xy and yy in one over length squared."""
@@ -65,7 +69,7 @@ class Metric:
 def best_metric(nodes: Array, regions: Sequence[Recovered], largest_aspect: float = LARGEST_ASPECT) -> Metric:
     """The metric for second derivatives at nodes (2, nodes), with so many triangles as have error one each.
 
-    At a node of several regions it is the mean over them.
+    At a node of several regions it is the mean over them. Without any second derivatives it is uniform.
     """
     n = nodes.shape[1]
     logarithm, density, weights = np.zeros((3, n)), np.zeros(n), np.zeros(n)
@@ -77,9 +81,10 @@ def best_metric(nodes: Array, regions: Sequence[Recovered], largest_aspect: floa
         logarithm[:, region.nodes] += share * entries
         density[region.nodes] += share * np.sqrt(phi)
         weights[region.nodes] += share
-    density /= weights
-    floor = FLOOR * float(weights @ density) / float(weights.sum())
-    return Metric(logarithm / weights, density + floor, weights)
+    total = np.where(weights > 0, weights, 1.0)  # a node may be of no triangle
+    density /= total
+    mean = float(weights @ density) / float(weights.sum())
+    return Metric(logarithm / total, density + (FLOOR * mean or 1.0), weights)
 
 
 def nodal_areas(nodes: Array, triangles: Index) -> Array:

@@ -29,6 +29,9 @@ CONDITION = 1e5
 RINGS = 6
 """Most rings of neighbours that a patch may have. A region without fits has no second derivatives."""
 
+ROUNDING = 1e-10
+"""Part of the largest value that is rounding, across a patch: a linear displacement is recovered as one."""
+
 CHUNK = 20_000
 """Nodes that are fitted together, so that the memory does not grow with the mesh."""
 
@@ -115,15 +118,17 @@ def _fit(p: Array, values: Array, nodes: Index, patch: sp.csr_array) -> tuple[ND
     y = (dy - b[row] * x) / c[row]
     near = 1 / (1 + x**2 + y**2)
     terms = np.stack([np.ones_like(x), x, y, x**2 / 2, x * y, y**2 / 2])
+    rise = values[:, of] - values[:, nodes[row]]
     matrix = np.empty((nodes.size, UNKNOWNS, UNKNOWNS))
     right = np.empty((nodes.size, UNKNOWNS, len(values)))
     for i, one in enumerate(terms):
         for j in range(i, UNKNOWNS):
             matrix[:, i, j] = matrix[:, j, i] = total(near * one * terms[j])
-        right[:, i] = total(near * one * values[:, of]).T
+        right[:, i] = total(near * one * rise).T
     good = (count >= UNKNOWNS) & (np.linalg.cond(matrix) < CONDITION)
     solution = np.zeros_like(right)
     solution[good] = np.linalg.solve(matrix[good], right[good])
+    solution[np.abs(solution) <= ROUNDING * np.max(np.abs(values), initial=0.0)] = 0.0
     s, t, u = (solution[:, i].T for i in (3, 4, 5))  # by x and y: back to dx and dy
     f, g, h = 1 / a, -b / (a * c), 1 / c
     return good, np.stack([f**2 * s + 2 * f * g * t + g**2 * u, h * (f * t + g * u), h**2 * u], axis=1)

@@ -75,7 +75,7 @@ def cell_data(solution: Solution, certificate: Certificate | None = None) -> dic
     data: dict[str, Array] = {
         "area_ratio": areas / solution.initial_areas,
         "least_angle": least_angles(nodes, triangles),
-        "zone": element_zones(problem).astype(np.int32),
+        "zone": element_zones(problem.mesh).astype(np.int32),
     }
     if problem.components == 1:
         data["flux"] = three(stress)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import signal
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -25,9 +26,11 @@ Index = NDArray[np.int64]
 
 MISSING = "remeshing needs Mmg: pip install 'rmesh-nlp[remesh]'"
 
-
 REPLACED = (signal.SIGABRT, signal.SIGFPE, signal.SIGILL, signal.SIGINT, signal.SIGSEGV, signal.SIGTERM)
-"""Signals that Mmg has handlers of its own for."""
+"""Signals that Mmg has handlers of its own for, at its beginning."""
+
+PERIOD = 1e-3
+"""Seconds after which they are put back again."""
 
 
 def is_available() -> bool:
@@ -35,7 +38,7 @@ def is_available() -> bool:
     return find_spec("mmgpy") is not None
 
 
-def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curves: float | None) -> MeshTri:
+def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curves: float = 0.0) -> MeshTri:
     """A mesh of the same domain whose edges have about length one in a metric; names are kept.
 
     Parameters
@@ -47,8 +50,8 @@ def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curv
         Facets on lines that the new edges must follow: boundary, interfaces, named parts.
     fixed : (m,) int array
         Nodes that stay: corners, ends of parts.
-    off_curves : float, optional
-        How far new edges on curved lines may be from the arc, in units of length.
+    off_curves : float
+        How far new edges on curved lines may be from the arc, in units of length; 0 if there are none.
 
     Raises
     ------
@@ -94,21 +97,34 @@ def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curv
 
 @contextmanager
 def _own_signals() -> Iterator[None]:
-    """Put back the handlers of signals that Mmg replaces, of which that of Ctrl-C ends the process.
+    """Keep the handlers of signals that Mmg replaces, of which its own one for Ctrl-C ends the process.
 
-    Ctrl-C waits until then. The handlers are those of C, so that it works in any thread.
+    Ctrl-C waits until Mmg is done. This thread blocks it; a guard puts the handlers back at once, since
+    any other thread may get the signal instead. They are those of C, so that it works in any thread.
     """
     get, put = ctypes.pythonapi.PyOS_getsig, ctypes.pythonapi.PyOS_setsig
     get.argtypes, get.restype = [ctypes.c_int], ctypes.c_void_p
     put.argtypes, put.restype = [ctypes.c_int, ctypes.c_void_p], ctypes.c_void_p
     before = {number: get(number) for number in REPLACED}
-    has_mask = hasattr(signal, "pthread_sigmask")
+    has_mask, done = hasattr(signal, "pthread_sigmask"), threading.Event()
+
+    def put_back() -> None:
+        for number, handler in before.items():
+            put(number, handler)
+
+    def watch() -> None:
+        while not done.wait(PERIOD):
+            put_back()
+
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if has_mask else set()
+    guard = threading.Thread(target=watch, name="signals", daemon=True)  # with the same mask
+    guard.start()
     try:
         yield
     finally:
-        for number, handler in before.items():
-            put(number, handler)
+        done.set()
+        guard.join()
+        put_back()
         if has_mask:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 

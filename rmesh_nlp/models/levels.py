@@ -102,7 +102,7 @@ def _decimated(problem: ContactProblem, turn: float) -> Coarse:
     kept[[*_numbers(problem), *problem.kink_nodes]] = True
     for name, curve in problem.motion.curves.items():
         kept[_turning(curve, problem.boundary_nodes((name,)), mesh.p, turn)] = True
-    lines = Lines(kept, mesh.facets[:, line_facets(problem)])
+    lines = Lines(kept, mesh.facets[:, line_facets(mesh)])
     result = decimated(mesh.p, problem.triangles, lines)
     nodes = np.unique(result.triangles)
     number, place = np.full(mesh.p.shape[1], -1), np.full(mesh.t.shape[1], -1)

@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
+from skfem import MeshTri
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT, errors
 from rmesh_nlp.fem.metric import Metric, best_metric
-from rmesh_nlp.fem.recovery import Recovered, second_derivatives
+from rmesh_nlp.fem.recovery import Index, Recovered, second_derivatives
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.mmg import remeshed
@@ -27,7 +28,8 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import on_mesh
-from rmesh_nlp.problem.lines import line_facets
+from rmesh_nlp.problem.lines import bent, line_facets
+from rmesh_nlp.problem.motion import RULES
 
 ROUNDS = 4
 """Most rounds on meshes of the final size."""
@@ -39,13 +41,25 @@ GROWTH = 4.0
 """Largest factor of the number of nodes in a round: a coarse mesh knows little of what a fine one needs."""
 
 EXACT, ROUGH = 0.02, 0.2
-"""Largest relative differences from the number of nodes at the end, and on the way there, ..."""
+"""Relative differences from the number of nodes that are aimed at, at the end and on the way there. More than
+the second is an error, ..."""
 
-TRIALS = 6
-"""... and runs of Mmg to come that near."""
+FEW = 2
+"""... which nobody minds more of on a tiny mesh."""
+
+TRIALS = 12
+"""Runs of Mmg to come that near: half of them by proportion, then by bisection."""
 
 FLATTER = 0.7
-"""Factor of the largest aspect ratio after a mesh with too small an angle."""
+"""Factor of the largest aspect ratio after a mesh with too small an angle; at one, of the differences in
+density."""
+
+CLOSER = (1.0, 0.5, 0.25, 0.125)
+"""Parts of the largest sagitta that new edges on curves may have, until none cuts through its triangle: flat
+triangles along an arc allow less than those of the given mesh."""
+
+EVEN = 0.1
+"""Least part of these differences before they are dropped."""
 
 
 @dataclass(frozen=True)
@@ -97,18 +111,19 @@ def metric_start(first: Solved, nodes: int, is_late: Callable[[], bool] = lambda
     Raises
     ------
     BadInputError
-        If mmgpy is not installed, Mmg gives up, or no mesh has the least angle of the motion.
+        If mmgpy is not installed, Mmg gives up, or no mesh has the number of nodes, the least angle of the
+        motion, or nodes that the problem needs.
     ProblemError
         If the contact problem cannot be solved on a new mesh.
     """
-    here, ratio, best = first, float("nan"), None
+    here, ratio, best, off = first, float("nan"), None, sagitta(first.problem)
     done: list[Solved] = []
     for size in _sizes(first.problem.mesh.p.shape[1], nodes):
         tolerance = EXACT if size == nodes else ROUGH
-        problem, ratio = remeshed_problem(here.problem, here.regions, size, ratio, tolerance)
         try:
+            problem, ratio = remeshed_problem(here.problem, here.regions, size, ratio, tolerance, off)
             there = _solved(problem)
-        except ProblemError:
+        except (BadInputError, ProblemError):
             if best is None:
                 raise
             break
@@ -116,7 +131,7 @@ def metric_start(first: Solved, nodes: int, is_late: Callable[[], bool] = lambda
         if size == nodes:
             fall = np.inf if best is None else best.state.energy - there.state.energy
             best = there if fall > 0 else best
-            if is_late() or fall < WORTHWHILE * there.error:
+            if is_late() or fall <= WORTHWHILE * there.error:
                 break
         here = there
     assert best is not None
@@ -147,64 +162,98 @@ def remeshed_problem(
     nodes: int,
     ratio: float = float("nan"),
     tolerance: float = EXACT,
+    off: float | None = None,
 ) -> tuple[ContactProblem, float]:
     """The problem on a mesh of a number of nodes, the best for second derivatives recovered on its own.
 
     ``ratio`` is that of the triangles of the metric to the nodes of the mesh, which is returned as well:
-    known from another mesh it saves runs of Mmg.
+    known from another mesh it saves runs of Mmg. Arcs are at most ``off`` above their edges, by default as on
+    the mesh of the problem.
     """
-    mesh, X = problem.mesh, np.asarray(problem.mesh.p)
-    aspect, angle = LARGEST_ASPECT, problem.motion.min_angle
+    off = sagitta(problem) if off is None else off
+    X, angle, aspect, even = np.asarray(problem.mesh.p), problem.motion.min_angle, LARGEST_ASPECT, 1.0
     if angle > 0:  # the least angle of an equilateral triangle that is stretched across an edge
         aspect = min(aspect, 1 / (np.sqrt(3) * np.tan(np.radians(angle) / 2)))
+    metric = best_metric(X, regions, aspect)
+    if np.isnan(ratio):
+        ratio = problem.mesh.t.shape[1] / X.shape[1]
     while True:
-        metric = best_metric(X, regions, aspect)
-        if np.isnan(ratio):
-            ratio = mesh.t.shape[1] / mesh.p.shape[1]
-        found: ContactProblem | None = None
-        for _ in range(TRIALS):
-            trial = _remeshed(problem, metric.with_triangles(ratio * nodes))
-            count = trial.mesh.p.shape[1]
-            if found is None or abs(count - nodes) < abs(found.mesh.p.shape[1] - nodes):
-                found, best_ratio = trial, ratio
-            if abs(count - nodes) <= tolerance * nodes:
-                break
-            ratio *= nodes / count
-        assert found is not None
+        found, ratio = _with_nodes(problem, metric, nodes, ratio, tolerance, off)
         if angle == 0 or np.min(least_angles(found.mesh.p, found.triangles)) >= angle:
-            return found, best_ratio
-        if aspect == 1.0:
+            return found, ratio
+        if even == 0:
             raise BadInputError(
                 f"Mmg makes no mesh of {nodes} nodes with angles of {angle:g} degrees or more"
             )
-        aspect = max(FLATTER * aspect, 1.0)
+        if aspect > 1:
+            aspect = max(FLATTER * aspect, 1.0)
+            metric = best_metric(X, regions, aspect)
+        else:
+            even = FLATTER * even if FLATTER * even > EVEN else 0.0
+            metric = metric.evened(even)
 
 
-def _remeshed(problem: ContactProblem, metric: Metric) -> ContactProblem:
+def _with_nodes(
+    problem: ContactProblem, metric: Metric, nodes: int, ratio: float, tolerance: float, off: float
+) -> tuple[ContactProblem, float]:
+    """The problem on the mesh nearest to a number of nodes, and the ratio that gave it."""
+    found: list[tuple[int, float, ContactProblem]] = []
+    below = above = float("nan")
+    for trial in range(TRIALS):
+        made = _remeshed(problem, metric.with_triangles(ratio * nodes), off)
+        count = int(made.mesh.p.shape[1])
+        found.append((abs(count - nodes), ratio, made))
+        if abs(count - nodes) <= tolerance * nodes:
+            break
+        below, above = (ratio, above) if count < nodes else (below, ratio)
+        between = (below + above) / 2
+        ratio = ratio * nodes / count if trial < TRIALS // 2 or np.isnan(between) else between
+    off, ratio, best = min(found, key=lambda one: one[0])
+    if off > max(ROUGH * nodes, FEW):
+        nearest = best.mesh.p.shape[1]
+        raise BadInputError(f"Mmg makes no mesh of {nodes} nodes of this domain: the nearest has {nearest}")
+    return best, ratio
+
+
+def _remeshed(problem: ContactProblem, metric: Metric, off: float) -> ContactProblem:
     """The problem on a mesh that Mmg makes for a metric at its nodes; nodes that cannot move stay."""
     mesh, motion = problem.mesh, problem.motion
-    numbers = [*motion.numbers, *(load.node for load in problem.point_loads)]
     fixed = np.flatnonzero(MeshMap.of(problem).mobility == Mobility.PINNED)
-    fixed = np.union1d(fixed, np.array(numbers, dtype=np.int64))
-    new = remeshed(mesh, metric.tensors, line_facets(problem), fixed, _sagitta(problem))
-    there = cKDTree(new.p.T).query(mesh.p[:, numbers].T)[1] if numbers else []
-    number = dict(zip(numbers, map(int, there), strict=True))
+    numbers = np.array([*motion.numbers, *(load.node for load in problem.point_loads)], dtype=np.int64)
+    fixed, size = np.union1d(fixed, numbers), float(np.max(np.ptp(mesh.p, axis=1)))
+    for closer in CLOSER if off else CLOSER[:1]:
+        new = remeshed(mesh, metric.tensors, line_facets(mesh), fixed, closer * off)
+        try:
+            found = _carried_over(problem, new, numbers)
+        except ProblemError as error:
+            said = f"no problem on Mmg's mesh of {new.p.shape[1]} nodes: {error}"
+            continue
+        if Body(found, np.asarray(found.mesh.p)).is_upright() and sagitta(found) <= off + 1e-9 * size:
+            return found
+        said = f"Mmg's mesh of {new.p.shape[1]} nodes is too coarse for the curves: take more"
+    raise BadInputError(said)
+
+
+def _carried_over(problem: ContactProblem, new: MeshTri, numbers: Index) -> ContactProblem:
+    """The problem on a new mesh, which has the nodes of the old one with these ``numbers``."""
+    motion, there = problem.motion, np.zeros(0, dtype=np.int64)
+    if numbers.size:
+        there = cKDTree(new.p.T).query(problem.mesh.p[:, numbers].T)[1]
+    number = dict(zip(numbers.tolist(), map(int, there), strict=True))
     places: dict[str, Any] = {
         rule: tuple(one if isinstance(one, str) else number[one] for one in getattr(motion, rule))
-        for rule in ("pinned", "slides", "free")
+        for rule in RULES
     }
     tied = tuple((number[a], number[b]) for a, b in motion.tied)
     loads = tuple(replace(load, node=number[load.node]) for load in problem.point_loads)
-    found = on_mesh(problem, new, replace(motion, tied=tied, **places), point_loads=loads)
-    if not Body(found, np.asarray(found.mesh.p)).is_upright():
-        raise BadInputError("Mmg's mesh folds where its nodes are put on the curves: take more nodes")
-    return found
+    motion = replace(motion, tied=tied, **places)
+    return on_mesh(problem, bent(new, motion.curves), motion, point_loads=loads)
 
 
-def _sagitta(problem: ContactProblem) -> float | None:
-    """The largest height of an arc over its edge; None without curves."""
+def sagitta(problem: ContactProblem) -> float:
+    """The largest height of an arc over its edge; 0 without curves."""
     heights, mesh = [], problem.mesh
     for name, curve in problem.motion.curves.items():
         middle = mesh.p[:, mesh.facets[:, np.asarray(mesh.boundaries[name])]].mean(axis=1)
         heights.append(np.linalg.norm(curve.at(curve.nearest(middle)) - middle, axis=0).max())
-    return max(map(float, heights), default=None)
+    return max(map(float, heights), default=0.0)

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from skfem import MeshTri
+from skfem import Basis, ElementTriP1, MeshTri, condense, solve
+from skfem.models.poisson import laplace
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Curve
@@ -60,6 +61,23 @@ def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = 
     return mesh if np.array_equal(moved, mesh.p) else replace(mesh, doflocs=moved)
 
 
+def bent(mesh: MeshTri, curves: Mapping[str, Curve]) -> MeshTri:
+    """The mesh with the nodes of named boundaries on their curves, however far these are.
+
+    Nodes on other lines stay; the others go along by a harmonic map, so that no element is folded where the
+    arcs leave their chords far behind.
+    """
+    there = onto_curves(mesh, curves, anywhere=True)
+    if there is mesh:
+        return mesh
+    fixed = np.unique(mesh.facets[:, line_facets(mesh)])
+    matrix = laplace.assemble(Basis(mesh, ElementTriP1()))
+    shift = [solve(*condense(matrix, x=row, D=fixed)) for row in there.p - mesh.p]
+    moved = mesh.p + shift
+    moved[:, fixed] = there.p[:, fixed]
+    return replace(mesh, doflocs=moved)
+
+
 def parameters_of(curve: Curve, points: Array) -> tuple[Array, Array]:
     """Parameters (n,) of points (2, n) on a curve and the length (n,) of curve per unit of the parameter."""
     t = curve.nearest(points)
@@ -72,7 +90,7 @@ def sliding_directions(problem: ProblemData, *, geometry_only: bool = False) -> 
     With ``geometry_only`` the ends of named parts and jumps of coefficients do not stop a node:
     only the geometry does. Kinks of the outer boundary always stop it.
     """
-    mesh, label = problem.mesh, _labels(problem)
+    mesh, label = problem.mesh, _labels(problem.mesh)
     facets = np.flatnonzero(label > 0)
     ends, label = mesh.facets[:, facets], label[facets]
     direction = mesh.p[:, ends[1]] - mesh.p[:, ends[0]]
@@ -105,7 +123,7 @@ def on_curve(problem: ProblemData) -> Index:
     result = np.full(mesh.p.shape[1], -1)
     if not curves:
         return result
-    label = _labels(problem)
+    label = _labels(mesh)
     facets = np.flatnonzero(label > 0)
     owner, one, two = _pairs(mesh.facets[:, facets])
     one, two = facets[one], facets[two]
@@ -116,9 +134,9 @@ def on_curve(problem: ProblemData) -> Index:
     return result
 
 
-def line_facets(problem: ProblemData) -> Index:
+def line_facets(mesh: MeshTri) -> Index:
     """Numbers of the facets on lines."""
-    return np.flatnonzero(_labels(problem) > 0)
+    return np.flatnonzero(_labels(mesh) > 0)
 
 
 def _pairs(ends: NDArray) -> tuple[NDArray, NDArray, NDArray]:
@@ -129,11 +147,10 @@ def _pairs(ends: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     return owner[count == 2], facet[start], facet[start + 1]
 
 
-def _labels(problem: ProblemData) -> Index:
+def _labels(mesh: MeshTri) -> Index:
     """A number per facet: 0 off all lines, else which names and subdomains it has on its sides."""
-    mesh = problem.mesh
     member = _table(mesh.boundaries, mesh.facets.shape[1])
-    zone = np.append(element_zones(problem), -1)  # the last one outside, where f2t is -1
+    zone = np.append(element_zones(mesh), -1)  # the last one outside, where f2t is -1
     sides = np.sort(zone[mesh.f2t], axis=0)
     on_line = (mesh.f2t[1] < 0) | (sides[0] != sides[1]) | np.any(member, axis=1)
     result = np.zeros(on_line.size, dtype=np.int64)
@@ -142,9 +159,9 @@ def _labels(problem: ProblemData) -> Index:
     return result
 
 
-def element_zones(problem: ProblemData) -> Index:
+def element_zones(mesh: MeshTri) -> Index:
     """A number per element: which set of named subdomains it belongs to."""
-    member = _table(problem.mesh.subdomains, problem.mesh.t.shape[1])
+    member = _table(mesh.subdomains, mesh.t.shape[1])
     if member.shape[1] == 0:
         return np.zeros(len(member), dtype=np.int64)
     return np.unique(member, axis=0, return_inverse=True)[1].ravel()

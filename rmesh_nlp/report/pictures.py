@@ -41,6 +41,7 @@ from rmesh_nlp.solving.solution import Solution
 
 Drawable = Solution | KeptSolution
 PICTURES = ("mesh", "displacement", "stress", "flux", "pressure", "motion", "limits")
+GIVEN = "given mesh"
 CLOSED = 1e-9  # a gap below this part of the largest displacement is closed
 SMALL = 1e-6  # a multiplier below this part of the largest of its kind is not active
 
@@ -77,23 +78,29 @@ class State(Body):
         return closed
 
 
-def before(problem: ContactProblem, pressure: Array | None = None) -> State:
-    """The contact solution on the mesh as given; ``pressure`` (nodes,) of a similar mesh says who touches."""
+def before(problem: ContactProblem, pressure: Array | None = None, title: str = GIVEN) -> State:
+    """The contact solution before relocation; ``pressure`` (nodes,) of a similar mesh says who touches."""
     model, X = ContactSolver(problem), np.asarray(problem.mesh.p)
     system, space = model.system(X), DisplacementSpace.of(problem)
     start = None if pressure is None else touching_set(system, pressure[model.contact_nodes] > 0)
     state = solve(system, start)
     pressure = np.zeros(space.n_nodes)
     np.add.at(pressure, model.contact_nodes, state.normal_force / space.weights(X))
-    return State.of("given mesh", problem, X, model.displacement.values(state.u), pressure)
+    return State.of(title, problem, X, model.displacement.values(state.u), pressure)
 
 
 def after(solution: Drawable) -> State:
     """The solution itself."""
     X, pressure = np.asarray(solution.mesh.p), np.asarray(solution.pressure)
     moved = np.any(solution.problem.mesh.p != X)
-    title = "relocated mesh" if moved else "given mesh, nothing moved"
+    title = "relocated mesh" if moved else f"{_title(solution)}, nothing moved"
     return State.of(title, solution.problem, X, solution.displacement, pressure)
+
+
+def _title(solution: Drawable) -> str:
+    """What the mesh before relocation is."""
+    is_new = isinstance(solution, Solution) and "remeshed_nodes" in solution.extra
+    return "new mesh by Mmg" if is_new else GIVEN
 
 
 def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> list[Path]:  # noqa: B008
@@ -110,7 +117,7 @@ def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
     states = [after(solution)]
     moved = bool(np.any(solution.problem.mesh.p != states[0].X))
     if moved:
-        states.insert(0, before(solution.problem, states[0].pressure))
+        states.insert(0, before(solution.problem, states[0].pressure, _title(solution)))
     yield "mesh", _meshes(states, page)
     units, elastic = solution.problem.units, states[0].elastic
     if any(np.any(state.displacement) for state in states):
@@ -258,7 +265,7 @@ def _draw_motion(figure: Figure, axis: Axes, solution: Drawable) -> None:
         draw_lines(axis, np.stack([old, new], axis=2)[:, length > 0], color="white", linewidth=0.6)
     below: dict[str, Any] = {"location": "bottom", "aspect": 25, "shrink": 0.9, "pad": 0.03}
     colour_bar(figure, painted, [axis], 4, label=f"motion{bracketed(solution.problem.units.length)}", **below)
-    axis.set_title("motion from the given place")
+    axis.set_title(f"motion from the {_title(solution)}")
 
 
 WIDTH = 8.0  # inches of the picture of a problem; its height follows the extent of the mesh
@@ -284,7 +291,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
         figure = style.new_figure(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0))
         axis = figure.add_subplot()
         # one zone has one colour, the lightest
-        zone = element_zones(problem).astype(float)
+        zone = element_zones(problem.mesh).astype(float)
         plotting.draw_elements(axis, mesh.p, triangles, zone, cmap="Pastel2", vmin=0, vmax=8)
         plotting.draw_mesh(axis, mesh.p, triangles, color="0.6")
         for position, (label, boundary) in enumerate(_roles(problem)):

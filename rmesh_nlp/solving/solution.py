@@ -280,6 +280,8 @@ class Solution(Assessment):
             ("iterations, contact solves", f"{self.iterations}, {self.contact_solves}"),
             ("seconds", f"{self.wall_time_s:.3g}"),
         ]
+        if "remeshed_nodes" in extra:
+            rows.insert(2, ("mesh", f"{self.mesh.p.shape[1]} nodes, made by Mmg for the solution"))
         if "error_reduction" in extra:
             rows.append(("error reduction", extra["error_reduction"]["text"]))
         if "gain_surviving" in extra:
