@@ -1,4 +1,4 @@
-"""What is compared: given and h-adaptive meshes, quadratic elements, and relocation in four ways."""
+"""What is compared: given, h-adaptive and metric meshes, quadratic elements, relocation."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from skfem import ElementTriP1, MeshTri
 
 import rmesh_nlp as rm
 from best_mesh import adaptive as plain
-from best_mesh.cases import LAPLACIAN_61, RULE, Case
-from best_mesh.rows import ADAPTIVE, GIVEN, Row
+from best_mesh.cases import LAPLACIAN_61, Case
+from best_mesh.rows import ADAPTIVE, ATTAINABLE, GIVEN, LOOP, METRIC, QUADRATIC, Row
 from peer_solvers import unassessed
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.models.edge_gains import marked
+from rmesh_nlp.models.edge_gains import edge_gains, marked
+from rmesh_nlp.models.remeshing import GROWTH, ROUGH, Solved, metric_start, remeshed_problem
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import locally_refined
-from rmesh_nlp.solving.solution import Solution
 
 
 def warm_up() -> None:
@@ -25,54 +26,86 @@ def warm_up() -> None:
     mesh = MeshTri().refined(2)
     list(plain.adaptive(LAPLACIAN_61, mesh, 100))
     plain.quadratic(LAPLACIAN_61, mesh)
-    rm.solve(EXAMPLES["6.1"](n=3), "nested")
+    rm.solve(EXAMPLES["6.1"](n=3, delta="none"), remesh=True)
 
 
 def given(case: Case, size: int) -> Iterator[Row]:
-    """Linear elements on the mesh as given, and quadratic ones where scikit-fem solves it as it is."""
+    """Linear elements on the mesh as given, and quadratic ones where scikit-fem has the problem."""
     problem = case.problem(size)
-    seconds = float("nan")
-    if case.laplacian is not None:
+    if case.laplacian is None:
+        began = time.process_time()
+        Solved.of(problem)
+        seconds = time.process_time() - began
+    else:
         mesh = MeshTri(problem.mesh.p, problem.mesh.t)
         seconds = plain.solve(case.laplacian, mesh, ElementTriP1(), np.zeros((2, 0))).seconds
-        quadratic = plain.quadratic(case.laplacian, mesh)
-        error = quadratic.energy - case.exact
-        name = "quadratic, given mesh"
-        yield Row(case.name, name, str(size), int(quadratic.basis.N), error, quadratic.seconds)
-    yield Row(case.name, GIVEN, str(size), int(problem.mesh.p.shape[1]), case.error(problem), seconds)
+        found = plain.quadratic(case.laplacian, mesh)
+        error = plain.error(case.laplacian, found)
+        yield Row(case.name, QUADRATIC, size, int(found.basis.N), error, found.seconds)
+    yield Row(case.name, GIVEN, size, _nodes(problem), case.error(problem), seconds)
+
+
+def attainable(case: Case, size: int) -> Iterator[Row]:
+    """The least interpolation error of as many triangles as the given mesh has."""
+    fine, mesh = case.reference(), case.problem(size).mesh
+    known = f"energy known to {fine.doubt:.1e}"
+    yield Row(case.name, ATTAINABLE, size, mesh.p.shape[1], fine.least / mesh.t.shape[1], status=known)
 
 
 def h_adaptive(case: Case, most: int) -> Iterator[Row]:
-    """Local refinement of the coarsest mesh: scikit-fem's plain loop, or marked by the exact errors."""
+    """Local refinement of the coarsest mesh by scikit-fem's plain loop.
+
+    Problems that it does not have are refined where new nodes gain most, by the package and without a time.
+    """
     problem = case.problem(case.sizes[0])
     if case.laplacian is not None:
         mesh = MeshTri(problem.mesh.p, problem.mesh.t)
         for found in plain.adaptive(case.laplacian, mesh, most):
-            nodes, error = int(found.mesh.p.shape[1]), found.energy - case.exact
-            yield Row(case.name, ADAPTIVE, str(most), nodes, error, found.seconds)
+            error = plain.error(case.laplacian, found)
+            yield Row(case.name, ADAPTIVE, most, int(found.mesh.p.shape[1]), error, found.seconds)
         return
-    while problem.mesh.p.shape[1] <= most:
-        yield Row(case.name, ADAPTIVE, str(most), problem.mesh.p.shape[1], case.error(problem))
-        problem = locally_refined(problem, marked(case.local(problem)))
+    while _nodes(problem) <= most:
+        yield Row(case.name, ADAPTIVE, most, _nodes(problem), case.error(problem))
+        problem = locally_refined(problem, marked(edge_gains(problem)))
 
 
-def move_limits(case: Case, size: int) -> Iterator[Row]:
-    """Move limits that shrink with the mesh, as in the paper; Example 6.1."""
-    problem = replace(EXAMPLES["6.1"](n=size), quadrature=RULE)
-    began = time.process_time()
-    yield _relocated(case, "relocated, move limits", size, rm.solve(problem, "nested"), began)
+def metric_loop(case: Case, most: int) -> Iterator[Row]:
+    """An adaptive loop of Mmg with the recovered metric: one round per size, each several times the last."""
+    problem, ratio, seconds = case.problem(case.sizes[0]), float("nan"), 0.0
+    while _nodes(problem) <= most:
+        began = time.process_time()
+        solved = Solved.of(problem)
+        seconds += time.process_time() - began
+        yield Row(case.name, LOOP, most, _nodes(problem), case.error(problem), seconds)
+        began = time.process_time()
+        size = int(GROWTH * _nodes(problem))
+        problem, ratio = remeshed_problem(problem, solved.regions, size, ratio, ROUGH)
+        seconds += time.process_time() - began
 
 
-def relocated(case: Case, size: int, remesh: bool) -> Iterator[Row]:
-    """Relocation without move limits."""
+def metric(case: Case, size: int) -> Iterator[Row]:
+    """Mmg with the recovered metric to as many nodes as given; no node is relocated."""
     problem = case.problem(size)
     began = time.process_time()
+    found = metric_start(Solved.of(problem), _nodes(problem)).solved.problem
+    seconds = time.process_time() - began
+    yield Row(case.name, METRIC, size, _nodes(found), case.error(found), seconds)
+
+
+def relocated(case: Case, method: str, size: int, remesh: bool) -> Iterator[Row]:
+    """Relocation without move limits, on the mesh as given or on one for the solution."""
+    final, seconds, status = by_default(case.problem(size), remesh)
+    yield Row(case.name, method, size, _nodes(final), case.error(final), seconds, status)
+
+
+def by_default(problem: ContactProblem, remesh: bool) -> tuple[ContactProblem, float, str]:
+    """The problem on the mesh that ``auto`` ends with, seconds without the assessment, and the status."""
+    began = time.process_time()
     solution = rm.solve(problem, remesh=remesh)
-    yield _relocated(case, "remeshed, relocated" if remesh else "relocated", size, solution, began)
-
-
-def _relocated(case: Case, method: str, size: int, solution: Solution, began: float) -> Row:
     seconds = unassessed(time.process_time() - began, solution)
-    final = replace(solution.problem, mesh=solution.mesh, quadrature=RULE, reference=None)
-    nodes = int(final.mesh.p.shape[1])
-    return Row(case.name, method, str(size), nodes, case.error(final), seconds, solution.status.value)
+    final = replace(solution.problem, mesh=solution.mesh, quadrature=problem.quadrature, reference=None)
+    return final, seconds, solution.status.value
+
+
+def _nodes(problem: ContactProblem) -> int:
+    return int(problem.mesh.p.shape[1])
