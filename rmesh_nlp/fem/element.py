@@ -17,6 +17,9 @@ from skfem.quadrature import get_quadrature_line
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.coefficients import Coefficient, at
 
+FEW = 20
+"""Elements of one kind, such as those with the same nodes on a curve, of which there are few."""
+
 NO_ROWS = ca.SX(0, 1)
 """The constraints of an element that adds to the objective alone."""
 
@@ -138,15 +141,19 @@ class Differentiated:
         results = {"f": f, "g": g, "gradient": gradient, "jacobian": jacobian, "hessian": ca.triu(hessian)}
         self.patterns = {name: result.sparsity() for name, result in results.items()}
         self._nonzeros = {name: r if name == "f" else r.nz[:] for name, r in results.items()}
-        self._functions: dict[str, ca.Function] = {}
+        self._functions: dict[tuple[str, bool], ca.Function] = {}
 
-    def function(self, which: str) -> ca.Function:
-        """``(*columns) ->`` the nonzeros of ``RESULTS[which]``; a Hessian takes lam_f and lam_g as well."""
-        if which not in self._functions:
+    def function(self, which: str, *, for_few: bool = False) -> ca.Function:
+        """``(*columns) ->`` the nonzeros of ``RESULTS[which]``; a Hessian takes lam_f and lam_g as well.
+
+        ``for_few`` elements common subexpressions are not looked for, which would take longer than they cost.
+        """
+        if (which, for_few) not in self._functions:
             columns = [*self._columns, *(self._multipliers if which == "hessian" else ())]
-            results = ca.cse([self._nonzeros[name] for name in RESULTS[which]])
-            self._functions[which] = ca.Function(which, columns, results)
-        return self._functions[which]
+            results = [self._nonzeros[name] for name in RESULTS[which]]
+            function = ca.Function(which, columns, results if for_few else ca.cse(results))
+            self._functions[which, for_few] = function
+        return self._functions[which, for_few]
 
 
 def differentiated(

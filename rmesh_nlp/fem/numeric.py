@@ -14,7 +14,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.closed_forms import Layout, evaluated
-from rmesh_nlp.fem.element import RESULTS, differentiated
+from rmesh_nlp.fem.element import FEW, RESULTS, differentiated
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.fem.sums import Entries, Shape, Sums
@@ -55,7 +55,8 @@ class LocalKernels:
     def kernel(self, which: str, leading: int | None = None) -> Kernel:
         """The kernel with the results ``RESULTS[which]``; see :meth:`Assembled.numeric` for ``leading``."""
         results = tuple(self._entries(name, leading) for name in RESULTS[which])
-        return Kernel(self._local.function(which), self.arguments(which), results, self.group.size)
+        function = self._local.function(which, for_few=self.group.size <= FEW)
+        return Kernel(function, self.arguments(which), results, self.group.size)
 
     def arguments(self, which: str) -> tuple[tuple[int, Field], ...]:
         """The inputs and fields that a kernel takes."""

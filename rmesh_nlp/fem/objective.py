@@ -11,7 +11,7 @@ import numpy as np
 
 from rmesh_nlp.fem.element import affine, corners, line_rule, local_symbols
 from rmesh_nlp.fem.energy import triangle_rule
-from rmesh_nlp.fem.fields import ElementGroup, Field, objective_group
+from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, objective_group
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem
 
@@ -177,6 +177,12 @@ def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
         return group
     symbols = local_symbols(group.function)
     f, g = group.function(*symbols)
-    function = ca.Function(group.function.name(), symbols, [weight * f, g])
     closed = None if group.closed is None else group.closed.scaled(weight)
-    return replace(group, function=function, closed=closed)
+    if group.at_points is not None:
+        function = ca.Function(group.function.name(), symbols, [weight * f, g])
+        return replace(group, function=function, closed=closed)
+    # the weight is data of the elements: derivatives of the function serve every weight
+    factor = type(symbols[0]).sym("weight")
+    function = ca.Function(group.function.name(), [*symbols, factor], [factor * f, g])
+    arguments = (*group.arguments, constant_field(np.full((1, group.size), weight)))
+    return replace(group, function=function, arguments=arguments, closed=closed)

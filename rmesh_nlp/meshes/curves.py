@@ -19,6 +19,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial import cKDTree
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.vectorised import Vectorised, is_vectorisable
 
 SAMPLES = 4000
 """Points of a curve among which the nearest to a node is looked for, before Newton's method."""
@@ -97,6 +98,8 @@ def on_values(function: ca.Function, t: Array) -> Array:
     t = np.asarray(t, dtype=float)
     if t.size == 0:
         return np.zeros(0)
+    if is_vectorisable(function):  # ten to a hundred times faster
+        return Vectorised(function, t.size)([t.reshape(1, -1)])[0].ravel()
     return np.asarray(function(ca.DM(t).T).full(), dtype=float).ravel()
 
 

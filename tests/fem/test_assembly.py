@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.assembly import element_values
+from rmesh_nlp.fem.distortion import distortion_group
 from rmesh_nlp.fem.element import differentiated
 from rmesh_nlp.fem.energy import strain_energy, triangle_rule
+from rmesh_nlp.fem.objective import scaled_group
+from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem, PlaneStrain
@@ -106,3 +110,25 @@ def test_equal_functions_share_their_derivatives_and_others_do_not() -> None:
         program = relocation(replace(problem, law=replace(problem.law, source=load)))
         gradients.append(program.assembled.grad_f(np.linspace(0, 1, program.nlp.n_x), [])[1].full())
     assert np.max(np.abs(gradients[0] - gradients[1])) > 1e-3
+
+
+def test_weights_of_a_group_share_one_differentiated_function() -> None:
+    problem = EXAMPLES["6.1"](n=2)
+    group = distortion_group(problem, MeshMap.of(problem).positions, "quality")
+    one, two = (scaled_group(group, weight) for weight in (0.5, 3.0))
+    assert one.function.serialize() == two.function.serialize()
+    q = 0.1 * np.ones(MeshMap.of(problem).n)
+    plain, *weighted = (sum(part.sum() for part in element_values([each])(q)) for each in (group, one, two))
+    assert weighted == pytest.approx([0.5 * plain, 3 * plain], rel=1e-14)
+    assert scaled_group(one, 2.0).closed is not None
+    assert element_values([scaled_group(one, 2.0)])(q)[0].sum() == pytest.approx(plain, rel=1e-14)
+
+
+def test_functions_for_few_elements_have_the_same_values() -> None:
+    found = differentiated(strain_energy(PlaneStrain(1.0, 1.0)), None, [0, 1])
+    X, u = np.array([0, 0, 1, 0, 0.2, 1]), np.array([0.1, 0, 0.3, -0.2, 0, 0.4])
+    for which in ("gradient", "hessian"):
+        more = (1.0, np.zeros((0, 1))) if which == "hessian" else ()
+        many, few = (found.function(which, for_few=one)(X, u, *more) for one in (False, True))
+        for a, b in zip(*(part if isinstance(part, tuple) else (part,) for part in (many, few)), strict=True):
+            np.testing.assert_allclose(a.full(), b.full(), rtol=1e-13, atol=1e-14)

@@ -6,7 +6,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline, fitted_circle, spline_through
+from rmesh_nlp.meshes.curves import (
+    Circle,
+    Curve,
+    Parametrised,
+    Spline,
+    fitted_circle,
+    on_values,
+    spline_through,
+)
 from support.curved import HOLE, spline_of_the_hole
 
 ELLIPSE = Parametrised(lambda t: 2 * ca.cos(t), lambda t: ca.sin(t), (0.0, 2 * np.pi), closed=True)
@@ -98,3 +106,11 @@ TWO_LINES, TWO_LOOPS = [[0, 1, 4, 5], [1, 2, 5, 6]], [[0, 1, 2, 4, 5, 6], [1, 2,
 def test_bad_curves_are_refused(make: Callable[[], Curve], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+@pytest.mark.parametrize("n", [0, 1, 7, 3000])
+def test_values_of_a_function_are_those_one_by_one(kind: type, n: int) -> None:
+    t, at = kind.sym("t"), np.linspace(-2, 3, n)
+    function = ca.Function("f", [t], [ca.cos(t) + ca.if_else(t > 1, t**2, 1)])
+    np.testing.assert_allclose(on_values(function, at), [float(function(one)) for one in at], rtol=1e-14)
