@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     methods.warm_up()
     if options.predict:
         store = Store(options.out / "predicted.jsonl")
-        for seed in range(predict.FIRST_SEED, predict.FIRST_SEED + predict.COUNT):
+        for seed in predict.SEEDS:
             if not store.has(f"random {seed}", GIVEN, seed):
                 failed = Row(f"random {seed}", GIVEN, seed, 0, float("nan"))
                 store.keep(attempted(partial(predict.measured, seed), failed))

@@ -52,6 +52,21 @@ def test_times_are_compared_at_equal_error() -> None:
     assert rows.times(found).splitlines()[2:] == ["| 6.3 | 400 | 0.0025 | 800 | 0.25 |"]
 
 
+def test_predicted_factors_are_compared_at_equal_nodes_unless_refining_is_advised() -> None:
+    predict, row = script("best_mesh.predict"), script("best_mesh.rows").Row
+
+    def rows(case: str, way: str, error: float, predicted: float) -> list:
+        made = [("uniform", 100, 8.0), ("remeshed, relocated", 100, 2.0), ("as advised", 400, error)]
+        made.append(("predicted", 100, predicted))
+        return [row(case, method, 0, nodes, size, status=way) for method, nodes, size in made]
+
+    found = [*rows("a", "remesh", 0.5, 4.0), *rows("b", "refine", 2.0, 5.0), *rows("c", "x, not known", 1, 1)]
+    first, second, _, last = predict.summary(found).splitlines()[2:]
+    assert first == "| a | 100 | 8 | remesh | 4 | 4 | 1.00 | 4 |"
+    assert second == "| b | 100 | 8 | refine | 5 | 4 | 1.25 | 4 |"
+    assert last == "1 of 2 within 20%; not compared: c"
+
+
 @pytest.mark.parametrize("name", ["6.1", "L-shape", "free boundary", "Signorini", "jNO's L-shape, held"])
 def test_plain_solver_agrees_with_the_package(name: str) -> None:
     cases, plain = script("best_mesh.cases"), script("best_mesh.adaptive")
