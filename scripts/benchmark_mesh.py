@@ -9,7 +9,8 @@ Peers: second-order elements on the given mesh, a plain h-adaptive loop of sciki
 (``best_mesh/adaptive.py``), and Mmg with the recovered metric, whose nodes are not relocated. Elastic bodies
 and the membrane are refined where new nodes gain most, by the package and without a time.
 Errors are those of the assessed energy on the domain of the true curves, against the exact one or that of a
-locally refined mesh; of free boundary and Signorini half the square of the error in the energy norm.
+locally refined mesh; of free boundary, Signorini and jNO's L-shape half the square of the error in the energy
+norm.
 Attainable is the interpolation error of as many triangles of the best shapes.
 Rows are kept in DIR/rows.jsonl: run again, it measures only what is missing. Writes DIR/table.md and
 DIR/best_mesh.png.
