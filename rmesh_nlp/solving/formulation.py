@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, ClassVar
 
@@ -96,12 +97,18 @@ class Chooser(Settings, ABC):
 
 def available() -> dict[str, EntryPoint]:
     """Installed formulations by name; nothing is imported yet."""
-    return {entry.name: entry for entry in entry_points(group=GROUP)}
+    return dict(_entries(entry_points, GROUP))
 
 
 def wrappers() -> dict[str, EntryPoint]:
     """Installed formulations that take one, by the option that asks for them."""
-    return {entry.name: entry for entry in entry_points(group=WRAPPERS)}
+    return dict(_entries(entry_points, WRAPPERS))
+
+
+@lru_cache
+def _entries(found: Callable[..., Iterable[EntryPoint]], group: str) -> tuple[tuple[str, EntryPoint], ...]:
+    """Looked for once: it reads the metadata of every installed package, which takes ten contact solves."""
+    return tuple((entry.name, entry) for entry in found(group=group))
 
 
 def formulations() -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
 from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.solving import formulation
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.driver import solve, solve_by_options
 from rmesh_nlp.solving.monitor import Monitor
@@ -306,3 +307,18 @@ class TestRemeshed:
     def test_a_number_of_nodes_is_one(self, nodes: Any) -> None:
         with pytest.raises(BadInputError, match="number of nodes of at least 3"):
             Remeshed(Script().formulation, nodes)
+
+
+def test_installed_formulations_are_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    groups: list[str] = []
+    installed = formulation.entry_points
+
+    def counted(group: str) -> Any:
+        groups.append(group)
+        return installed(group=group)
+
+    monkeypatch.setattr(formulation, "entry_points", counted)
+    assert formulation.available() == formulation.available()
+    formulation.available().clear()  # each has its own copy
+    assert "joint" in formulation.available()
+    assert groups == [formulation.GROUP]
