@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
-from rmesh_nlp.assessment.assessor import Quantities, quantities
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import figure
@@ -88,8 +87,8 @@ def _interval(low: float, high: float, digits: int = 3) -> str:
 
 def error_reduction(
     before: Admissible, after: Admissible, contact_solves: int
-) -> tuple[ErrorReduction | None, Quantities | None]:
-    """The error reduction from one mesh to another, and quantities on the refined last mesh.
+) -> tuple[ErrorReduction | None, Admissible | None]:
+    """The error reduction from one mesh to another, and the displacement on the finest mesh that was needed.
 
     The first is None where nothing can be claimed: the energy did not fall, or refinements do not show how
     the error falls.
@@ -100,16 +99,13 @@ def error_reduction(
         source, bounds = "exact", (error, error) if error > 0 else None
     else:
         source, (bounds, finest) = "refinement", _bounds(after)
-    refined_quantities = None
-    if finest is not None:
-        refined_quantities = quantities(finest.parts.space, finest.body.nodes, finest.system, finest.state)
     if bounds is None or not fall > 0:
-        return None, refined_quantities
+        return None, finest
     low, high = bounds
     size = int(after.body.nodes.shape[1])
     factors = 1 + fall / high, 1 + fall / low
     found = ErrorReduction((low + fall, high + fall), bounds, *factors, source, size, contact_solves)
-    return found, refined_quantities
+    return found, finest
 
 
 def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | None]:

@@ -14,6 +14,7 @@ error, ``(integral of sqrt(phi))^2 / N``, where their number per area is proport
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -34,24 +35,24 @@ STEPS, HALVINGS = (0.4, 0.35, np.pi / 9), 7
 """First steps of stretch, angle and turn in the search for the best shapes, and how often they are halved."""
 
 
-def errors(law: Law, triangles: Array, second: Array) -> Array:
+def errors(law: Law, triangles: Any, second: Any) -> Any:
     """(n,) errors in the energy on triangles (2, 3, n), counter-clockwise.
 
-    ``second`` (components, 3, n) are the derivatives xx, xy and yy of each component of the displacement.
+    ``second`` (components, 3, n) are the derivatives xx, xy and yy of each component of the displacement. Of
+    nested lists of CasADi symbols the error is an expression.
     """
-    edges = triangles[:, [2, 0, 1]] - triangles[:, [1, 2, 0]]
-    area = (edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]) / 2
-    total = np.zeros(triangles.shape[2])
+    (x, y), total = triangles, 0.0
+    edges = [(x[i - 1] - x[i - 2], y[i - 1] - y[i - 2]) for i in range(3)]
+    area = (edges[0][0] * edges[1][1] - edges[0][1] * edges[1][0]) / 2
     for i in range(3):
-        (ax, ay), (bx, by) = edges[:, i - 1], edges[:, i - 2]
-        w = second[:, 0] * ax * bx + second[:, 1] * (ax * by + ay * bx) + second[:, 2] * ay * by
-        gx, gy = -edges[1, i], edges[0, i]  # times 2 area
-        size = np.sum(w**2, axis=0) * (gx**2 + gy**2)
+        (ax, ay), (bx, by), (cx, cy) = edges[i - 1], edges[i - 2], edges[i]
+        w = [xx * ax * bx + xy * (ax * by + ay * bx) + yy * ay * by for xx, xy, yy in second]
+        size = sum(one**2 for one in w) * (cx**2 + cy**2)  # the gradient of lambda_i is (-cy, cx) / (2 area)
         if isinstance(law, Elastic):
-            total += law.lame_mu * size + (law.in_plane_lambda + law.lame_mu) * (w[0] * gx + w[1] * gy) ** 2
+            total += law.lame_mu * size + (law.in_plane_lambda + law.lame_mu) * (w[1] * cx - w[0] * cy) ** 2
         else:
             total += law.conductivity * size
-    return np.asarray(total / (96 * area))  # area / 3 * 1/4 * 1/2 / (2 area)^2
+    return total / (96 * area)  # area / 3 * 1/4 * 1/2 / (2 area)^2
 
 
 def stretched(stretch: Array, angle: Array, turn: Array | float) -> Array:
@@ -96,13 +97,15 @@ def least_errors(law: Law, second: Array, stretch: Array, angle: Array) -> Array
     def value(point: Array) -> Array:
         return errors(law, stretched(point[0], point[1], point[2]), second)
 
-    starts = (
+    starts = [
         np.stack([stretch + more, angle + off, np.full(angle.size, turn)])
         for turn in TURNS
         for more in (0.0, np.log(3) / 4)  # of an equilateral triangle it makes a right one
         for off in (0.0, np.pi / 4, np.pi / 2)
-    )
-    return np.min([_descended(value, start, LARGEST_ASPECT, repeats=2)[1] for start in starts], axis=0)
+    ]
+    second = np.tile(second, len(starts))
+    _, found = _descended(value, np.hstack(starts), LARGEST_ASPECT, repeats=2)
+    return np.asarray(found.reshape(len(starts), -1).min(axis=0))
 
 
 def isotropic_errors(law: Law, second: Array) -> Array:

@@ -18,9 +18,9 @@ from skfem import MeshTri
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.errors import BadInputError, ProblemError
-from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT, errors
+from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT
 from rmesh_nlp.fem.metric import Metric, best_metric
-from rmesh_nlp.fem.recovery import Index, Recovered, second_derivatives
+from rmesh_nlp.fem.recovery import Index, Recovered, interpolation_error, second_derivatives
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.mmg import remeshed
@@ -84,14 +84,13 @@ class Solved:
     def regions(self) -> tuple[Recovered, ...]:
         """Second derivatives of the displacement."""
         displacement, space = self.solver.displacement.values(self.state.u), self.solver.discretisation.space
-        return second_derivatives(self.problem, displacement[:, space.number])
+        X = np.asarray(self.problem.mesh.p)
+        return second_derivatives(self.problem, X, displacement[:, space.number])
 
     @cached_property
     def error(self) -> float:
         """Estimated error of the energy: that of interpolation."""
-        corners = np.asarray(self.problem.mesh.p)[:, self.problem.triangles]
-        parts = (errors(one.law, corners[:, :, one.elements], one.in_elements) for one in self.regions)
-        return float(sum(part.sum() for part in parts))
+        return interpolation_error(np.asarray(self.problem.mesh.p), self.problem.triangles, self.regions)
 
 
 @dataclass(frozen=True)

@@ -284,6 +284,10 @@ class Solution(Assessment):
             rows.insert(2, ("mesh", f"{self.mesh.p.shape[1]} nodes, made by Mmg for the solution"))
         if "error_reduction" in extra:
             rows.append(("error reduction", extra["error_reduction"]["text"]))
+        if "share_of_attainable" in extra:
+            best, share = extra["attainable_factor"], extra["share_of_attainable"]
+            said = f"{best:.2g} times less error: {share:.0%} of that is reached"
+            rows.append(("best mesh of as many triangles", said))
         if "gain_surviving" in extra:
             rows.append(("gain left on refined meshes", f"{extra['gain_surviving']:.0%} of the objective's"))
         if self.multipliers is not None:
