@@ -171,15 +171,38 @@ def check(
 
 
 @app.command()
-def advise(file: o.File) -> None:
-    """Say whether to relocate, to refine, or both, before an expensive solve.
+def advise(file: o.File, json: o.Json = False) -> None:
+    """Say what moving nodes, a new mesh and refinement can attain, before anything moves.
 
-    Relocates on a coarse mesh, prolongs the map, and refines uniformly twice.
+    Solves on the given mesh and on its uniform refinement; factors are how many times less the error of
+    the energy is than on the given mesh.
 
     \b
     rmesh advise my.toml
+    rmesh advise my.toml --json
     """
-    raise typer.Exit(load("cli.preparing").advise(file))
+    raise typer.Exit(load("cli.preparing").advise(file, json))
+
+
+@app.command()
+def remesh(
+    file: o.File,
+    nodes: Annotated[
+        int | None, Option("--nodes", min=3, metavar="N", help="Nodes of the new mesh; default: as many.")
+    ] = None,
+    out: Annotated[
+        Path,
+        Option("--out", metavar="MESH", help="The mesh to write, in any format of meshio, such as .msh."),
+    ] = Path("mesh.msh"),
+) -> None:
+    """Write a mesh that suits the solution of a problem file, made by Mmg in a few rounds.
+
+    Names of boundaries and subdomains are kept; nodes that cannot move stay. Needs mmgpy.
+
+    \b
+    rmesh remesh my.toml --nodes 2000 --out better.msh
+    """
+    raise typer.Exit(load("cli.preparing").remesh(file, nodes, out))
 
 
 @app.command()

@@ -1,12 +1,14 @@
-"""What ``rmesh new``, ``check`` and ``advise`` do, and what ``[solve]`` of a problem file asks."""
+"""What ``rmesh new``, ``check``, ``advise``, ``remesh`` do, and what ``[solve]`` of a problem file asks."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import meshio
 import numpy as np
 from rich.console import Console
 
@@ -14,15 +16,20 @@ from rmesh_nlp.cli import study as studies
 from rmesh_nlp.cli.folders import SUCCESS, located
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.display import rich_table
+from rmesh_nlp.display import figure, rich_table
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.io.files import safe_name, write_new
+from rmesh_nlp.io.export import write_mesh
+from rmesh_nlp.io.files import safe_name, write_new, write_whole
 from rmesh_nlp.io.problem_file import build, read_table
 from rmesh_nlp.io.problem_file import template as problem_template
 from rmesh_nlp.io.problem_messages import one_line
+from rmesh_nlp.io.records import to_json
 from rmesh_nlp.mapping import Mobility
+from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import MeshRepairWarning
+from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.pictures import draw_problem
 from rmesh_nlp.solving.advice import advise as advice
@@ -83,12 +90,40 @@ def check(path: Path, picture: Path | None = None) -> int:
     return SUCCESS
 
 
-def advise(path: Path) -> int:
-    """Print what relocation and refinement would give for the problem of a file."""
-    problem = load_problem(path)
+def advise(path: Path, json: bool = False) -> int:
+    """Print what moving nodes, a new mesh and refinement can attain for the problem of a file."""
+    problem = load_problem(path, says=not json)
     with located(path):
         found = advice(problem)
-    Console().print(rich_table(f"{path}: relocate or refine?", found.rows()))
+    if json:
+        print(to_json(found.record()))
+    else:
+        Console().print(rich_table(f"{path}: which mesh?", found.rows()))
+    return SUCCESS
+
+
+def remesh(path: Path, nodes: int | None, out: Path) -> int:
+    """Write a mesh that suits the solution of the problem of a file."""
+    if out.suffix.lower() not in meshio.extension_to_filetypes:
+        raise BadInputError(f"--out {out}: no format of meshio has the extension {out.suffix!r}")
+    if not out.parent.is_dir():
+        raise BadInputError(f"cannot write {out}: there is no folder {str(out.parent)!r}")
+    problem = replace(with_edge_gaps(load_problem(path)), quadrature="auto")
+    with located(path):
+        first = Solved.of(problem)
+        made = metric_start(first, problem.mesh.p.shape[1] if nodes is None else nodes).solved
+    mesh = made.problem.mesh
+    try:
+        write_whole(out, lambda aside: write_mesh(mesh, aside))
+    except OSError as error:
+        raise BadInputError(f"cannot write {out}: {error.strerror}") from error
+    rows = [
+        ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.t.shape[1]} triangles"),
+        ("energy", f"{figure(made.state.energy)}, on the given mesh {figure(first.state.energy)}"),
+        ("error of the energy, estimated", f"{figure(made.error)}, on the given mesh {figure(first.error)}"),
+        ("least angle", f"{np.min(least_angles(np.asarray(mesh.p), made.problem.triangles)):.3g} degrees"),
+    ]
+    Console().print(rich_table(f"wrote {out}", rows))
     return SUCCESS
 
 

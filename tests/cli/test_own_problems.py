@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import meshio
+import numpy as np
 import pytest
 from matplotlib import image
 
+from rmesh_nlp.io.problem_file import build, read_table
+from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.solving import assess as assessing
 from rmesh_nlp.solving import driver
 from rmesh_nlp.solving.assess import Assessment
@@ -173,3 +176,45 @@ def test_without_move_limits_a_file_asks_for_weights_and_a_new_mesh(rmesh, block
     assert (found["regularisation"], found["delta"]) == ([0.1, 0.02], None)
     assert found["remeshed_nodes"]
     assert found["gain_audited"] > 0
+
+
+def test_advise_prints_what_is_attainable(rmesh, block: Path) -> None:
+    said = rmesh("advise block.toml")
+    assert said.code == 0
+    assert "best mesh of as many triangles" in said.out
+    found = json.loads(rmesh("advise block.toml --json").out)
+    names = ("attainable_factor", "attainable_same_connectivity", "attainable_by_refinement")
+    assert all(found[name] >= 1 for name in names)
+    assert found["attainable_factor"] >= found["remeshing_factor"]
+    assert found["recommended"] in ("remesh", "relocate", "refine")
+    assert found["predicted_factor"] > 0
+
+
+def test_remesh_writes_a_mesh_with_the_names_of_the_file(rmesh, block: Path) -> None:
+    said = rmesh("remesh block.toml --nodes 60 --out better.msh")
+    assert said.code == 0
+    assert "wrote better.msh" in said.out
+    made = read_mesh(Path("better.msh"))
+    assert abs(made.p.shape[1] - 60) <= 3
+    assert {"left", "right", "top", "bottom"} <= set(made.boundaries)
+    assert np.ptp(made.p, axis=1) == pytest.approx(np.ptp(build(read_table(block), block).mesh.p, axis=1))
+
+
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        ("--out better.mesh7", "no format of meshio has the extension '.mesh7'"),
+        ("--out nowhere/better.msh", "there is no folder 'nowhere'"),
+        ("--nodes 2", "2"),
+    ],
+)
+def test_remesh_refuses_what_it_cannot_write(rmesh, block: Path, typed: str, words: str) -> None:
+    said = rmesh(f"remesh block.toml {typed}")
+    assert said.code == 2
+    assert words in said.err
+    assert not list(Path().glob("*.msh"))
+
+
+def test_a_number_of_nodes_needs_a_new_mesh(rmesh, block: Path) -> None:
+    said = rmesh("solve block.toml --nodes 60")
+    assert (said.code, "--nodes 60 is for --remesh" in said.err) == (2, True)
