@@ -205,7 +205,7 @@ def test_remesh_writes_a_mesh_with_the_names_of_the_file(rmesh, block: Path) -> 
     [
         ("--out better.mesh7", "no format of meshio has the extension '.mesh7'"),
         ("--out nowhere/better.msh", "there is no folder 'nowhere'"),
-        ("--nodes 2", "2"),
+        ("--nodes 2", "--nodes"),
     ],
 )
 def test_remesh_refuses_what_it_cannot_write(rmesh, block: Path, typed: str, words: str) -> None:
