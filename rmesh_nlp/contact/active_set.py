@@ -48,10 +48,11 @@ MAX_ITERATIONS = 100
 PATIENCE = 3
 """Block changes of the active set without fewer violations before single changes begin."""
 
-GAIN = 1e-10
-"""Part of the gain so far below which a further decrease of the dual is not looked for."""
+GAIN, GAIN_FORMED = 1e-10, 1e-15
+"""Part of the gain so far below which a further decrease of the dual is not looked for, the second one where its
+Hessian is formed and costs nothing beside a factorisation for another active set."""
 
-DUAL_ITERATIONS = 20
+DUAL_ITERATIONS, DUAL_ITERATIONS_FORMED = 20, 60
 
 EXACT = 1e-14
 """Residual of a linear solve, relative to the load, that needs no refinement."""
@@ -160,8 +161,8 @@ def predicted_set(system: ContactSystem) -> ActiveSet:
         np.concatenate([np.zeros(n), -bound]),
         upper,
         tolerance=np.inf,
-        gain_tolerance=GAIN,
-        max_iterations=DUAL_ITERATIONS,
+        gain_tolerance=GAIN_FORMED if dual.is_formed else GAIN,
+        max_iterations=DUAL_ITERATIONS_FORMED if dual.is_formed else DUAL_ITERATIONS,
     )
     force, friction = result.x[:n], result.x[n:]
     return ActiveSet(force > 0, np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8))
@@ -188,6 +189,11 @@ class DualEnergy:
         self._compliance = self._dense(last, ordered) if few else None
         compliance = 1 / K.diagonal()
         self._diagonal = self._rows.multiply(self._rows) @ compliance + 1e-3 * np.max(compliance)
+
+    @property
+    def is_formed(self) -> bool:
+        """Whether the Hessian is a dense matrix."""
+        return self._compliance is not None
 
     def displacement(self, y: Array) -> Array:
         """Displacement under the load and the contact forces."""
