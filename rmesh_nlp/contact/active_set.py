@@ -49,8 +49,8 @@ PATIENCE = 3
 """Block changes of the active set without fewer violations before single changes begin."""
 
 GAIN, GAIN_FORMED = 1e-10, 1e-15
-"""Part of the gain so far below which a further decrease of the dual is not looked for, the second one where its
-Hessian is formed and costs nothing beside a factorisation for another active set."""
+"""Part of the gain so far below which a further decrease of the dual is not looked for; the second one where
+its Hessian is formed, for then iterations cost nothing beside another active set."""
 
 DUAL_ITERATIONS, DUAL_ITERATIONS_FORMED = 20, 60
 

@@ -184,7 +184,8 @@ def _least_areas(free: MeshMap, triangles: NDArray) -> Array:
     reach = np.where(np.isinf(bound), 0.0, bound) * np.abs(free.positions.scale)
     least = np.full(triangles.shape[1], np.inf)
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=6))).T.reshape(2, 3, -1, 1)
-    for part in np.array_split(np.arange(least.size), range(BLOCK, least.size, BLOCK)):
+    limited = np.flatnonzero(~boundless)
+    for part in np.array_split(limited, range(BLOCK, limited.size, BLOCK)):
         some = triangles[:, part]
         offset, reach_there = free.positions.offset[:, some], reach[:, some]
         a, b, c = (offset[:, i, None] + corners[:, i] * reach_there[:, i, None] for i in range(3))
