@@ -62,14 +62,14 @@ class Block:
         self._form(whole[rows, columns])
 
     def _form(self, numbered: sp.csc_array) -> None:
-        self._shape = sp.csc_array(numbered)
-        self._shape.sort_indices()
-        self._source = self._shape.data - 1
+        numbered = sp.csc_array(numbered)
+        numbered.sort_indices()
+        self._shape, self._indices, self._starts = numbered.shape, numbered.indices, numbered.indptr
+        self._source = (numbered.data - 1).astype(np.int32)
 
     def __call__(self, values: Array) -> sp.csc_array:
         """The block of the matrix that has these nonzeros."""
-        shape = self._shape
-        return sp.csc_array((values[self._source], shape.indices, shape.indptr), shape=shape.shape)
+        return sp.csc_array((values[self._source], self._indices, self._starts), shape=self._shape)
 
 
 class Symmetric(Block):

@@ -16,9 +16,10 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.closed_forms import energies
 from rmesh_nlp.fem.element import RESULTS, plain
-from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, straightened
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Values
 from rmesh_nlp.fem.numeric import AXES, Kernel, LocalKernels, Numeric, numeric_parts
 from rmesh_nlp.fem.space import Index
+from rmesh_nlp.fem.straightened import straightened
 from rmesh_nlp.fem.sums import Shape, Sums, sparse
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import Derivatives
@@ -30,7 +31,7 @@ class _InCasadi:
 
     def __init__(self, inputs: list[ca.MX]) -> None:
         self._inputs = inputs
-        self._gathered: dict[int, tuple[Field, ca.MX]] = {}
+        self._gathered: dict[int, tuple[Values, ca.MX]] = {}
 
     def __call__(self, shapes: list[Shape], kernels: list[Kernel]) -> list[ca.MX]:
         """One expression for each output."""
@@ -47,12 +48,13 @@ class _InCasadi:
             outputs.append(ca.MX(sums.pattern, nonzeros))
         return outputs
 
-    def _gather(self, source: int, field: Field) -> ca.MX:
+    def _gather(self, source: int, field: Values) -> ca.MX:
         """Local values (length, elements) of a field of one input."""
         if id(field) not in self._gathered:
-            w, moving = self._inputs[source], field.index != CONSTANT
+            w, index = self._inputs[source], field.index
+            moving = index != CONSTANT
             shape = (moving.size, int(w.shape[0]))
-            pick = sparse(shape, _by_element(moving.shape)[moving], field.index[moving], field.scale[moving])
+            pick = sparse(shape, _by_element(moving.shape)[moving], index[moving], field.scale[moving])
             local = pick @ w + ca.DM(field.offset.ravel(order="F"))
             # the field is kept too, for its id to stay its own
             self._gathered[id(field)] = field, ca.reshape(local, *moving.shape)
@@ -180,10 +182,11 @@ def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Arr
     def values(x: Array) -> list[Array]:
         found = []
         for columns, group in zip(evaluate, groups, strict=True):
-            local = [field.values(x) for field in group.arguments]
+            used = group.arguments if columns is not None else group.arguments[: group.used]
+            local = [field.values(x) for field in used]
             if columns is None:
                 assert group.closed is not None
-                found.append(energies(group.closed, *local[: group.used]))
+                found.append(energies(group.closed, *local))
             else:
                 found.append(columns(local)[0].ravel())
         return found

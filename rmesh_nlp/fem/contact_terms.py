@@ -133,9 +133,10 @@ def slip_field(space: DisplacementSpace) -> Field:
 
 def _numbered(space: DisplacementSpace, parts: list[tuple[ContactSet, Index]]) -> Field:
     field = constant_field(np.zeros((max(len(space.contact_sets), 1), space.n_nodes)))
+    index = field.index.copy()
     for part, numbers in parts:
-        field.index[part.number, part.nodes] = numbers
-    return replace(field, space=space)
+        index[part.number, part.nodes] = numbers
+    return replace(field, index=index, space=space)
 
 
 def _frictional(space: DisplacementSpace) -> list[tuple[ContactSet, Index]]:

@@ -154,7 +154,7 @@ def distortion_group(problem: ContactProblem, positions: Field, name: str) -> El
     local = (
         positions.at(problem.triangles),
         constant_field(shapes.transpose(1, 0, 2).reshape(6, -1)),
-        constant_field(np.full((1, problem.triangles.shape[1]), area)),
+        constant_field(np.broadcast_to(area, (1, problem.triangles.shape[1]))),
     )
     function = ca.Function("distortion", [ca.vec(X), ca.vec(X0), total], [value, NO_ROWS])
     closed = Distortion(differentiated_density(DISTORTIONS[name]), shapes, det_e / (2 * area))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -76,15 +75,16 @@ class Field:
     along: Field | None = None
     space: DisplacementSpace | None = None
 
-    def at(self, nodes: Index) -> Field:
-        """Local values on elements with ``nodes`` (nodes per element, elements), a column for each.
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Components and nodes, or length and elements of local values."""
+        return self.index.shape[0], self.index.shape[1]
 
-        A column has the components of the first node, then of the second, ...
-        """
-        shape = (self.index.shape[0] * nodes.shape[0], nodes.shape[1])
-        return self._picked(lambda a: np.moveaxis(a[:, nodes], 0, 1).reshape(shape))
+    def at(self, nodes: Index) -> LocalField:
+        """Local values on elements with ``nodes`` (nodes per element, elements), a column for each."""
+        return LocalField(self, nodes)
 
-    def on(self, cells: Index) -> Field:
+    def on(self, cells: Index) -> LocalField:
         """Local values on triangles, edges or points given by their vertices (vertices per cell, cells)."""
         return self.at(cells if self.space is None else self.space.nodes_of(cells))
 
@@ -99,6 +99,10 @@ class Field:
     def _picked(self, pick: Callable[[NDArray], NDArray]) -> Field:
         bends = self.bends and Bends(pick(self.bends.which), self.bends.functions)
         return Field(pick(self.index), pick(self.scale), pick(self.offset), self.parameter, bends)
+
+    def straight(self) -> Field:
+        """The affine field behind it."""
+        return replace(self, bends=None)
 
     def numbered_from(self, first: int) -> Field:
         """The same field, its unknowns numbered from ``first`` instead of from zero."""
@@ -125,6 +129,72 @@ class Field:
         return result
 
 
+@dataclass(frozen=True)
+class LocalField:
+    """A nodal field on elements with ``nodes`` (nodes per element, elements), each a column.
+
+    It has the attributes of a :class:`Field`. A column has the components of the first node, then of the
+    second, ... Only the nodes are kept; arrays are made when they are asked for.
+    """
+
+    nodal: Field
+    nodes: Index
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Length and elements."""
+        return self.nodal.index.shape[0] * self.nodes.shape[0], self.nodes.shape[1]
+
+    @property
+    def parameter(self) -> bool:
+        """See :class:`Field`."""
+        return self.nodal.parameter
+
+    @property
+    def index(self) -> Index:
+        """See :class:`Field`."""
+        return self.gathered(self.nodal.index)
+
+    @property
+    def scale(self) -> Array:
+        """See :class:`Field`."""
+        return self.gathered(self.nodal.scale)
+
+    @property
+    def offset(self) -> Array:
+        """See :class:`Field`."""
+        return self.gathered(self.nodal.offset)
+
+    @property
+    def bends(self) -> Bends | None:
+        """See :class:`Field`."""
+        bends = self.nodal.bends
+        return bends and Bends(self.gathered(bends.which), bends.functions)
+
+    def gathered(self, values: NDArray) -> NDArray:
+        """Local values (length, elements) by those at nodes (components, nodes)."""
+        result = np.empty((len(self.nodes), len(values), self.nodes.shape[1]), values.dtype)
+        for nodes, out in zip(self.nodes, result, strict=True):
+            np.take(values, nodes, axis=1, out=out, mode="clip")
+        return result.reshape(self.shape)
+
+    def elements(self, chosen: Index) -> LocalField:
+        """On some of the elements."""
+        return LocalField(self.nodal, self.nodes[:, chosen])
+
+    def straight(self) -> LocalField:
+        """The affine field behind it."""
+        return LocalField(self.nodal.straight(), self.nodes)
+
+    def values(self, w: Array) -> Array:
+        """Local values for a numeric vector ``w``."""
+        return self.gathered(self.nodal.values(w))
+
+
+Values = Field | LocalField
+"""Arguments of a function of elements, (length, elements)."""
+
+
 def unknown_field(shape: tuple[int, int], first: int = 0, *, parameter: bool = False) -> Field:
     """A field all of whose values are unknowns, numbered node by node from ``first``."""
     components, nodes = shape
@@ -135,7 +205,7 @@ def unknown_field(shape: tuple[int, int], first: int = 0, *, parameter: bool = F
 def constant_field(values: Array) -> Field:
     """A field that is fixed at ``values`` of shape (components, nodes or elements)."""
     offset = np.atleast_2d(np.asarray(values, dtype=float))
-    return Field(np.full(offset.shape, CONSTANT), np.ones(offset.shape), offset)
+    return Field(np.broadcast_to(CONSTANT, offset.shape), np.broadcast_to(1.0, offset.shape), offset)
 
 
 @dataclass(frozen=True)
@@ -157,7 +227,7 @@ class ElementGroup:
     """
 
     function: ca.Function
-    arguments: tuple[Field, ...]
+    arguments: tuple[Values, ...]
     rows: Index
     at_points: PointValues | None = None
     closed: ClosedForm | None = None
@@ -170,7 +240,7 @@ class ElementGroup:
     @property
     def size(self) -> int:
         """Number of elements."""
-        return int(self.arguments[0].index.shape[1])
+        return self.arguments[0].shape[1]
 
     def some(self, chosen: Index) -> ElementGroup:
         """The same group of some of its elements."""
@@ -179,9 +249,9 @@ class ElementGroup:
         return replace(self, arguments=arguments, rows=self.rows[:, chosen], closed=closed)
 
 
-def objective_group(function: ca.Function, local: tuple[Field, ...]) -> ElementGroup:
+def objective_group(function: ca.Function, local: tuple[Values, ...]) -> ElementGroup:
     """Elements that add to the objective and to no constraint."""
-    return ElementGroup(function, local, np.zeros((0, local[0].index.shape[1]), dtype=np.int64))
+    return ElementGroup(function, local, np.zeros((0, local[0].shape[1]), dtype=np.int64))
 
 
 @dataclass(frozen=True)
@@ -223,11 +293,11 @@ class ElementTerm:
         if self.component is not None:
             fields = (*fields[:-1], fields[-1].component(self.component))
         chosen = zip(fields, self.nodes, strict=True)
-        local = tuple(field.at(nodes) for field, nodes in chosen if nodes is not None)
+        local: tuple[Values, ...] = tuple(field.at(nodes) for field, nodes in chosen if nodes is not None)
         if self.arc is not None and fields[0].along is not None:
             curve, nodes = self.arc
             local = (fields[0].along.component(curve).at(nodes), *local)
-        size = local[0].index.shape[1]
+        size = local[0].shape[1]
         if self.constants is not None:
             local = (*local, constant_field(self.constants))
         if self.parameters is not None:
@@ -236,48 +306,3 @@ class ElementTerm:
             local = (p.at(np.tile(self.parameters[:, None], size)), *local)
         rows = np.zeros((0, size), dtype=np.int64) if self.rows is None else first_row + self.rows
         return ElementGroup(self.function, local, rows, self.at_points, self.closed)
-
-
-def straightened(group: ElementGroup) -> list[ElementGroup]:
-    """The same elements in groups whose arguments are affine functions of the unknowns.
-
-    What is differentiated is the composition with the curve. Elements are sorted by which of their values are
-    on which curve, and each sort has a function of its own.
-    """
-    if all(field.bends is None for field in group.arguments) or group.size == 0:
-        return [group]
-    which = np.vstack(
-        [np.full(f.index.shape, STRAIGHT) if f.bends is None else f.bends.which for f in group.arguments]
-    )
-    sorts, member = np.unique(which, axis=1, return_inverse=True)
-    lengths = np.cumsum([field.index.shape[0] for field in group.arguments])[:-1]
-    result = []
-    for number, sort in enumerate(sorts.T):
-        part = group.some(np.flatnonzero(member.ravel() == number))
-        if np.any(sort != STRAIGHT):
-            part = _composed(part, np.split(sort, lengths))
-        result.append(replace(part, arguments=tuple(replace(f, bends=None) for f in part.arguments)))
-    return result
-
-
-def _composed(group: ElementGroup, sort: list[Index]) -> ElementGroup:
-    """The group as a function of the affine values behind its arguments."""
-    function, at_points = group.function, group.at_points
-    bends = [field.bends.functions if field.bends else () for field in group.arguments]
-    used = [functions[k] for functions, row in zip(bends, sort, strict=True) for k in row if k != STRAIGHT]
-    kind: Any = ca.SX if all(f.is_a("SXFunction") for f in (function, *used)) else ca.MX
-    columns = [kind.sym(f"a{i}", field.index.shape[0]) for i, field in enumerate(group.arguments)]
-    bent = [
-        column if np.all(row == STRAIGHT) else _bent(column, row, functions)
-        for column, row, functions in zip(columns, sort, bends, strict=True)
-    ]
-    values = [] if at_points is None else [kind.sym("values", function.size1_in(len(columns)))]
-    composed = ca.Function(function.name(), [*columns, *values], function(*bent, *values))
-    if at_points is not None:
-        at_points = PointValues(ca.Function("points", columns, [at_points.points(*bent)]), at_points.function)
-    return replace(group, function=composed, at_points=at_points, closed=None)
-
-
-def _bent(column: Any, row: Index, functions: tuple[ca.Function, ...]) -> Any:
-    parts = zip(ca.vertsplit(column), row, strict=True)
-    return ca.vertcat(*[part if k == STRAIGHT else functions[k](part) for part, k in parts])

@@ -15,7 +15,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.closed_forms import Layout, evaluated
 from rmesh_nlp.fem.element import FEW, RESULTS, differentiated
-from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, LocalField, Values
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.fem.sums import Entries, Shape, Sums
 from rmesh_nlp.vectorised import AssemblySettings, columnwise
@@ -28,7 +28,7 @@ class Kernel(NamedTuple):
     """
 
     function: ca.Function
-    arguments: tuple[tuple[int, Field], ...]
+    arguments: tuple[tuple[int, Values], ...]
     results: tuple[Entries, ...]
     size: int
 
@@ -58,9 +58,10 @@ class LocalKernels:
         function = self._local.function(which, for_few=self.group.size <= FEW)
         return Kernel(function, self.arguments(which), results, self.group.size)
 
-    def arguments(self, which: str) -> tuple[tuple[int, Field], ...]:
+    def arguments(self, which: str) -> tuple[tuple[int, Values], ...]:
         """The inputs and fields that a kernel takes."""
-        arguments = tuple((int(field.parameter), field) for field in self.group.arguments)
+        fields = self.group.arguments
+        arguments: tuple[tuple[int, Values], ...] = tuple((int(field.parameter), field) for field in fields)
         if which == "hessian":
             arguments += (2, self._axes["one"]), (3, self._axes["rows"])
         return arguments
@@ -194,30 +195,36 @@ def _any_kept(entries: Entries) -> bool:
 class _Gather:
     """One argument of a kernel from one input w: ``scale * w[index] + offset``, (length, elements)."""
 
-    def __init__(self, source: int, field: Field) -> None:
-        moving = field.index != CONSTANT
-        self._source, self._offset = source, field.offset
-        self._index, self._scale = np.where(moving, field.index, 0), np.where(moving, field.scale, 0.0)
+    def __init__(self, source: int, field: Values) -> None:
+        self._source, self._local = source, field if isinstance(field, LocalField) else None
+        nodal = field.nodal if isinstance(field, LocalField) else field
+        moving = nodal.index != CONSTANT
+        self._offset = nodal.offset
+        self._index, self._scale = np.where(moving, nodal.index, 0), np.where(moving, nodal.scale, 0.0)
 
     def __call__(self, inputs: Sequence[Array | None]) -> Array:
-        w = inputs[self._source]
-        if w is None or w.size == 0:
-            return self._offset
-        values = w[self._index]
-        values *= self._scale
-        values += self._offset
-        return values
+        w, values = inputs[self._source], self._offset
+        if w is not None and w.size > 0:
+            values = w[self._index]
+            values *= self._scale
+            values += self._offset
+        return values if self._local is None else self._local.gathered(values)
 
 
 def _alike(one: ElementGroup, other: ElementGroup) -> bool:
     """Whether two groups of energies in closed form have the same triangles, as far as both say."""
     pairs = zip(one.arguments[: one.used], other.arguments[: other.used], strict=False)
-    return one.size == other.size and all(
-        a.parameter == b.parameter
-        and np.array_equal(a.index, b.index)
-        and np.array_equal(a.scale, b.scale)
-        and np.array_equal(a.offset, b.offset)
-        for a, b in pairs
+    return one.size == other.size and all(_equal(a, b) for a, b in pairs)
+
+
+def _equal(one: Values, other: Values) -> bool:
+    if isinstance(one, LocalField) and isinstance(other, LocalField) and one.nodal is other.nodal:
+        return np.array_equal(one.nodes, other.nodes)
+    return (
+        one.parameter == other.parameter
+        and np.array_equal(one.index, other.index)
+        and np.array_equal(one.scale, other.scale)
+        and np.array_equal(one.offset, other.offset)
     )
 
 

@@ -96,10 +96,8 @@ class MeshMap:
         step = reach * tangent[:, sliding]
         index[:, sliding] = np.where(step != 0, first[sliding], CONSTANT)
         scale[:, sliding] = np.where(step != 0, step, 1.0)
-        which, parameters = (
-            np.full(mesh.p.shape, STRAIGHT),
-            constant_field(np.zeros((len(curves), mesh.p.shape[1]))),
-        )
+        which, shape = np.full(mesh.p.shape, STRAIGHT), (len(curves), mesh.p.shape[1])
+        parameters = Field(np.full(shape, CONSTANT), np.ones(shape), np.zeros(shape))
         for number, (name, curve) in enumerate(problem.motion.curves.items()):
             here = np.flatnonzero(sliding & (along == number))
             t, speed = parameters_of(curve, mesh.p[:, here])

@@ -1,0 +1,62 @@
+"""Element groups whose arguments are on curves, as functions of the affine values behind them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.fem.element import PointValues
+from rmesh_nlp.fem.fields import STRAIGHT, ElementGroup
+from rmesh_nlp.fem.space import Index
+
+
+def straightened(group: ElementGroup) -> list[ElementGroup]:
+    """The same elements in groups whose arguments are affine functions of the unknowns.
+
+    What is differentiated is the composition with the curve. Elements are sorted by which of their values are
+    on which curve, and each sort has a function of its own.
+    """
+    bends = [field.bends for field in group.arguments]
+    if all(one is None for one in bends) or group.size == 0:
+        return [group]
+    which = np.vstack(
+        [
+            np.full(field.shape, STRAIGHT) if one is None else one.which
+            for field, one in zip(group.arguments, bends, strict=True)
+        ]
+    )
+    sorts, member = np.unique(which, axis=1, return_inverse=True)
+    lengths = np.cumsum([field.shape[0] for field in group.arguments])[:-1]
+    result = []
+    for number, sort in enumerate(sorts.T):
+        part = group.some(np.flatnonzero(member.ravel() == number))
+        if np.any(sort != STRAIGHT):
+            part = _composed(part, np.split(sort, lengths))
+        result.append(replace(part, arguments=tuple(field.straight() for field in part.arguments)))
+    return result
+
+
+def _composed(group: ElementGroup, sort: list[Index]) -> ElementGroup:
+    """The group as a function of the affine values behind its arguments."""
+    function, at_points = group.function, group.at_points
+    bends = [one.functions if one else () for one in (field.bends for field in group.arguments)]
+    used = [functions[k] for functions, row in zip(bends, sort, strict=True) for k in row if k != STRAIGHT]
+    kind: Any = ca.SX if all(f.is_a("SXFunction") for f in (function, *used)) else ca.MX
+    columns = [kind.sym(f"a{i}", field.shape[0]) for i, field in enumerate(group.arguments)]
+    bent = [
+        column if np.all(row == STRAIGHT) else _bent(column, row, functions)
+        for column, row, functions in zip(columns, sort, bends, strict=True)
+    ]
+    values = [] if at_points is None else [kind.sym("values", function.size1_in(len(columns)))]
+    composed = ca.Function(function.name(), [*columns, *values], function(*bent, *values))
+    if at_points is not None:
+        at_points = PointValues(ca.Function("points", columns, [at_points.points(*bent)]), at_points.function)
+    return replace(group, function=composed, at_points=at_points, closed=None)
+
+
+def _bent(column: Any, row: Index, functions: tuple[ca.Function, ...]) -> Any:
+    parts = zip(ca.vertsplit(column), row, strict=True)
+    return ca.vertcat(*[part if k == STRAIGHT else functions[k](part) for part, k in parts])
