@@ -14,7 +14,9 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse import csgraph
 from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError
@@ -47,7 +49,8 @@ def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curv
     tensors : (3, nodes) array
         Entries xx, xy, yy of the metric at its nodes, in one over length squared.
     lines : (n,) int array
-        Facets on lines that the new edges must follow: boundary, interfaces, named parts.
+        Facets on lines that the new edges must follow: boundary, interfaces, named parts. Lines that end
+        within one piece of the domain keep their edges.
     fixed : (m,) int array
         Nodes that stay: corners, ends of parts.
     off_curves : float
@@ -63,20 +66,23 @@ def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curv
     from mmgpy import MmgMesh2D
 
     edge_sets, edge_mark = _marks(mesh.boundaries, lines)
-    cell_sets, cell_mark = _marks(mesh.subdomains, np.arange(mesh.t.shape[1]))
+    piece = _pieces(mesh, lines)
+    cell_sets, cell_mark = _marks(mesh.subdomains, np.arange(mesh.t.shape[1]), piece)
     work = MmgMesh2D()
     work.set_mesh_size(vertices=mesh.p.shape[1], triangles=mesh.t.shape[1], edges=lines.size)
     work.set_vertices(np.ascontiguousarray(mesh.p.T))
     work.set_triangles(_rows(counter_clockwise(mesh.p, mesh.t)), cell_mark)
     work.set_edges(_rows(mesh.facets[:, lines]), edge_mark)
+    one, other = mesh.f2t[:, lines]
+    ends_inside = np.flatnonzero((other >= 0) & (piece[one] == piece[other]))
+    work.set_required_edges(ends_inside.astype(np.int32))  # Mmg follows lines between two pieces only
     work.set_corners(fixed.astype(np.int32))
     work.set_required_vertices(fixed.astype(np.int32))
     work["tensor"] = np.ascontiguousarray(tensors.T)
     size = float(np.max(np.ptp(mesh.p, axis=1)))
     try:
-        # sizes change as fast as the metric says; lines within one subdomain are kept as well
-        with _own_signals():
-            work.remesh(verbose=-1, hgrad=-1.0, hausd=off_curves or size, opnbdy=1)
+        with _own_signals():  # sizes change as fast as the metric says
+            work.remesh(verbose=-1, hgrad=-1.0, hausd=off_curves or size)
     except RuntimeError as error:
         raise BadInputError(f"Mmg cannot remesh this domain: {error}") from error
     triangles, cell_mark = work.get_triangles_with_refs()
@@ -129,11 +135,25 @@ def _own_signals() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
-def _marks(groups: Mapping[str, Any] | None, chosen: Index) -> tuple[dict[str, Index], Index]:
-    """The marks of each name, and the mark (chosen,) of each member: one for every combination of names."""
+def _pieces(mesh: MeshTri, lines: Index) -> Index:
+    """A number (elements,) for each piece that the lines cut the domain into."""
+    a, b = mesh.f2t[:, np.setdiff1d(np.flatnonzero(mesh.f2t[1] >= 0), lines)]
+    n = mesh.t.shape[1]
+    beside = sp.coo_array((np.ones(a.size), (a, b)), shape=(n, n))
+    return np.asarray(csgraph.connected_components(beside, directed=False)[1], dtype=np.int64)
+
+
+def _marks(
+    groups: Mapping[str, Any] | None, chosen: Index, piece: Index | None = None
+) -> tuple[dict[str, Index], Index]:
+    """The marks of each name, and the mark (chosen,) of each member.
+
+    There is one for every combination of names and number of a ``piece`` (chosen,).
+    """
     known = {name: np.asarray(one) for name, one in (groups or {}).items() if not name.startswith("gmsh:")}
     member = np.array([np.isin(chosen, one) for one in known.values()]).reshape(len(known), chosen.size)
-    kinds, mark = np.unique(member.T, axis=0, return_inverse=True)
+    pieces = np.zeros(chosen.size, dtype=np.int64) if piece is None else piece
+    kinds, mark = np.unique(np.vstack([member, pieces]).T, axis=0, return_inverse=True)
     sets = {name: 1 + np.flatnonzero(kinds[:, number]) for number, name in enumerate(known)}
     return sets, (1 + mark.ravel()).astype(np.int64)
 

@@ -1,0 +1,254 @@
+"""Remeshing by Mmg: domain, names, corners and signals are kept."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+from skfem import MeshTri
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.meshes import mmg, named, shapes
+from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.meshes.mmg import remeshed
+from rmesh_nlp.problem.lines import line_facets
+
+
+def uniform(mesh: MeshTri, length: float) -> np.ndarray:
+    """(3, nodes) the metric of edges of one length."""
+    return np.broadcast_to(np.array([[1.0], [0.0], [1.0]]) / length**2, (3, mesh.p.shape[1]))
+
+
+def corner_nodes(mesh: MeshTri) -> np.ndarray:
+    """Nodes with other than two facets on lines, or where these turn."""
+    ends = mesh.facets[:, line_facets(mesh)]
+    found = []
+    for node in np.unique(ends):
+        here = ends[:, np.any(ends == node, axis=0)]
+        directions = mesh.p[:, here[1]] - mesh.p[:, here[0]]
+        straight = here.shape[1] == 2 and abs(np.linalg.det(directions)) < 1e-9
+        if not straight:
+            found.append(node)
+    return np.array(found)
+
+
+def made(mesh: MeshTri, length: float, fixed: np.ndarray | None = None) -> MeshTri:
+    return remeshed(
+        mesh, uniform(mesh, length), line_facets(mesh), corner_nodes(mesh) if fixed is None else fixed
+    )
+
+
+def area(mesh: MeshTri, elements: np.ndarray | None = None) -> float:
+    return float(np.abs(signed_areas(mesh.p, mesh.t if elements is None else mesh.t[:, elements])).sum())
+
+
+def length_of(mesh: MeshTri, name: str) -> float:
+    a, b = mesh.p[:, mesh.facets[:, np.asarray(mesh.boundaries[name])]].transpose(1, 0, 2)
+    return float(np.linalg.norm(a - b, axis=0).sum())
+
+
+def middles(mesh: MeshTri, name: str) -> np.ndarray:
+    return np.asarray(mesh.p[:, mesh.facets[:, np.asarray(mesh.boundaries[name])]].mean(axis=1))
+
+
+def has_nodes(mesh: MeshTri, points: np.ndarray) -> bool:
+    off = np.abs(mesh.p[:, :, None] - points[:, None]).max(axis=0).min(axis=0)
+    return bool(np.all(off < 1e-12))
+
+
+@pytest.fixture(scope="module")
+def body() -> MeshTri:
+    """A square with two halves, and a part of the top that overlaps it."""
+    mesh = shapes.rectangle(6, 6)
+    return named(
+        mesh,
+        {"load": lambda x: (x[1] > 1 - 1e-9) & (x[0] < 0.5), "all": lambda x: x[0] > -1},
+        {"lower": lambda x: x[1] < 0.5, "upper": lambda x: x[1] > 0.5, "wide": lambda x: x[0] > -1},
+    )
+
+
+class TestNames:
+    def test_of_boundaries_are_kept_also_where_they_overlap(self, body: MeshTri) -> None:
+        new = made(body, 0.09)
+        assert new.p.shape[1] > 1.5 * body.p.shape[1]
+        assert set(new.boundaries) == set(body.boundaries)
+        assert set(np.asarray(new.boundaries["load"])) < set(np.asarray(new.boundaries["top"]))
+        assert set(np.asarray(new.boundaries["all"])) == set(new.boundary_facets())
+        for name in body.boundaries:
+            assert length_of(new, name) == pytest.approx(length_of(body, name), rel=1e-12)
+        assert np.all(middles(new, "load")[0] < 0.5)
+        np.testing.assert_allclose(middles(new, "right")[0], 1.0, atol=1e-12)
+
+    def test_of_subdomains_are_kept_also_where_they_overlap(self, body: MeshTri) -> None:
+        new = made(body, 0.09)
+        centres = new.p[:, new.t].mean(axis=1)
+        assert set(new.subdomains) == {"lower", "upper", "wide"}
+        np.testing.assert_array_equal(np.sort(new.subdomains["lower"]), np.flatnonzero(centres[1] < 0.5))
+        np.testing.assert_array_equal(np.sort(new.subdomains["upper"]), np.flatnonzero(centres[1] > 0.5))
+        assert len(new.subdomains["wide"]) == new.t.shape[1]
+        assert area(new, new.subdomains["lower"]) == pytest.approx(0.5, rel=1e-12)
+
+    @pytest.mark.parametrize("top", [0.7, 1.1], ids=["ends inside", "cuts in two"])
+    def test_of_a_line_within_a_subdomain_are_kept(self, top: float) -> None:
+        mesh = shapes.rectangle(6, 6)
+        on = np.isclose(mesh.p[0], 1 / 3) & (mesh.p[1] < top)
+        mesh = mesh.with_boundaries({**mesh.boundaries, "line": np.flatnonzero(on[mesh.facets].all(axis=0))})
+        new = made(mesh, 0.08)
+        assert length_of(new, "line") == pytest.approx(length_of(mesh, "line"), rel=1e-12)
+        np.testing.assert_allclose(middles(new, "line")[0], 1 / 3, atol=1e-12)
+        assert (new.boundaries["line"].size > 8) == (top > 1)  # kept as it is where it ends inside
+
+    def test_a_mesh_without_names_has_none(self) -> None:
+        mesh = MeshTri.init_sqsymmetric().refined(2)
+        new = made(MeshTri(mesh.p, mesh.t), 0.15)
+        assert not new.boundaries
+        assert not new.subdomains
+        assert area(new) == pytest.approx(1.0, rel=1e-12)
+
+
+class TestDomain:
+    @pytest.mark.parametrize("length", [0.03, 0.1, 0.4])
+    def test_l_shape_keeps_its_corners(self, length: float) -> None:
+        mesh = shapes.l_shape(0.25)
+        new = made(mesh, length)
+        assert area(new) == pytest.approx(area(mesh), rel=1e-12)
+        assert has_nodes(new, mesh.p[:, corner_nodes(mesh)])
+        # counter-clockwise, and edges about as long as asked for
+        edges = new.p[:, new.facets[0]] - new.p[:, new.facets[1]]
+        assert 0.5 * length < np.median(np.linalg.norm(edges, axis=0)) < 1.5 * length
+
+    def test_a_polygonal_hole_keeps_its_vertices(self) -> None:
+        mesh = shapes.plate_with_hole(2.0)
+        new = made(mesh, 1.0)
+        rim = np.unique(mesh.facets[:, np.asarray(mesh.boundaries["hole"])])
+        assert has_nodes(new, mesh.p[:, rim])
+        assert area(new) == pytest.approx(area(mesh), rel=1e-10)
+
+    def test_several_bodies_stay_apart(self) -> None:
+        one = shapes.rectangle(4, 4)
+        p = np.hstack([one.p, one.p + np.array([[1.1], [0.3]])])
+        new = made(MeshTri(p, np.hstack([one.t, one.t + one.p.shape[1]])), 0.12)
+        assert area(new) == pytest.approx(2.0, rel=1e-12)
+        left = np.all(new.p[0, new.t] < 1 + 1e-9, axis=0)
+        right = np.all(new.p[0, new.t] > 1.1 - 1e-9, axis=0)
+        assert np.all(left ^ right)
+        assert area(new, np.flatnonzero(left)) == pytest.approx(1.0, rel=1e-12)
+
+    def test_clockwise_triangles_and_nodes_of_no_triangle_do_no_harm(self) -> None:
+        one = shapes.rectangle(4, 4)
+        p = np.hstack([one.p, [[7.0], [7.0]]])
+        mesh = MeshTri(p, one.t[[0, 2, 1]]).with_boundaries(one.boundaries)
+        new = made(mesh, 0.12)
+        assert area(new) == pytest.approx(1.0, rel=1e-12)
+        assert new.p.max() <= 1.0
+        np.testing.assert_array_equal(np.unique(new.t), np.arange(new.p.shape[1]))
+        for name in one.boundaries:
+            assert length_of(new, name) == pytest.approx(1.0, rel=1e-12)
+
+    def test_fixed_nodes_stay_inside_and_on_the_boundary(self) -> None:
+        mesh = shapes.rectangle(7, 7)
+        chosen = np.flatnonzero(np.isclose(mesh.p[0], 3 / 7) & (mesh.p[1] < 0.5))
+        new = made(mesh, 0.4, np.union1d(corner_nodes(mesh), chosen))
+        assert has_nodes(new, mesh.p[:, chosen])
+        assert new.p.shape[1] < mesh.p.shape[1]
+
+    def test_edges_are_stretched_as_the_metric_says(self) -> None:
+        mesh = shapes.rectangle(8, 8)
+        tensors = uniform(mesh, 0.05) * np.array([[1.0], [0.0], [1 / 16]])  # four times as long in y
+        new = remeshed(mesh, tensors, line_facets(mesh), corner_nodes(mesh))
+        dx, dy = np.abs(new.p[:, new.facets[0]] - new.p[:, new.facets[1]]).mean(axis=1)
+        assert 2.5 < dy / dx < 6
+
+    def test_edges_on_an_arc_are_no_further_off_than_said(self) -> None:
+        """A polygon of a circle, all nodes of which may go: its edges grow until they are off."""
+        mesh = shapes.plate_with_hole(0.3)
+        number = {}
+        for off in (0.02, 0.2):
+            new = remeshed(mesh, uniform(mesh, 2.0), line_facets(mesh), np.arange(0), off)
+            number[off] = new.boundaries["hole"].size
+            a, b = new.p[:, new.facets[:, np.asarray(new.boundaries["hole"])]].transpose(1, 0, 2)
+            sagitta = np.linalg.norm(a - b, axis=0) ** 2 / (8 * 2.5)
+            assert sagitta.max() < 2 * off
+        assert number[0.02] > 1.5 * number[0.2]
+
+
+class TestErrors:
+    def test_without_mmgpy_it_says_what_to_install(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(mmg, "is_available", lambda: False)
+        with pytest.raises(BadInputError, match=r"pip install 'rmesh-nlp\[remesh\]'"):
+            made(shapes.rectangle(2, 2), 0.3)
+
+    def test_what_mmg_says_is_passed_on(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        import mmgpy
+
+        def fail(*_: object, **__: object) -> None:
+            raise RuntimeError("no memory")
+
+        monkeypatch.setattr(mmgpy.MmgMesh2D, "remesh", fail)
+        before = signal.getsignal(signal.SIGINT)
+        with pytest.raises(BadInputError, match="Mmg cannot remesh this domain: no memory"):
+            made(shapes.rectangle(2, 2), 0.3)
+        assert signal.getsignal(signal.SIGINT) is before
+        assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def press() -> None:
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+class TestSignals:
+    """Mmg has handlers of its own, of which that for Ctrl-C ends the process."""
+
+    @pytest.mark.parametrize("within", [False, True], ids=["main thread", "another thread"])
+    def test_ctrl_c_after_a_remeshing_is_a_keyboard_interrupt(self, within: bool) -> None:
+        def run() -> None:
+            made(shapes.rectangle(3, 3), 0.2)
+
+        if within:
+            thread = threading.Thread(target=run)
+            thread.start()
+            thread.join()
+        else:
+            run()
+        with pytest.raises(KeyboardInterrupt):
+            press()
+        assert not [one for one in threading.enumerate() if one.name == "signals"]
+
+    def test_handlers_of_the_caller_are_kept(self) -> None:
+        seen = []
+        before = signal.signal(signal.SIGTERM, lambda *_: seen.append(1))
+        try:
+            made(shapes.rectangle(3, 3), 0.2)
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert seen == [1]
+        finally:
+            signal.signal(signal.SIGTERM, before)
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("others", [0, 1])
+    def test_ctrl_c_during_a_remeshing_waits_until_it_is_done(self, others: int) -> None:
+        """Also where a second thread, such as that of a progress bar, could get the signal."""
+        code = f"""
+import os, subprocess, sys, threading, time
+import numpy as np
+from rmesh_nlp.meshes.mmg import remeshed
+from rmesh_nlp.meshes.shapes import rectangle
+mesh = rectangle(20, 20)
+tensors = np.zeros((3, mesh.p.shape[1])); tensors[[0, 2]] = 40_000.0
+for _ in range({others}):
+    threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
+press = f"import os, time; time.sleep(0.5); os.kill({{os.getpid()}}, 2)"
+subprocess.Popen([sys.executable, "-c", press])
+try:
+    remeshed(mesh, tensors, mesh.boundary_facets(), np.array([0, 20, 420, 440]))
+    time.sleep(30)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+        assert (found.returncode, found.stdout.strip()) == (0, "interrupted")
