@@ -18,6 +18,7 @@ from skfem import MeshTri
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.errors import BadInputError, ProblemError
+from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT
 from rmesh_nlp.fem.metric import Metric, best_metric
 from rmesh_nlp.fem.recovery import Index, Recovered, interpolation_error, second_derivatives
@@ -130,7 +131,8 @@ def metric_start(first: Solved, nodes: int, is_late: Callable[[], bool] = lambda
         if size == nodes:
             fall = np.inf if best is None else best.state.energy - there.state.energy
             best = there if fall > 0 else best
-            if is_late() or fall <= WORTHWHILE * there.error:
+            least = WORTHWHILE * there.error + ROUNDING * abs(there.state.energy)
+            if is_late() or fall <= least:
                 break
         here = there
     assert best is not None

@@ -1,0 +1,375 @@
+"""The metric start: number of nodes, what is carried over, curves, least angles, rounds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import BadInputError, ProblemError
+from rmesh_nlp.fem.interpolation_error import errors
+from rmesh_nlp.mapping import MeshMap, Mobility
+from rmesh_nlp.mapping.validity import least_angles
+from rmesh_nlp.meshes import from_arrays, named
+from rmesh_nlp.meshes.curves import Curve
+from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.models import remeshing
+from rmesh_nlp.models.remeshing import (
+    EXACT,
+    ROUNDS,
+    Solved,
+    metric_start,
+    remeshed_problem,
+    sagitta,
+)
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import (
+    NO_CONTACT,
+    ContactProblem,
+    Laplace,
+    Motion,
+    Obstacle,
+    Place,
+    PlaneStrain,
+    PointLoad,
+    Traction,
+)
+from rmesh_nlp.problem.body import Body
+from support.contact_geometry import (
+    block_between_two_foundations,
+    block_in_a_corner,
+    block_sliding_on_a_circle,
+    punch_held_by_symmetry,
+)
+from support.curved import CURVES, plate, spline_of_the_hole
+from support.problems import energy_error, signorini
+
+SOURCE = Laplace(lambda x, y: 50 * x * x)
+
+
+def scalar(mesh: Any = None, **parts: Any) -> ContactProblem:
+    usual = {"law": SOURCE, "dirichlet": ("left",), "obstacle": NO_CONTACT, "motion": Motion(None)}
+    return ContactProblem(**{"mesh": rectangle(6, 6) if mesh is None else mesh, **usual, **parts})
+
+
+def remade(problem: ContactProblem, nodes: int | None = None, **options: Any) -> ContactProblem:
+    number = problem.mesh.p.shape[1] if nodes is None else nodes
+    return remeshed_problem(problem, Solved.of(problem).regions, number, **options)[0]
+
+
+def without_limits(problem: ContactProblem) -> ContactProblem:
+    return replace(problem, motion=replace(problem.motion, delta=None))
+
+
+def has_nodes(problem: ContactProblem, places: np.ndarray) -> bool:
+    """Whether nodes are at these places (2, n)."""
+    off = np.abs(problem.mesh.p[:, :, None] - places[:, None]).max(axis=0).min(axis=0)
+    return bool(np.all(off < 1e-12))
+
+
+def count(problem: ContactProblem) -> int:
+    return int(problem.mesh.p.shape[1])
+
+
+class TestNumberOfNodes:
+    @pytest.mark.parametrize("nodes", [20, 49, 100, 500])
+    def test_is_met_up_to_two_percent(self, nodes: int) -> None:
+        found = remade(scalar(), nodes)
+        assert abs(count(found) - nodes) <= max(EXACT * nodes, 1)
+
+    def test_ratio_of_triangles_saves_runs_of_mmg(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        problem, runs = scalar(), []
+        real = remeshing.remeshed
+        monkeypatch.setattr(remeshing, "remeshed", lambda *a: runs.append(1) or real(*a))
+        regions = Solved.of(problem).regions
+        first, ratio = remeshed_problem(problem, regions, 400)
+        needed = len(runs)
+        again, same = remeshed_problem(problem, regions, 400, ratio)
+        assert needed > 1
+        assert len(runs) == needed + 1
+        assert same == ratio
+        np.testing.assert_array_equal(again.mesh.p, first.mesh.p)
+
+    def test_a_rough_number_is_enough_on_the_way(self) -> None:
+        assert abs(count(remade(scalar(), 300, tolerance=0.2)) - 300) <= 60
+
+    def test_fewer_than_the_domain_needs_are_refused(self) -> None:
+        held = scalar(motion=Motion(None, pinned=("left", "right", "top", "bottom")))
+        with pytest.raises(BadInputError, match="no mesh of 15 nodes of this domain: the nearest has 2"):
+            remade(held, 15)
+
+    def test_a_mesh_that_the_problem_cannot_live_on_says_why(self) -> None:
+        with pytest.raises(BadInputError, match=r"mesh of \d nodes: no node of the contact set is free"):
+            remade(signorini(), 4)
+
+
+class TestCarriedOver:
+    def test_domain_names_and_everything_else(self) -> None:
+        problem = block_between_two_foundations()
+        found = remade(without_limits(problem), 120)
+        assert np.abs(signed_areas(found.mesh.p, found.mesh.t)).sum() == pytest.approx(2.0)
+        assert found.mesh.boundaries.keys() == problem.mesh.boundaries.keys()
+        for name in ("law", "dirichlet", "obstacle", "tractions", "quadrature", "name", "units"):
+            assert getattr(found, name) == getattr(problem, name)
+        assert found.reference is None
+        assert str(found.mesh.t.shape[1]) in found.size
+
+    @pytest.mark.parametrize("rule", ["pinned", "slides", "free"])
+    def test_rules_for_nodes_follow_them(self, rule: str) -> None:
+        mesh = rectangle(6, 6)
+        place = np.array([[0.5], [0.0 if rule == "slides" else 0.5]])
+        node = int(np.argmin(np.hypot(*(mesh.p - place))))
+        names = () if rule == "slides" else ("top",)  # the ends of a boundary cannot slide
+        found = remade(scalar(mesh, motion=Motion(None, **{rule: (node, *names)})), 60)
+        number, *others = getattr(found.motion, rule)
+        assert tuple(others) == names
+        np.testing.assert_allclose(found.mesh.p[:, number], mesh.p[:, node], atol=1e-14)
+        kind = {"pinned": Mobility.PINNED, "slides": Mobility.SLIDING, "free": Mobility.FREE}[rule]
+        assert MeshMap.of(found).mobility[number] == kind
+
+    def test_tied_nodes_and_their_leaders(self) -> None:
+        mesh = rectangle(6, 6)
+        pair = tuple(int(np.argmin(np.hypot(mesh.p[0] - x, mesh.p[1] - 0.5))) for x in (1 / 3, 2 / 3))
+        found = remade(scalar(mesh, motion=Motion(None, tied=(pair,))), 60)
+        ((node, leader),) = found.motion.tied
+        np.testing.assert_allclose(found.mesh.p[:, [node, leader]], mesh.p[:, pair], atol=1e-14)
+
+    def test_point_loads_keep_their_places_and_forces(self) -> None:
+        mesh = rectangle(6, 6)
+        places = np.array([[0.5, 1.0], [0.5, 2 / 3]])
+        nodes = [int(np.argmin(np.hypot(*(mesh.p - place[:, None])))) for place in places.T]
+        loads = tuple(PointLoad(node, (0.0, -1.0 - node)) for node in nodes)
+        found = remade(scalar(mesh, law=PlaneStrain(1.0, 1.0), point_loads=loads), 90)
+        there = found.mesh.p[:, [one.node for one in found.point_loads]]
+        np.testing.assert_allclose(there, places, atol=1e-14)
+        assert [one.force for one in found.point_loads] == [one.force for one in loads]
+
+    def test_two_materials_keep_their_interface(self) -> None:
+        mesh = named(rectangle(8, 8), {}, {"a": lambda x: x[0] < 0.5, "b": lambda x: x[0] > 0.5})
+        problem = scalar(mesh, law={"a": SOURCE, "b": replace(SOURCE, conductivity=50.0)})
+        found = remade(problem)
+        centres = found.mesh.p[:, found.mesh.t].mean(axis=1)
+        for (law, elements), side in zip(found.regions, (centres[0] < 0.5, centres[0] > 0.5), strict=True):
+            np.testing.assert_array_equal(np.sort(elements), np.flatnonzero(side))
+            assert law.conductivity in (1.0, 50.0)
+        assert [law.conductivity for law, _ in found.regions] == [1.0, 50.0]
+
+    def test_bodies_that_only_contact_holds(self) -> None:
+        for problem in (block_in_a_corner(), punch_held_by_symmetry()):
+            start = metric_start(Solved.of(without_limits(problem)), 80)
+            assert start.solved.state.status is Status.CONVERGED
+
+    def test_friction_and_interior_obstacles(self) -> None:
+        membrane = scalar(
+            rectangle(8, 8),
+            law=Laplace(-10.0),
+            dirichlet=("left", "right", "top", "bottom"),
+            obstacle=Obstacle(Place.INTERIOR, (1.0,), 0.05),
+        )
+        for problem in (membrane, without_limits(block_sliding_on_a_circle())):
+            found = metric_start(Solved.of(problem), 90).solved
+            assert found.state.status is Status.CONVERGED
+            assert found.problem.obstacles == problem.obstacles
+
+
+class TestCurves:
+    @pytest.mark.parametrize(
+        ("curve", "nodes"),
+        [*((CURVES["circle"], nodes) for nodes in (44, 88, 300)), (spline_of_the_hole(), 150)],
+        ids=["circle", "twice the nodes", "many nodes", "spline"],
+    )
+    def test_nodes_end_on_them_and_arcs_are_no_higher_than_given(self, curve: Curve, nodes: int) -> None:
+        problem = plate({"hole": curve})
+        found = remade(problem, nodes)
+        rim = found.mesh.p[:, found.boundary_nodes(("hole",))]
+        assert np.abs(curve.at(curve.nearest(rim)) - rim).max() < 1e-12
+        assert sagitta(found) <= sagitta(problem) * (1 + 1e-9)
+        assert Body(found, np.asarray(found.mesh.p)).is_upright()
+
+    def test_arcs_of_all_rounds_are_measured_against_the_given_mesh(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        problem, allowed = plate({"hole": CURVES["circle"]}), []
+        real = remeshing.remeshed_problem
+        monkeypatch.setattr(remeshing, "remeshed_problem", lambda *a: allowed.append(a[5]) or real(*a))
+        metric_start(Solved.of(problem), 200)
+        assert len(allowed) > 2
+        assert set(allowed) == {sagitta(problem)}
+
+    def test_sagitta_is_the_largest_height_of_an_arc(self) -> None:
+        problem = plate({"hole": CURVES["circle"]})
+        mesh = problem.mesh
+        a, b = mesh.p[:, mesh.facets[:, np.asarray(mesh.boundaries["hole"])]].transpose(1, 0, 2)
+        half = np.linalg.norm(a - b, axis=0).max() / 2
+        assert sagitta(problem) == pytest.approx(2.5 - np.sqrt(2.5**2 - half**2))
+        assert sagitta(plate()) == 0.0
+
+    def test_a_polygon_without_a_curve_keeps_its_vertices(self) -> None:
+        problem = plate()
+        assert has_nodes(remade(problem, 150), problem.mesh.p[:, problem.boundary_nodes(("hole",))])
+
+    def test_a_boundary_that_is_a_part_of_a_circle_keeps_its_ends(self) -> None:
+        """The upper half of the hole; the lower half is a polygon."""
+        given = plate()
+        mesh = named(given.mesh, {"arc": lambda x: (np.hypot(*(x - 5)) < 2.6) & (x[1] > 5)})
+        problem = replace(given, mesh=mesh, motion=Motion(None, curves={"arc": CURVES["circle"]}))
+        arc = problem.boundary_nodes(("arc",))
+        polygon = np.setdiff1d(problem.boundary_nodes(("hole",)), arc)
+        found = remade(problem, 150)
+        p = found.mesh.p[:, found.boundary_nodes(("arc",))]
+        np.testing.assert_allclose(np.hypot(*(p - 5)), 2.5, atol=1e-12)
+        ends = arc[[np.argmin(mesh.p[0, arc]), np.argmax(mesh.p[0, arc])]]
+        assert has_nodes(found, mesh.p[:, np.append(polygon, ends)])
+        assert p.shape[1] > arc.size
+
+    def test_too_few_nodes_for_the_curve_are_refused(self) -> None:
+        with pytest.raises(BadInputError, match="too coarse for the curves: take more"):
+            remade(plate({"hole": CURVES["circle"]}), 12)
+
+
+class TestLeastAngle:
+    @pytest.mark.parametrize("angle", [10.0, 20.0, 30.0])
+    def test_is_that_of_the_motion_or_more(self, angle: float) -> None:
+        found = remade(scalar(motion=Motion(None, min_angle=angle)))
+        assert least_angles(found.mesh.p, found.triangles).min() >= angle
+
+    def test_is_small_if_none_is_asked_for(self) -> None:
+        found = remade(scalar())
+        assert least_angles(found.mesh.p, found.triangles).min() < 10.0
+
+    def test_more_than_mmg_can_do_is_refused(self) -> None:
+        problem = replace(signorini(6), motion=Motion(None, min_angle=55.0))
+        with pytest.raises(BadInputError, match="no mesh of 49 nodes with angles of 55 degrees or more"):
+            remade(problem)
+
+
+class TestSmallAndPlain:
+    def test_four_triangles(self) -> None:
+        nodes = [[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]]
+        triangles = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]
+        four = scalar(from_arrays(nodes, triangles, {"left": lambda x: x[0] < 1e-9}))
+        assert 3 < count(metric_start(Solved.of(four), 5).solved.problem) <= 7
+        assert abs(count(metric_start(Solved.of(four), 60).solved.problem) - 60) <= 2
+
+    @pytest.mark.parametrize("pull", [1.0, 0.0])
+    def test_a_linear_displacement_gets_a_uniform_mesh(self, pull: float) -> None:
+        problem = scalar(law=Laplace(0.0), tractions=(Traction("right", (pull,)),))
+        solved = Solved.of(problem)
+        assert solved.error == 0.0
+        start = metric_start(solved, 49)
+        assert len(start.nodes) <= 2  # there is nothing to gain
+        found = start.solved.problem
+        assert least_angles(found.mesh.p, found.triangles).min() > 15
+        assert start.energies[-1] == pytest.approx(-(pull**2) / 2, rel=1e-9, abs=1e-12)
+
+
+class TestSolved:
+    def test_error_is_the_interpolation_error_of_all_regions(self) -> None:
+        mesh = named(rectangle(8, 8), {}, {"a": lambda x: x[0] < 0.5, "b": lambda x: x[0] > 0.5})
+        solved = Solved.of(scalar(mesh, law={"a": SOURCE, "b": replace(SOURCE, conductivity=50.0)}))
+        total = 0.0
+        for one in solved.regions:
+            corners = mesh.p[:, one.nodes][:, one.triangles]
+            total += errors(one.law, corners, one.second[:, :, one.triangles].mean(axis=2)).sum()
+        assert solved.error == pytest.approx(total, rel=1e-12)
+        assert len(solved.regions) == 2
+
+    def test_error_is_near_the_true_one_on_a_fine_mesh(self) -> None:
+        problem = signorini(56)
+        assert Solved.of(problem).error == pytest.approx(energy_error(problem), rel=0.2)
+
+    def test_state_is_the_contact_solution(self) -> None:
+        problem = signorini(4)
+        assert Solved.of(problem).state.energy == ContactSolver(problem).solve(problem.mesh.p).energy
+
+
+class Calls:
+    """Rounds whose energies are given."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, energies: list[Any]) -> None:
+        self.sizes: list[int] = []
+        self.tolerances: list[float] = []
+        self.left = list(energies)
+        monkeypatch.setattr(remeshing, "remeshed_problem", self.remesh)
+        monkeypatch.setattr(remeshing, "_solved", self.solve)
+
+    def remesh(self, problem: Any, _: Any, size: int, ratio: float, tolerance: float, off: float) -> Any:
+        self.sizes.append(size)
+        self.tolerances.append(tolerance)
+        if isinstance(self.left[0], BadInputError):
+            raise self.left.pop(0)
+        return problem, 2.0
+
+    def solve(self, problem: ContactProblem) -> Any:
+        energy = self.left.pop(0)
+        if isinstance(energy, Exception):
+            raise energy
+        solved = Solved.of(problem)
+        object.__setattr__(solved, "state", replace(solved.state, energy=energy))
+        solved.__dict__["error"] = 1.0
+        return solved
+
+
+class TestRounds:
+    @pytest.mark.parametrize(
+        ("energies", "best", "rounds"),
+        [
+            ([-1.0, -2.0, -2.01], -2.01, 3),  # hardly lower: enough
+            ([-1.0, -2.0, -1.9], -2.0, 3),  # higher: the one before
+            ([-1.0, -1.1, -1.2, -1.3, -9.0], -1.3, ROUNDS),
+            ([-1.0, -1.0], -1.0, 2),
+        ],
+    )
+    def test_go_on_until_the_energy_hardly_falls(
+        self, monkeypatch: pytest.MonkeyPatch, energies: list[float], best: float, rounds: int
+    ) -> None:
+        calls = Calls(monkeypatch, energies)
+        start = metric_start(Solved.of(signorini(2)), 9)
+        assert start.solved.state.energy == best
+        assert (len(start.energies), calls.sizes) == (rounds, [9] * rounds)
+        assert start.energies == tuple(energies[:rounds])
+        assert start.nodes == (9,) * rounds
+
+    def test_grow_by_four_at_most(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        calls = Calls(monkeypatch, [-9.0, -8.0, -1.0, -1.0])
+        start = metric_start(Solved.of(signorini(2)), 150)
+        assert calls.sizes == [36, 144, 150, 150]
+        assert calls.tolerances == [0.2, 0.2, 0.02, 0.02]
+        assert start.solved.state.energy == -1.0  # coarser ones do not count
+
+    def test_one_is_made_even_if_it_is_late(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        calls = Calls(monkeypatch, [-1.0, -2.0])
+        assert metric_start(Solved.of(signorini(2)), 9, lambda: True).solved.state.energy == -1.0
+        assert calls.sizes == [9]
+
+    @pytest.mark.parametrize("error", [ProblemError("mesh", "not solved"), BadInputError("folds")])
+    def test_a_later_one_that_fails_is_given_up(
+        self, monkeypatch: pytest.MonkeyPatch, error: Exception
+    ) -> None:
+        Calls(monkeypatch, [-1.0, error])
+        assert metric_start(Solved.of(signorini(2)), 9).energies == (-1.0,)
+        Calls(monkeypatch, [error])
+        with pytest.raises(type(error), match=str(error)):
+            metric_start(Solved.of(signorini(2)), 9)
+
+    def test_a_contact_problem_without_a_solution_is_an_error(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def unsolved(problem: ContactProblem) -> Solved:
+            solver = ContactSolver(problem)
+            state = replace(solver.solve(problem.mesh.p), status=Status.ITERATION_LIMIT)
+            return Solved(solver, state)
+
+        first = Solved.of(signorini(4))
+        monkeypatch.setattr(Solved, "of", staticmethod(unsolved))
+        with pytest.raises(ProblemError, match="not solved on a new mesh of 2"):
+            metric_start(first, 25)
+
+    def test_error_of_example_61_falls_four_times(self) -> None:
+        problem = signorini(16)
+        start = metric_start(Solved.of(problem), count(problem))
+        assert abs(count(start.solved.problem) - 289) <= 0.02 * 289 + 1
+        assert energy_error(problem) / energy_error(start.solved.problem) > 4
+        assert min(start.energies) == start.solved.state.energy
