@@ -147,15 +147,17 @@ def table(rows: Sequence[Row], goals: Mapping[tuple[str, int], float]) -> str:
 
 
 def times(rows: Sequence[Row]) -> str:
-    """Processor times of the metric loop over those of h-adaptive refinement at equal error, in Markdown."""
-    lines = ["| problem | nodes | error | s | over h-adaptive's |", "|:--|--:|--:|--:|--:|"]
+    """Processor times over those of h-adaptive refinement at equal error, in Markdown."""
+    lines = ["| problem | method | nodes | s | over h-adaptive's |", "|:--|:--|--:|--:|--:|"]
     for case in dict.fromkeys(r.case for r in rows):
         known = [r for r in of(rows, case, ADAPTIVE)[::-1] if np.isfinite(r.seconds)]
-        for r in of(rows, case, LOOP):
-            there = at([o.error for o in known], [o.seconds for o in known], r.error)
-            if r.nodes >= MANY and np.isfinite(there):
-                ratio = f"{r.seconds / there:.2f}"
-                lines.append(f"| {case} | {r.nodes} | {r.error:.3g} | {r.seconds:.3g} | {ratio} |")
+        errors, seconds = ([getattr(r, name) for r in known] for name in ("error", "seconds"))
+        for method in (LOOP, RELOCATED, REMESHED):
+            own = [r for r in of(rows, case, method) if r.nodes >= MANY]
+            ratios = [r.seconds / at(errors, seconds, r.error) for r in own]
+            if np.any(np.isfinite(ratios)):
+                columns = [str(r.nodes) for r in own], [f"{r.seconds:.2g}" for r in own], map(_figure, ratios)
+                lines.append(f"| {case} | {method} | {' | '.join(map(', '.join, columns))} |")
     return "\n".join(lines) + "\n"
 
 

@@ -49,7 +49,7 @@ def test_times_are_compared_at_equal_error() -> None:
     rows = script("best_mesh.rows")
     found = [*rows_of(rows.ADAPTIVE, [50, 4000], 4.0), *rows_of(rows.LOOP, [100, 400], 1.0)]
     # the adaptive mesh of this error has 1600 nodes
-    assert rows.times(found).splitlines()[2:] == ["| 6.3 | 400 | 0.0025 | 800 | 0.25 |"]
+    assert rows.times(found).splitlines()[2:] == ["| 6.3 | metric, adaptive loop | 400 | 8e+02 | 0.25 |"]
 
 
 def test_predicted_factors_are_compared_at_equal_nodes_unless_refining_is_advised() -> None:
