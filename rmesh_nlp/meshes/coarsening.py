@@ -41,6 +41,12 @@ class Lines:
     kept: Mask
     edges: Index
 
+    def nodes(self, n: int) -> Mask:
+        """Nodes (n,) on lines."""
+        found = np.zeros(n, dtype=bool)
+        found[self.edges] = True
+        return found
+
 
 @dataclass(frozen=True)
 class Decimated:
@@ -59,9 +65,7 @@ def decimated(nodes: Array, triangles: NDArray, lines: Lines) -> Decimated:
     rng, n = np.random.default_rng(0), nodes.shape[1]  # the same mesh each time
     measured = Measured.by(nodes, triangles)
     t, element, into = np.array(triangles), np.arange(triangles.shape[1]), np.arange(n)
-    on_line = np.zeros(n, dtype=bool)
-    on_line[lines.edges] = True
-    left = ~_staying(measured, triangles, lines, on_line, rng.permutation(n))
+    on_line, left = lines.nodes(n), ~staying(measured, triangles, lines, rng.permutation(n))
     merged = True
     while merged and np.any(left):
         merged = False
@@ -80,9 +84,14 @@ def decimated(nodes: Array, triangles: NDArray, lines: Lines) -> Decimated:
     return Decimated(t, element, into)
 
 
-def _staying(measured: Measured, triangles: NDArray, lines: Lines, on_line: Mask, draw: Index) -> Mask:
-    """Nodes that stay: those kept, then others on lines, then inside; every node is one or is beside one."""
-    n = on_line.size
+def staying(measured: Measured, triangles: NDArray, lines: Lines, draw: Index) -> Mask:
+    """Nodes that stay: those kept, then others on lines, then inside; every node is one or is beside one.
+
+    ``draw`` (nodes,), all different, decides between equals: in the order of a mesh generator they leave
+    rougher meshes.
+    """
+    n = draw.size
+    on_line = lines.nodes(n)
     on_lines = _grown(measured, _graph(lines.edges, n), lines.kept, on_line, draw)
     sides = np.hstack([triangles[[0, 1]], triangles[[1, 2]], triangles[[2, 0]]])
     return _grown(measured, _graph(sides, n), on_lines, ~on_line, draw)
@@ -129,10 +138,7 @@ def _beyond(measured: Measured, graph: sp.csr_array, front: Index) -> tuple[Inde
 
 
 def _independent(cost: Array, draw: Index, graph: sp.csr_array) -> Index:
-    """Nodes of finite cost, no two of them neighbours, as many as there can be; the cheapest ones first.
-
-    ``draw`` (nodes,) decides between equals: in the order of a mesh generator they leave rougher meshes.
-    """
+    """Nodes of finite cost, no two of them neighbours, as many as there can be; the cheapest ones first."""
     left = np.flatnonzero(np.isfinite(cost))
     left = left[np.lexsort((draw[left], cost[left]))]
     last, found = cost.size, np.zeros(cost.size, dtype=bool)
