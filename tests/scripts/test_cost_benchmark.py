@@ -1,0 +1,32 @@
+"""The benchmark of whole solves: its table, and that the package is left as it was."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.models import cascade
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+
+
+def test_parts_add_up_to_the_whole_and_are_told_apart_in_one_run_only(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    script = importlib.import_module("benchmark_cost")
+    before = cascade.descend, ContactSolver.__init__
+    assert script.main(["6.1:3"]) == 0
+    assert (cascade.descend, ContactSolver.__init__) == before
+    lines = capsys.readouterr().out.splitlines()
+    header, _, row = ([one.strip() for one in line.split("|")[1:-1]] for line in lines)
+    parts = [*script.PARTS, "rest"]
+    assert header[-len(parts) :] == parts
+    found = dict(zip(header, row, strict=True))
+    assert (found["problem"], found["nodes"]) == ("6.1:3", "16")
+    # rounded to three digits
+    assert sum(float(found[part]) for part in parts) == pytest.approx(float(found["whole"]), rel=0.05)
+    assert min(float(found[part]) for part in ("models", "descents", "assess", "reduction", "unit")) > 0
