@@ -53,7 +53,7 @@ def free(n: int, quadrature: int | None = None) -> ContactProblem:
 @pytest.mark.slow
 def test_relocation_without_move_limits_and_what_the_record_says_of_it() -> None:
     problem, seen = free(16), []
-    solution = auto.solve(problem, on_step=seen.append)
+    solution = auto.solve(problem, on_step=seen.append, settings={"stationary": 300})
     row, exact = solution.record(), problem.exact.energy
     # move limits of a fifth of an edge give 1.6 times less
     assert row["energy_initial_audited"] - exact > 5 * (row["energy_audited"] - exact)
@@ -70,6 +70,16 @@ def test_relocation_without_move_limits_and_what_the_record_says_of_it() -> None
     assert row["iterations"] == row["cascade"][0]["iterations"] + own + finish
     assert [step.q is None for step in seen].count(False) == own + 1 + finish
     assert np.all(signed_areas(solution.mesh.p, problem.triangles) > 0)
+
+
+def test_a_stationary_point_is_looked_for_where_that_is_asked_for_only() -> None:
+    brief, asked = (auto.solve(free(3), settings=settings) for settings in ({}, {"stationary": 100}))
+    assert (brief.success, brief.record().get("finish")) == (True, None)
+    assert brief.stationarity_residual > 1e-6
+    assert brief.status in (Status.NOT_STATIONARY, Status.ITERATION_LIMIT)
+    assert asked.status is Status.CONVERGED
+    assert asked.contact_solves > brief.contact_solves
+    assert asked.audit.energy_audited <= brief.audit.energy_audited
 
 
 SIDES = ("left", "bottom", "top", "contact")
