@@ -18,6 +18,7 @@ from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
 from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.meshes.mmg import is_available
 from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.optimize.status import Status, success_in_words
 from rmesh_nlp.problem import ContactProblem
@@ -316,4 +317,6 @@ def versions() -> dict[str, str]:
     packages: tuple[str, ...] = ("rmesh-nlp", "casadi", "numpy", "scipy", "scikit-fem")
     if HAS_CHOLMOD:  # factors by CHOLMOD differ by rounding
         packages = (*packages, "scikit-sparse")
+    if is_available():
+        packages = (*packages, "mmgpy")
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}

@@ -85,7 +85,8 @@ def plan_comparison(
     chosen = [formulation_options(text) for text in formulations]
     for option in options:
         if option not in HARMLESS and not any(accepted(name, [option]) for name, _ in chosen):
-            raise BadInputError(f"--{option} {options[option]}: not an option of {', '.join(formulations)}")
+            said = f"--{option}" if options[option] is True else f"--{option} {options[option]}"
+            raise BadInputError(f"{said}: not an option of {', '.join(formulations)}")
     several = {name: _listed(options[name]) for name in ("objective", "seed") if name in options}
     commons = [{**options, **dict(zip(several, one, strict=True))} for one in product(*several.values())]
     solves = []
