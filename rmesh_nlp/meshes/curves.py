@@ -96,8 +96,8 @@ class Curve(ABC):
 def on_values(function: ca.Function, t: Array) -> Array:
     """Values (n,) of a scalar Function of a scalar."""
     t = np.asarray(t, dtype=float)
-    if t.size == 0:
-        return np.zeros(0)
+    if t.size == 0 or function.nnz_out(0) == 0:  # the derivative of a constant has no entry
+        return np.zeros(t.size)
     if is_vectorisable(function):  # ten to a hundred times faster
         return Vectorised(function, t.size)([t.reshape(1, -1)])[0].ravel()
     return np.asarray(function(ca.DM(t).T).full(), dtype=float).ravel()

@@ -9,7 +9,7 @@ import pytest
 from skfem import MeshTri
 
 from rmesh_nlp.meshes import MeshRepairWarning, from_arrays, named, shapes
-from rmesh_nlp.meshes.geometry import shape_quality, signed_areas
+from rmesh_nlp.meshes.geometry import counter_clockwise, shape_quality, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 
 SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
@@ -165,5 +165,5 @@ def test_boundaries_of_meshes_whose_edges_32_bits_do_not_number() -> None:
     mesh = rectangle(216, 216)
     edges = mesh.facets[:, mesh.boundaries["right"]]
     assert mesh.p.shape[1] ** 2 > 2**31
-    found = from_arrays(mesh.p.T, mesh.t.T, {"side": edges.T})
+    found = from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, {"side": edges.T})
     np.testing.assert_array_equal(np.sort(found.facets[:, found.boundaries["side"]]), np.sort(edges))
