@@ -43,6 +43,7 @@ PARTS = {
     "unit": "solving.clock:timed",
     "assess": "formulations.confirmed:agrees solving.assess:assess",
     "reduction": "assessment.error_reduction:error_reduction",
+    "attainable": "solving.attained:attained",
 }
 """Functions, and classes when they are made, whose time is told apart."""
 
@@ -53,7 +54,7 @@ def problem(text: str) -> ContactProblem:
     if name in EXAMPLES:
         found = EXAMPLES[name](int(size) if name == "6.1" else (2 * int(size), int(size)))
     else:
-        found = load_problem(text)
+        found = load_problem(Path(text).resolve())
     return replace(found, motion=replace(found.motion, delta=None), exact=None, reference=None)
 
 
@@ -72,7 +73,8 @@ def units_of(checkout: str, text: str) -> list[float]:
     """The same by another version of the package."""
     code = f"import benchmark_cost; print(*benchmark_cost.units({text!r}))"
     path = os.pathsep.join((checkout, str(Path(__file__).parent)))
-    found = subprocess.check_output([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": path})
+    command, environment = [sys.executable, "-c", code], {**os.environ, "PYTHONPATH": path}
+    found = subprocess.check_output(command, env=environment, cwd=checkout)
     return [float(seconds) for seconds in found.split()]
 
 
