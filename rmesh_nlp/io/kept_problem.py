@@ -51,7 +51,7 @@ def keep(path: Path, table: ProblemTable, folder: Path) -> None:
 def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     """The solution of a folder that ``rmesh solve my.toml`` wrote.
 
-    None if no problem file is kept there, or the solution is one on another mesh: of flipped edges, of
+    None if no problem file is kept there, or the solution is one on another mesh: remeshed, of
     refined elements.
     """
     path = folder / PROBLEM

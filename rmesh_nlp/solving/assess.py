@@ -198,7 +198,7 @@ def _decrease(ends: _Ends) -> tuple[float, float]:
         if same:
             one, two = one + outer.energy.of_positions(zero), two + outer.energy.of_positions(q)
     elif not same or isinstance(function, ReducedCertificate):
-        # after edges were flipped by the objective's own rule, which of a certificate is the assessment's
+        # on another mesh by the objective's own rule, which of a certificate is the assessment's
         given = function if same else begin.minimising(outer.objective).function
         one, two = given(zero).value, function(q).value
     else:

@@ -73,8 +73,8 @@ class Assessment:
     solver_status : Status
         How the solver says that it ended; ``status`` is what the assessment says.
     initial_nodes : (2, nodes) array
-        Positions in the mesh as given. Where edges were flipped ``problem`` is on the last mesh before the
-        last relocation, and not on that one.
+        Positions before relocation, on the mesh of ``problem``: the given one, or a new one where the problem
+        was remeshed or refined.
     initial_areas : (elements,) array
         Areas in the mesh as given of the triangles of the solution; one that it does not have counts as the
         mean of the given ones around its vertices.
