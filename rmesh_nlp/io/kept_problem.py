@@ -16,24 +16,31 @@ from rmesh_nlp.io.files import write_whole
 from rmesh_nlp.io.problem_file import build, read_table
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import Record
-from rmesh_nlp.io.vtu import read_vtu
+from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.meshes.geometry import relocated_mesh
+from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.contact_problem import on_mesh
 
 PROBLEM = "problem.toml"
+WRITTEN = "mesh.msh"  # the relocated mesh
 MESH = "given-mesh"  # name, without its ending, of the copy of the mesh file
 
 
 @dataclass(frozen=True)
 class KeptSolution:
-    """What figures of a relocation need, read back from a folder; ``mesh`` is the relocated one."""
+    """What figures of a relocation need, read back from a folder; ``mesh`` is the relocated one.
+
+    ``is_remeshed`` says that the mesh before relocation is not the given one.
+    """
 
     problem: ContactProblem
     mesh: MeshTri
     displacement: Array
     pressure: Array
     multipliers: Multipliers | None
+    is_remeshed: bool = False
 
 
 def names(table: ProblemTable) -> list[str]:
@@ -51,8 +58,7 @@ def keep(path: Path, table: ProblemTable, folder: Path) -> None:
 def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     """The solution of a folder that ``rmesh solve my.toml`` wrote.
 
-    None if no problem file is kept there, or the solution is one on another mesh: remeshed, of
-    refined elements.
+    None if no problem file is kept there, or the solution is one on another mesh that cannot be read back.
     """
     path = folder / PROBLEM
     if not path.exists():
@@ -66,10 +72,28 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
         problem = replace(problem, quadrature=record["quadrature"])
     fields = read_vtu(folder / "solution.vtu")
     space = DisplacementSpace.of(problem)
-    if not np.array_equal(fields.triangles, space.elements):
-        return None
+    is_remeshed = not np.array_equal(fields.triangles, space.elements)
+    if is_remeshed:
+        remeshed = _on_written_mesh(problem, folder, fields)
+        if remeshed is None:
+            return None
+        problem, space = remeshed, DisplacementSpace.of(remeshed)
     vertices, multipliers = space.nodes_of(np.arange(problem.mesh.p.shape[1])), fields.multipliers
     if multipliers is not None:
         multipliers = replace(multipliers, limit=multipliers.limit[vertices])
     mesh = relocated_mesh(problem.mesh, fields.nodes[:, vertices])
-    return KeptSolution(problem, mesh, fields.displacement, fields.pressure, multipliers)
+    return KeptSolution(problem, mesh, fields.displacement, fields.pressure, multipliers, is_remeshed)
+
+
+def _on_written_mesh(problem: ContactProblem, folder: Path, fields: Fields) -> ContactProblem | None:
+    """The problem on the mesh that was written with its solution, before relocation.
+
+    None without that mesh, or if the problem names nodes by numbers, which are those of the given mesh.
+    """
+    path = folder / WRITTEN
+    if not path.exists() or problem.motion.numbers or problem.point_loads:
+        return None
+    mesh = read_mesh(path)
+    if not np.array_equal(np.sort(mesh.t, axis=0), np.sort(fields.triangles, axis=0)):
+        return None
+    return on_mesh(problem, relocated_mesh(mesh, fields.initial), problem.motion)

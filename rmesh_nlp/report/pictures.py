@@ -99,8 +99,9 @@ def after(solution: Drawable) -> State:
 
 def _title(solution: Drawable) -> str:
     """What the mesh before relocation is."""
-    is_new = isinstance(solution, Solution) and "remeshed_nodes" in solution.extra
-    return "new mesh by Mmg" if is_new else GIVEN
+    if isinstance(solution, Solution):
+        return "new mesh" if "remeshed_nodes" in solution.extra else GIVEN
+    return "new mesh" if solution.is_remeshed else GIVEN
 
 
 def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> list[Path]:  # noqa: B008

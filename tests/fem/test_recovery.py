@@ -78,8 +78,10 @@ class TestQuadratics:
         size = np.abs(expected).max()
         np.testing.assert_allclose(found, np.broadcast_to([[a], [b], [c]], found.shape), atol=1e-6 * size)
 
-    def test_nine_nodes_are_enough_and_four_say_nothing(self) -> None:
-        mesh = rectangle(2, 2)
+    def test_six_nodes_are_enough_and_four_say_nothing(self) -> None:
+        corners = [[0, 0], [2, 0], [0.3, 2], [1, 0], [1.15, 1], [0.15, 1]]
+        triangles = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
+        mesh = from_arrays(corners, triangles, {"left": lambda x: x[0] < 0.3})
         found = recovered(mesh, quadratic(mesh.p))
         np.testing.assert_allclose(found, np.broadcast_to(SECOND[..., None], found.shape), atol=1e-10)
         mesh = rectangle(1, 1)

@@ -11,6 +11,7 @@ from rmesh_nlp.io.export import write_mesh, write_solution
 from rmesh_nlp.io.kept_problem import keep, names, read_kept
 from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem.contact_problem import refined
 from support.formulations import joint
 from support.problem_files import VALID
 
@@ -31,7 +32,7 @@ def test_a_kept_solution_is_read_back_from_its_folder_alone(tmp_path, mesh):
     (tmp_path / "body.msh").unlink()
     assert sorted(one.name for one in folder.iterdir()) == sorted([*names(table), "solution.vtu"])
     kept = read_kept(folder, {"quadrature": 7})
-    assert (kept.problem.name, kept.problem.quadrature) == ("block", 7)
+    assert (kept.problem.name, kept.problem.quadrature, kept.is_remeshed) == ("block", 7, False)
     assert read_kept(folder, {}).problem.quadrature == 4
     np.testing.assert_array_equal(kept.problem.mesh.p, solution.problem.mesh.p)
     np.testing.assert_array_equal(kept.mesh.p, solution.mesh.p)
@@ -52,3 +53,22 @@ def test_a_solution_on_another_mesh_than_the_kept_one_is_not_drawn_on_it(tmp_pat
     path.write_text(VALID.replace("ny = 3", "ny = 2"))
     keep(path, read_table(path), tmp_path)
     assert read_kept(tmp_path, {}) is None
+
+
+def test_a_solution_on_a_new_mesh_is_read_back_with_it(tmp_path):
+    path, folder = tmp_path / "my.toml", tmp_path / "out"
+    path.write_text(VALID)
+    problem = load_problem(path)
+    new = refined(problem)
+    solution = joint.solve(new)
+    keep(path, read_table(path), folder)
+    write_solution(solution, folder / "solution.vtu")
+    assert read_kept(folder, {}) is None  # without the mesh
+    write_mesh(solution.mesh, folder / "mesh.msh")
+    kept = read_kept(folder, {})
+    assert kept.is_remeshed
+    np.testing.assert_array_equal(kept.problem.mesh.p, new.mesh.p)
+    np.testing.assert_array_equal(kept.mesh.p, solution.mesh.p)
+    assert set(kept.problem.mesh.boundaries) == set(problem.mesh.boundaries)
+    write_mesh(problem.mesh, folder / "mesh.msh")  # another one
+    assert read_kept(folder, {}) is None

@@ -200,6 +200,20 @@ class TestCurves:
         assert len(allowed) > 2
         assert set(allowed) == {sagitta(problem)}
 
+    @pytest.mark.parametrize("fault", ["arc", "fold"])
+    def test_edges_are_closer_to_the_arcs_until_all_is_in_order(
+        self, monkeypatch: pytest.MonkeyPatch, fault: str
+    ) -> None:
+        problem, asked = plate({"hole": CURVES["circle"]}), []
+        given, real, upright = sagitta(problem), remeshing.remeshed, Body.is_upright
+        monkeypatch.setattr(remeshing, "remeshed", lambda *a: asked.append(a[4]) or real(*a))
+        if fault == "arc":
+            monkeypatch.setattr(remeshing, "sagitta", lambda _: given if len(asked) > 2 else 1.1 * given)
+        else:
+            monkeypatch.setattr(Body, "is_upright", lambda body: len(asked) > 2 and upright(body))
+        remade(problem, 150, tolerance=1.0, off=given)
+        np.testing.assert_allclose(asked, np.array([1.0, 0.5, 0.25]) * given)
+
     def test_sagitta_is_the_largest_height_of_an_arc(self) -> None:
         problem = plate({"hole": CURVES["circle"]})
         mesh = problem.mesh
