@@ -17,6 +17,7 @@ from rmesh_nlp.io.problem_file import build, read_table
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.vtu import Fields, read_vtu
+from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.models.residual import Multipliers
@@ -94,6 +95,13 @@ def _on_written_mesh(problem: ContactProblem, folder: Path, fields: Fields) -> C
     if not path.exists() or problem.motion.numbers or problem.point_loads:
         return None
     mesh = read_mesh(path)
-    if not np.array_equal(np.sort(mesh.t, axis=0), np.sort(fields.triangles, axis=0)):
+    if mesh.t.shape != fields.triangles.shape:
         return None
-    return on_mesh(problem, relocated_mesh(mesh, fields.initial), problem.motion)
+    one, two = np.sort(mesh.t, axis=0), np.sort(fields.triangles, axis=0)
+    order, place = np.lexsort(one), np.empty(one.shape[1], dtype=np.int64)  # files group elements by name
+    place[order] = np.lexsort(two)
+    if not np.array_equal(one, two[:, place]):
+        return None
+    edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
+    zones = {name: place[elements] for name, elements in (mesh.subdomains or {}).items()}
+    return on_mesh(problem, from_arrays(fields.initial.T, fields.triangles.T, edges, zones), problem.motion)
