@@ -24,9 +24,9 @@ from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
-from rmesh_nlp.fem.interpolation_error import best_shapes, errors, least_errors
-from rmesh_nlp.fem.metric import nodal_areas
+from rmesh_nlp.fem.interpolation_error import errors
 from rmesh_nlp.meshes import named
+from rmesh_nlp.models.attainable import LeastErrors
 from rmesh_nlp.models.edge_gains import marked
 from rmesh_nlp.models.remeshing import Solved
 from rmesh_nlp.problem import ContactProblem, Motion
@@ -44,15 +44,10 @@ class Reference:
     limit: float
     doubt: float
 
-    @property
-    def least(self) -> float:
-        """``(integral of sqrt(phi))^2``: the least error of N triangles is that over N."""
-        total = 0.0
-        for one in Solved.of(self.problem).regions:
-            areas = nodal_areas(np.asarray(self.problem.mesh.p)[:, one.nodes], one.triangles)
-            stretch, angle, _ = best_shapes(one.law, one.second)
-            total += float(areas @ np.sqrt(least_errors(one.law, one.second, stretch, angle)))
-        return total**2
+    def least(self, triangles: int) -> float:
+        """The least interpolation error of a number of triangles."""
+        regions = Solved.of(self.problem).regions
+        return LeastErrors.of(np.asarray(self.problem.mesh.p), regions, triangles).any_mesh
 
 
 def next_mesh(problem: ContactProblem) -> ContactProblem:

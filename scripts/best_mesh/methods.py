@@ -47,7 +47,7 @@ def attainable(case: Case, size: int) -> Iterator[Row]:
     """The least interpolation error of as many triangles as the given mesh has."""
     fine, mesh = case.reference(), case.problem(size).mesh
     known = f"energy known to {fine.doubt:.1e}"
-    yield Row(case.name, ATTAINABLE, size, mesh.p.shape[1], fine.least / mesh.t.shape[1], status=known)
+    yield Row(case.name, ATTAINABLE, size, mesh.p.shape[1], fine.least(mesh.t.shape[1]), status=known)
 
 
 def h_adaptive(case: Case, most: int) -> Iterator[Row]:
