@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from best_mesh.cases import REFERENCE_NODES, RULE, reference
+from best_mesh.cases import RULE, reference
 from best_mesh.methods import by_default
 from best_mesh.rows import GIVEN, NEAR, REMESHED, Row, of
 from rmesh_nlp.assessment.admissible import admissible
@@ -22,8 +22,8 @@ COUNT, SEEDS, CLOSE = 20, range(90_000, 90_060), 0.2
 """How many problems whose errors are known; seeds, on which nothing was chosen, that are tried in turn; the
 relative difference that counts as agreement."""
 
-LEAST_NODES = 200
-"""Of the problems; they have up to four times as many."""
+LEAST_NODES, FINE_NODES = 200, 15_000
+"""Of the problems, which have up to four times as many, and of their references."""
 
 KNOWN, ROUNDING = 0.2, 1e-9
 """Largest part of an error that is extrapolated; errors, in parts of the energy, that are none."""
@@ -43,7 +43,7 @@ def measured(seed: int) -> Iterator[Row]:
     began = time.process_time()
     advice = advise(problem)
     seconds = time.process_time() - began
-    fine = reference(problem, REFERENCE_NODES)
+    fine = reference(problem, FINE_NODES)
     way = getattr(advice, "recommended", "remesh")
     remeshed = by_default(problem, remesh=True)
     advised = {
