@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.assessment.error_reduction import ErrorReduction, on_refined
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.recovery import Recovered, interpolation_error, second_derivatives
+from rmesh_nlp.assessment.error_reduction import ErrorReduction
+from rmesh_nlp.fem.recovery import interpolation_error, second_derivatives
 from rmesh_nlp.models.attainable import LeastErrors
 from rmesh_nlp.solving.parts import Part
 from rmesh_nlp.solving.solution import Assessment
@@ -27,19 +26,16 @@ class Attained(Part):
 
 
 def attained(found: Assessment, reduction: ErrorReduction, finest: Admissible | None) -> Attained | None:
-    """Both from second derivatives on the last mesh and on its refinement, extrapolated to fine meshes."""
+    """Both from second derivatives on the refined last mesh, on the last one itself where none was refined.
+
+    The error of the last mesh is that of interpolation, within the bounds that are known.
+    """
     assert found.assessed is not None
-    last = found.assessed[1]
-    here, there = (_recovered(one) for one in (last, on_refined(last) if finest is None else finest))
-    triangles = found.problem.triangles.shape[1]
-    coarse, fine = (LeastErrors.of(*one, triangles).any_mesh for one in (here, there))
-    error = interpolation_error(here[0], last.parts.problem.triangles, here[1])
-    error = float(np.clip(error, *reduction.error))
-    least = min(fine + max(fine - coarse, 0.0) / 3, error)
+    there = found.assessed[1] if finest is None else finest
+    triangles, refined = found.problem.triangles.shape[1], there.problem.triangles
+    nodes, number = there.body.nodes, there.parts.space.number
+    regions = second_derivatives(there.problem, nodes, there.displacement[:, number])
+    times = refined.shape[1] / triangles  # the error falls like the number of triangles
+    error = float(np.clip(times * interpolation_error(nodes, refined, regions), *reduction.error))
+    least = min(LeastErrors.of(nodes, regions, triangles).any_mesh, error)
     return Attained((found.gain_audited + error) / least, least / error) if least > 0 else None
-
-
-def _recovered(one: Admissible) -> tuple[Array, tuple[Recovered, ...]]:
-    """Nodes (2, vertices) and second derivatives."""
-    values = one.displacement[:, one.parts.space.number]
-    return one.body.nodes, second_derivatives(one.problem, one.body.nodes, values)
