@@ -191,7 +191,7 @@ def remeshed_problem(
             metric = best_metric(X, regions, aspect)
         else:
             even = FLATTER * even if FLATTER * even > EVEN else 0.0
-            metric = metric.evened(even)
+            metric = metric.evened(FLATTER if even > 0 else 0.0)
 
 
 def _with_nodes(

@@ -251,6 +251,25 @@ class TestLeastAngle:
         found = remade(scalar(motion=Motion(None, min_angle=angle)))
         assert least_angles(found.mesh.p, found.triangles).min() >= angle
 
+    def test_density_is_evened_where_round_triangles_are_not_enough(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        parts, real = [], remeshing.Metric.evened
+        monkeypatch.setattr(
+            remeshing.Metric, "evened", lambda self, part: parts.append(part) or real(self, part)
+        )
+        kinds = []
+        monkeypatch.setattr(remeshing, "least_angles", lambda *_: np.array([1.0]))
+        made = remeshing._with_nodes
+        monkeypatch.setattr(
+            remeshing, "_with_nodes", lambda *a: kinds.append(np.ptp(a[1].density)) or made(*a)
+        )
+        with pytest.raises(BadInputError, match="with angles of 30 degrees or more"):
+            remade(scalar(motion=Motion(None, min_angle=30.0)), tolerance=1.0)
+        assert parts == [0.7] * 6 + [0.0]
+        assert kinds[-1] == pytest.approx(0.0, abs=1e-12)
+        assert kinds[0] > 0
+
     def test_is_small_if_none_is_asked_for(self) -> None:
         found = remade(scalar())
         assert least_angles(found.mesh.p, found.triangles).min() < 10.0
@@ -307,6 +326,7 @@ class Calls:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, energies: list[Any]) -> None:
         self.sizes: list[int] = []
         self.tolerances: list[float] = []
+        self.problems: list[Any] = []
         self.left = list(energies)
         monkeypatch.setattr(remeshing, "remeshed_problem", self.remesh)
         monkeypatch.setattr(remeshing, "_solved", self.solve)
@@ -314,9 +334,10 @@ class Calls:
     def remesh(self, problem: Any, _: Any, size: int, ratio: float, tolerance: float, off: float) -> Any:
         self.sizes.append(size)
         self.tolerances.append(tolerance)
+        self.problems.append(problem)
         if isinstance(self.left[0], BadInputError):
             raise self.left.pop(0)
-        return problem, 2.0
+        return replace(problem, name=f"round {len(self.sizes)}"), 2.0
 
     def solve(self, problem: ContactProblem) -> Any:
         energy = self.left.pop(0)
@@ -353,6 +374,8 @@ class TestRounds:
         start = metric_start(Solved.of(signorini(2)), 150)
         assert calls.sizes == [36, 144, 150, 150]
         assert calls.tolerances == [0.2, 0.2, 0.02, 0.02]
+        # each from the mesh of the one before
+        assert [one.name for one in calls.problems] == ["6.1", "round 1", "round 2", "round 3"]
         assert start.solved.state.energy == -1.0  # coarser ones do not count
 
     def test_one_is_made_even_if_it_is_late(self, monkeypatch: pytest.MonkeyPatch) -> None:
