@@ -75,8 +75,8 @@ def test_advice_on_example_61_holds() -> None:
         (1.24, 1.24, "refine"),
         (1.26, 1.0, "remesh"),
         (1.0, 1.26, "relocate"),
-        (2.29, 2.0, "relocate"),
-        (2.31, 2.0, "remesh"),
+        (2.0, 2.29, "remesh"),
+        (2.0, 2.31, "relocate"),
     ],
 )
 def test_what_lowers_the_error_clearly_more_is_recommended(
