@@ -97,7 +97,7 @@ class Obstacle:
 
     @classmethod
     def line(cls, boundary: str, point: Vector, normal: Vector, friction: Coefficient = 0.0) -> Obstacle:
-        """A rigid straight line through ``point``, with the gap ``normal . (X + u - point)``.
+        """A rigid straight line through ``point``, with the gap ``normal^T (X + u - point)``.
 
         ``normal`` points from the line to the body and may have any length but zero.
         """
