@@ -165,6 +165,22 @@ def test_meshes_of_up_to_a_hundred_nodes_are_refined_twice(
     assert len(refinement.falls) == 2 - times
 
 
+@pytest.mark.parametrize(("falls", "claimed"), [((1.0, 0.5, 0.2), True), ((1.0, 0.5, 0.6), False)])
+def test_a_small_new_mesh_is_refined_a_third_time(
+    falls: tuple[float, ...], claimed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, last = on_square(0.5)
+    other = replace(before.problem, mesh=rectangle(3, 3))
+    given = replace(before, parts=replace(before.parts, problem=other))
+    refinement = Refinement(falls)
+    monkeypatch.setattr(module, "on_refined", refinement)
+    found, _ = error_reduction(given, last, 3)
+    assert (found is not None) == claimed
+    assert not refinement.falls
+    if found is not None:
+        assert found.error == pytest.approx((1.5 + 0.2 * 8 / 7, 1.5 + 0.2 * 1.7 / 0.7))
+
+
 @pytest.mark.parametrize("discretised", [discretise, renumbered])
 def test_new_nodes_touch_where_both_ends_of_their_edge_do(discretised: Callable) -> None:
     coarse = ContactProblem(
