@@ -28,8 +28,8 @@ from rmesh_nlp.problem.contact_problem import refined
 
 FEW = 100
 """Nodes up to which a mesh is refined twice; a larger one once, or this would cost more than the audit. A new
-mesh so small is refined three times: made for what was seen on the given one, it may miss a narrow feature of
-the load, which no fall of the energy by two refinements tells."""
+mesh so small was made for what the given one shows, and may be coarse where the load has a narrow feature:
+its bounds are also those of the given mesh, by refinements of that, less the fall of the energy."""
 
 SLOWEST = 1.7
 """Least factor by which the error falls with a refinement: that of N^-0.38. On 40 random problems
@@ -101,9 +101,11 @@ def error_reduction(
         error = after.energy - exact.energy
         source, bounds = "exact", (error, error) if error > 0 else None
     else:
+        source, (bounds, finest) = "refinement", _bounds(after)
         few = after.body.nodes.shape[1] <= FEW
-        is_new = not np.array_equal(before.problem.triangles, after.problem.triangles)
-        source, (bounds, finest) = "refinement", _bounds(after, 1 + few + (few and is_new))
+        if bounds and few and not np.array_equal(before.problem.triangles, after.problem.triangles):
+            given, _ = _bounds(before)
+            bounds = given and (max(bounds[0], given[0] - fall), max(bounds[1], given[1] - fall))
     if bounds is None or not fall > 0:
         return None, finest
     low, high = bounds
@@ -113,10 +115,10 @@ def error_reduction(
     return found, finest
 
 
-def _bounds(last: Admissible, times: int) -> tuple[tuple[float, float] | None, Admissible | None]:
+def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | None]:
     """Lower and upper bound of the error of the energy; the admissible displacement on the finest mesh."""
     here, falls = last, []
-    for _ in range(times):
+    for _ in range(2 if last.body.nodes.shape[1] <= FEW else 1):
         try:
             finer = on_refined(here)
         except ProblemError:  # new nodes on a curve would fold a thin element
