@@ -6,15 +6,16 @@ from html import escape
 from typing import Any
 
 from rich.table import Table
+from rich.text import Text
 
 Rows = list[tuple[str, str]]
 
 
 def rich_table(title: str, rows: Rows) -> Table:
     """A two-column table for rich."""
-    table = Table(title=title, show_header=False, title_justify="left")
+    table = Table(title=Text(title), show_header=False, title_justify="left")
     for label, value in rows:
-        table.add_row(label, value)
+        table.add_row(Text(label), Text(value))  # what stands in brackets is no markup
     return table
 
 

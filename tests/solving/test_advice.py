@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from rmesh_nlp.display import rich_table
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.remeshing import Solved
@@ -96,3 +98,12 @@ def test_rows_say_factors_and_what_they_cost() -> None:
     assert "--remesh" in advice.sentence
     assert advice.record()["predicted_factor"] == 9.0
     assert replace(advice, recommended="refine").sentence.startswith("refine")
+
+
+def test_what_stands_in_brackets_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rmesh_nlp.solving.advice.is_available", lambda: False)
+    console = Console(width=200, record=True)
+    console.print(rich_table("[x]", Advice(0.25, 0.5, 12.0, 3.0, 2.5, 9.0, "remesh", 9.0).rows()))
+    said = console.export_text()
+    assert "pip install 'rmesh-nlp[remesh]'" in said
+    assert "[x]" in said
