@@ -79,7 +79,7 @@ class Solved:
     def of(problem: ContactProblem) -> Solved:
         """Solve a problem on the mesh as given."""
         solver = ContactSolver(problem)
-        return Solved(solver, solver.solve(np.asarray(problem.mesh.p)))
+        return Solved(solver, solver.given)
 
     @cached_property
     def regions(self) -> tuple[Recovered, ...]:
