@@ -192,7 +192,9 @@ def remesh(
     ] = None,
     out: Annotated[
         Path,
-        Option("--out", metavar="MESH", help="The mesh to write, in any format of meshio, such as .msh."),
+        Option(
+            "--out", metavar="MESH", help="The mesh to write, in a format that keeps names, such as .msh."
+        ),
     ] = Path("mesh.msh"),
 ) -> None:
     """Write a mesh that suits the solution of a problem file, made by Mmg in a few rounds.

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import tempfile
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 from rich.console import Console
+from skfem import MeshTri
 
 from rmesh_nlp.cli import study as studies
 from rmesh_nlp.cli.folders import SUCCESS, located
@@ -28,7 +29,7 @@ from rmesh_nlp.io.problem_messages import one_line
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.mapping.validity import least_angles
-from rmesh_nlp.meshes import MeshRepairWarning
+from rmesh_nlp.meshes import MeshRepairWarning, read_mesh
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.pictures import draw_problem
@@ -104,11 +105,13 @@ def advise(path: Path, json: bool = False) -> int:
 
 def remesh(path: Path, nodes: int | None, out: Path) -> int:
     """Write a mesh that suits the solution of the problem of a file."""
-    if out.suffix.lower() not in meshio.extension_to_filetypes:
-        raise BadInputError(f"--out {out}: no format of meshio has the extension {out.suffix!r}")
     if not out.parent.is_dir():
         raise BadInputError(f"cannot write {out}: there is no folder {str(out.parent)!r}")
+    source = read_table(path).mesh.file
+    if source is not None and out.exists() and out.samefile(path.parent / source):
+        raise BadInputError(f"--out {out}: this is the mesh of {path}, choose another name")
     problem = replace(with_edge_gaps(load_problem(path)), quadrature="auto")
+    _check_format(problem.mesh, out)
     with located(path):
         first = Solved.of(problem)
         made = metric_start(first, problem.mesh.p.shape[1] if nodes is None else nodes).solved
@@ -125,6 +128,23 @@ def remesh(path: Path, nodes: int | None, out: Path) -> int:
     ]
     Console().print(rich_table(f"wrote {out}", rows))
     return SUCCESS
+
+
+def _check_format(mesh: MeshTri, out: Path) -> None:
+    """Raise if a file cannot be written in its format here, or would not keep the names of a mesh."""
+    with tempfile.TemporaryDirectory() as folder:
+        trial = Path(folder) / out.name
+        try:
+            write_mesh(mesh, trial)
+            found = read_mesh(trial)
+        except Exception as error:  # meshio's writers raise anything
+            reason = one_line(error).replace(str(trial), out.name)
+            said = f"--out {out}: cannot be written as {out.suffix or 'a mesh'}, take .msh"
+            raise BadInputError(f"{said}: {reason}") from error
+    for had, has in ((mesh.boundaries, found.boundaries), (mesh.subdomains, found.subdomains)):
+        names = {name for name in had or {} if not name.startswith("gmsh:")}
+        if lost := names - set(has or {}):
+            raise BadInputError(f"--out {out}: {out.suffix} loses names such as {min(lost)!r}, take .msh")
 
 
 def load_problem(path: Path, says: bool = True) -> ContactProblem:

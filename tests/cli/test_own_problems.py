@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from matplotlib import image
 
+from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.problem_file import build, read_table
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.solving import assess as assessing
@@ -203,7 +204,8 @@ def test_remesh_writes_a_mesh_with_the_names_of_the_file(rmesh, block: Path) -> 
 @pytest.mark.parametrize(
     ("typed", "words"),
     [
-        ("--out better.mesh7", "no format of meshio has the extension '.mesh7'"),
+        ("--out better.mesh7", "cannot be written as .mesh7"),
+        ("--out better.stl", ".stl loses names such as 'bottom'"),
         ("--out nowhere/better.msh", "there is no folder 'nowhere'"),
         ("--nodes 2", "--nodes"),
     ],
@@ -213,6 +215,15 @@ def test_remesh_refuses_what_it_cannot_write(rmesh, block: Path, typed: str, wor
     assert said.code == 2
     assert words in said.err
     assert not list(Path().glob("*.msh"))
+
+
+def test_remesh_never_writes_over_the_mesh_of_its_problem(rmesh, block: Path) -> None:
+    write_mesh(build(read_table(block), block).mesh, "own.msh")
+    given, text = Path("own.msh").read_bytes(), BLOCK[BLOCK.index("[material]") :]
+    block.write_text(f'[mesh]\nfile = "own.msh"\n{text}')
+    said = rmesh("remesh block.toml --nodes 60 --out ./own.msh")
+    assert (said.code, "this is the mesh of block.toml" in said.err) == (2, True)
+    assert Path("own.msh").read_bytes() == given
 
 
 def test_a_number_of_nodes_needs_a_new_mesh(rmesh, block: Path) -> None:
