@@ -132,7 +132,8 @@ def remesh(path: Path, nodes: int | None, out: Path) -> int:
 
 def _check_format(mesh: MeshTri, out: Path) -> None:
     """Raise if a file cannot be written in its format here, or would not keep the names of a mesh."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a mesh that is thrown away
         trial = Path(folder) / out.name
         try:
             write_mesh(mesh, trial)

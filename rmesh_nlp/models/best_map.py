@@ -2,7 +2,7 @@
 
 Second derivatives are frozen functions of position, so that no contact problem is solved. A small weight of
 the distortion keeps triangles upright, as in relocation itself. A mesh of more than a few hundred nodes is
-coarsened: the best positions are a map of the domain, and what a coarse one gains is a lower bound.
+coarsened: the best positions are a map of the domain, and a coarse one gains less than a fine one.
 """
 
 from __future__ import annotations

@@ -48,7 +48,8 @@ class Advice:
     attainable_factor : float
         By the best mesh of as many triangles.
     attainable_same_connectivity : float
-        By moving the nodes alone, at least.
+        By moving the nodes alone, roughly: by the best map of a coarse mesh, for the interpolation error. Too
+        large where the solution varies in one direction.
     attainable_by_refinement : float
         By local refinement to as many triangles, at best.
     remeshing_factor : float
@@ -78,7 +79,7 @@ class Advice:
             ("error of the energy", figure(self.error)),
             ("best mesh of as many triangles", f"{self.attainable_factor:.2g} times less error"),
             ("rmesh solve --remesh", _cost(self.remeshing_factor, "remesh")),
-            ("rmesh solve: nodes move", f"{_cost(self.attainable_same_connectivity, 'relocate')}, at least"),
+            ("rmesh solve: nodes move", f"roughly {_cost(self.attainable_same_connectivity, 'relocate')}"),
             (
                 "refined locally, as many triangles",
                 f"{self.attainable_by_refinement:.2g} times less, at best",
@@ -114,18 +115,19 @@ def advise(problem: ContactProblem) -> Advice:
         error, fall = 4 * finer.error, 3 * finer.error
     else:
         error = fall + max(finer.error, fall / 3)
-    factors = _factors(here, finer, error)
-    moved = best_map(given, np.asarray(finer.problem.mesh.p), finer.regions)
+    best, remeshed, refinement = _factors(here, finer, error)
+    moved = min(best, best_map(given, np.asarray(finer.problem.mesh.p), finer.regions))
     rate = float(np.clip(np.log(error / (error - fall)) / np.log(4), 0.0, 1.0)) if error > fall else 1.0
-    chosen = recommended(factors[1], moved)
-    predicted = {"remesh": factors[1], "relocate": moved, "refine": 4**rate}[chosen]
-    return Advice(error, rate, factors[0], moved, factors[2], factors[1], chosen, predicted)
+    chosen = recommended(remeshed, moved)
+    predicted = {"remesh": remeshed, "relocate": moved, "refine": 4**rate}[chosen]
+    return Advice(error, rate, best, moved, refinement, remeshed, chosen, predicted)
 
 
 def _has_curved_data(problem: ContactProblem) -> bool:
     """Whether given displacements are not linear along a boundary: meshes represent them differently."""
     values = (part for support in problem.supports for part in support.value if part is not None)
-    return any((polynomial_degree(value) or 0) > 1 or polynomial_degree(value) is None for value in values)
+    degrees = [polynomial_degree(value) for value in values]
+    return any(degree is None or degree > 1 for degree in degrees)
 
 
 def _factors(here: Solved, finer: Solved, error: float) -> tuple[float, float, float]:
