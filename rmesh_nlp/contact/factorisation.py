@@ -1,8 +1,7 @@
 """Sparse factors of a stiffness: by CHOLMOD where scikit-sparse is installed, else by SuperLU.
 
-Cholesky's factorisation takes half the work of LU. On Example 6.1 with 64 and 224 squares a side, on one
-core of an AMD EPYC: factors 1.9 and 55 ms in place of 6.1 and 105, a solve 0.06 and 4.8 ms in place of
-0.19 and 6.1. Solutions differ by rounding.
+Cholesky's factorisation takes half the work of LU. On Example 6.1 with 64 and 224 squares a side, one core,
+factors take a third to six tenths of the time and solves a third to eight tenths. Solutions differ by rounding.
 """
 
 from __future__ import annotations
