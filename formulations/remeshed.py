@@ -65,7 +65,6 @@ class Remeshed(Wrapper):
             start = metric_start(Solved(outer.contact, outer.given), nodes, monitor.is_over)
         monitor.work += Work(len(start.nodes), len(start.nodes))
         energy = ReducedEnergy.of(start.solved.solver, outer.objective)
-        energy.knows(start.solved.state)
         there = Outer.around(energy, outer.tolerance).near()
         there.gain = start.solved.error
         found = monitor.run(self.inner, there, there.variables())

@@ -1,7 +1,7 @@
 """Sparse factors of a stiffness: by CHOLMOD where scikit-sparse is installed, else by SuperLU.
 
 Cholesky's factorisation takes half the work of LU. On Example 6.1 with 64 and 224 squares a side, one core,
-factors take a third to six tenths of the time and solves a third to eight tenths. Solutions differ by rounding.
+factors take a third to six tenths of the time, solves a third to eight tenths. Solutions differ by rounding.
 """
 
 from __future__ import annotations
