@@ -97,7 +97,7 @@ class Continuous:
         gaps = [part.obstacle.distances(points[:, part.nodes]) for part in space.contact_sets]
         along = np.sum(directions.normals(nodes) * self.given[:, space.contact_nodes], axis=0)
         frictional = np.zeros(along.size, dtype=bool)
-        frictional[self.problem.friction_rows] = True
+        frictional[space.friction_rows] = True
         bounds = np.zeros(along.size if self.problem.frictional else 0)
         for part, edges in self._rubbing:
             here = np.zeros(space.n_nodes)

@@ -32,7 +32,7 @@ from rmesh_nlp.vectorised import USUAL, AssemblySettings
 class Discretisation:
     """Space, fields, element terms and validity rows of one problem, each made once, when first asked for.
 
-    The displacement space is by default that of functions linear on each triangle, numbered as the vertices.
+    The nodes of the displacement space are by default numbered as the vertices, and then the edges, are.
     """
 
     problem: ContactProblem
@@ -106,7 +106,7 @@ class Discretisation:
     @property
     def friction_rows(self) -> Index:
         """(n_s,) numbers of the gaps at which friction may act."""
-        return self.problem.friction_rows
+        return self.space.friction_rows
 
     @property
     def n_contact(self) -> int:

@@ -4,10 +4,11 @@ With chords the polygon through sliding nodes would lose area and contact as edg
 would find that. A triangle with an arc between its nodes a and b, apex c, is blended
 (:mod:`rmesh_nlp.problem.body`): with r from 0 at the apex to 1 at the arc, and s from a to b,
 
-    x(r, s) = c + r (arc(s) - c),     u(r, s) = u_c + r ((1 - s) u_a + s u_b - u_c).
+    x(r, s) = c + r (chord(s) - c) + r^k (arc(s) - chord(s)),     k the order,
 
-The gradient of u does not depend on r: it solves ``grad u (arc(s) - c) = u_ab(s) - u_c`` and
-``grad u arc'(s) = u_b - u_a``. Functions here take the parameters ``t_a, t_b`` of the curve first.
+and the displacement is a polynomial in the barycentric coordinates ``(r (1 - s), r s, 1 - r)``. Both ``x_r``
+and ``x_s / r`` are bounded, so that the gradient of u solves ``grad u x_r = u_r`` and ``grad u x_s / r = u_s
+/ r``. Functions here take the parameters ``t_a, t_b`` of the curve first.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import functions, size, slopes
 from rmesh_nlp.fem.element import line_rule, vector
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem.coefficients import Coefficient
@@ -52,10 +55,18 @@ class Arc:
         """Length of the arc per unit of ``s``."""
         return ca.norm_2(self.velocity(s))
 
-    def seen_from(self, apex: Any, s: float) -> tuple[Any, Any, Any]:
-        """The way to a point of the arc, the velocity there, and their determinant."""
-        way, velocity = self.point(s) - apex, self.velocity(s)
-        return way, velocity, way[0] * velocity[1] - way[1] * velocity[0]
+    def blended(self, apex: Any, r: float, s: float, order: int) -> tuple[Any, Any, Any, Any]:
+        """A point x of the triangle to the apex, x_r, x_s / r, and the determinant of these two."""
+        arc, along, part = self.point(s), self.velocity(s), r ** (order - 1)
+        if order == 1:
+            x, across = apex + r * (arc - apex), arc - apex
+        else:
+            a, b = self.point(0.0), self.point(1.0)
+            chord = (1 - s) * a + s * b
+            x = apex + r * (chord - apex) + r * part * (arc - chord)
+            across = chord - apex + order * part * (arc - chord)
+            along = part * along + (1 - part) * (b - a)
+        return x, across, along, across[0] * along[1] - across[1] * along[0]
 
 
 def kind_of(curve: Curve) -> Any:
@@ -63,52 +74,54 @@ def kind_of(curve: Curve) -> Any:
     return ca.SX if all(function.is_a("SXFunction") for function in curve.functions) else ca.MX
 
 
-def strain_energy(law: Law, curve: Curve) -> ca.Function:
-    """``((t_a, t_b), X_c, (u_a, u_b, u_c)) -> (energy, empty)`` of a blended triangle."""
+def strain_energy(law: Law, curve: Curve, order: int = 1) -> ca.Function:
+    """``((t_a, t_b), X_c, (u_a, u_b, u_c, ...)) -> (energy, empty)`` of a blended triangle."""
     arc = Arc(curve)
-    X, u = arc.kind.sym("X", 2), arc.kind.sym("u", law.components, 3)
+    X, u = arc.kind.sym("X", 2), arc.kind.sym("u", law.components, size(order, 3))
     energy = arc.kind(0)
-    for s, weight in zip(*_shares(DEGREE), strict=True):
-        way, velocity, det = arc.seen_from(X, s)
-        rise = ca.horzcat((1 - s) * u[:, 0] + s * u[:, 1] - u[:, 2], u[:, 1] - u[:, 0])
-        scaled = rise @ ca.vertcat(
-            ca.horzcat(velocity[1], -velocity[0]), ca.horzcat(-way[1], way[0])
-        )  # det * grad u
-        energy += weight * energy_density(law, scaled) / (2 * det)
+    for s, weight_s in zip(*_shares(DEGREE), strict=True):
+        for r, weight_r in _across(order):
+            _, across, along, det = arc.blended(X, r, s, order)
+            slope = u @ ca.DM(slopes(order, _barycentric(r, s)))
+            rise = slope @ ca.DM([[1 - s, -1.0], [s, 1.0], [-1.0, 0.0]])  # u_r, u_s / r
+            scaled = rise @ ca.vertcat(
+                ca.horzcat(along[1], -along[0]), ca.horzcat(-across[1], across[0])
+            )  # det * grad u
+            energy += weight_s * weight_r * energy_density(law, scaled) / det
     return ca.Function("arc_strain_energy", [arc.t, X, ca.vec(u)], [energy, arc.kind(0, 1)])
 
 
-def load_energy(law: Law, curve: Curve, degree: int) -> ca.Function:
-    """``((t_a, t_b), X_c, (u_a, u_b, u_c)) -> (-integral of load . u, empty)`` of a blended triangle."""
+def load_energy(law: Law, curve: Curve, degree: int, order: int = 1) -> ca.Function:
+    """``((t_a, t_b), X_c, (u_a, u_b, u_c, ...)) -> (-integral of load . u, empty)`` of a blended triangle."""
     arc = Arc(curve)
-    X, u = arc.kind.sym("X", 2), arc.kind.sym("u", law.components, 3)
+    X, u = arc.kind.sym("X", 2), arc.kind.sym("u", law.components, size(order, 3))
     work = arc.kind(0)
     for s, weight_s in zip(*_shares(max(degree, DEGREE)), strict=True):
-        way, _, det = arc.seen_from(X, s)
         for r, weight_r in zip(*_shares(max(degree, DEGREE)), strict=True):
-            value = u[:, 2] + r * ((1 - s) * u[:, 0] + s * u[:, 1] - u[:, 2])
-            work += weight_s * weight_r * r * det * ca.dot(vector(law.load, X + r * way), value)
+            x, _, _, det = arc.blended(X, r, s, order)
+            value = u @ ca.DM(functions(order, _barycentric(r, s)))
+            work += weight_s * weight_r * r * det * ca.dot(vector(law.load, x), value)
     return ca.Function("arc_load_energy", [arc.t, X, ca.vec(u)], [-work, arc.kind(0, 1)])
 
 
-def traction_energy(value: tuple[Coefficient, ...], curve: Curve, degree: int) -> ca.Function:
-    """``((t_a, t_b), (u_a, u_b)) -> (-integral of traction . u, empty)`` along an arc."""
+def traction_energy(value: tuple[Coefficient, ...], curve: Curve, degree: int, order: int = 1) -> ca.Function:
+    """``((t_a, t_b), (u_a, u_b, ...)) -> (-integral of traction . u, empty)`` along an arc."""
     arc = Arc(curve)
-    u = arc.kind.sym("u", len(value), 2)
+    u = arc.kind.sym("u", len(value), size(order, 2))
     work = arc.kind(0)
     for s, weight in zip(*_shares(max(degree, DEGREE)), strict=True):
-        here = (1 - s) * u[:, 0] + s * u[:, 1]
+        here = u @ ca.DM(functions(order, np.array([1 - s, s])))
         work += weight * arc.length_per_s(s) * ca.dot(vector(value, arc.point(s)), here)
     return ca.Function("arc_traction_energy", [arc.t, ca.vec(u)], [-work, arc.kind(0, 1)])
 
 
-def friction_energy(bound: Coefficient, curve: Curve, degree: int) -> ca.Function:
-    """``((t_a, t_b), (s_a, s_b)) -> (integral of g times the interpolated slip magnitudes, empty)``."""
+def friction_energy(bound: Coefficient, curve: Curve, degree: int, order: int = 1) -> ca.Function:
+    """``((t_a, t_b), (s_a, s_b, ...)) -> (integral of g times the slip magnitudes so given, empty)``."""
     arc = Arc(curve)
-    slip = arc.kind.sym("slip", 2)
+    slip = arc.kind.sym("slip", size(order, 2))
     energy = arc.kind(0)
     for s, weight in zip(*_shares(degree), strict=True):
-        value = (1 - s) * slip[0] + s * slip[1]
+        value = ca.dot(ca.DM(functions(order, np.array([1 - s, s]))), slip)
         energy += weight * arc.length_per_s(s) * vector((bound,), arc.point(s)) * value
     return ca.Function("arc_friction_energy", [arc.t, slip], [energy, arc.kind(0, 1)])
 
@@ -117,3 +130,15 @@ def _shares(degree: int) -> tuple[Array, Array]:
     """Shares s of the second end, and weights."""
     points, weights = line_rule(degree)
     return points[1], weights
+
+
+def _across(order: int) -> list[tuple[float, float]]:
+    """Points r, and weights times r; nothing depends on r at order 1."""
+    if order == 1:
+        return [(1.0, 0.5)]
+    return [(r, weight * r) for r, weight in zip(*_shares(DEGREE), strict=True)]
+
+
+def _barycentric(r: float, s: float) -> Array:
+    """Coordinates (3,) to a, b and the apex."""
+    return np.array([r * (1 - s), r * s, 1 - r])

@@ -18,6 +18,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem import arcs
+from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.edge_gaps import edge_gap_terms, holds_along_edges
 from rmesh_nlp.fem.element import NO_ROWS, PointValues, corners, line_rule, local_symbols, point_values
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, ElementTerm, Field, constant_field, unknown_field
@@ -29,20 +30,21 @@ FRICTION_DEGREE = 31
 """Degree of the rule for the integral of the friction bound: exact to 1e-6 for four waves within an edge."""
 
 
-def friction_energy(obstacle: Obstacle) -> tuple[ca.Function, PointValues | None]:
+def friction_energy(obstacle: Obstacle, order: int = 1) -> tuple[ca.Function, PointValues | None]:
     """``(X_e, s_e[, g at the points]) -> (energy, empty)`` on one contact edge.
 
-    The integral of g times the interpolant of the slip magnitudes s_i = |u_t,i|: by convexity at least that
-    of g |u_t|. With a constant bound it is |e| g (s_1 + s_2) / 2, the trapezoidal rule of (5.9).
+    The integral of g times the sum of s_i and shape functions, with the slip magnitudes s_i = |u_t,i|: by
+    convexity at least that of g |u_t|. With a constant bound and order 1 it is |e| g (s_1 + s_2) / 2, the
+    trapezoidal rule of (5.9).
     """
-    X, s = corners(2, 1)
+    X, s = corners(2, 1, order=order)
     columns, length = [ca.vec(X), ca.vec(s)], ca.norm_2(X[:, 1] - X[:, 0])
     if not callable(obstacle.friction):
-        energy = length * obstacle.friction * (s[0] + s[1]) / 2
+        energy = length * obstacle.friction * ca.sum2(s) / s.numel()
         return ca.Function("friction_energy", columns, [energy, NO_ROWS]), None
     shares, weights = line_rule(FRICTION_DEGREE)
     bound = ca.SX.sym("g", weights.size)
-    energy = length * ca.dot(bound, ca.vec(s @ ca.DM(shares * weights)))
+    energy = length * ca.dot(bound, ca.vec(s @ ca.DM(functions(order, shares) * weights)))
     at_points = point_values(columns, X @ ca.DM(shares), lambda x, y: at(obstacle.friction, x, y))
     return ca.Function("friction_energy", [*columns, bound], [energy, NO_ROWS]), at_points
 
@@ -54,9 +56,17 @@ def _node(shares: Array) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def gap_function(obstacle: Obstacle, components: int, shares: Array) -> ca.Function:
-    """``(X_i, u_i) -> (0, gap)`` of one contact node: normal(X) . u + distance(X)."""
+    """``(X_i, u_i) -> (0, gap)`` of one contact node: normal(X) . u + distance(X).
+
+    At an edge the coefficient of the parabola through the distances at ends and middle stands in the place of
+    the distance. Where no normal varies the gap along the edge is so interpolated.
+    """
     (X, x, y), u = _node(shares), ca.SX.sym("u", components)
-    return ca.Function("gap", [X, u], [0, ca.dot(obstacle.direction(x, y), u) + obstacle.distance(x, y)])
+    distance = obstacle.distance(x, y)
+    if shares.size == 2:
+        ends = [obstacle.distance(*ca.vertsplit(end)) for end in ca.vertsplit(X, 2)]
+        distance = 2 * distance - (ends[0] + ends[1]) / 2
+    return ca.Function("gap", [X, u], [0, ca.dot(obstacle.direction(x, y), u) + distance])
 
 
 def slip_function(obstacle: Obstacle, shares: Array) -> ca.Function:
@@ -80,9 +90,9 @@ def force_function(obstacle: Obstacle, shares: Array) -> ca.Function:
 def gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
     """One constraint row per contact node and obstacle: its gap, of positions and displacement."""
     terms: list[ElementTerm] = []
-    for stated, part in zip(space.problem.contact_sets, space.contact_sets, strict=True):
+    for part in space.contact_sets:
         if holds_along_edges(space.problem, part.obstacle):
-            terms += edge_gap_terms(space, stated)
+            terms += edge_gap_terms(space, part)
             continue
         for which, vertices, shares in space.kinds(part.nodes):
             function = gap_function(part.obstacle, space.problem.components, shares)
@@ -97,11 +107,11 @@ def friction_terms(space: DisplacementSpace) -> list[ElementTerm]:
         for number, edges in space.problem.edges_by_curve(str(part.obstacle.boundary)):
             slips = space.nodes_of(edges)
             if number < 0:
-                function, at_points = friction_energy(part.obstacle)
+                function, at_points = friction_energy(part.obstacle, space.order)
                 term = ElementTerm(function, (edges, slips), component=part.number, at_points=at_points)
             else:
                 bound, curve = part.obstacle.friction, space.problem.curves[number]
-                function = arcs.friction_energy(bound, curve, FRICTION_DEGREE)
+                function = arcs.friction_energy(bound, curve, FRICTION_DEGREE, space.order)
                 term = ElementTerm(function, (None, slips), component=part.number, arc=(number, edges))
             terms.append(term)
     return terms
@@ -112,7 +122,7 @@ def slip_terms(space: DisplacementSpace) -> list[ElementTerm]:
 
     Of positions, displacement and slip magnitudes (obstacles, nodes).
     """
-    terms, n_s = [], space.problem.friction_rows.size
+    terms, n_s = [], space.friction_rows.size
     for part, numbers in _frictional(space):
         for which, vertices, shares in space.kinds(part.nodes):
             at_node, rows = part.nodes[None, which], numbers[which] + np.array([[0], [n_s]])

@@ -73,11 +73,11 @@ class Distortion:
     ``shapes`` (2, 3, n) are their corners.
     """
 
-    arguments = 1
+    arguments, nodes = 1, 3
 
     def __init__(self, density: ca.Function, shapes: Array, weight: Array) -> None:
         self._density, self._shapes, self._weight = density, shapes, weight
-        reference = Triangles(shapes.transpose(1, 0, 2).reshape(6, -1), None, slice(0))
+        reference = Triangles(shapes.transpose(1, 0, 2).reshape(6, -1), None, slice(0), 3)
         self._det, self._c = reference.det, reference.b / reference.det
         self._columns: dict[int, Columns] = {}
 

@@ -12,20 +12,21 @@ On an edge the foundation rises above the interpolant of its distances at the no
 over sample points on the edges beside it: at least the largest of these heights, and smooth in the positions.
 For a parabola it is 1.12 times the height, with an edge like it on the other side 1.19 times. Beside a node
 that is held with a gap G the height that counts is ``(a - (1 - s) G) / s``, s the share of the free node.
+At order 2 the interpolant is a parabola, and the middle of an edge is a node.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import replace
-from itertools import product
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.arcs import Arc, kind_of
+from rmesh_nlp.fem.bernstein import functions, size, to_coefficients
 from rmesh_nlp.fem.element import PointValues, point_values
 from rmesh_nlp.fem.fields import ElementTerm
 from rmesh_nlp.fem.space import DisplacementSpace, Index
@@ -80,79 +81,117 @@ def holds_along_edges(problem: ContactProblem, obstacle: Obstacle) -> bool:
 
 
 def edge_gap_terms(space: DisplacementSpace, part: ContactSet) -> Iterator[ElementTerm]:
-    """Gaps of one of the problem's contact sets that hold along edges, of positions and displacement."""
+    """Gaps of one of the space's contact sets that hold along edges, of positions and displacement."""
     problem = space.problem
-    unit = float(np.max(np.abs(part.obstacle.distances(problem.mesh.p[:, part.nodes])), initial=0.0)) or 1.0
-    free = np.zeros(problem.mesh.p.shape[1])
+    where = space.points(problem.mesh.p)[:, part.nodes]
+    unit = float(np.max(np.abs(part.obstacle.distances(where)), initial=0.0)) or 1.0
+    free = np.zeros(space.n_nodes)
     free[part.nodes] = 1.0
-    given = _given_along(problem, part.obstacle)
-    for sides, rows, patch in _patches(problem, part):
+    given = _given_along(space, part.obstacle)
+    for at_edge, sides, rows, patch in _patches(space, part):
         number = max(sides)
         curve = problem.curves[number] if number >= 0 else None
         on_curve = tuple(curve is not None and side == number for side in sides)
-        function, at_points = _gap_function(part.obstacle, problem.components, on_curve, curve, unit)
+        beside = _Beside(part.obstacle, on_curve, curve, unit, space.order, at_edge)
+        function, at_points = beside.gap_function(problem.components)
+        along = np.vstack([space.nodes_of(patch[[0, i]]) for i in range(1, 1 + len(sides))])
         yield ElementTerm(
             function,
-            (patch, space.nodes_of(patch[:1])),
+            (patch, part.nodes[None, rows]),
             part.rows[rows][None],
             at_points=at_points,
             arc=None if curve is None else (number, patch),
-            constants=np.vstack([free[patch[1:]], given[patch[1:]]]),
+            constants=np.vstack([free[along], given[along]]),
         )
 
 
-def _patches(problem: ContactProblem, part: ContactSet) -> Iterator[tuple[tuple[int, ...], Index, Index]]:
-    """Contact nodes with edges alike: the curve of each edge, rows of the nodes, nodes (1 + neighbours, n).
+def _patches(
+    space: DisplacementSpace, part: ContactSet
+) -> Iterator[tuple[bool, tuple[int, ...], Index, Index]]:
+    """Contact nodes with edges alike: ``(at_edge, sides, rows, vertices)``.
 
-    A node between two curves counts one edge as an arc, the other as a chord.
+    ``at_edge`` tells whether they are at edges, ``sides`` the curve of each edge beside them, ``rows`` which
+    of the contact set they are. The vertices (1 + edges, n) are the node and the other ends of its edges, or
+    both ends of its own edge. A node between two curves counts one edge as an arc, the other as a chord.
     """
-    body = Body(problem, problem.mesh.p)
-    edges = body.edges_of(part.obstacle)
-    around: dict[int, list[tuple[int, int]]] = {int(node): [] for node in part.nodes}
-    for a, b, curve in np.vstack([edges.ends, problem.curve_of_facet[edges.facets]]).T.tolist():
-        for node, other in ((a, b), (b, a)):
-            if node in around:
-                around[node].append((curve, other))
-    groups: dict[tuple[int, ...], list[int]] = defaultdict(list)
-    for row, node in enumerate(part.nodes):
-        groups[tuple(curve for curve, _ in around[int(node)])].append(row)
-    for sides, rows in groups.items():
-        patch = [[int(part.nodes[r]), *(other for _, other in around[int(part.nodes[r])])] for r in rows]
-        yield sides, np.array(rows), np.array(patch, dtype=np.int64).T
+    problem = space.problem
+    edges = Body(problem, problem.mesh.p).edges_of(part.obstacle)
+    curve_of = problem.curve_of_facet[edges.facets]
+    around: dict[int, list[tuple[int, int]]] = defaultdict(list)
+    for a, b, curve in np.vstack([edges.ends, curve_of]).T.tolist():
+        around[a].append((curve, b))
+        around[b].append((curve, a))
+    curves = {(min(a, b), max(a, b)): c for a, b, c in np.vstack([edges.ends, curve_of]).T.tolist()}
+    groups: dict[tuple[bool, tuple[int, ...]], list[tuple[int, list[int]]]] = defaultdict(list)
+    for which, vertices, _ in space.kinds(part.nodes):
+        for row, ends in zip(which.tolist(), vertices.T.tolist(), strict=True):
+            if len(ends) == 2:
+                groups[True, (curves[min(ends), max(ends)],)].append((row, ends))
+            else:
+                beside = around[ends[0]]
+                patch = [*ends, *(other for _, other in beside)]
+                groups[False, tuple(curve for curve, _ in beside)].append((row, patch))
+    for (at_edge, sides), members in groups.items():
+        rows, patches = zip(*members, strict=True)
+        yield at_edge, sides, np.array(rows), np.array(patches, dtype=np.int64).T
 
 
-def _given_along(problem: ContactProblem, obstacle: Obstacle) -> Array:
+def _given_along(space: DisplacementSpace, obstacle: Obstacle) -> Array:
     """(nodes,) the displacement along the normal that is given; zero where none is."""
-    held, value = problem.held()
-    return np.asarray(np.sum(obstacle.normals(problem.mesh.p) * np.where(held, value, 0.0), axis=0))
+    held, value = space.given()
+    normals = obstacle.normals(space.points(space.problem.mesh.p))
+    return np.asarray(np.sum(normals * np.where(held, value, 0.0), axis=0))
 
 
-def _gap_function(
-    obstacle: Obstacle, components: int, on_curve: tuple[bool, ...], curve: Curve | None, unit: float
-) -> tuple[ca.Function, PointValues]:
-    """``([parameters,] patch, u_i, (free, given), distances) -> (0, gap)`` of a node and its neighbours.
+@dataclass(frozen=True)
+class _Beside:
+    """A contact node and the edges beside it: of an edge the one that it is on.
 
-    ``free`` is 1 for a neighbour that keeps off too, 0 for one that is held, whose displacement is ``given``.
+    ``on_curve`` tells of each edge whether it is an arc of ``curve``; lengths are in units of ``unit``.
     """
-    kind, beside = ca.SX if curve is None else kind_of(curve), len(on_curve)
-    X, t = kind.sym("X", 2, 1 + beside), kind.sym("t", 1 + beside)
-    u, constants = kind.sym("u", components), kind.sym("constants", 2 * beside)
-    free, given = constants[:beside], constants[beside:]
-    points = ca.horzsplit(X)
-    interior = obstacle.boundary is Place.INTERIOR
-    samples = INTERIOR_SAMPLES if interior else SAMPLES
-    heights = list(product(range(1, 1 + beside), np.arange(1, samples) / samples))  # neighbours and shares
-    for i, s in heights:
-        arc = Arc(curve, ca.vertcat(t[0], t[i]), kind) if curve is not None and on_curve[i - 1] else None
-        points.append((1 - s) * X[:, 0] + s * X[:, i] if arc is None else arc.point(s))
-    distance = kind.sym("distance", len(points))
-    power = kind(TINY**POWER)
-    for number, (i, s) in enumerate(heights, 1 + beside):
-        height = (1 - s) * distance[0] - distance[number]
-        height += s * (free[i - 1] * distance[i] - (1 - free[i - 1]) * given[i - 1])
-        power += ca.fmax(height / (unit * (1 - s + s * free[i - 1])), 0) ** POWER
-    off = unit * power ** (1 / POWER) * (INSIDE if interior else 1.0)
-    gap = ca.dot(obstacle.direction(X[0, 0], X[1, 0]), u) + distance[0] - off
-    columns = [*([] if curve is None else [t]), ca.vec(X), u, constants]
-    at_points = point_values(columns, ca.horzcat(*points), obstacle.distance)
-    return ca.Function("edge_gap", [*columns, distance], [0, gap]), at_points
+
+    obstacle: Obstacle
+    on_curve: tuple[bool, ...]
+    curve: Curve | None
+    unit: float
+    order: int
+    at_edge: bool
+
+    def gap_function(self, components: int) -> tuple[ca.Function, PointValues]:
+        """``([parameters,] patch, u_i, (free, given), distances) -> (0, gap)``.
+
+        ``free`` is 1 for a node of an edge that keeps off too, 0 for one that is held, whose displacement is
+        ``given``: edge by edge, in each those at its vertices and then the one at the edge.
+        """
+        kind = ca.SX if self.curve is None else kind_of(self.curve)
+        n = len(self.on_curve)
+        nodes = size(self.order, 2)
+        X, t = kind.sym("X", 2, 1 + n), kind.sym("t", 1 + n)
+        u, constants = kind.sym("u", components), kind.sym("constants", 2 * nodes * n)
+        free, given = (ca.reshape(part, nodes, n) for part in ca.vertsplit(constants, nodes * n))
+        interior = self.obstacle.boundary is Place.INTERIOR
+        samples = np.arange(1, parts := INTERIOR_SAMPLES if interior else SAMPLES) / parts
+        points = ca.horzsplit(X)
+        for i, arc in enumerate(self.on_curve, 1):
+            edge = Arc(self.curve, ca.vertcat(t[0], t[i]), kind) if self.curve is not None and arc else None
+            straight = [(1 - s) * X[:, 0] + s * X[:, i] for s in samples]
+            points += straight if edge is None else [edge.point(s) for s in samples]
+        distance = kind.sym("distance", len(points))
+        power, own = kind(TINY**POWER), distance[0]
+        for i in range(n):
+            along = distance[1 + n + i * samples.size : 1 + n + (i + 1) * samples.size]
+            ends = [distance[0], distance[1 + i], along[samples.size // 2]]
+            D = ca.DM(to_coefficients(self.order, 2)) @ ca.vertcat(*ends[:nodes])
+            keeps = free[:, i] * D - (1 - free[:, i]) * given[:, i]
+            if self.at_edge:
+                own = D[2]
+            for k, s in enumerate(samples):
+                share = ca.DM(functions(self.order, np.array([1 - s, s])))
+                height = ca.dot(share, keeps) - along[k]
+                power += ca.fmax(height / (self.unit * ca.dot(share, free[:, i])), 0) ** POWER
+        off = self.unit * power ** (1 / POWER) * (INSIDE if interior else 1.0)
+        x, y = ca.vertsplit((X[:, 0] + X[:, 1]) / 2 if self.at_edge else X[:, 0])
+        gap = ca.dot(self.obstacle.direction(x, y), u) + own - off
+        columns = [*([] if self.curve is None else [t]), ca.vec(X), u, constants]
+        at_points = point_values(columns, ca.horzcat(*points), self.obstacle.distance)
+        return ca.Function("edge_gap", [*columns, distance], [0, gap]), at_points

@@ -15,6 +15,7 @@ import numpy as np
 from skfem.quadrature import get_quadrature_line
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.problem.coefficients import Coefficient, at
 
 FEW = 20
@@ -61,16 +62,17 @@ def plain(function: ca.Function, at_points: PointValues | None) -> ca.Function:
     return ca.Function(function.name(), columns, ca.cse(function(*columns, at_points.of(columns))))
 
 
-def corners(n: int, components: int, kind: Any = ca.SX) -> tuple[Any, Any]:
-    """Symbols for the positions (2, n) and the displacements (components, n) of n nodes."""
-    X, u = kind.sym("X", 2 * n), kind.sym("u", components * n)
-    return ca.reshape(X, 2, n), ca.reshape(u, components, n)
+def corners(n: int, components: int, kind: Any = ca.SX, order: int = 1) -> tuple[Any, Any]:
+    """Symbols for the positions (2, n) of vertices and the displacements (components, nodes) of a cell."""
+    X, u = kind.sym("X", 2 * n), kind.sym("u", components * size(order, n))
+    return ca.reshape(X, 2, n), ca.reshape(u, components, size(order, n))
 
 
 def affine(X: Any, u: Any) -> tuple[Any, Any]:
     """``(det, det * grad u)`` on the triangle X (2, 3): twice its area, and u (components, 3) linear there.
 
-    A quadratic density of the gradient is so divided by ``det`` once, at the end.
+    At a point the gradient of a u of any order is that of the linear one ``u @ bernstein.slopes``. A
+    quadratic density of the gradient is so divided by ``det`` once, at the end.
     """
     edges = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
     det = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]

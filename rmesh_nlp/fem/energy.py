@@ -13,6 +13,7 @@ from skfem.quadrature import get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem import arcs
+from rmesh_nlp.fem.bernstein import corner_fields, functions
 from rmesh_nlp.fem.closed_forms import Strain
 from rmesh_nlp.fem.element import NO_ROWS, PointValues, affine, corners, line_rule, point_values, vector
 from rmesh_nlp.fem.fields import CONSTANT, ElementTerm, Field, constant_field
@@ -25,8 +26,8 @@ from rmesh_nlp.problem.coefficients import is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
 
 TRACTION_DEGREE = 4
-"""Least degree of the Gauss rule for tractions, exact for cubic ones times P1; a higher one of the load is
-taken for tractions too."""
+"""Least degree of the Gauss rule for tractions, exact for cubic ones times P1 and quadratic ones times P2; a
+higher one of the load is taken for tractions too."""
 
 
 def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
@@ -55,20 +56,21 @@ def _conical_product_rule(degree: int) -> tuple[Array, Array]:
     return points, np.outer(weight_r / 4, weight_s / 2).ravel()
 
 
-def strain_energy(law: Law) -> ca.Function:
-    """``(X_e, u_e) -> (energy, empty)`` of one P1 triangle: 1/2 a(u, u) of (3.3), (3.15)."""
-    X, u = corners(3, law.components)
-    det, scaled = affine(X, u)
-    return ca.Function(
-        "strain_energy", [ca.vec(X), ca.vec(u)], [energy_density(law, scaled) / (2 * det), NO_ROWS]
-    )
+def strain_energy(law: Law, order: int = 1) -> ca.Function:
+    """``(X_e, u_e) -> (energy, empty)`` of one triangle: 1/2 a(u, u) of (3.3), (3.15)."""
+    X, u = corners(3, law.components, order=order)
+    fields, energy = corner_fields(order), ca.SX(0)
+    for field in fields:
+        det, scaled = affine(X, u @ ca.DM(field.T))
+        energy += energy_density(law, scaled) / (2 * det * len(fields))
+    return ca.Function("strain_energy", [ca.vec(X), ca.vec(u)], [energy, NO_ROWS])
 
 
-def load_energy(law: Law, quadrature: str | int) -> tuple[ca.Function, PointValues]:
-    """``(X_e, u_e, load at the points) -> (-integral of load . u, empty)`` of one P1 triangle."""
+def load_energy(law: Law, quadrature: str | int, order: int = 1) -> tuple[ca.Function, PointValues]:
+    """``(X_e, u_e, load at the points) -> (-integral of load . u, empty)`` of one triangle."""
     shares, weights = triangle_rule(quadrature)
-    X, u = corners(3, law.components)
-    weighted, columns = u @ ca.DM(shares * weights), [ca.vec(X), ca.vec(u)]
+    X, u = corners(3, law.components, order=order)
+    weighted, columns = u @ ca.DM(functions(order, shares) * weights), [ca.vec(X), ca.vec(u)]
     load = ca.SX.sym("f", *weighted.shape)
     work = affine(X, u)[0] / 2 * ca.dot(load, weighted)
     energy = ca.Function("load_energy", [*columns, ca.vec(load)], [-work, NO_ROWS])
@@ -76,13 +78,13 @@ def load_energy(law: Law, quadrature: str | int) -> tuple[ca.Function, PointValu
     return energy, at_points
 
 
-def traction_energy(traction: Traction, degree: int) -> ca.Function:
+def traction_energy(traction: Traction, degree: int, order: int = 1) -> ca.Function:
     """``(X_e, u_e) -> (-integral of traction . u, empty)`` on one boundary edge."""
-    X, u = corners(2, len(traction.value))
+    X, u = corners(2, len(traction.value), order=order)
     work = ca.SX(0)
     points, weights = line_rule(degree)
     for point, weight in zip(points.T, weights, strict=True):
-        work += weight * ca.dot(vector(traction.value, X @ point), u @ point)
+        work += weight * ca.dot(vector(traction.value, X @ point), u @ functions(order, point))
     length = ca.norm_2(X[:, 1] - X[:, 0])
     return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, NO_ROWS])
 
@@ -99,8 +101,10 @@ def strain_terms(space: DisplacementSpace) -> list[ElementTerm]:
     for law, straight, beside in _elements(space.problem):
         vertices = space.problem.triangles[:, straight]
         nodes = vertices, space.nodes_of(vertices)
-        terms.append(ElementTerm(strain_energy(law), nodes, closed=Strain(law)))
-        terms += [_beside(space, arcs.strain_energy(law, curve), *place) for curve, place in beside]
+        function, closed = strain_energy(law, space.order), Strain(law, space.order)
+        terms.append(ElementTerm(function, nodes, closed=closed))
+        curved = [(arcs.strain_energy(law, curve, space.order), place) for curve, place in beside]
+        terms += [_beside(space, function, *place) for function, place in curved]
     return terms
 
 
@@ -111,14 +115,16 @@ def load_terms(space: DisplacementSpace, rule: str | int) -> list[ElementTerm]:
     for law, straight, beside in _elements(problem):
         if any(is_nonzero(component) for component in law.load):
             terms.append(_load_term(space, law, rule, problem.triangles[:, straight]))
-            terms += [_beside(space, arcs.load_energy(law, curve, degree), *place) for curve, place in beside]
+            curved = [(arcs.load_energy(law, curve, degree, space.order), place) for curve, place in beside]
+            terms += [_beside(space, function, *place) for function, place in curved]
     for traction in problem.tractions:
         for number, edges in problem.edges_by_curve(traction.boundary):
             nodes = space.nodes_of(edges)
             if number < 0:
-                terms.append(ElementTerm(traction_energy(traction, degree), (edges, nodes)))
+                terms.append(ElementTerm(traction_energy(traction, degree, space.order), (edges, nodes)))
             else:
-                function = arcs.traction_energy(traction.value, problem.curves[number], degree)
+                curve = problem.curves[number]
+                function = arcs.traction_energy(traction.value, curve, degree, space.order)
                 terms.append(ElementTerm(function, (None, nodes), arc=(number, edges)))
     for load in problem.point_loads:
         terms.append(ElementTerm(point_energy(load), (None, space.nodes_of(np.array([[load.node]])))))
@@ -158,8 +164,8 @@ def _beside(space: DisplacementSpace, function: ca.Function, number: int, vertic
 
 
 def _load_term(space: DisplacementSpace, law: Law, rule: str | int, triangles: Index) -> ElementTerm:
-    function, at_points = load_energy(law, rule)
-    closed = Load(at_points.function, triangle_rule(rule))
+    function, at_points = load_energy(law, rule, space.order)
+    closed = Load(at_points.function, triangle_rule(rule), space.order)
     return ElementTerm(function, (triangles, space.nodes_of(triangles)), at_points=at_points, closed=closed)
 
 

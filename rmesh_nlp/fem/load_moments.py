@@ -1,8 +1,8 @@
-"""The work of loads on P1 triangles in closed form, by their moments.
+"""The work of loads on triangles in closed form, by their moments.
 
 With f at the points of a rule, shape functions phi and area A of a triangle, the work is A sum_a u_a . m_a. A
 moment m_a, the sum of weight, f and phi_a over the points, changes with the corner x_b by the sum of weight,
-phi_a phi_b and the slope of f: neither depends on the displacement.
+phi_a lambda_b and the slope of f: neither depends on the displacement.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.closed_forms import CHUNK, PAIR, PAIRS, Layout, Triangles
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.vectorised import Columns, columnwise
@@ -24,17 +25,26 @@ LEADING: tuple[tuple[int, ...], ...] = ((), (2,), (3,))
 class Load:
     """Minus the work of a load (components,) by a rule of points (3, k) and weights (k,), times a weight.
 
+    Displacements are of an order.
     Its moments at the last positions are kept: a contact solve and the gradient there need the same.
     """
 
     arguments = 2
 
-    def __init__(self, value: ca.Function, rule: tuple[Array, Array], weight: float = 1.0) -> None:
-        self._value, self._rule, self._weight = value, rule, weight
+    def __init__(
+        self, value: ca.Function, rule: tuple[Array, Array], order: int = 1, weight: float = 1.0
+    ) -> None:
+        self._value, self._rule, self._order, self._weight = value, rule, order, weight
         shares, weights = rule
-        self._shares = shares
-        self._one = shares * weights
-        self._two = np.array([self._one[a] * shares[b] for a, b in PAIRS])
+        self._shares, self._functions = shares, functions(order, shares)
+        self.nodes = len(self._functions)
+        self._one = self._functions * weights
+        self._corners = np.array([shares[a] * shares[b] * weights for a, b in PAIRS])
+        if order == 1:
+            self._two, self._pair = self._corners, PAIR
+        else:
+            self._two = (self._one[:, None] * shares).reshape(-1, weights.size)
+            self._pair = np.arange(3 * self.nodes).reshape(self.nodes, 3)
         self._columns: dict[tuple[int, int], Columns] = {}
         self._kept: tuple[Array, Array, Array] | None = None
 
@@ -43,7 +53,8 @@ class Load:
         if self._kept is not None and np.array_equal(self._kept[0], X):
             return
         n, components = X.shape[1], self._value.size1_out(0)
-        of_f, of_slope = np.empty((components, 3, n)), np.empty((components, 2, 6, n))
+        of_f = np.empty((components, self.nodes, n))
+        of_slope = np.empty((components, 2, len(self._two), n))
         for begin in range(0, n, CHUNK):
             part = slice(begin, begin + CHUNK)
             f, slope = self._at_points(X[:, part].reshape(3, 2, -1), 1)
@@ -65,7 +76,7 @@ class Load:
             by_u += scale * of_f.swapaxes(0, 1)
         if by_x is not None:
             at.by_det -= 0.5 * self._weight * np.einsum("ain,ian->n", at.u, of_f)
-            by_x += scale * _contracted(at.u, of_slope)
+            by_x += scale * self._contracted(at.u, of_slope)
 
     def second(self, at: Triangles, layout: Layout, out: Array) -> None:
         """See :class:`ClosedForm`."""
@@ -75,10 +86,10 @@ class Load:
         f, slope, bend = self._at_points(at.x, 2)
         of_f, of_slope = self._one @ f, self._two @ slope
         at.by_det -= 0.5 * self._weight * np.einsum("ain,ian->n", at.u, of_f)
-        at.beside -= 0.5 * self._weight * _contracted(at.u, of_slope)
+        at.beside -= 0.5 * self._weight * self._contracted(at.u, of_slope)
         scale = -0.5 * self._weight * at.det
-        there = np.matmul(self._shares.T, at.u.swapaxes(0, 1))  # the displacement at the points
-        curved = scale * (self._two @ np.sum(there[:, None] * bend, axis=0))  # (xx xy yy, pairs, n)
+        there = np.matmul(self._functions.T, at.u.swapaxes(0, 1))  # the displacement at the points
+        curved = scale * (self._corners @ np.sum(there[:, None] * bend, axis=0))  # (xx xy yy, pairs, n)
         for pair, (a, b) in enumerate(PAIRS):
             for i in range(2):
                 for j in range(2 if a < b else i + 1):
@@ -86,25 +97,33 @@ class Load:
                     out[layout.starts[high] + low] += curved[i + j, pair]
         if layout.displacements:
             components = len(of_f)
-            for a in range(3):
+            for a in range(self.nodes):
                 for i in range(components):
                     start = layout.starts[6 + components * a + i]
-                    column = scale * of_slope[i][:, PAIR[a]].swapaxes(0, 1)
+                    column = scale * of_slope[i][:, self._pair[a]].swapaxes(0, 1)
                     column -= 0.5 * self._weight * of_f[i, a] * at.b
                     out[start : start + 6] += column.reshape(6, -1)
 
     def some(self, chosen: Index) -> Load:
         """See :class:`ClosedForm`."""
-        return Load(self._value, self._rule, self._weight)
+        return Load(self._value, self._rule, self._order, self._weight)
 
     def scaled(self, weight: float) -> Load:
         """See :class:`ClosedForm`."""
-        return Load(self._value, self._rule, weight * self._weight)
+        return Load(self._value, self._rule, self._order, weight * self._weight)
 
     def _moments(self, at: Triangles) -> tuple[Array, Array]:
         assert self._kept is not None
         _, of_f, of_slope = self._kept
         return of_f[..., at.part], of_slope[..., at.part]
+
+    def _contracted(self, u: Array, of_slope: Array) -> Array:
+        """``sum_a,i u_ai G_i,l,ab`` as (3 corners b, 2 directions l, n)."""
+        result = np.zeros((3, 2, u.shape[2]))
+        for a in range(self.nodes):
+            for i in range(u.shape[1]):
+                result += (u[a, i] * of_slope[i][:, self._pair[a]]).swapaxes(0, 1)
+        return result
 
     def _at_points(self, corners: Array, order: int) -> list[Array]:
         """Values (components, points, n) of the load, of its slopes by x and y, of xx, xy and yy."""
@@ -115,15 +134,6 @@ class Load:
         found = self._columns[order, size]([part.reshape(1, -1) for part in points])
         components, shape = self._value.size1_out(0), points.shape[1:]
         return [part.reshape(components, *extra, *shape) for part, extra in zip(found, LEADING, strict=False)]
-
-
-def _contracted(u: Array, of_slope: Array) -> Array:
-    """``sum_a,i u_ai G_i,l,ab`` as (3 corners b, 2 directions l, n)."""
-    result = np.zeros((3, 2, u.shape[2]))
-    for a in range(3):
-        for i in range(u.shape[1]):
-            result += (u[a, i] * of_slope[i][:, PAIR[a]]).swapaxes(0, 1)
-    return result
 
 
 def _derivatives(value: ca.Function, order: int) -> ca.Function:

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import SIDES
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
+from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ContactSet
+from rmesh_nlp.problem.obstacle import NO_NORMAL
 
 Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class DisplacementSpace:
-    """Continuous displacements that are linear on each triangle (P1).
+    """Continuous displacements that are linear (P1) or quadratic (P2) on each triangle.
 
-    A node of the space carries one unknown for each component that is not given. Gaps, weights, fields and
-    output ask the space for nodes and never take vertices of the mesh for them. ``number`` (vertices,) is the
-    node at each vertex.
+    A node of the space carries one unknown for each component that is not given: a coefficient of Bernstein's
+    polynomials (:mod:`rmesh_nlp.fem.bernstein`). There is one node at each vertex and, of order 2, one at
+    each edge. Gaps, weights, fields and output ask the space for nodes and never take vertices of the mesh
+    for them. ``number`` is the node at each vertex, then of order 2 at each edge, in the order of the mesh.
     """
 
     problem: ContactProblem
@@ -30,77 +35,184 @@ class DisplacementSpace:
 
     @staticmethod
     def of(problem: ContactProblem) -> DisplacementSpace:
-        """The space of a problem, its nodes numbered as the vertices are."""
-        return DisplacementSpace(problem, np.arange(problem.mesh.p.shape[1]))
+        """The space of a problem, its nodes numbered as the vertices are, then as the edges are."""
+        mesh = problem.mesh
+        return DisplacementSpace(
+            problem, np.arange(mesh.p.shape[1] + (mesh.facets.shape[1] if problem.order == 2 else 0))
+        )
+
+    @property
+    def order(self) -> int:
+        """Degree of the displacements on a triangle."""
+        return self.problem.order
 
     @property
     def n_nodes(self) -> int:
         """Number of nodes."""
         return int(self.number.size)
 
+    @property
+    def n_vertices(self) -> int:
+        """Number of vertices of the mesh."""
+        return int(self.problem.mesh.p.shape[1])
+
     @cached_property
     def elements(self) -> Index:
-        """(3, elements) the nodes of each triangle."""
+        """(3 or 6, elements) the nodes of each triangle, as the shape functions are numbered."""
         return self.nodes_of(self.problem.triangles)
 
     def nodes_of(self, cells: Index) -> Index:
-        """(nodes per cell, cells) nodes of triangles, edges or points given by their vertices."""
-        return np.asarray(self.number[cells])
+        """(nodes per cell, cells) nodes of triangles, edges or points given by their vertices.
+
+        Those at the vertices, and of order 2 those at the edges, in the order of ``bernstein.SIDES``.
+        """
+        at_vertices = self.number[cells]
+        sides = SIDES[len(cells)] if self.order == 2 else ()
+        return np.vstack([at_vertices, *(self.nodes_at(cells[a], cells[b])[None] for a, b in sides)])
+
+    def nodes_at(self, one: Index, other: Index) -> Index:
+        """Nodes (n,) at the edges between vertices (n,), of order 2."""
+        names, order = self._edge_names
+        found = np.searchsorted(names, _names(one, other, self.n_vertices), sorter=order)
+        return np.asarray(self.number[self.n_vertices + order[found]])
 
     def kinds(self, nodes: Index) -> Iterator[tuple[Index, Index, Array]]:
         """Nodes by the vertices that carry them: ``(which, vertices, shares)`` for each kind of node.
 
         The nodes ``nodes[which]`` are at ``X[:, vertices] @ shares``, with ``vertices`` (per node, nodes).
         """
-        yield np.arange(nodes.size), self._vertex[nodes][None], np.ones(1)
+        carrier = self._carrier[nodes]
+        at_vertex = carrier < self.n_vertices
+        yield np.flatnonzero(at_vertex), carrier[at_vertex][None], np.ones(1)
+        if not np.all(at_vertex):
+            facets = self.problem.mesh.facets[:, carrier[~at_vertex] - self.n_vertices]
+            yield np.flatnonzero(~at_vertex), facets.astype(np.int64), np.full(2, 0.5)
 
     def points(self, X: Array) -> Array:
         """(2, nodes) where the nodes are at vertex positions (2, vertices)."""
         return self.of_linear(X)
 
     def of_linear(self, values: Array) -> Array:
-        """(components, nodes) values of a field that is linear on each triangle, by those at vertices."""
-        return np.asarray(values[:, self._vertex])
+        """(components, nodes) coefficients of a field linear on each triangle, by its values at vertices."""
+        if self.order == 1:
+            return np.asarray(values[:, self._carrier])
+        ends = self.problem.mesh.facets
+        found = np.hstack([values, (values[:, ends[0]] + values[:, ends[1]]) / 2])
+        return np.asarray(found[:, self._carrier])
+
+    def at_vertices(self, coefficients: Array) -> Array:
+        """(components, vertices) values at vertices of the field with coefficients (components, nodes)."""
+        return np.asarray(coefficients[:, self.number[: self.n_vertices]])
+
+    def values(self, coefficients: Array) -> Array:
+        """(components, nodes) values at the nodes' points of the field with coefficients at the nodes."""
+        return self._with_edges(coefficients, 0.25, 0.5)
+
+    def coefficients(self, values: Array) -> Array:
+        """(components, nodes) coefficients of the field with values at the nodes' points."""
+        return self._with_edges(values, -0.5, 2.0)
+
+    def _with_edges(self, given: Array, of_ends: float, of_own: float) -> Array:
+        result = np.array(given, dtype=float)
+        if self.order == 2:
+            ends, own = self.number[self.problem.mesh.facets], self.number[self.n_vertices :]
+            result[:, own] = of_own * given[:, own] + of_ends * (given[:, ends[0]] + given[:, ends[1]])
+        return result
 
     def given(self) -> tuple[NDArray[np.bool_], Array]:
-        """Where displacement components have no unknown, and their values: (components, nodes) arrays."""
+        """Where displacement components have no unknown, and their coefficients: both (components, nodes)."""
         held, value = self.problem.held()
         held = held.copy()
         held[:, np.setdiff1d(np.arange(held.shape[1]), self.problem.mesh.t)] = True  # on no triangle
-        return held[:, self._vertex], self.of_linear(value)
+        if self.order == 2:
+            of_edges = self._given_at_edges(value)
+            held, value = (np.hstack(pair) for pair in zip((held, value), of_edges, strict=True))
+        return held[:, self._carrier], value[:, self._carrier]
+
+    def _given_at_edges(self, at_vertices: Array) -> tuple[NDArray[np.bool_], Array]:
+        """The same at edges, by the values at vertices."""
+        problem, shape = self.problem, (self.problem.components, self.problem.mesh.facets.shape[1])
+        held, value = np.zeros(shape, dtype=bool), np.zeros(shape)
+        body = Body(problem, problem.mesh.p)
+        for support in problem.supports:
+            edges = body.edges(support.boundary)
+            middle = edges.at(np.arange(edges.size), np.full((edges.size, 1), 0.5))[0][..., 0]
+            for i, coefficient in enumerate(support.value):
+                if coefficient is None:
+                    continue
+                there = on_points(coefficient, middle, f"the displacement given on {support.boundary!r}")
+                held[i, edges.facets] = True
+                value[i, edges.facets] = 2 * there - np.sum(at_vertices[i, edges.ends], axis=0) / 2
+        return held, value
 
     @cached_property
     def contact_sets(self) -> tuple[ContactSet, ...]:
-        """Those of the problem, their nodes as the space numbers them: one gap for each node and obstacle."""
-        return tuple(replace(part, nodes=self.nodes_of(part.nodes)) for part in self.problem.contact_sets)
+        """Per obstacle the nodes whose gap depends on an unknown, and the rows of their gaps among all."""
+        sets, first = [], 0
+        for part in self.problem.contact_sets:
+            nodes = self.number[part.nodes]
+            if self.order == 2:
+                nodes = np.append(nodes, self._met_at_edges(part.obstacle))
+            sets.append(ContactSet(part.number, part.obstacle, nodes, first + np.arange(nodes.size)))
+            first += nodes.size
+        return tuple(sets)
+
+    def _met_at_edges(self, obstacle: Obstacle) -> Index:
+        mesh = self.problem.mesh
+        if isinstance(obstacle.boundary, Place):
+            facets = np.arange(mesh.facets.shape[1])
+        else:
+            facets = np.unique(mesh.boundaries[obstacle.boundary])
+        nodes = self.number[self.n_vertices + facets]
+        held, _ = self.given()
+        seen = np.abs(obstacle.normals(self.points(mesh.p)[:, nodes])) > NO_NORMAL
+        return np.asarray(nodes[np.any(~held[:, nodes] & seen, axis=0)])
 
     @cached_property
     def contact_nodes(self) -> Index:
         """(gaps,) the node of every gap; a node of two obstacles is there twice."""
-        return self.nodes_of(self.problem.contact_nodes)
+        return np.concatenate([np.zeros(0, np.int64), *(part.nodes for part in self.contact_sets)])
+
+    @cached_property
+    def friction_rows(self) -> Index:
+        """(n_s,) numbers of the gaps at which friction may act."""
+        rows = [part.rows for part in self.contact_sets if part.obstacle.frictional]
+        return np.concatenate([np.zeros(0, np.int64), *rows])
 
     def weights(self, X: Array) -> Array:
         """omega_i of (5.9) for every gap: the integral of its node's shape function over the boundary.
 
-        Half the length of the contact edges at the node; for an obstacle in the interior a third of the area
-        of the triangles there.
+        Half the length of the contact edges at the node, of order 2 a third; for an obstacle in the interior
+        a third of the area of the triangles there, of order 2 a sixth.
         """
         weights: list[Array] = [np.zeros(0)]
         for part in self.contact_sets:
             if part.obstacle.boundary is Place.INTERIOR:
-                cells, size = self.problem.triangles, signed_areas(X, self.problem.triangles)
+                cells, length = self.problem.triangles, signed_areas(X, self.problem.triangles)
             else:
                 cells = contact_edges(self.problem, part.obstacle)
-                size = np.linalg.norm(X[:, cells[1]] - X[:, cells[0]], axis=0)
-            share = np.tile(size / len(cells), len(cells))
-            whole = np.bincount(self.nodes_of(cells).ravel(), share, self.n_nodes)
+                length = np.linalg.norm(X[:, cells[1]] - X[:, cells[0]], axis=0)
+            nodes = self.nodes_of(cells)
+            share = np.tile(length / len(nodes), len(nodes))
+            whole = np.bincount(nodes.ravel(), share, self.n_nodes)
             weights.append(np.asarray(whole[part.nodes], dtype=float))
         return np.concatenate(weights)
 
     @cached_property
-    def _vertex(self) -> Index:
-        """(nodes,) the vertex of each node."""
+    def _carrier(self) -> Index:
+        """(nodes,) the vertex of each node, or the number of its edge after those of all vertices."""
         return np.argsort(self.number)
+
+    @cached_property
+    def _edge_names(self) -> tuple[Index, Index]:
+        facets = self.problem.mesh.facets
+        names = _names(facets[0], facets[1], self.n_vertices)
+        return names, np.argsort(names)
+
+
+def _names(one: NDArray, other: NDArray, n: int) -> Index:
+    """A number for each edge between two of n vertices."""
+    return np.minimum(one, other).astype(np.int64) * n + np.maximum(one, other)
 
 
 def contact_edges(problem: ContactProblem, obstacle: Obstacle) -> Index:

@@ -4,11 +4,13 @@ Let ``X_i`` be the vertices of a triangle, ``lambda_i`` its barycentric coordina
 from the chord of an edge ab to its arc, ``s`` running from 0 at a to 1 at b. The blended triangle is the
 image of
 
-    x(lambda) = sum_i lambda_i X_i + (lambda_a + lambda_b) d(lambda_b / (lambda_a + lambda_b))
+    x(lambda) = sum_i lambda_i X_i + (lambda_a + lambda_b)^k d(lambda_b / (lambda_a + lambda_b))
 
-(W. J. Gordon, C. A. Hall, Transfinite element methods, Numer. Math. 21 (1973) 109-129). A displacement that
-is linear in ``lambda`` is then continuous, and linear in ``s`` along the arc: on the true domain it is as
-admissible as on the polygon.
+(W. J. Gordon, C. A. Hall, Transfinite element methods, Numer. Math. 21 (1973) 109-129, with k = 1). A
+displacement that is a polynomial in ``lambda`` is then continuous, and a polynomial in ``s`` along the arc:
+on the true domain it is as admissible as on the polygon. k is the order of the displacements. With k = 1 the
+map has a kink in the apex, which costs quadratic displacements their rate; a parabola with k = 2 is the
+usual isoparametric triangle.
 """
 
 from __future__ import annotations
@@ -121,11 +123,12 @@ class Body:
             arc, velocity = arcs.at(arcs.sides.facet[side], s)
             X_a, X_b = corners[:, a, of, None], corners[:, b, of, None]
             off = arc - (1 - s) * X_a - s * X_b
-            turn = velocity - (X_b - X_a)
+            turn, order = velocity - (X_b - X_a), self.problem.order
+            lower = total ** (order - 1)
             for i in range(2):  # an element may have two sides on one curve
-                np.add.at(x[i], of, (total * off)[i])
-                np.add.at(slopes[i], (a, of), (off - s * turn)[i])
-                np.add.at(slopes[i], (b, of), (off + (1 - s) * turn)[i])
+                np.add.at(x[i], of, (total**order * off)[i])
+                np.add.at(slopes[i], (a, of), (lower * (order * off - s * turn))[i])
+                np.add.at(slopes[i], (b, of), (lower * (order * off + (1 - s) * turn))[i])
         return x, slopes
 
     def points(self, elements: Index, barycentric: Array) -> tuple[Array, Array]:

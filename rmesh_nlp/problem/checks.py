@@ -24,6 +24,9 @@ CLOSED = 1e-10
 INDEPENDENT = 1e-6
 """Least singular value of the normals of foundations that one node can keep off from."""
 
+ORDERS = (1, 2)
+"""Orders of displacements that there are."""
+
 HIGHEST_DEGREE = 19
 """Highest degree of scikit-fem's rules for triangles; its points stand for those of higher ones."""
 
@@ -33,6 +36,8 @@ LEAST_DEGREE_ON_EDGES = 4
 
 def check(problem: ProblemData) -> None:
     """Raise a ProblemError if a problem contradicts itself."""
+    if problem.order not in ORDERS:
+        raise ProblemError("order", f"the order of displacements must be 1 or 2, got {problem.order!r}")
     _check_mesh(problem)
     _check_names(problem)
     _check_laws(problem)

@@ -64,6 +64,8 @@ class ContactProblem(ProblemData):
         Names of the problem and of its mesh in records and files; "problem" and "" by default.
     point_loads : tuple of PointLoad, or one alone
         Forces at single nodes; none by default.
+    order : 1 or 2
+        Of the displacements on each triangle: linear, or quadratic with unknowns at edges too.
     units : Units
         Names of the units, written in texts and figures only; none by default.
     reference : (2, 3, elements) array, optional
@@ -112,6 +114,8 @@ class ContactProblem(ProblemData):
             ("boundaries (edges)", ", ".join(f"{name} ({np.size(facets)})" for name, facets in named)),
         ]
         stress = after(self.units.stress)
+        if self.order == 2:
+            rows.append(("displacements", "quadratic on each triangle"))
         rows += [(f"law of {e.size} triangles", law.in_words(stress)) for law, e in self.regions]
         for label, conditions in (("given", self.supports), ("traction", self.tractions)):
             for one in conditions:

@@ -30,7 +30,10 @@ CLASH = 1e-12
 
 @dataclass(frozen=True)
 class ContactSet:
-    """The contact nodes of one obstacle and the rows of their gaps among those of all obstacles."""
+    """The contact nodes of one obstacle and the rows of their gaps among those of all obstacles.
+
+    Of a problem they are vertices, of a displacement space its nodes.
+    """
 
     number: int
     obstacle: Obstacle
@@ -53,6 +56,7 @@ class ProblemData:
     name: str = "problem"
     size: str = ""
     point_loads: tuple[PointLoad, ...] = ()
+    order: int = 1
     units: Units = NO_UNITS
     reference: Array | None = field(default=None, compare=False, repr=False)
 
@@ -161,7 +165,7 @@ class ProblemData:
 
     @cached_property
     def contact_sets(self) -> tuple[ContactSet, ...]:
-        """Per obstacle the nodes whose gap depends on a displacement that is not given."""
+        """Per obstacle the vertices whose gap depends on a displacement that is not given."""
         held, _ = self.held()
         sets, first = [], 0
         for number, obstacle in enumerate(self.obstacles):
@@ -185,9 +189,3 @@ class ProblemData:
             for part in self.contact_sets
         ]
         return np.concatenate([np.zeros(0, np.int64), *parts])
-
-    @property
-    def friction_rows(self) -> NDArray[np.int64]:
-        """Numbers of those gaps at which friction may act."""
-        rows = [part.rows for part in self.contact_sets if part.obstacle.frictional]
-        return np.concatenate([np.zeros(0, np.int64), *rows])

@@ -214,7 +214,7 @@ def _decrease(ends: _Ends) -> tuple[float, float]:
 def _findings(ends: _Ends, own: Equilibrium, given: ContactProblem, exploits: str | None) -> Findings:
     """What else is measured of the last mesh; ``own`` is the formulation's displacement."""
     outer, problem, exact = ends.outer, ends.outer.problem, ends.exact.equilibrium
-    system, rows = outer.contact.system(ends.nodes), problem.friction_rows
+    system, rows = outer.contact.system(ends.nodes), ends.outer.discretisation.friction_rows
     sliding = int(np.count_nonzero(exact.active.sliding[rows])) if rows.size else None
     change = None
     if problem.motion.curves:

@@ -35,14 +35,14 @@ LAWS = {
 }
 
 
-def triangles(seed: int, n: int, components: int) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of upright triangles (6, n) that are not too thin, and displacements (3 components, n)."""
+def triangles(seed: int, n: int, components: int, order: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of upright triangles (6, n) that are not too thin, and displacements (nodes components, n)."""
     rng = np.random.default_rng(seed)
     a, length, angle = rng.uniform(-1, 1, (2, n)), rng.uniform(0.2, 2, (2, n)), rng.uniform(0.2, 2.8, n)
     turn = rng.uniform(0, 2 * np.pi, n)
     b = a + length[0] * np.stack([np.cos(turn), np.sin(turn)])
     c = a + length[1] * np.stack([np.cos(turn + angle), np.sin(turn + angle)])
-    return np.concatenate([a, b, c]), rng.standard_normal((3 * components, n))
+    return np.concatenate([a, b, c]), rng.standard_normal((3 * order * components, n))
 
 
 def group(function, at_points: PointValues | None, closed, sizes: list[int], n: int) -> ElementGroup:
@@ -74,24 +74,25 @@ def packed(X: np.ndarray, *u: np.ndarray) -> np.ndarray:
     return np.concatenate([part.ravel(order="F") for part in (X, *u)])
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("name", LAWS)
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=10, deadline=None)
-def test_strain_energy_is_that_of_its_function(name, seed) -> None:
+def test_strain_energy_is_that_of_its_function(name, order, seed) -> None:
     law = LAWS[name]
-    X, u = triangles(seed, 3, law.components)
-    agree([group(strain_energy(law), None, Strain(law), [6, len(u)], 3)], packed(X, u))
+    X, u = triangles(seed, 3, law.components, order)
+    agree([group(strain_energy(law, order), None, Strain(law, order), [6, len(u)], 3)], packed(X, u))
 
 
-@pytest.mark.parametrize("rule", ["midpoint", 3, 6])
+@pytest.mark.parametrize(("rule", "order"), [("midpoint", 1), (3, 1), (6, 1), (3, 2), (6, 2)])
 @pytest.mark.parametrize("name", LAWS)
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=3, deadline=None)
-def test_work_of_a_load_is_that_of_its_function(name, rule, seed) -> None:
+def test_work_of_a_load_is_that_of_its_function(name, rule, order, seed) -> None:
     law = LAWS[name]
-    X, u = triangles(seed, 3, law.components)
-    function, at_points = load_energy(law, rule)
-    closed = Load(at_points.function, triangle_rule(rule))
+    X, u = triangles(seed, 3, law.components, order)
+    function, at_points = load_energy(law, rule, order)
+    closed = Load(at_points.function, triangle_rule(rule), order)
     agree([group(function, at_points, closed, [6, len(u)], 3)], packed(X, u))
 
 

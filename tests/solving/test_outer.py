@@ -111,8 +111,12 @@ def test_an_objective_is_built_once_and_shares_the_contact_model(outer: Outer) -
 class TestAssessment:
     def test_zones_residuals_and_counts_of_a_record(self, outer: Outer) -> None:
         found, problem = ended(outer, np.zeros(outer.n)).findings, outer.problem
-        sliding = np.count_nonzero(outer.given.active.sliding[problem.friction_rows])
-        assert (found.sliding_nodes, found.sticking_nodes) == (sliding, problem.friction_rows.size - sliding)
+        rows = outer.discretisation.friction_rows
+        sliding = np.count_nonzero(outer.given.active.sliding[rows])
+        assert (found.sliding_nodes, found.sticking_nodes) == (
+            sliding,
+            outer.discretisation.friction_rows.size - sliding,
+        )
         assert sliding > 0
         assert found.own_equilibrium_residual == found.assessed_equilibrium_residual < 1e-9
         assert found.own_complementarity_residual == found.assessed_complementarity_residual < 1e-9
