@@ -1,8 +1,8 @@
 """The energy of the continuous problem on a mesh: that of a displacement which is admissible everywhere.
 
-It is linear on the triangles and keeps off the foundations by as much as gaps along whole edges (in whole
-triangles) need. With loads and friction integrated until two rules agree, on the domain of the true curves,
-its energy is never below the least one. By Theorem 4.1 it falls if and only if the error does.
+It is a polynomial on each triangle and keeps off the foundations by as much as gaps along whole edges (in
+whole triangles) need. With loads and friction integrated until two rules agree, on the domain of the true
+curves, its energy is never below the least one. By Theorem 4.1 it falls if and only if the error does.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.assessment.energy import friction_energy, hat_integrals, load_vector, stiffness
+from rmesh_nlp.assessment.energy import friction_energy, load_vector, shape_integrals, stiffness
 from rmesh_nlp.assessment.standoff import Cells, cells_of
 from rmesh_nlp.assessment.tightening import tightened
 from rmesh_nlp.contact.active_set import solve
@@ -69,7 +69,7 @@ class Admissible:
 
 
 class Continuous:
-    """The continuous problem, restricted to displacements that are linear on the triangles of one mesh.
+    """The continuous problem, restricted to the displacements of one mesh.
 
     ``nodes`` (2, vertices) are the positions of the vertices; those of the mesh by default.
     """
@@ -95,13 +95,17 @@ class Continuous:
         directions = Directions(space, self.field, self.parts.n_u)
         normals, tangents = directions.rows(nodes)
         gaps = [part.obstacle.distances(points[:, part.nodes]) for part in space.contact_sets]
+        offset = np.concatenate([np.zeros(0), *gaps])
+        for cells in self.cells:  # at edges coefficients, on the arc if there is one
+            rows, found = (values[cells.vertices :] for values in (cells.rows, cells.at_nodes))
+            offset[rows[rows >= 0]] = found[rows >= 0]
         along = np.sum(directions.normals(nodes) * self.given[:, space.contact_nodes], axis=0)
         frictional = np.zeros(along.size, dtype=bool)
         frictional[space.friction_rows] = True
         bounds = np.zeros(along.size if self.problem.frictional else 0)
         for part, edges in self._rubbing:
             here = np.zeros(space.n_nodes)
-            shares = hat_integrals(edges.at, edges.size, part.obstacle.friction)[0]
+            shares = shape_integrals(edges.at, edges.size, part.obstacle.friction, space.order)[0]
             np.add.at(here, space.nodes_of(edges.ends), shares)
             bounds[part.rows] = here[part.nodes]
         rigid = self.parts.rigid_motions(nodes)
@@ -114,7 +118,7 @@ class Continuous:
             constant=float(0.5 * given @ pull - self.load @ given),
             normals=normals,
             tangents=tangents,
-            offset=np.concatenate([np.zeros(0), *gaps]) + along,
+            offset=offset + along,
             slip_bound=bounds,
             frictional=frictional,
             rigid=rigid if rigid.size else None,

@@ -72,13 +72,13 @@ class Assessor:
         """
         system = self.model.system(nodes)
         state = found.u, found.normal_force, found.tangential_force
-        at_nodes = self.model.displacement.values(found.u)
+        displacement = self.model.displacement.values(found.u)
         return Audit(
             energy_audited=exact.energy,
             equilibrium_residual=equilibrium_residual(system, *state),
             complementarity_residual=law_residual(system, *state),
             min_area_ratio=least_area_ratio(self.problem, nodes) if ratio is None else ratio,
-            penetration=penetration(self.problem, nodes, at_nodes[:, self.model.discretisation.space.number]),
+            penetration=penetration(self.model.discretisation.space, nodes, displacement),
         )
 
     def corrections(self, nodes: Array, found: Equilibrium, exact: Admissible) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Strain energy, work and friction energy of a displacement that is linear on blended triangles.
+"""Strain energy, work and friction energy of a displacement on the triangles, straight or blended, of a body.
 
 Numbering: component i of node k is entry ``components * k + i`` of a nodal vector.
 """
@@ -12,6 +12,7 @@ import scipy.sparse as sp
 
 from rmesh_nlp.assessment.integrals import EdgePoints, over_edges, over_triangles
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.body import Body, Edges, Index, gradients
 from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points, polynomial_degree
@@ -29,10 +30,11 @@ def stiffness(body: Body, space: DisplacementSpace) -> sp.csc_array:
     matrix = sp.csc_array((n, n))
     for law, region in problem.regions:
         curved = body.is_curved[region]
-        for elements, points in ((region[~curved], 1), (region[curved], STIFFNESS_POINTS)):
+        for elements, points in ((region[~curved], space.order), (region[curved], STIFFNESS_POINTS)):
 
             def integrand(which: Index, barycentric: Array, _: Array, law: Law = law) -> Array:
-                gradient = gradients(body.at(which, barycentric)[1])[0]
+                coordinates = gradients(body.at(which, barycentric)[1])[0]
+                gradient = np.einsum("avmk,vimk->aimk", slopes(space.order, barycentric), coordinates)
                 return _density(law, gradient).reshape(-1, *gradient.shape[2:])
 
             if elements.size:
@@ -45,7 +47,7 @@ def stiffness(body: Body, space: DisplacementSpace) -> sp.csc_array:
 
 
 def _density(law: Law, gradient: Array) -> Array:
-    """Integrand (3 components, 3 components, m, k) of the stiffness for gradients (3, 2, m, k)."""
+    """Integrand (n components, n components, m, k) of the stiffness for gradients (n, 2, m, k)."""
     inner = np.einsum("aimk,bimk->abmk", gradient, gradient)
     if isinstance(law, Laplace):
         return law.conductivity * inner
@@ -54,7 +56,7 @@ def _density(law: Law, gradient: Array) -> Array:
     full += mu * np.einsum("ajmk,bimk->aibjmk", gradient, gradient)
     for i in range(2):
         full[:, i, :, i] += mu * inner
-    return full.reshape(6, 6, *gradient.shape[2:])
+    return full.reshape(2 * len(gradient), 2 * len(gradient), *gradient.shape[2:])
 
 
 def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
@@ -69,33 +71,36 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
     for law, elements in problem.regions:
         for i, coefficient in enumerate(law.load):
             if is_nonzero(coefficient) and elements.size:
-                add(i, space.elements[:, elements], _body_load(body, coefficient, elements))
+                add(i, space.elements[:, elements], _body_load(body, space.order, coefficient, elements))
     for traction in problem.tractions:
         edges = body.edges(traction.boundary)
         for i, coefficient in enumerate(traction.value):
             if is_nonzero(coefficient):
-                add(i, space.nodes_of(edges.ends), hat_integrals(edges.at, edges.size, coefficient))
+                found = shape_integrals(edges.at, edges.size, coefficient, space.order)
+                add(i, space.nodes_of(edges.ends), found)
     for point in problem.point_loads:
         load[space.number[point.node]] += point.force
     return load.ravel(), doubt.ravel()
 
 
-def _body_load(body: Body, coefficient: Coefficient, elements: Index) -> tuple[Array, Array]:
+def _body_load(body: Body, order: int, coefficient: Coefficient, elements: Index) -> tuple[Array, Array]:
     degree = polynomial_degree(coefficient)
     straight = not np.any(body.is_curved[elements])
-    points = None if degree is None or not straight else degree // 2 + 2
+    points = None if degree is None or not straight else (degree + order + 3) // 2
 
     def integrand(_: Index, barycentric: Array, where: Array) -> Array:
-        return barycentric * _values(coefficient, where)
+        return functions(order, barycentric) * _values(coefficient, where)
 
     return over_triangles(body, elements, integrand, points)
 
 
-def hat_integrals(at: EdgePoints, size: int, coefficient: Coefficient) -> tuple[Array, Array]:
-    """Integrals (2, edges) of a coefficient times ``1 - s`` and ``s`` along edges, and their doubts."""
+def shape_integrals(
+    at: EdgePoints, size: int, coefficient: Coefficient, order: int = 1
+) -> tuple[Array, Array]:
+    """Integrals (nodes per edge, edges) of a coefficient times shape functions along edges; their doubts."""
 
     def integrand(_: Index, s: Array, where: Array) -> Array:
-        return np.stack([1 - s, s]) * _values(coefficient, where)
+        return functions(order, np.stack([1 - s, s])) * _values(coefficient, where)
 
     return over_edges(at, size, integrand)
 
@@ -106,24 +111,38 @@ def _values(coefficient: Coefficient, where: Array) -> Array:
 
 
 STEPS = 3
-"""Steps to the point of an edge at which the slip changes sign; one is exact on a straight foundation."""
+"""Steps to a point of an edge at which the slip changes sign; one is exact on a straight foundation."""
 
 
-def friction_energy(edges: Edges, obstacle: Obstacle, ends: Array) -> tuple[Array, Array]:
+def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tuple[Array, Array]:
     """(edges,) integrals of the friction bound times the size of the slip, and what they may be wrong by.
 
-    The displacement has the values ``ends`` (2, 2 ends, edges). Edges are split where the slip changes sign.
+    The displacement has the coefficients (2, 2 or 3 nodes, edges). Edges are split where the slip changes
+    sign, a parabola at its vertex first.
     """
+    order = displacement.shape[1] - 1
 
     def slip(rows: Index, s: Array, where: Array) -> Array:
         normals = obstacle.normals(where.reshape(2, -1)).reshape(where.shape)
-        u = ends[:, 0, rows, None] * (1 - s) + ends[:, 1, rows, None] * s
+        shares = functions(order, np.stack([1 - s, s]))
+        u = sum(displacement[:, i, rows, None] * share for i, share in enumerate(shares))
         return np.asarray(normals[1] * u[0] - normals[0] * u[1])
 
-    split = _zeros(lambda rows, s: slip(rows, s, edges.at(rows, s)[0]), edges.size)
-    # each edge twice: before and behind the point where the slip changes sign
-    low = np.concatenate([np.zeros(edges.size), split])
-    width = np.concatenate([split, 1 - split])
+    def slip_at(s: Array) -> Array:
+        rows = np.arange(s.size) % edges.size
+        return slip(rows, s[:, None], edges.at(rows, s[:, None])[0])[:, 0]
+
+    ends, bend = np.array([np.zeros(edges.size), np.ones(edges.size)]), np.zeros(edges.size)
+    if order == 2:
+        first, middle, last = (slip_at(np.full(edges.size, s)) for s in (0.0, 0.5, 1.0))
+        bend = 4 * (first - 2 * middle + last)
+        top = np.divide(first - last, bend, out=np.zeros(edges.size), where=bend != 0) + 0.5
+        ends = np.insert(ends, 1, np.clip(top, 0.0, 1.0), axis=0)
+    begin, end = ends[:-1].ravel(), ends[1:].ravel()
+    split = _zeros(slip_at, begin, end, np.tile(bend, order))
+    # each part twice: before and behind the point where the slip changes sign
+    low = np.concatenate([begin, split])
+    width = np.concatenate([split - begin, end - split])
 
     def at(part: Index, s: Array) -> tuple[Array, Array]:
         where, speed = edges.at(part % edges.size, low[part, None] + width[part, None] * s)
@@ -134,21 +153,26 @@ def friction_energy(edges: Edges, obstacle: Obstacle, ends: Array) -> tuple[Arra
         bound = on_points(obstacle.friction, where.reshape(2, -1), "the friction bound")
         return (bound.reshape(s.shape) * np.abs(slip(part % edges.size, along, where)))[None]
 
-    total, doubt = over_edges(at, 2 * edges.size, integrand)
-    return total.reshape(2, -1).sum(axis=0), doubt.reshape(2, -1).sum(axis=0)
+    total, doubt = over_edges(at, low.size, integrand)
+    return total.reshape(2 * order, -1).sum(axis=0), doubt.reshape(2 * order, -1).sum(axis=0)
 
 
-def _zeros(slip: Callable[[Index, Array], Array], size: int) -> Array:
-    """(edges,) where the slip changes sign, by the regula falsi; the middle where it does not."""
-    rows = np.arange(size)
-    low, high = np.zeros(size), np.ones(size)
-    at_low, at_high = (slip(rows, s[:, None])[:, 0] for s in (low, high))
+def _zeros(slip: Callable[[Array], Array], begin: Array, end: Array, bend: Array) -> Array:
+    """(parts,) where the slip changes sign between ``begin`` and ``end``; the middle where it does not.
+
+    In the regula falsi a parabola with the second derivative ``bend`` (parts,) takes the place of a line.
+    """
+    low, high = begin, end
+    at_low, at_high = slip(low), slip(high)
     changes = at_low * at_high < 0
-    middle = np.full(size, 0.5)
+    middle = (low + high) / 2
     for _ in range(STEPS):
-        slope = np.where(changes, at_high - at_low, 1.0)
-        middle = np.where(changes, low - at_low * (high - low) / slope, 0.5)
-        here = slip(rows, middle[:, None])[:, 0]
+        rise, width = np.where(changes, at_high - at_low, 1.0), high - low
+        curved = np.where(changes, bend * width**2 / 2, 0.0)
+        slope = rise - curved  # at the lower end
+        inner = np.copysign(np.sqrt(np.maximum(slope**2 - 4 * curved * at_low, 0.0)), rise)
+        middle = np.where(changes, np.clip(low - 2 * at_low * width / (slope + inner), low, high), middle)
+        here = slip(middle)
         same = here * at_low > 0
         low, at_low = np.where(same, middle, low), np.where(same, here, at_low)
         high, at_high = np.where(same, high, middle), np.where(same, at_high, here)

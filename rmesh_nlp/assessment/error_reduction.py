@@ -141,7 +141,10 @@ def on_refined(last: Admissible) -> Admissible:
 
 
 def _refined_set(coarse: DisplacementSpace, active: ActiveSet, fine: DisplacementSpace) -> ActiveSet:
-    """Contact on a uniform refinement: a new node touches or slides where both ends of its edge do."""
+    """Contact on a uniform refinement: a new vertex touches or slides as the node at its edge does.
+
+    Where there is none, and at new edges, that is what both ends do.
+    """
     touching = np.zeros(fine.contact_nodes.size, dtype=bool)
     sliding = np.zeros(touching.size if active.sliding.size else 0, dtype=np.int8)
     facets = coarse.problem.mesh.facets
@@ -150,10 +153,12 @@ def _refined_set(coarse: DisplacementSpace, active: ActiveSet, fine: Displacemen
             if old.size:
                 at_nodes = np.zeros(coarse.n_nodes, dtype=old.dtype)
                 at_nodes[one.nodes] = old[one.rows]
-                at_vertices = at_nodes[coarse.number]
-                a, b = at_vertices[facets]
-                finer = np.append(at_vertices, np.where(a == b, a, 0))
-                new[two.rows] = fine.of_linear(finer[None])[0, two.nodes]
+                at_vertices, at_edges = np.split(at_nodes[coarse.number], [coarse.n_vertices])
+                if not at_edges.size:
+                    a, b = at_vertices[facets]
+                    at_edges = np.where(a == b, a, 0)
+                finer = fine.of_linear(np.append(at_vertices, at_edges)[None].astype(float))
+                new[two.rows] = np.trunc(finer[0, two.nodes])
     return ActiveSet(touching, sliding)
 
 

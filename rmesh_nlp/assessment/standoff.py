@@ -1,9 +1,10 @@
 """How far contact nodes must keep off a foundation so that the gap holds everywhere between them.
 
-Along an edge, or in a triangle, the gap is ``sum_i N_i G_i - a`` for gaps G_i at its nodes, N_i linear,
-where ``a = sum_i N_i d(X_i) - d`` is the height of the foundation above the interpolant of the gap d at zero
-displacement. So it holds if the nodes that are free keep off by ``max (a - sum_held N_j G_j) / sum_free
-N_i``. That is exact where the normal is the same everywhere; where it varies, what is left is added.
+Along an edge, or in a triangle, the gap is ``sum_i N_i G_i - a`` for gaps G_i at its nodes, N_i the shape
+functions, where ``a = sum_i N_i d_i - d`` is the height of the foundation above the interpolant, of
+coefficients d_i, of the gap d at zero displacement. So it holds if the nodes that are free keep off by
+``max (a - sum_held N_j G_j) / sum_free N_i``. That is exact where the normal is the same everywhere; where it
+varies, what is left is added.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import functions, to_coefficients
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.body import Body, Index
 from rmesh_nlp.problem.data import ContactSet
 
 SAMPLES = 128
-"""Parts of an edge between whose ends the foundation is looked at."""
+"""Parts of an edge between whose ends the foundation is looked at; its middle is one of these places."""
 
 LATTICES, POINTS = (48, 32, 24, 16, 12), 150_000
 """The same along the sides of a triangle: the finest with which the mesh has no more points than this, or the
@@ -49,15 +51,16 @@ class Cells:
     points: Array  # (2, m, k)
     distance: Array  # (m, k), gaps without displacement
     low: Array  # (m, k), the same less what they may fall by between the points
+    at_nodes: Array  # (v, m), coefficients d_i of the interpolant of these gaps
+    vertices: int  # nodes of a cell at its vertices, which come first
 
     def off(self, given: Array) -> Array:
         """(m,) how far the free nodes of each cell must keep off; -infinity where none is free.
 
         ``given`` (nodes,) is the displacement along the normal where it is given.
         """
-        at_nodes = self.distance[:, np.argmax(self.shares, axis=1)].T
-        height = self.shares.T @ at_nodes - self.low.T
-        return self._needed(height, np.where(self.rows < 0, at_nodes + given[self.nodes], 0.0))
+        height = self.shares.T @ self.at_nodes - self.low.T
+        return self._needed(height, np.where(self.rows < 0, self.at_nodes + given[self.nodes], 0.0))
 
     def unreachable(self, given: Array) -> Index:
         """Cells all of whose nodes are held, through which the foundation rises."""
@@ -108,12 +111,14 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
     if contact.obstacle.boundary is Place.INTERIOR:
         nodes, at = space.elements, body.points
         fits = [n for n in LATTICES if n * n / 2 * nodes.shape[1] <= POINTS]
-        shares, bends = _lattice(fits[0] if fits else LATTICES[-1])
-        where = shares[:, None]
+        barycentric, bends = _lattice(fits[0] if fits else LATTICES[-1])
+        where = barycentric[:, None]
     else:
         edges = body.edges(str(contact.obstacle.boundary))
         nodes, at = space.nodes_of(edges.ends), edges.at
-        shares, bends, where = np.stack([1 - _ALONG, _ALONG]), _EDGE_BENDS, _ALONG[None]
+        barycentric, bends, where = np.stack([1 - _ALONG, _ALONG]), _EDGE_BENDS, _ALONG[None]
+    shares, to_gaps = functions(space.order, barycentric), to_coefficients(space.order, len(barycentric))
+    own = np.argmax(shares, axis=1)  # the points of the nodes
     step, triples = max(1, 400_000 // shares.shape[1]), _triples_of(bends, shares.shape[1])
     for first in range(0, nodes.shape[1], step):
         part = np.arange(first, min(first + step, nodes.shape[1]))
@@ -122,8 +127,8 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
         distance = contact.obstacle.distances(points.reshape(2, -1)).reshape(points.shape[1:])
         bend = distance[:, bends[0]] - 2 * distance[:, bends[1]] + distance[:, bends[2]]
         low = distance - BETWEEN * np.max(np.abs(bend)[:, triples], axis=2)
-        some = nodes[:, part]
-        yield Cells(contact, part, some, row[some], shares, points, distance, low)
+        some, at_nodes = nodes[:, part], to_gaps @ distance[:, own].T
+        yield Cells(contact, part, some, row[some], shares, points, distance, low, at_nodes, len(barycentric))
 
 
 _ALONG = np.arange(SAMPLES + 1) / SAMPLES

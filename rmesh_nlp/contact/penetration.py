@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem import ContactProblem, Obstacle, Place
+from rmesh_nlp.fem.bernstein import functions
+from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.problem import Obstacle, Place
 from rmesh_nlp.problem.body import Body
 
 _FRACTIONS = np.arange(33) / 32
@@ -17,14 +19,19 @@ ON_TRIANGLE = np.array([(i, j, 8 - i - j) for i in range(9) for j in range(9 - i
 """The same in a triangle."""
 
 
-def penetration(problem: ContactProblem, nodes: Array, displacement: Array) -> float:
-    """Largest negative gap on the contact edges or triangles, as a positive length; 0 without."""
-    body = Body(problem, nodes)
-    depths = [penetrations(body, obstacle, displacement)[0] for obstacle in problem.obstacles]
+def penetration(space: DisplacementSpace, nodes: Array, displacement: Array) -> float:
+    """Largest negative gap on the contact edges or triangles, as a positive length; 0 without.
+
+    ``nodes`` (2, vertices) are positions, ``displacement`` (components, nodes) coefficients.
+    """
+    body = Body(space.problem, nodes)
+    depths = [penetrations(body, space, part, displacement)[0] for part in space.problem.obstacles]
     return max((float(np.max(depth, initial=0.0)) for depth in depths), default=0.0) + 0.0  # not -0
 
 
-def penetrations(body: Body, obstacle: Obstacle, displacement: Array) -> tuple[Array, Array]:
+def penetrations(
+    body: Body, space: DisplacementSpace, obstacle: Obstacle, displacement: Array
+) -> tuple[Array, Array]:
     """(cells,) deepest penetration >= 0 of each contact edge, or triangle of an interior contact set.
 
     And the length of the edge, or of the first edge of the triangle.
@@ -38,7 +45,7 @@ def penetrations(body: Body, obstacle: Obstacle, displacement: Array) -> tuple[A
         cells, points = edges.ends, ON_EDGE
         where = edges.at(np.arange(edges.size), np.broadcast_to(points[1], (edges.size, points.shape[1])))[0]
     length = np.linalg.norm(body.nodes[:, cells[1]] - body.nodes[:, cells[0]], axis=0)
-    u = np.einsum("cve,vk->cek", displacement[:, cells], points).reshape(displacement.shape[0], -1)
-    flat = where.reshape(2, -1)
+    u = np.einsum("cve,vk->cek", displacement[:, space.nodes_of(cells)], functions(space.order, points))
+    u, flat = u.reshape(len(u), -1), where.reshape(2, -1)
     gap = np.sum(obstacle.normals(flat) * u, axis=0) + obstacle.distances(flat)
     return np.maximum(0.0, -gap.reshape(cells.shape[1], -1)).max(axis=1, initial=0.0), length

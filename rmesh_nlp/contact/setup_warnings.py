@@ -16,6 +16,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import holds_along_edges
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.data import ContactSet
@@ -87,16 +88,16 @@ def setup_warnings(
     for part in problem.contact_sets:
         found += _contact(problem, part, system, state, u)
     warnings = tuple(SetupWarning(kind, message) for kind, message in found)
-    return (*warnings, *penetration_warnings(problem, problem.mesh.p, u))
+    return (*warnings, *penetration_warnings(model.discretisation.space, problem.mesh.p, u))
 
 
-def penetration_warnings(problem: ContactProblem, nodes: Array, displacement: Array) -> list[SetupWarning]:
-    """Where foundations pass into the body between contact nodes, on any mesh of the problem."""
-    found = []
+def penetration_warnings(space: DisplacementSpace, nodes: Array, displacement: Array) -> list[SetupWarning]:
+    """Where foundations pass into the body between contact nodes, at any vertex positions (2, vertices)."""
+    found, problem = [], space.problem
     for part in problem.contact_sets:
         if problem.components == 1 or part.obstacle.boundary is Place.INTERIOR:
             continue  # a displacement of its own unit: there is no edge to compare with
-        depth, length = penetrations(Body(problem, nodes), part.obstacle, displacement)
+        depth, length = penetrations(Body(problem, nodes), space, part.obstacle, displacement)
         ratio = float(np.max(depth / length, initial=0.0))
         if ratio > PENETRATION:
             message = (

@@ -31,7 +31,7 @@ import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import holds_along_edges
-from rmesh_nlp.fem.fields import Index
+from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy
@@ -223,13 +223,16 @@ def _pattern(relocation: Relocation) -> sp.csc_array:
     """Upper triangle of where the lifted Hessian may have entries, whatever is active.
 
     Unknowns meet if their nodes meet in an element. A touching node follows the outer variables that its gap
-    depends on: its own, and those of its neighbours on the contact boundary where gaps hold along edges. So
-    outer variables meet where nodes do that follow them.
+    depends on: those of its vertices, and those of its neighbours on the contact boundary where gaps hold
+    along edges. So outer variables meet where nodes do that follow them.
     """
-    meet = _elements(relocation)
-    follows = sp.csr_array(sp.eye_array(meet.shape[0]) + _beside(relocation))
+    space, positions = relocation.discretisation.space, relocation.mesh_map.positions.index
+    meet = _elements(space)
+    follows = sp.csr_array(sp.eye_array(space.n_nodes) + _followed(space))
     moved = meet @ follows
-    to_outer = _to_unknowns(relocation.mesh_map.positions.index, relocation.n_q)
+    at_nodes = np.full((len(positions), space.n_nodes), -1)
+    at_nodes[:, space.number[: space.n_vertices]] = positions
+    to_outer = _to_unknowns(at_nodes, relocation.n_q)
     to_others = _to_unknowns(relocation.displacement.index - relocation.n_q, relocation.n_u)
     outer = to_outer.T @ (follows.T @ moved) @ to_outer + sp.eye_array(relocation.n_q)
     mixed = to_others.T @ moved @ to_outer
@@ -245,21 +248,24 @@ def _incidence(rows: Index, columns: Index, *shape: int) -> sp.csr_array:
     return sp.csr_array((np.ones(rows.size), (rows, columns)), shape=shape)
 
 
-def _elements(relocation: Relocation) -> sp.csr_array:
+def _elements(space: DisplacementSpace) -> sp.csr_array:
     """(nodes, nodes) Whether two nodes are of one element, or the same."""
-    triangles, n = relocation.problem.triangles, relocation.problem.mesh.p.shape[1]
-    element = np.tile(np.arange(triangles.shape[1]), 3)
-    belongs = _incidence(triangles.ravel(), element, n, triangles.shape[1])
+    elements, n = space.elements, space.n_nodes
+    element = np.tile(np.arange(elements.shape[1]), len(elements))
+    belongs = _incidence(elements.ravel(), element, n, elements.shape[1])
     return sp.csr_array(belongs @ belongs.T + sp.eye_array(n))
 
 
-def _beside(relocation: Relocation) -> sp.csr_array:
-    """(nodes, nodes) Which other nodes the gap of a node depends on."""
-    problem, n = relocation.problem, relocation.problem.mesh.p.shape[1]
+def _followed(space: DisplacementSpace) -> sp.csr_array:
+    """(nodes, nodes) At which other nodes the positions are that the gap of a node depends on."""
+    problem, n = space.problem, space.n_nodes
     found = sp.csr_array((n, n))
-    for part in problem.contact_sets:
+    for part in space.contact_sets:
+        for which, vertices, _ in space.kinds(part.nodes):
+            nodes = np.tile(part.nodes[which], len(vertices))
+            found = found + _incidence(nodes, space.number[vertices].ravel(), n, n)
         if holds_along_edges(problem, part.obstacle):
-            one, two = Body(problem, problem.mesh.p).edges_of(part.obstacle).ends
+            one, two = space.number[Body(problem, problem.mesh.p).edges_of(part.obstacle).ends]
             found = found + _incidence(np.append(one, two), np.append(two, one), n, n)
     return found
 

@@ -118,7 +118,7 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         label = "KKT" if residual <= outer.tolerance else ""
     return Assessment(
         **common,
-        displacement=outer.contact.displacement.values(ends.found.u),
+        displacement=outer.discretisation.space.values(outer.contact.displacement.values(ends.found.u)),
         pressure=_nodal_stress(ends, ends.found.normal_force),
         tangential_stress=_nodal_stress(ends, ends.found.tangential_force),
         energy=ends.found.energy,
@@ -245,7 +245,7 @@ def _warnings(ends: _Ends) -> tuple[str, ...]:
     said = setup_warnings(begin.problem, begin.contact, begin.given, load)
     found = [one for one in said if one.kind != "penetration"]
     displacement = ends.outer.contact.displacement.values(ends.found.u)
-    found += penetration_warnings(ends.outer.problem, ends.nodes, displacement)
+    found += penetration_warnings(ends.outer.discretisation.space, ends.nodes, displacement)
     return tuple(one.message for one in found)
 
 

@@ -10,6 +10,7 @@ import pytest
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.edge_gaps import POWER, SAMPLES, with_edge_gaps
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
@@ -33,7 +34,9 @@ def passes(problem: ContactProblem, body: ContactProblem | None = None) -> tuple
     model, nodes = ContactSolver(problem), problem.mesh.p
     state = model.solve(nodes)
     assert np.sum(state.active.touching) >= 2
-    return penetration(body or problem, nodes, model.displacement.values(state.u)), state.energy
+    return penetration(
+        DisplacementSpace.of(body or problem), nodes, model.displacement.values(state.u)
+    ), state.energy
 
 
 def shaken(problem: ContactProblem, seed: int) -> ContactProblem:

@@ -96,7 +96,7 @@ def test_additional_unknowns_change_neither_objective_nor_constraints() -> None:
 
 def test_entries_outside_the_pattern_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = nlp_of(bumpy(0.0))
-    monkeypatch.setattr(module, "_beside", lambda relocation: 0 * module._elements(relocation))
+    monkeypatch.setattr(module, "_followed", lambda space: 0 * module._elements(space))
     larger = lifted(problem)
     with pytest.raises(RuntimeError, match="outside its pattern"):
         larger.derivatives.hess_lag(np.zeros(larger.n_x), [], 1.0, np.zeros(larger.n_g))

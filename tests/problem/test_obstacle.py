@@ -14,6 +14,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedObjective
@@ -193,7 +194,7 @@ def test_compressed_block_between_two_plates_has_its_closed_form() -> None:
         nodes = problem.boundary_nodes((name,))
         np.testing.assert_allclose(solution.pressure[nodes], stress, rtol=1e-9)
     assert solution.energy == pytest.approx(stress * 0.04 / 2, rel=1e-9)
-    assert penetration(problem, problem.mesh.p, solution.displacement) < 1e-12
+    assert penetration(DisplacementSpace.of(problem), problem.mesh.p, solution.displacement) < 1e-12
 
 
 def test_node_of_two_foundations_obeys_both() -> None:
