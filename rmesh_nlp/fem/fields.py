@@ -84,10 +84,6 @@ class Field:
         """Local values on elements with ``nodes`` (nodes per element, elements), a column for each."""
         return LocalField(self, nodes)
 
-    def on(self, cells: Index) -> LocalField:
-        """Local values on triangles, edges or points given by their vertices (vertices per cell, cells)."""
-        return self.at(cells if self.space is None else self.space.nodes_of(cells))
-
     def component(self, number: int) -> Field:
         """One component as a field of its own."""
         return self._picked(lambda a: a[number : number + 1])

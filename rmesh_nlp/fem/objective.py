@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.element import affine, corners, line_rule, local_symbols
 from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, objective_group
@@ -33,10 +34,13 @@ class Fields(NamedTuple):
         """That of the displacement."""
         return self.displacement.space or DisplacementSpace.of(self.problem)
 
-    def group(self, name: str, X: Any, u: Any, value: Any, cells: Index) -> ElementGroup:
-        """The sum over cells of a value of X (2, k) and u (components, k); ``cells`` are vertices (k, n)."""
+    def group(self, name: str, X: Any, u: Any, value: Any, vertices: Index, nodes: Index) -> ElementGroup:
+        """The sum over cells of a value of X (2, k) and u (components, m), by their vertices and nodes.
+
+        ``vertices`` are (k, n); ``nodes`` (m, n) are the space's, u the coefficients there.
+        """
         function = ca.Function(name, [ca.vec(X), ca.vec(u)], [value, type(value)(0, 1)])
-        return objective_group(function, (self.positions.at(cells), self.displacement.on(cells)))
+        return objective_group(function, (self.positions.at(vertices), self.displacement.at(nodes)))
 
     def integral(
         self,
@@ -49,21 +53,19 @@ class Fields(NamedTuple):
         factor: float = 1.0,
     ) -> ElementGroup:
         """``factor`` times the integral over triangles (3, n), or over outward edges (2, n)."""
-        X, u = corners(len(cells), self.problem.components, kind)
-        if len(cells) == 3:
-            det, scaled = affine(X, u)
-            size, more, factor = det, scaled / det, factor / 2
-            points, weights = triangle_rule(degree)
-        else:
-            tangent = X[:, 1] - X[:, 0]
-            size = ca.norm_2(tangent)
-            more = ca.vertcat(tangent[1], -tangent[0]) / size
-            points, weights = line_rule(degree)
-        total = kind(0)
+        order = self.space.order
+        X, u = corners(len(cells), self.problem.components, kind, order)
+        tangent, total = X[:, 1] - X[:, 0], kind(0)
+        size = ca.norm_2(tangent)
+        more = ca.vertcat(tangent[1], -tangent[0]) / size
+        points, weights = triangle_rule(degree) if len(cells) == 3 else line_rule(degree)
         for point, weight in zip(points.T, weights, strict=True):
+            if len(cells) == 3:
+                det, scaled = affine(X, u @ ca.DM(slopes(order, point)))
+                size, more = det / 2, scaled / det
             x, y = ca.vertsplit(X @ point)
-            total += weight * density(x, y, u @ point, more)
-        return self.group(name, X, u, total * size * factor, cells)
+            total += weight * density(x, y, u @ functions(order, point), more)
+        return self.group(name, X, u, total * size * factor, cells, self.space.nodes_of(cells))
 
 
 Groups = Callable[[Fields], list[ElementGroup]]

@@ -20,11 +20,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.fem.element import corners, plain
 from rmesh_nlp.fem.energy import load_energy, strain_energy
 from rmesh_nlp.fem.fields import ElementGroup
 from rmesh_nlp.fem.objective import Density, Fields, Groups, Objective, Term
-from rmesh_nlp.fem.space import Index, contact_edges, outward_edges
+from rmesh_nlp.fem.space import DisplacementSpace, Index, contact_edges, outward_edges
 from rmesh_nlp.problem import ContactProblem, Law, Obstacle
 from rmesh_nlp.problem.coefficients import is_nonzero
 
@@ -113,7 +114,7 @@ def boundary_integral(
 def nodal(
     nodes: Sequence[int], function: Callable[[Any, Any], Any], *, name: str = "nodal quantity"
 ) -> Objective:
-    """A function of the positions and displacements of some nodes, at once.
+    """A function of the positions and displacements of some vertices, at once.
 
     It becomes one dense block of second derivatives: meant for a few nodes.
 
@@ -133,7 +134,7 @@ def nodal(
         if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
             raise ValueError(f"{name}: node numbers must lie between 0 and {n - 1}, got {list(nodes)}")
         X, u = corners(chosen.size, on.problem.components)
-        return [on.group("quantity", X, u, _scalar(function(X, u), name), chosen)]
+        return [on.group("quantity", X, u, _scalar(function(X, u), name), chosen, on.space.number[chosen])]
 
     return quantity
 
@@ -183,11 +184,12 @@ def peak_pressure(
     """The peak of the contact pressure, smoothed: the mean of ``(pressure / reference)^exponent``.
 
     The pressure at a node is the force with which its elements pull at it, less their load, over the node's
-    share omega_i of the boundary (5.9): at equilibrium the pressure that solutions report. Stresses of the
-    elements would be less accurate; an optimiser lowers them while the forces grow.
+    share omega_i of the boundary (5.9): at equilibrium the mean of the pressure weighted by the node's shape
+    function. Of order 2 edges have nodes too. Stresses of the elements would be less accurate; an optimiser
+    lowers them while the forces grow.
 
-    The mean is over the length of the contact boundary on the initial mesh, by the trapezoidal
-    rule. ``reference * value**(1 / exponent)`` lies between the mean and the peak; it is not taken as the
+    The mean is over the length of the contact boundary on the initial mesh, with the weights omega_i.
+    ``reference * value**(1 / exponent)`` lies between the mean and the peak; it is not taken as the
     objective itself, because its second derivatives would couple all nodes of the boundary,
     while the minimisers are the same. Tractions and point loads at contact nodes are not taken off.
 
@@ -208,66 +210,81 @@ def peak_pressure(
 
     @_quantity(name)
     def quantity(on: Fields) -> list[ElementGroup]:
-        problem = on.problem
-        obstacle, contact = _contact_on(problem, boundary)
-        forces = [_force(law, problem.rule) for law, _ in problem.regions]
+        problem, space = on.problem, on.space
+        obstacle, contact = _contact_on(space, boundary)
+        forces = [_forces(law, problem.rule, space.order) for law, _ in problem.regions]
         edges = contact_edges(problem, obstacle)
-        length, result = _length(problem, edges), []
-        for (laws, ends), patches in _patches(problem, contact, edges).items():
-            nodes = np.array(patches).T
-            n = nodes.shape[0]
-            X, u = corners(n, problem.components)
-            force = ca.SX.zeros(problem.components)
+        length, per, result = _length(problem, edges), size(space.order, 3), []
+        for (laws, carriers, ends), patches in _patches(space, contact, edges).items():
+            vertices = np.array(patches).T
+            nodes = np.vstack([space.nodes_of(vertices[3 * k : 3 * k + 3]) for k in range(len(laws))])
+            n = len(vertices)
+            X, u = corners(n, 2)[0], corners(len(nodes), problem.components)[1]
+            own, force = 0 if carriers == 1 else 3, ca.SX.zeros(problem.components)
             for k, law in enumerate(laws):
-                triangle = slice(3 * k, 3 * k + 3)
-                force += forces[law](ca.vec(X[:, triangle]), ca.vec(u[:, triangle]))
-            share = sum(ca.norm_2(X[:, n - 1 - k] - X[:, 0]) for k in range(ends)) / 2
-            pressure = ca.fmax(ca.dot(obstacle.direction(X[0, 0], X[1, 0]), force) / share, 0)
+                pulls = forces[law](ca.vec(X[:, 3 * k : 3 * k + 3]), ca.vec(u[:, per * k : per * (k + 1)]))
+                force += pulls[:, own]
+            share = sum(ca.norm_2(X[:, n - 1 - k] - X[:, 0]) for k in range(ends)) / size(space.order, 2)
+            x, y = ca.vertsplit(X[:, :carriers] @ np.full(carriers, 1 / carriers))
+            pressure = ca.fmax(ca.dot(obstacle.direction(x, y), force) / share, 0)
             value = share / length * (pressure / reference) ** exponent
-            result.append(on.group("peak_pressure", X, u, value, nodes))
+            result.append(on.group("peak_pressure", X, u, value, vertices, nodes))
         return result
 
     return quantity
 
 
-def _contact_on(problem: ContactProblem, boundary: str) -> tuple[Obstacle, Index]:
-    """The obstacle of a contact boundary and its contact vertices."""
-    for part in problem.contact_sets:
+def _contact_on(space: DisplacementSpace, boundary: str) -> tuple[Obstacle, Index]:
+    """The obstacle of a contact boundary and its contact nodes."""
+    for part in space.contact_sets:
         if part.obstacle.boundary == boundary:
             return part.obstacle, part.nodes
-    known = [str(obstacle.boundary) for obstacle in problem.obstacles if isinstance(obstacle.boundary, str)]
+    every = space.problem.obstacles
+    known = [str(obstacle.boundary) for obstacle in every if isinstance(obstacle.boundary, str)]
     raise ValueError(f"{boundary!r} is not a contact boundary: choose from {', '.join(known) or 'none'}")
 
 
-def _force(law: Law, quadrature: str | int) -> ca.Function:
-    """``(X_e, u_e) ->`` what a triangle pulls with at its first vertex, its load taken off (components,)."""
-    X, u = (ca.vec(symbols) for symbols in corners(3, law.components))
-    energy = strain_energy(law)(X, u)[0]
+def _forces(law: Law, quadrature: str | int, order: int) -> ca.Function:
+    """``(X_e, u_e) ->`` what a triangle pulls with at its nodes, its load taken off (components, nodes)."""
+    symbols = corners(3, law.components, order=order)
+    X, u = (ca.vec(part) for part in symbols)
+    energy = strain_energy(law, order)(X, u)[0]
     if any(is_nonzero(component) for component in law.load):
-        energy += plain(*load_energy(law, quadrature))(X, u)[0]
-    return ca.Function("force", [X, u], [ca.gradient(energy, u)[: law.components]])
+        energy += plain(*load_energy(law, quadrature, order))(X, u)[0]
+    pulls = ca.reshape(ca.gradient(energy, u), *symbols[1].shape)
+    return ca.Function("forces", [X, u], [pulls])
 
 
 def _patches(
-    problem: ContactProblem, contact: Index, edges: Index
-) -> dict[tuple[tuple[int, ...], int], list[list[int]]]:
-    """Nodes around each contact node, by the laws of its triangles and the number of its edges.
+    space: DisplacementSpace, contact: Index, edges: Index
+) -> dict[tuple[tuple[int, ...], int, int], list[list[int]]]:
+    """Vertices around each contact node, by the laws of its triangles and the numbers of vertices and edges.
 
-    The vertices of its triangles, itself first in each, then the other ends of its contact edges.
+    Those of its triangles, in each first the vertex or the two of the edge that carry the node, then the
+    other ends of its contact edges.
     """
+    problem = space.problem
     law_of = np.empty(problem.mesh.t.shape[1], dtype=int)
     for number, (_, elements) in enumerate(problem.regions):
         law_of[elements] = number
-    patches: dict[tuple[tuple[int, ...], int], list[list[int]]] = defaultdict(list)
-    triangles = problem.triangles
-    for node in contact:
-        corner, element = np.nonzero(triangles == node)
-        order = np.argsort(law_of[element], kind="stable")
-        around = [np.roll(triangles[:, element[i]], -corner[i]) for i in order]
-        ends = [int(pair[1 - pair.tolist().index(node)]) for pair in edges.T if node in pair]
-        key = tuple(int(law_of[element[i]]) for i in order), len(ends)
-        patches[key].append([*(int(vertex) for vertex in np.concatenate(around)), *ends])
+    patches: dict[tuple[tuple[int, ...], int, int], list[list[int]]] = defaultdict(list)
+    triangles, near = problem.triangles, np.flatnonzero(np.isin(problem.triangles, edges).any(axis=0))
+    for _, carriers, _ in space.kinds(contact):
+        for own in carriers.T:
+            element = near[np.isin(triangles[:, near], own).sum(axis=0) == own.size]
+            element = element[np.argsort(law_of[element], kind="stable")]
+            around = [_turned(triangles[:, i], own) for i in element]
+            beside = edges[:, np.isin(edges, own).sum(axis=0) == own.size]
+            ends = [int(pair[pair != around[0][0]][0]) for pair in beside.T]
+            key = tuple(int(law_of[i]) for i in element), own.size, len(ends)
+            patches[key].append([*(int(vertex) for vertex in np.concatenate(around)), *ends])
     return patches
+
+
+def _turned(triangle: Index, own: Index) -> Index:
+    """The vertices of a triangle, counter-clockwise, those of ``own`` first."""
+    turns = (np.roll(triangle, -k) for k in range(3))
+    return next(turned for turned in turns if np.isin(turned[: own.size], own).all())
 
 
 def _length(problem: ContactProblem, edges: Index) -> float:

@@ -183,10 +183,10 @@ def error_terms_on(problem: ContactProblem, nodes: Array) -> ErrorTerms | None:
 
 def _slips(model: ContactSolver, u: Array) -> Array:
     """Sizes of the slips (obstacles, nodes), zero off the contact boundaries."""
-    problem = model.problem
-    field = np.zeros((max(len(problem.obstacles), 1), problem.mesh.p.shape[1]))
-    if problem.frictional:
+    space = model.discretisation.space
+    field = np.zeros((max(len(space.contact_sets), 1), space.n_nodes))
+    if model.problem.frictional:
         slip = np.abs(model.tangents @ u)
-        for part in problem.contact_sets:
+        for part in space.contact_sets:
             field[part.number, part.nodes] = slip[part.rows]
     return field

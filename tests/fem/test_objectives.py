@@ -8,13 +8,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, Functional
+from skfem import Basis, ElementTriP1, ElementTriP2, ElementVector, FacetBasis, Functional
 
 import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import TERMS
 from rmesh_nlp.models.energy_nlp import relocation
@@ -23,7 +22,7 @@ from support.solved import example
 
 
 def value(problem: ContactProblem, text: Any, u: np.ndarray | None = None) -> float:
-    """The objective on the given mesh with nodal displacements u, by default zero, and their slips."""
+    """The objective on the given mesh with coefficients u, by default zero, and their slips."""
     found, objective = discretise(problem), parse_objective(text)
     rel, x = relocation(found), np.zeros(found.n_q + found.n_u + found.n_s)
     if u is not None:
@@ -38,7 +37,7 @@ def value(problem: ContactProblem, text: Any, u: np.ndarray | None = None) -> fl
 
 
 def unknowns(problem: ContactProblem, u: np.ndarray) -> np.ndarray:
-    """The displacement unknowns of nodal displacements, which are as given where they are held."""
+    """The displacement unknowns of coefficients, which are as given where they are held."""
     field, n = discretise(problem).displacement, discretise(problem).n_u
     free = np.zeros(n)
     free[field.index[field.index >= 0]] = u[field.index >= 0]
@@ -47,18 +46,22 @@ def unknowns(problem: ContactProblem, u: np.ndarray) -> np.ndarray:
 
 
 def drawn(problem: ContactProblem) -> np.ndarray:
-    """Random nodal displacements."""
-    held, given = problem.held()
+    """Random coefficients."""
+    held, given = discretise(problem).space.given()
     return np.where(held, given, np.random.default_rng(0).uniform(-1, 1, held.shape))
 
 
-@pytest.fixture(scope="module")
-def plate() -> ContactProblem:
+@pytest.fixture(scope="module", params=(1, 2), ids=("linear", "quadratic"))
+def plate(request: pytest.FixtureRequest) -> ContactProblem:
     """(0, 2) x (0, 1), so that lengths are not 1; nothing is held at the right."""
     mesh = rm.shapes.rectangle(3, 2, x=(0, 2)).with_subdomains({"left half": lambda x: x[0] < 0.5})
-    return ContactProblem(
-        mesh, PlaneStrain(1.0, 1.0), ("left",), Obstacle("bottom", (0.0, 1.0), 0.0), Motion(0.01)
-    )
+    obstacle = Obstacle("bottom", (0.0, 1.0), 0.0)
+    return ContactProblem(mesh, PlaneStrain(1.0, 1.0), ("left",), obstacle, Motion(0.01), order=request.param)
+
+
+def linear(problem: ContactProblem, *slopes: float) -> np.ndarray:
+    """Coefficients of the displacement with these multiples of x."""
+    return discretise(problem).space.of_linear(np.multiply.outer(slopes, problem.mesh.p[0]))
 
 
 @pytest.mark.parametrize(
@@ -86,8 +89,27 @@ def plate() -> ContactProblem:
     ],
 )
 def test_integrals_over_a_plate_by_hand(plate: ContactProblem, text: str, expected: float) -> None:
-    x = plate.mesh.p[0]
-    assert value(plate, text, np.stack([0.3 * x, -0.2 * x])) == pytest.approx(expected, rel=1e-11)
+    assert value(plate, text, linear(plate, 0.3, -0.2)) == pytest.approx(expected, rel=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        # of the displacement (x^2, x y)
+        ("body(ux)", 8 / 3),
+        ("body(ux_x*uy_y + uy_x)", 2 * 8 / 3 + 1),
+        ("boundary(right, uy*ux)", 4.0),
+        ("node(2, 1, ux + 10*uy)", 4 + 20),
+    ],
+)
+def test_integrals_of_quadratic_displacements_by_hand(
+    plate: ContactProblem, text: str, expected: float
+) -> None:
+    problem = replace(plate, order=2)
+    space = discretise(problem).space
+    x, y = space.points(problem.mesh.p)
+    u = space.coefficients(np.stack([x * x, x * y]))
+    assert value(problem, text, u) == pytest.approx(expected, rel=1e-11)
 
 
 def test_densities_on_a_subdomain_and_functions_of_nodes(plate: ContactProblem) -> None:
@@ -151,7 +173,7 @@ def test_errors_along_the_contact_by_hand(plate: ContactProblem) -> None:
     """The exact stresses of (0.5 y, -0.1 y) are 0.5 in shear and -0.3 across; only the bottom is rough."""
     exact = rm.ExactSolution(lambda x, y: ca.vertcat(0.5 * y, -0.1 * y), 0.0)
     walls = Obstacle("bottom", (0.0, 1.0), 0.7, friction=0.6), Obstacle("top", (0.0, -1.0), 0.1)
-    problem, u = replace(plate, obstacle=walls, exact=exact), plate.mesh.p[0] * np.array([[0.3], [-0.2]])
+    problem, u = replace(plate, obstacle=walls, exact=exact), linear(plate, 0.3, -0.2)
     assert value(problem, "contact", u) == pytest.approx(0.3 * (-0.4 + 1.4) + 0.3 * (0.4 + 0.2))
     assert value(problem, "friction", u) == pytest.approx(0.6 * 0.6 - 0.5 * 0.6)
 
@@ -212,9 +234,10 @@ def test_objectives_are_added_and_multiplied_by_finite_numbers() -> None:
             _ = -parse_objective(name)
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("name", ["6.1", "6.3"])
-def test_the_energy_is_that_of_the_contact_system(name: str) -> None:
-    problem = example(name, 4 if name == "6.1" else (4, 2))
+def test_the_energy_is_that_of_the_contact_system(name: str, order: int) -> None:
+    problem = replace(example(name, 4 if name == "6.1" else (4, 2)), order=order)
     u = drawn(problem)
     expected = ContactSolver(problem).system(problem.mesh.p).energy(unknowns(problem, u))
     assert value(problem, "energy", u) == pytest.approx(expected, rel=1e-12)
@@ -223,8 +246,9 @@ def test_the_energy_is_that_of_the_contact_system(name: str) -> None:
     )
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("disc", [False, True])
-def test_the_peak_pressure_is_that_of_the_multipliers(disc: bool) -> None:
+def test_the_peak_pressure_is_that_of_the_multipliers(disc: bool, order: int) -> None:
     """Of two materials on a graph, and on a disc whose normals differ."""
     mesh = rm.shapes.rectangle(5, 2, x=(0, 2)).with_subdomains(
         {"soft": lambda x: x[0] < 1.1, "stiff": lambda x: x[0] > 1.1}
@@ -235,18 +259,17 @@ def test_the_peak_pressure_is_that_of_the_multipliers(disc: bool) -> None:
         law, obstacle = PlaneStrain(30.0, 40.0), Obstacle.circle("bottom", (0.8, -1.0), 1.0)
         mesh = rm.shapes.rectangle(6, 2, x=(0, 2))
     push = (0.02, -0.2) if disc else (0.0, -0.06)
-    problem = ContactProblem(mesh, law, (rm.Dirichlet("top", push),), obstacle, Motion(0.01))
-    solution = rm.solve(problem, "fixed")
-    contact, weights = problem.contact_nodes, nodal_weights(problem, problem.mesh.p)
-    pressed = np.flatnonzero(solution.pressure)
-    assert pressed.size >= (2 if disc else 3)
-    assert not disc or np.max(np.abs(mesh.p[0, pressed] - 0.8)) > 0.1
-    expected = float(weights @ (solution.pressure[contact] / 2) ** 4) / 2
-    found = value(problem, "peak-pressure(bottom, 2, 4)", solution.displacement)
-    assert found == pytest.approx(expected, rel=1e-7)
-    eighth = float(weights @ (solution.pressure[contact] / 2) ** 8) / 2
-    found = value(problem, "peak-pressure(bottom, 2)", solution.displacement)
-    assert found == pytest.approx(eighth, rel=1e-7)
+    problem = ContactProblem(mesh, law, (rm.Dirichlet("top", push),), obstacle, Motion(0.01), order=order)
+    solver = ContactSolver(problem)
+    space, u = solver.discretisation.space, solver.displacement.values(solver.given.u)
+    weights = space.weights(problem.mesh.p)
+    pressure = solver.given.normal_force / weights
+    pressed = space.contact_nodes[pressure > 0]
+    assert pressed.size >= (2 if disc else 3) * order
+    assert not disc or np.max(np.abs(space.points(mesh.p)[0, pressed] - 0.8)) > 0.1
+    for text, power in (("peak-pressure(bottom, 2, 4)", 4), ("peak-pressure(bottom, 2)", 8)):
+        expected = float(weights @ (pressure / 2) ** power) / 2
+        assert value(problem, text, u) == pytest.approx(expected, rel=1e-7)
 
 
 def test_an_interface_is_no_boundary_whichever_triangle_it_is_beside() -> None:
@@ -287,26 +310,45 @@ INTEGRALS = {  # by text: the example, the boundary or None, and the form of sci
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("text", INTEGRALS)
-def test_integrals_are_those_of_scikit_fem(text: str) -> None:
+def test_integrals_are_those_of_scikit_fem(text: str, order: int) -> None:
     name, boundary, form = INTEGRALS[text]
-    problem = example(name, 4 if name == "6.1" else (6, 3))
-    element = ElementTriP1() if name == "6.1" else ElementVector(ElementTriP1())
+    problem = replace(example(name, 4 if name == "6.1" else (6, 3)), order=order)
+    element = ElementTriP1() if order == 1 else ElementTriP2()
+    element = element if name == "6.1" else ElementVector(element)
     if boundary is None:
         basis = Basis(problem.mesh, element, intorder=10)
     else:
         basis = FacetBasis(problem.mesh, element, facets=problem.mesh.boundaries[boundary], intorder=10)
-    u = drawn(problem)
+    u, dofs = drawn(problem), np.hstack([basis.nodal_dofs, *([basis.facet_dofs] if order == 2 else [])])
+    values = np.zeros(basis.N)
+    values[dofs] = discretise(problem).space.values(u)
     functional = Functional(lambda w: form(problem, w, np.asarray(w["u"]), w["u"].grad))
-    expected = functional.assemble(basis, u=basis.interpolate(u.T.ravel()))
+    expected = functional.assemble(basis, u=basis.interpolate(values))
     assert value(problem, text, u) == pytest.approx(expected, rel=1e-8)
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(
-    "objective", ["mean(top, -uy*exp(x))", "node(4, 1, (uy + 0.05)**2)", "-2*body(ux_x*uy) + 0.1*quality"]
+    "objective",
+    [
+        "mean(top, -uy*exp(x))",
+        "node(4, 1, (uy + 0.05)**2)",
+        "-2*body(ux_x*uy) + 0.1*quality",
+        "peak-pressure(contact, 100)",
+    ],
 )
-def test_gradients_pass_their_taylor_test(objective: str) -> None:
-    assert rm.verify_gradient(example("6.2", (6, 3)), objective).order == pytest.approx(2, abs=0.1)
+def test_gradients_pass_their_taylor_test(objective: str, order: int) -> None:
+    problem = replace(example("6.2", (6, 3)), order=order)
+    assert rm.verify_gradient(problem, objective).order == pytest.approx(2, abs=0.1)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("objective", ["error-l2", "error-energy", "contact"])
+def test_gradients_of_errors_pass_their_taylor_test(objective: str, order: int) -> None:
+    problem = replace(example("6.1", 4), order=order)
+    assert rm.verify_gradient(problem, objective).order == pytest.approx(2, abs=0.1)
 
 
 def test_an_objective_in_python_is_the_same_as_in_text() -> None:
