@@ -12,7 +12,7 @@ from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation, with_low
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.solving.outer import Outer
 from support.problems import no_move_limits, sloped_block
-from support.reduced import reduced
+from support.reduced import of_order_2, reduced
 
 
 def large_limits() -> ContactProblem:
@@ -23,7 +23,9 @@ def with_angles() -> ContactProblem:
     return replace(EXAMPLES["6.1"](6, 0.08), motion=Motion(0.08, min_angle=30.0))
 
 
-@pytest.mark.parametrize("make", [large_limits, sloped_block, with_angles])
+@pytest.mark.parametrize(
+    "make", [large_limits, sloped_block, with_angles, *map(of_order_2, (large_limits, sloped_block))]
+)
 def test_a_contact_solution_is_a_kkt_point_with_the_contact_forces_as_multipliers(make) -> None:
     energy = reduced(make())
     rel, nlp = energy.relocation, energy.relocation.nlp

@@ -1,5 +1,9 @@
 """The NLP in the outer variables: its Hessian as a dense matrix and as a sparse Schur complement."""
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -20,6 +24,10 @@ def bumpy(friction: float) -> ContactProblem:
     return ContactProblem(rectangle(4, 3, x=(0, 2)), law, ("left",), foundation, Motion(None))
 
 
+def _quadratic(make: Callable[[], ContactProblem]) -> ContactProblem:
+    return replace(make(), order=2)
+
+
 ENERGIES = {
     "6.1, areas": lambda: EXAMPLES["6.1"](3, 0.9),
     "6.2, gaps that move": lambda: EXAMPLES["6.2"]((6, 3), (1.0, 0.5)),
@@ -27,8 +35,10 @@ ENERGIES = {
     "gaps along edges": lambda: bumpy(0.0),
     "gaps along edges, friction": lambda: bumpy(0.3),
 }
+ENERGIES |= {f"{name}, order 2": partial(_quadratic, make) for name, make in ENERGIES.items()}
 OBJECTIVES = {name: (make, "energy") for name, make in ENERGIES.items() if "edges" not in name}
 OBJECTIVES["6.1 and its error"] = (lambda: EXAMPLES["6.1"](4), "error-l2")
+OBJECTIVES["6.1 and its error, order 2"] = (lambda: replace(EXAMPLES["6.1"](3), order=2), "error-l2")
 
 
 def nlp_of(problem: ContactProblem, objective: str = "energy") -> ReducedNLP:

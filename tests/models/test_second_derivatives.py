@@ -15,12 +15,13 @@ from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedObjective
 from rmesh_nlp.models.second_derivatives import Curvature, ObjectiveCurvature, SecantCurvature, curvature_of
 from rmesh_nlp.problem import Motion
 from support.curved import HOLE, plate
-from support.reduced import CONTACTS, FREE, reduced
+from support.reduced import CONTACTS, FREE, QUADRATIC, reduced
 from support.taylor import difference_order
 
 PROBLEMS = {
     **CONTACTS,
     "along a curve": lambda: plate({"hole": HOLE}, delta=0.4, load=(lambda x, y: x * y, lambda x, y: x)),
+    **QUADRATIC,
 }
 
 
@@ -76,10 +77,17 @@ def test_a_lower_rule_changes_the_model_a_little() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "objective"), [("6.1", "error-l2"), ("6.3", "energy + 0.1*quality"), ("6.3", "energy")]
+    ("name", "objective"),
+    [
+        ("6.1", "error-l2"),
+        ("6.3", "energy + 0.1*quality"),
+        ("6.3", "energy"),
+        ("6.1, order 2", "error-energy"),
+        ("curved foundation, stick and slip, order 2", "energy"),
+    ],
 )
 def test_products_of_objectives_are_derivatives_of_the_gradient(name: str, objective: str) -> None:
-    energy, wanted, rng = reduced(CONTACTS[name]()), parse_objective(objective), np.random.default_rng(1)
+    energy, wanted, rng = reduced(PROBLEMS[name]()), parse_objective(objective), np.random.default_rng(1)
     function = ReducedObjective(energy, wanted)
     q, d = rng.uniform(-1, 1, (2, energy.relocation.n_q)) * [[0.3], [1]]
     hessian = ObjectiveCurvature(energy, wanted).at(function(q))

@@ -7,11 +7,19 @@ from dataclasses import replace
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised
-from rmesh_nlp.problem import ContactProblem
-from support.contact_geometry import block_sliding_on_a_circle
+from rmesh_nlp.problem import ContactProblem, Obstacle
+from support.contact_geometry import (
+    block_along_a_circle,
+    block_between_two_foundations,
+    block_sliding_on_a_circle,
+    punch_held_by_symmetry,
+)
+from support.curved import disc
 from support.problems import no_move_limits, sloped_block
 
 CONTACTS: dict[str, Callable[[], ContactProblem]] = {
@@ -21,6 +29,31 @@ CONTACTS: dict[str, Callable[[], ContactProblem]] = {
     "sloped, stick and slip": sloped_block,
     "curved foundation, stick and slip": block_sliding_on_a_circle,
 }
+
+
+def disc_on_its_arc() -> ContactProblem:
+    """A quarter of a disc that meets the foundation with its arc, along which nodes slide."""
+    arc = Circle((0.0, 1.0), 1.0)
+    return replace(disc({"arc": arc}, delta=0.02), obstacle=Obstacle.graph("arc", 0.0))
+
+
+OTHERS: dict[str, Callable[[], ContactProblem]] = {
+    "gaps along edges": block_along_a_circle,
+    "two foundations": block_between_two_foundations,
+    "graph, no normal varies": punch_held_by_symmetry,
+    "interior obstacle": lambda: random_problem(2, kind="membrane"),
+    "two materials": lambda: random_problem(8),
+    "contact on an arc": disc_on_its_arc,
+}
+"""More kinds of contact."""
+
+
+def of_order_2(make: Callable[[], ContactProblem]) -> Callable[[], ContactProblem]:
+    """The same problem with quadratic displacements."""
+    return lambda: replace(make(), order=2)
+
+
+QUADRATIC = {f"{name}, order 2": of_order_2(make) for name, make in (CONTACTS | OTHERS).items()}
 FREE: dict[str, Callable[[], ContactProblem]] = {
     "6.1": lambda: replace(no_move_limits(EXAMPLES["6.1"](n=4)), quadrature=4),
     "6.3": lambda: no_move_limits(EXAMPLES["6.3"]((6, 3))),

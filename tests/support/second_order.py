@@ -1,4 +1,4 @@
-"""Contact solutions of order 2 by scikit-fem alone: its P2 elements and assembly, and a dual quadratic program.
+"""Contact solutions of order 2 by scikit-fem alone: its P2 elements and assembly, and a dual program.
 
 Nothing of the package's discretisation is used. Unknowns are values at vertices and middles of edges. Gaps
 and slips are rows in Bernstein's coefficients of these values,
