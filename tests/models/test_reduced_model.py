@@ -49,7 +49,7 @@ QUICK = {
 }
 """Each objective and each kind of contact; the other combinations are slow, and most of order 2."""
 WITHOUT_WORK = ("interior obstacle", "two materials", "graph")
-"""Where the objective ``contact`` is refused, or zero: a parabola is met by quadratic displacements exactly."""
+"""Where the objective ``contact`` is refused, or zero: quadratic displacements meet a parabola exactly."""
 COMBINATIONS = [
     pytest.param(*both, marks=() if both in QUICK else pytest.mark.slow)
     for both in product(CONTACTS, OBJECTIVES)
