@@ -26,16 +26,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError, conditions_of, linear_values
+from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError, conditions_of
 from rmesh_nlp.certificate.displacement import displacement_faults, potential
 from rmesh_nlp.certificate.equilibration import EquilibratedField, Guess
-from rmesh_nlp.certificate.hybrid import edge_moments
 from rmesh_nlp.certificate.integrals import loads
 from rmesh_nlp.certificate.johnson_mercier import equilibrated_stress
 from rmesh_nlp.certificate.oscillation import oscillation
+from rmesh_nlp.certificate.polynomials import moments
 from rmesh_nlp.certificate.raviart_thomas import equilibrated_flux
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.problem.rigid import rigid_motions
@@ -92,7 +93,7 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
         raise NotCertifiableError("only contact holds the body")
     if problem.point_loads:
         raise NotCertifiableError("the energy under a point load has no lower bound")
-    guess, skeleton = guess.at_vertices(), skeleton_of(problem, nodes)
+    guess, skeleton = guess.by_mesh(), skeleton_of(problem, nodes)
     conditions, load, u = conditions_of(problem, skeleton), loads(problem, skeleton), guess.displacement
     build = equilibrated_flux if problem.components == 1 else equilibrated_stress
     effort = PRODUCTS[problem.components] if products is None else products
@@ -130,7 +131,8 @@ def _contact_gap(
 ) -> Array:
     """(elements,) what contact and friction add to the gap, by the element at the contact edge."""
     contact, balance = conditions.contact, field.balance
-    turned = np.einsum("eij,jme->ime", conditions.axes, edge_moments(u, skeleton.ends[:, contact]))
+    along = u[:, skeleton.along(skeleton.order)[:, contact]]
+    turned = np.einsum("eij,jme->ime", conditions.axes, moments(along, conditions.degree))
     slack = np.sum(balance.pressure * (turned[-1] + conditions.offset), axis=0)
     slack = slack + np.sum(balance.friction * turned[0], axis=0)  # none in a scalar problem
     shares = slack * skeleton.lengths[contact] + friction
@@ -141,16 +143,16 @@ def edge_residual(skeleton: Skeleton, conditions: Conditions, field: Equilibrate
     """Largest violation of equilibrium on the edges and of the laws on the contact boundary.
 
     Relative to the largest force through an edge. Sums of tractions, less the applied ones and
-    those of contact, must vanish at the ends of every edge in every component that is not given;
+    those of contact, must vanish along every edge in every component that is not given;
     contact must press and friction stay within its bound.
     """
-    n = conditions.held.shape[0]
-    forces = field.forces.reshape(-1, 3, 2, n)
-    total = np.zeros((skeleton.ends.shape[1], 2, n))
-    np.add.at(total, (skeleton.edges[:, None], skeleton.place), forces.transpose(1, 2, 0, 3))
+    n, k = conditions.held.shape[0], conditions.degree + 1
+    forces = field.forces.reshape(-1, 3, k, n)
+    total = np.zeros((skeleton.ends.shape[1], k, n))
+    np.add.at(total, (skeleton.edges[:, None], skeleton.places(k)), forces.transpose(1, 2, 0, 3))
     total = total.transpose(2, 1, 0)
     scale = float(np.max(np.abs(forces), initial=1e-300))
-    total = total - linear_values(conditions.traction) * skeleton.lengths
+    total = total - conditions.applied * skeleton.lengths
     contact, edge = conditions.contact, skeleton.lengths[conditions.contact]
     pressure, friction = field.balance.pressure, field.balance.friction
     stresses = np.stack([friction, pressure])[-n:]
@@ -176,11 +178,14 @@ def refined_bracket(
         return plain if plain.guaranteed_lower else found
     if refinements == 0:
         return bracket(problem, nodes, guess)
-    mesh, guess = relocated_mesh(problem.mesh, nodes), guess.at_vertices()
+    finer, guess = (
+        replace(problem, mesh=relocated_mesh(problem.mesh, nodes), motion=Motion(None)),
+        guess.by_mesh(),
+    )
     for _ in range(refinements):
-        guess, mesh = guess.on_refined(mesh), mesh.refined(1)
-    finer = replace(problem, mesh=mesh, motion=Motion(None))
-    found = bracket(finer, np.asarray(mesh.p), guess, products=FINER_PRODUCTS)
+        coarse, finer = finer, replace(finer, mesh=finer.mesh.refined(1))
+        guess = guess.on_refined(DisplacementSpace.of(coarse), DisplacementSpace.of(finer))
+    found = bracket(finer, np.asarray(finer.mesh.p), guess, products=FINER_PRODUCTS)
     children = 4**refinements
     return replace(
         found,

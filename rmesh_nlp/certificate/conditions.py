@@ -16,9 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.certificate.integrals import integrals, values_at
+from rmesh_nlp.certificate.integrals import field_degree, integrals, values_at
+from rmesh_nlp.certificate.polynomials import lowered, projection
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import functions, size, to_coefficients
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 
 Mask = NDArray[np.bool_]
@@ -46,23 +48,33 @@ class ContactPart(NamedTuple):
 class Conditions:
     """Boundary and contact conditions on all edges of a mesh.
 
-    Arrays run over the edges in their last axis; 2 stands for the ends of an edge. Moments are
-    integrals against the linear functions of the ends, divided by the length.
+    Arrays run over the edges in their last axis; k stands for Bernstein's polynomials along an edge, of the
+    degree of the forces through it. Moments are integrals against these, divided by the length.
     """
 
     held: Mask  # (components, edges), where the displacement is given
-    given: Array  # (components, 2, edges), moments of the given displacement
+    given: Array  # (components, k, edges), moments of the given displacement
     given_doubt: float  # largest doubt of these by quadrature, relative to the largest moment
-    given_error: float  # largest distance from its linear interpolation, relative to the same
-    traction: Array  # (components, 2, edges), moments of the given traction
-    traction_oscillation: Array  # (edges,), L2 norm of the traction less its best linear approximation
-    traction_doubt: Array  # (components, 2, edges), of ``traction`` by quadrature
+    given_error: float  # largest distance from what displacements interpolate, relative to the same
+    traction: Array  # (components, order + 1, edges), moments of the given traction of the displacements' order
+    traction_oscillation: Array  # (edges,), L2 norm of the traction less its best approximation
+    traction_doubt: Array  # (components, order + 1, edges), of ``traction`` by quadrature
     contact: NDArray[np.int64]  # (contact edges,), their numbers; the arrays below run over these
-    offset: Array  # (2, contact edges), moments of the initial gap
-    offset_doubt: Array  # (2, contact edges)
-    friction: Array  # (2, contact edges), ends of a linear function that nowhere exceeds the friction bound
+    offset: Array  # (k, contact edges), moments of the initial gap
+    offset_doubt: Array  # (k, contact edges)
+    friction: Array  # (k, contact edges), a function that nowhere exceeds the friction bound; 0 for a scalar
     axes: Array  # (contact edges, components, components), rows: the obstacle's tangent, if any, and normal
     parts: tuple[ContactPart, ...]  # the contact edges obstacle by obstacle
+
+    @property
+    def applied(self) -> Array:
+        """(components, k, edges) coefficients of the best approximation of the traction."""
+        return projection(lowered(self.traction, self.degree))
+
+    @property
+    def degree(self) -> int:
+        """Of the forces through the edges."""
+        return self.given.shape[1] - 1
 
 
 def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
@@ -70,24 +82,29 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
 
     Raises NotCertifiableError for contact that tractions linear on edges cannot express.
     """
-    supports, loads = _given_displacement(problem, skeleton), _tractions(problem, skeleton)
+    degree = field_degree(problem)
+    supports, loads = _given_displacement(problem, skeleton, degree), _tractions(problem, skeleton, degree)
     parts = _contact_parts(problem, supports[0])
     contact = np.concatenate([np.zeros(0, dtype=np.int64), *(part.edges for part in parts)])
     n = problem.components
-    offset, offset_doubt, friction = np.zeros((3, 2, contact.size))
+    offset, offset_doubt, friction = np.zeros((3, degree + 1, contact.size))
     axes = np.zeros((contact.size, n, n))
     for part in parts:
         corners, obstacle = skeleton.nodes[:, skeleton.ends[:, part.edges]], part.obstacle
-        gap = integrals(obstacle.offset, corners)
-        offset[:, part.place], offset_doubt[:, part.place] = gap.moments, gap.doubt
-        friction[:, part.place] = _linear_below(values_at(obstacle.friction, corners, SAMPLE_POINTS))
+        gap = integrals(obstacle.offset, corners, problem.order)
+        offset[:, part.place] = lowered(gap.moments, degree)
+        offset_doubt[:, part.place] = lowered(gap.doubt, degree)
+        if n == 2:
+            friction[:, part.place] = _linear_below(values_at(obstacle.friction, corners, SAMPLE_POINTS))
         axes[part.place] = np.array([obstacle.tangent, obstacle.normal] if n == 2 else [obstacle.normal])
     return Conditions(*supports, *loads, contact, offset, offset_doubt, friction, axes, parts)
 
 
-def _given_displacement(problem: ContactProblem, skeleton: Skeleton) -> tuple[Mask, Array, float, float]:
-    n, count = problem.components, skeleton.ends.shape[1]
-    held, given = np.zeros((n, count), dtype=bool), np.zeros((n, 2, count))
+def _given_displacement(
+    problem: ContactProblem, skeleton: Skeleton, degree: int
+) -> tuple[Mask, Array, float, float]:
+    n, count, order = problem.components, skeleton.ends.shape[1], problem.order
+    held, given = np.zeros((n, count), dtype=bool), np.zeros((n, degree + 1, count))
     doubt = error = 0.0
     for support in problem.supports:
         edges = np.unique(problem.mesh.boundaries[support.boundary])
@@ -95,38 +112,34 @@ def _given_displacement(problem: ContactProblem, skeleton: Skeleton) -> tuple[Ma
         for i, coefficient in enumerate(support.value):
             if coefficient is None:
                 continue
-            part = integrals(coefficient, corners)
+            part = integrals(coefficient, corners, order)
             samples = values_at(coefficient, corners, SAMPLE_POINTS)
-            held[i, edges], given[i][:, edges] = True, part.moments
+            interpolated = to_coefficients(order, 2) @ samples[[0, -1, SAMPLE_POINTS.shape[1] // 2]][: order + 1]
+            held[i, edges], given[i][:, edges] = True, lowered(part.moments, degree)
             doubt = max(doubt, float(np.max(part.doubt, initial=0.0)))
-            bend = np.abs(samples - SAMPLE_POINTS.T @ samples[[0, -1]])
+            bend = np.abs(samples - functions(order, SAMPLE_POINTS).T @ interpolated)
             error = max(error, float(np.max(bend, initial=0.0)))
     scale = max(float(np.max(np.abs(given), initial=0.0)), 1e-300)
     return held, given, doubt / scale, error / scale
 
 
-def _tractions(problem: ContactProblem, skeleton: Skeleton) -> tuple[Array, Array, Array]:
+def _tractions(problem: ContactProblem, skeleton: Skeleton, degree: int) -> tuple[Array, Array, Array]:
     n, count = problem.components, skeleton.ends.shape[1]
-    traction, doubt = np.zeros((2, n, 2, count))
+    traction, doubt = np.zeros((2, n, size(problem.order, 2), count))
     oscillation = np.zeros(count)
     for load in problem.tractions:
         edges = np.unique(problem.mesh.boundaries[load.boundary])
         corners = skeleton.nodes[:, skeleton.ends[:, edges]]
-        square = np.zeros(edges.size)  # of the traction less its best linear approximation, in the mean
+        square = np.zeros(edges.size)  # of the traction less its best approximation, in the mean
         for i, coefficient in enumerate(load.value):
-            part = integrals(coefficient, corners)
+            part = integrals(coefficient, corners, problem.order)
             traction[i][:, edges] += part.moments
             doubt[i][:, edges] += part.doubt
             if callable(coefficient):
-                linear = np.sum(linear_values(part.moments) * part.moments, axis=0)
-                square += np.maximum(part.square - linear, 0.0)
+                tested = lowered(part.moments, degree)
+                square += np.maximum(part.square - np.sum(projection(tested) * tested, axis=0), 0.0)
         oscillation[edges] += np.sqrt(square * skeleton.lengths[edges])
     return traction, oscillation, doubt
-
-
-def linear_values(moments: Array) -> Array:
-    """Values at the ends (..., 2, edges) of the linear functions with these moments: the L2 projection."""
-    return np.asarray(4 * moments - 2 * moments[..., ::-1, :])
 
 
 def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ...]:

@@ -36,16 +36,16 @@ def potential(
     problem: ContactProblem, skeleton: Skeleton, conditions: Conditions, load: Loads, strain: float, u: Array
 ) -> Potential:
     """The potential energy of a displacement ``u`` (components, nodes) with a known strain energy."""
-    ends = u[:, skeleton.ends]
-    traction = float(np.sum(conditions.traction * ends * skeleton.lengths))
-    size = np.abs(ends) + np.max(np.abs(u), initial=0.0)
+    along = u[:, skeleton.along(skeleton.order)]
+    traction = float(np.sum(conditions.traction * along * skeleton.lengths))
+    size = np.abs(along) + np.max(np.abs(u), initial=0.0)
     friction = np.zeros(conditions.contact.size)
     if problem.frictional:
         straight = replace(problem, motion=Motion(None)) if problem.motion.curves else problem
         body = Body(straight, skeleton.nodes)
         for part in conditions.parts:
-            at_ends = ends[:, :, part.edges]
-            friction[part.place] = friction_energy(Edges(body, part.edges), part.obstacle, at_ends)[0]
+            at_edges = along[:, :, part.edges]
+            friction[part.place] = friction_energy(Edges(body, part.edges), part.obstacle, at_edges)[0]
     return Potential(
         strain - load.work(u, skeleton) - traction + float(np.sum(friction)),
         float(np.sqrt(2 * strain)),

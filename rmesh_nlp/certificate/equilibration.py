@@ -21,7 +21,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from skfem import MeshTri
 
 from rmesh_nlp.certificate.hybrid import Hybrid, contact_start
 from rmesh_nlp.contact.active_set import DualEnergy, solve
@@ -45,23 +44,34 @@ FORCING = 0.1
 class Guess:
     """What the computed solution knows: where the equilibration begins."""
 
-    displacement: Array  # (components, nodes)
-    pressure: Array  # (nodes,), of contact
+    displacement: Array  # (components, nodes) coefficients
+    pressure: Array  # (nodes,) coefficients, of contact
     friction: Array  # (nodes,)
-    space: DisplacementSpace | None = None  # whose nodes these are; by default they are the vertices
+    space: DisplacementSpace | None = None  # whose nodes these are; by default vertices and then edges
 
-    def at_vertices(self) -> Guess:
-        """The same with values at the vertices, of which the equilibration is made."""
+    def by_mesh(self) -> Guess:
+        """The same numbered as the mesh is, vertices and then edges."""
         if self.space is None:
             return self
         node = self.space.number
         return self._picked(lambda values: values[..., node])
 
-    def on_refined(self, mesh: MeshTri) -> Guess:
-        """From the vertices of a mesh to those of the mesh refined once, whose new nodes halve the edges."""
-        return self._picked(
-            lambda values: np.concatenate([values, values[..., mesh.facets].mean(axis=-2)], axis=-1)
-        )
+    def on_refined(self, coarse: DisplacementSpace, fine: DisplacementSpace) -> Guess:
+        """From a mesh to the mesh refined once, whose new vertices halve the edges; numbered as these are.
+
+        The coefficient between two points P and Q is the blossom of the polynomial there: linear in either
+        point, and between vertices of the mesh the coefficient of their edge.
+        """
+        mesh, finer = coarse.problem.mesh, fine.problem.mesh
+        ends = np.hstack([np.tile(np.arange(mesh.p.shape[1]), (2, 1)), mesh.facets])  # of the finer's vertices
+        node = ends
+        if coarse.order == 2:
+            P, Q = np.hstack([np.tile(np.arange(finer.p.shape[1]), (2, 1)), finer.facets])
+            one, other = (part.ravel() for part in np.broadcast_arrays(ends[:, None, P], ends[None, :, Q]))
+            node, between = one.astype(np.int64), one != other
+            node[between] = coarse.nodes_at(one[between], other[between])
+            node = node.reshape(4, -1)
+        return self._picked(lambda values: values[..., node].mean(axis=-2))
 
     def _picked(self, pick: Callable[[Array], Array]) -> Guess:
         return Guess(pick(self.displacement), pick(self.pressure), pick(self.friction))
@@ -72,10 +82,10 @@ class Balance:
     """The field in equilibrium, as far as edges see it."""
 
     traces: Array  # (elements, k) of each element, in Cartesian components, counted from the base
-    pressure: Array  # (2, contact edges) at the ends of the contact edges
+    pressure: Array  # (k, contact edges) coefficients of Bernstein's polynomials along the contact edges
     friction: Array  # the same; zero in a scalar problem
     reaction_work: float  # of the reactions on the given displacements
-    obstacle_force: Array  # (elements, 3), reaction of an interior obstacle at the vertices, times the area
+    obstacle_force: Array  # (elements, 3 or 6) coefficients of an interior obstacle's reaction, times the area
 
 
 @dataclass(frozen=True)
@@ -86,8 +96,8 @@ class EquilibratedField:
     computed: Array  # (elements,), strain energy of the computed displacement
     energy: Array  # (elements,), complementary energy of this field
     defect: Array  # (elements,), distance between this field and that of the computed displacement
-    variation: Array  # (elements,), distance from the nearest field that is constant on the element
-    forces: Array  # (elements, local traces), tractions at the ends of the edges times the edge's length
+    variation: Array  # (elements,), distance from a field that a polynomial of the loads' degree has
+    forces: Array  # (elements, local traces), coefficients of the tractions times the edge's length
     balance: Balance
     residual: float  # largest violation of equilibrium inside elements, relative to the largest force
     gradient_by_energy: Array  # (elements,), see :func:`rmesh_nlp.certificate.oscillation.oscillation`
@@ -104,28 +114,29 @@ def balance(found: Hybrid, guess: Guess, products: int) -> Balance:
     forces are as many as the elements.
     """
     skeleton, contact = found.skeleton, found.conditions.contact
-    ends, edge = skeleton.ends[:, contact], skeleton.lengths[contact]
+    degree, edge = found.conditions.degree, skeleton.lengths[contact]
+    along = skeleton.along(degree)[:, contact]
     if found.inside:
-        inside = guess.pressure[skeleton.triangles].T > 0
-        touching = np.concatenate([inside.ravel(), guess.pressure[ends].ravel() > 0])
+        inside = guess.pressure[skeleton.inside(degree)].T > 0
+        touching = np.concatenate([inside.ravel(), guess.pressure[along].ravel() > 0])
         solved = solve(found.system, ActiveSet(touching, np.zeros(0, dtype=np.int8)))
         return balanced(found, solved.u, np.maximum(solved.normal_force, 0.0), np.zeros(0))
-    pressure, friction = ((nodal[ends] * edge).ravel() for nodal in (guess.pressure, guess.friction))
+    pressure, friction = ((nodal[along] * edge).ravel() for nodal in (guess.pressure, guess.friction))
     return balanced(found, *_improved(found, pressure, friction, products))
 
 
 def balanced(found: Hybrid, u: Array, force: Array, friction: Array) -> Balance:
     """What the free traces and the contact forces say of elements and edges."""
     contact, W = found.conditions.contact, found.traces(u)
-    edge, shape = found.skeleton.lengths[contact], (2, contact.size)
+    edge, shape = found.skeleton.lengths[contact], found.conditions.offset.shape
     reaction = found.reaction(W)[found.held] @ (W + found.start)[found.held]
-    inside = force[: found.inside] if found.inside else np.zeros(3 * len(found.numbers))
+    inside = force[: found.inside] if found.inside else np.zeros(3 * found.conditions.degree * len(found.numbers))
     return Balance(
         traces=found.of_elements(W),
         pressure=force[found.inside :].reshape(shape) / edge,
         friction=friction.reshape(shape) / edge if friction.size else np.zeros(shape),
         reaction_work=float(reaction),
-        obstacle_force=inside.reshape(-1, 3),
+        obstacle_force=inside.reshape(len(found.numbers), -1),
     )
 
 

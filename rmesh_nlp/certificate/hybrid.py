@@ -7,9 +7,10 @@ In them the dual energy is
 
 a contact problem of the same form as that of the nodes; its multipliers are the contact forces.
 
-For each end of an edge the traces are the moments of each component of the displacement against the linear
-function of that end, divided by the length. On contact edges the components are those along the obstacle's
-tangent and normal, elsewhere x and y.
+On each edge the traces are the moments of each component of the displacement against Bernstein's
+polynomials, those of its ends first, divided by the length. On contact edges the components are those along
+the obstacle's tangent and normal, elsewhere x and y. The multiplier of such a moment is a coefficient of the
+contact pressure times the length: where none is negative the pressure is nowhere negative.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.certificate.conditions import Conditions, linear_values
+from rmesh_nlp.certificate.conditions import Conditions
 from rmesh_nlp.certificate.skeleton import Index, Skeleton
 from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.evaluation import Array
@@ -30,13 +31,13 @@ from rmesh_nlp.evaluation import Array
 class InteriorObstacle:
     """An obstacle in the interior; moments of the displacement of each element are further unknowns.
 
-    Arrays run over the vertices of each element; moments are against their linear functions and
-    divided by the area.
+    Arrays run over Bernstein's polynomials on each element; moments are against these and divided by the
+    area.
     """
 
     sign: float  # 1 for an obstacle below, -1 above
-    gap: Array  # (elements, 3), moments of the gap of the base
-    load: Array  # (elements, 3), values of the source, times the area
+    gap: Array  # (elements, 3 or 6), moments of the gap of the base
+    load: Array  # (elements, 3 or 6), coefficients of the source, times the area
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,8 @@ class Hybrid:
     """The contact problem of the traces, and what leads from its solution back to the elements.
 
     The sum of the forces through each edge is ``matrix @ W - source``. The traces of an element are numbered
-    edge by edge, ends counter-clockwise, component by component, then those of an obstacle in the interior.
+    edge by edge, ends counter-clockwise and then middles, component by component, then those of an obstacle in
+    the interior.
     """
 
     skeleton: Skeleton
@@ -79,25 +81,25 @@ def hybrid(
     skeleton: Skeleton,
     conditions: Conditions,
     local: tuple[Array, Array],
-    displacement: Array,
+    base: Array,
     interior: InteriorObstacle | None = None,
 ) -> Hybrid:
-    """Assemble the contact problem of the traces, counted from ``displacement`` (components, nodes).
+    """Assemble the contact problem of the traces, counted from ``base`` (components, k, edges).
 
     Forces through the edges of an element are ``local[0] @ traces - local[1]``, with (elements, k, k) and
     (elements, k) arrays.
     """
-    n, contact = conditions.held.shape[0], conditions.contact
-    numbers, size = _numbers(skeleton, n), skeleton.ends.shape[1] * 2 * n
+    n, k, contact = conditions.held.shape[0], conditions.degree + 1, conditions.contact
+    numbers, size = _numbers(skeleton, n, k), skeleton.ends.shape[1] * k * n
     turn: sp.sparray = _turn(conditions, skeleton.ends.shape[1])
-    start = turn @ _vector(edge_moments(displacement, skeleton.ends))
-    applied = turn @ _vector(linear_values(conditions.traction) * skeleton.lengths)
+    start = turn @ _vector(base)
+    applied = turn @ _vector(conditions.applied * skeleton.lengths)
     given = turn @ _vector(conditions.given)
-    held = np.abs(turn @ _vector(np.repeat(conditions.held[:, None], 2, axis=1))) > 0.5
+    held = np.abs(turn @ _vector(np.repeat(conditions.held[:, None], k, axis=1))) > 0.5
     added = np.zeros(0, dtype=np.int64)
     if interior is not None:
         added = size + np.arange(interior.load.size)
-        numbers, none = np.hstack([numbers, added.reshape(-1, 3)]), np.zeros(added.size)
+        numbers, none = np.hstack([numbers, added.reshape(interior.load.shape)]), np.zeros(added.size)
         start, given, held = np.append(start, none), np.append(given, none), np.append(held, none > 0)
         applied = np.append(applied, interior.load.ravel())
         turn = sp.block_diag([turn, sp.eye_array(added.size)])
@@ -105,9 +107,9 @@ def hybrid(
     source = turn @ np.bincount(numbers.ravel(), local[1].ravel(), held.size)
     known = np.where(held, given - start, 0.0)
     free = np.flatnonzero(~held)
-    # contact on the boundary, end by end
+    # contact on the boundary, function by function
     along = [_contact_traces(conditions, axis).ravel() for axis in range(n)]
-    edge = np.tile(skeleton.lengths[contact], 2)
+    edge = np.tile(skeleton.lengths[contact], k)
     unit = sp.csr_array(sp.eye_array(held.size))[:, free]
     normals, gaps = unit[along[-1]], conditions.offset.ravel() + start[along[-1]]
     tangents, bound = unit[:0], np.zeros(0)
@@ -126,33 +128,34 @@ def hybrid(
 
 
 def contact_start(found: Hybrid) -> Array:
-    """(2 contact edges,) traces of the base along the first row of ``conditions.axes``, end by end."""
+    """(k contact edges,) traces of the base along the first row of ``conditions.axes``, function by function."""
     return np.asarray(found.start[_contact_traces(found.conditions, 0).ravel()])
 
 
 def _contact_traces(conditions: Conditions, axis: int) -> Index:
-    """(2, contact edges) numbers of the traces along a row of ``conditions.axes``."""
-    at_ends = 2 * conditions.contact + np.arange(2)[:, None]
-    return np.asarray(at_ends * conditions.held.shape[0] + axis, dtype=np.int64)
+    """(k, contact edges) numbers of the traces along a row of ``conditions.axes``."""
+    k = conditions.degree + 1
+    along = k * conditions.contact + np.arange(k)[:, None]
+    return np.asarray(along * conditions.held.shape[0] + axis, dtype=np.int64)
 
 
-def _numbers(skeleton: Skeleton, components: int) -> Index:
-    at_ends = (2 * skeleton.edges[:, None] + skeleton.place) * components
-    numbers = at_ends[:, :, None] + np.arange(components)[:, None]
-    return np.ascontiguousarray(numbers.reshape(6 * components, -1).T)
+def _numbers(skeleton: Skeleton, components: int, k: int) -> Index:
+    along = (k * skeleton.edges[:, None] + skeleton.places(k)) * components
+    numbers = along[:, :, None] + np.arange(components)[:, None]
+    return np.ascontiguousarray(numbers.reshape(3 * k * components, -1).T)
 
 
 def _vector(field: NDArray) -> Array:
-    """A field (components, 2, edges), Cartesian, as a vector of traces or forces."""
+    """A field (components, k, edges), Cartesian, as a vector of traces or forces."""
     return np.ascontiguousarray(field.transpose(2, 1, 0), dtype=float).ravel()
 
 
 def _turn(conditions: Conditions, edges: int) -> sp.csr_array:
-    n = conditions.held.shape[0]
+    n, k = conditions.held.shape[0], conditions.degree + 1
     blocks = np.tile(np.eye(n), (edges, 1, 1))
     blocks[conditions.contact] = conditions.axes
-    data = np.repeat(blocks, 2, axis=0)
-    rows = sp.bsr_array((data, np.arange(2 * edges), np.arange(2 * edges + 1)))
+    data = np.repeat(blocks, k, axis=0)
+    rows = sp.bsr_array((data, np.arange(k * edges), np.arange(k * edges + 1)))
     found = sp.csr_array(rows)
     found.eliminate_zeros()
     return found
@@ -164,8 +167,3 @@ def _assembled(numbers: Index, S: Array, size: int) -> sp.csr_array:
     column = np.broadcast_to(numbers[:, None, :], S.shape).ravel()
     return sp.csr_array(sp.coo_array((S.ravel(), (row, column)), shape=(size, size)))
 
-
-def edge_moments(displacement: Array, ends: Index) -> Array:
-    """(components, 2, edges) moments, divided by the length, of a linear displacement (components, nodes)."""
-    at_ends = displacement[:, ends]
-    return np.asarray((2 * at_ends + at_ends[:, ::-1]) / 6)

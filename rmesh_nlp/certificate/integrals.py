@@ -1,4 +1,4 @@
-"""Moments of coefficients against linear functions, with the doubt that quadrature leaves.
+"""Moments of coefficients against polynomials, with the doubt that quadrature leaves.
 
 Constants are integrated exactly. Anything else is integrated by rules of increasing degree until two
 of them agree, as for any polynomial, or there are none left, as for a coefficient that jumps
@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.assessment.integrals import gauss
+from rmesh_nlp.certificate.polynomials import lowered, projection
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import functions, size
 from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
@@ -24,33 +26,33 @@ TRIANGLE_DEGREES = (5, 8, 13, 20)
 EDGE_POINTS = (4, 6, 10, 31)
 """The same for edges, numbers of Gauss points."""
 
-NEGLIGIBLE = 1e-6
-"""Doubt relative to the integrals that needs no better rule."""
+NEGLIGIBLE = {1: 1e-6, 2: 1e-9}
+"""Doubt relative to the integrals that needs no better rule, by the order of the displacements."""
 
 
 @dataclass(frozen=True)
 class Integrals:
-    """Moments of a coefficient f over simplices with barycentric coordinates phi_i."""
+    """Moments of a coefficient f over simplices, against Bernstein's polynomials phi_i of some degree."""
 
-    moments: Array  # (vertices, simplices), integrals of f phi_i over the simplex, divided by its measure
+    moments: Array  # (functions, simplices), integrals of f phi_i over the simplex, divided by its measure
     square: Array  # (simplices,), mean of f^2
-    doubt: Array  # (vertices, simplices), difference of ``moments`` between two rules; zero for a constant
+    doubt: Array  # (functions, simplices), difference of ``moments`` between two rules; zero for a constant
 
 
-def integrals(coefficient: Coefficient, corners: Array) -> Integrals:
-    """Moments over edges or triangles with ``corners`` (2, 2 or 3, simplices)."""
+def integrals(coefficient: Coefficient, corners: Array, order: int = 1) -> Integrals:
+    """Moments of the displacements' order over edges or triangles with ``corners`` (2, 2 or 3, simplices)."""
     vertices, count = corners.shape[1:]
+    shape = size(order, vertices), count
     if not callable(coefficient):
-        value = float(coefficient)
-        flat = np.full((vertices, count), value / vertices)
-        return Integrals(flat, np.full(count, value**2), np.zeros((vertices, count)))
+        value = float(coefficient)  # all functions have the same integral
+        return Integrals(np.full(shape, value / shape[0]), np.full(count, value**2), np.zeros(shape))
     rules = map(edge_rule, EDGE_POINTS) if vertices == 2 else map(triangle_rule, TRIANGLE_DEGREES)
-    moments = np.zeros((vertices, count))
+    moments = np.zeros(shape)
     for number, (barycentric, weights) in enumerate(rules):
         values, coarser = values_at(coefficient, corners, barycentric), moments
-        moments, square = (barycentric * weights) @ values, weights @ values**2
+        moments, square = (functions(order, barycentric) * weights) @ values, weights @ values**2
         doubt = np.abs(moments - coarser)
-        if number and np.sum(doubt) <= NEGLIGIBLE * np.sum(np.abs(moments)):
+        if number and np.sum(doubt) <= NEGLIGIBLE[order] * np.sum(np.abs(moments)):
             break
     return Integrals(moments, square, doubt)
 
@@ -67,38 +69,46 @@ def values_at(coefficient: Coefficient, corners: Array, barycentric: Array) -> A
     return on_points(coefficient, where.reshape(2, -1)).reshape(where.shape[1:])
 
 
+def field_degree(problem: ContactProblem) -> int:
+    """Degree of equilibrated forces along edges, and of the loads that they balance.
+
+    Fluxes are as exact as the displacement. Stresses are of the first degree, those of Johnson and Mercier.
+    """
+    return problem.order if problem.components == 1 else 1
+
+
 @dataclass(frozen=True)
 class Loads:
     """Sources or body forces, component by component, and their sums over elements."""
 
-    moments: Array  # (components, 3, elements) as in :class:`Integrals`
+    moments: Array  # (components, functions, elements) as in :class:`Integrals`, of the displacements' order
     doubt: Array  # the same
-    linear: Array  # (components, 3, elements), the best linear approximation, which a field can balance
+    balanced: Array  # (components, functions, elements), the best approximation that a field can balance
     remainder: Array  # (elements,), L2 norm of what that leaves
 
     def work(self, displacement: Array, skeleton: Skeleton) -> float:
-        """Integral of f . u for a displacement (components, nodes)."""
-        local = displacement[:, skeleton.triangles]
+        """Integral of f . u for a displacement with coefficients (components, nodes)."""
+        local = displacement[:, skeleton.displaced]
         return float(np.einsum("cie,cie,e->", self.moments, local, skeleton.areas))
 
     def doubtful_work(self, displacement: Array, skeleton: Skeleton) -> float:
         """How much the energy may be wrong by the doubt of the moments."""
-        local = np.abs(displacement[:, skeleton.triangles]) + np.max(np.abs(displacement))
+        local = np.abs(displacement[:, skeleton.displaced]) + np.max(np.abs(displacement))
         return float(np.einsum("cie,cie,e->", self.doubt, local, skeleton.areas))
 
 
 def loads(problem: ContactProblem, skeleton: Skeleton) -> Loads:
     """Moments of the load of a problem on each element."""
     n, count = problem.components, skeleton.triangles.shape[1]
-    moments, doubt = np.zeros((2, n, 3, count))
+    moments, doubt = np.zeros((2, n, size(problem.order, 3), count))
     square, varies = np.zeros(count), np.zeros(count, dtype=bool)
     for law, elements in problem.regions:
         varies[elements] = any(callable(coefficient) for coefficient in law.load)
         for i, coefficient in enumerate(law.load):
-            part = integrals(coefficient, skeleton.corners[:, :, elements])
+            part = integrals(coefficient, skeleton.corners[:, :, elements], problem.order)
             moments[i][:, elements], doubt[i][:, elements] = part.moments, part.doubt
             square[elements] += part.square
-    means = moments.sum(axis=1, keepdims=True)
-    linear = np.where(varies, 12 * moments - 3 * means, means)
-    beyond = np.maximum(square - np.sum(moments * linear, axis=(0, 1)), 0.0)
-    return Loads(moments, doubt, linear, np.sqrt(skeleton.areas * np.where(varies, beyond, 0.0)))
+    tested = lowered(moments, field_degree(problem), 3)
+    balanced = np.where(varies, projection(tested, 3), tested.sum(axis=1, keepdims=True))
+    beyond = np.maximum(square - np.sum(tested * balanced, axis=(0, 1)), 0.0)
+    return Loads(moments, doubt, balanced, np.sqrt(skeleton.areas * np.where(varies, beyond, 0.0)))

@@ -17,7 +17,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -28,6 +28,7 @@ from rmesh_nlp.certificate.equilibration import EquilibratedField, Guess, balanc
 from rmesh_nlp.certificate.hybrid import hybrid
 from rmesh_nlp.certificate.integrals import Loads
 from rmesh_nlp.certificate.oscillation import korn
+from rmesh_nlp.certificate.polynomials import moments
 from rmesh_nlp.certificate.skeleton import AFTER, CORNERS, Skeleton, edge_normals
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.energy import triangle_rule
@@ -281,16 +282,19 @@ def equilibrated_stress(
     for law, part in problem.regions:
         assert isinstance(law, Elastic)
         lam[part], mu[part] = law.in_plane_lambda, law.lame_mu
-    elements = JohnsonMercier(skeleton, lam, mu, load.linear)
     u = guess.displacement
     slope = skeleton.gradients(u)
     trace = lam * (slope[0, 0] + slope[1, 1])
-    computed = np.tile(  # constant on each element
-        [trace + 2 * mu * slope[0, 0], trace + 2 * mu * slope[1, 1], mu * (slope[0, 1] + slope[1, 0])],
-        (3, 6, 1, 1),
+    computed = _linear_stress(
+        np.stack([trace + 2 * mu * slope[0, 0], trace + 2 * mu * slope[1, 1], mu * (slope[0, 1] + slope[1, 0])])
     )
+    body_force = load.balanced
+    if problem.order == 2:  # less that of the computed stress, the same all over an element
+        body_force = body_force + divergence(computed, on_thirds(skeleton.corners))[:, :1, 0]
+    elements = JohnsonMercier(skeleton, lam, mu, body_force)
     exerted = edge_tractions(computed, skeleton.normals).reshape(12, -1).T
-    found = hybrid(skeleton, conditions, (elements.stiffness, elements.source - exerted), u)
+    local = elements.stiffness, elements.source - exerted
+    found = hybrid(skeleton, conditions, local, moments(u[:, skeleton.along(problem.order)], 1))
     balanced = balance(found, guess, products)
     coefficients = elements.coefficients(balanced.traces)
     correction = elements.stress(coefficients)
@@ -304,9 +308,19 @@ def equilibrated_stress(
         variation=np.sqrt(2 * elements.energy(stress - mean)),
         forces=forces,
         balance=balanced,
-        residual=residual(elements, stress, forces),
+        residual=residual(replace(elements, load=load.balanced), stress, forces),
         gradient_by_energy=korn(skeleton) / np.sqrt(np.minimum(2 * mu, 2 * (lam + mu))),
     )
+
+
+def _linear_stress(values: Array) -> Array:
+    """(3 thirds, 6 nodes, 3 values, ...) stress (3 values, 1 or 3 vertices, ...) constant or linear on a triangle."""
+    if values.shape[1] == 1:
+        return np.tile(values[:, 0], (3, 6, 1, 1))
+    corners = np.broadcast_to(values, (3, 3, *values.shape[2:]))
+    centre = corners.mean(axis=1)
+    thirds = np.stack([np.stack([corners[:, j], corners[:, k], centre], axis=1) for j, k in AFTER])
+    return np.einsum("nv,isve->inse", NODES, thirds)
 
 
 def residual(elements: JohnsonMercier, stress: Array, forces: Array) -> float:

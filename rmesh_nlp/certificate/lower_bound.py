@@ -35,7 +35,14 @@ from rmesh_nlp.certificate.equilibration import balanced
 from rmesh_nlp.certificate.hybrid import Hybrid, hybrid
 from rmesh_nlp.certificate.integrals import edge_rule
 from rmesh_nlp.certificate.oscillation import POINCARE
-from rmesh_nlp.certificate.raviart_thomas import FREE, RaviartThomas, moments, obstacle_inside, reference
+from rmesh_nlp.certificate.polynomials import moments
+from rmesh_nlp.certificate.raviart_thomas import (
+    FREE,
+    RaviartThomas,
+    linear_flux,
+    obstacle_inside,
+    reference,
+)
 from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.system import ActiveSet
@@ -91,6 +98,8 @@ class LowerBound:
     def __init__(self, problem: ContactProblem, space: DisplacementSpace | None = None) -> None:
         if problem.components != 1:
             raise ValueError("the objective 'certificate' is for scalar problems, and this one is elastic")
+        if problem.order != 1:
+            raise ValueError("the objective 'certificate' is for displacements of order 1: take order = 1")
         if rigid_motions(problem).size > 0:
             raise ValueError("the objective 'certificate' needs a certificate: only contact holds the body")
         inside = [o for o in problem.obstacles if o.boundary is Place.INTERIOR]
@@ -142,10 +151,10 @@ class LowerBound:
             if group.varies:
                 r[group.which] = group.oscillation([X])[0]
         elements = RaviartThomas(skeleton, conductivity, source, self._inside is not None, penalty=r / e)
-        computed = elements.constant(conductivity * skeleton.gradients(u)[0])
+        computed = linear_flux(skeleton, conductivity * skeleton.gradients(u)[0], 1)
         interior = obstacle_inside(self._inside, skeleton, offset, source, u)
         local = elements.stiffness, elements.source - elements.forces(computed)
-        problem = hybrid(skeleton, conditions, local, u, interior)
+        problem = hybrid(skeleton, conditions, local, moments(u[:, skeleton.ends], 1), interior)
         solved = solve(problem.system, self._active)
         self._active, force = solved.active, solved.normal_force
         found = balanced(problem, solved.u, force, np.zeros(0))
@@ -160,7 +169,7 @@ class LowerBound:
             value -= float(np.sum(r * (elements.variation(flux) / e + e) / 2 + r**2 / 2))
         traces = problem.of_elements(W + problem.start)
         if interior is not None:
-            traces[:, 6:] += moments(u, skeleton)
+            traces[:, 6:] += moments(u[0][skeleton.triangles], 1, 3).T
         return _State(e, elements, problem, flux, traces, force, problem.reaction(W), value)
 
     def _gradient(self, state: _State) -> Array:
@@ -168,7 +177,7 @@ class LowerBound:
         elements, problem, skeleton = state.elements, state.problem, state.problem.skeleton
         result, columns = np.zeros(skeleton.nodes.shape), _columns(skeleton.corners)
         strain = np.einsum("eij,ej->ei", elements.minimised, state.flux)
-        nu = (state.traces @ elements.rows - strain)[:, FREE:]
+        nu = (state.traces @ elements.rows - strain)[:, FREE[1] :]
         inside = within = np.zeros((len(state.flux), 3))
         if problem.inside:
             inside, within = state.force[: problem.inside].reshape(-1, 3), state.traces[:, 6:]
@@ -260,12 +269,12 @@ class _Elements:
 
         values, remainder = _linear_part(source, X)
         moments = ca.SX.zeros(3) if obstacle is None else _moments(obstacle, X, *triangle_rule(DEGREE))[0]
-        lagrangian, r = -square(reference().products) / 2, ca.SX(0)
+        lagrangian, r = -square(reference(1).products) / 2, ca.SX(0)
         if self.varies:
             one, two, three = (ca.sumsqr(X[:, i] - X[:, i - 1]) for i in range(3))
             h_square = ca.fmax(ca.fmax(one, two), three)
             r = POINCARE * ca.sqrt(h_square * area * (remainder + TINY) / conductivity)
-            lagrangian -= r * (square(reference().variations) / e + e) / 2 + r**2 / 2
+            lagrangian -= r * (square(reference(1).variations) / e + e) / 2 + r**2 / 2
         if obstacle is None:
             given = ca.vertcat(ca.sum1(values) / 3, values[0] - values[2], values[1] - values[2])
             lagrangian -= 2 * area * ca.dot(nu, given)

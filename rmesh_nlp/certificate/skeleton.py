@@ -17,6 +17,9 @@ Index = NDArray[np.int64]
 AFTER = np.array([[1, 2], [2, 0], [0, 1]])
 """Vertices of edge i of a triangle, the one opposite vertex i, counter-clockwise."""
 
+BESIDE = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])
+"""Functions of degree 2 beside vertex i of a triangle, in the directions of its vertices."""
+
 CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 """Vertices (2, 3) of the reference triangle."""
 
@@ -43,6 +46,7 @@ class Skeleton:
     ends: Index  # (2, edges)
     edges: Index  # (3, elements), the edges of each element
     place: Index  # (3, 2, elements), where the ends of an element's edge stand in ``ends``: 0 or 1
+    order: int = 1  # of displacements on it
 
     @cached_property
     def areas(self) -> Array:
@@ -82,10 +86,43 @@ class Skeleton:
         owner[self.edges] = np.arange(self.areas.size)
         return owner
 
+    @cached_property
+    def displaced(self) -> Index:
+        """(3 or 6, elements) nodes of the displacements on each element: see :meth:`inside`."""
+        return self.inside(self.order)
+
+    def inside(self, degree: int) -> Index:
+        """(3 or 6, elements) nodes of polynomials of a degree on each element.
+
+        Those of vertices have their numbers; those of edges come after all of these, by the edges' numbers.
+        """
+        if degree == 1:
+            return self.triangles
+        return np.vstack([self.triangles, self.nodes.shape[1] + self.edges[[2, 0, 1]]])
+
+    def along(self, degree: int) -> Index:
+        """(2 or 3, edges) the same nodes along each edge."""
+        if degree == 1:
+            return self.ends
+        return np.vstack([self.ends, self.nodes.shape[1] + np.arange(self.ends.shape[1])])
+
+    def places(self, k: int) -> Index:
+        """(3, k, elements) where the k functions along an element's edge stand among those of the edge."""
+        added = np.broadcast_to(np.arange(2, k)[:, None], (3, k - 2, self.areas.size))
+        return np.concatenate([self.place, added], axis=1)
+
     def gradients(self, displacement: Array) -> Array:
-        """(components, 2, elements) gradients of a piecewise linear displacement (components, nodes)."""
-        local = displacement[:, self.triangles]
-        return np.asarray(-np.einsum("cie,die->cde", local, self.normals) / (2 * self.areas))
+        """(components, 2, 1 or 3, elements) gradients of a displacement with coefficients (components, nodes).
+
+        They are constant on an element, or linear with these values at its vertices.
+        """
+        local = displacement[:, self.displaced]
+        if self.order == 1:
+            at_vertices = local[:, None]
+        else:  # at a vertex the gradient of a parabola is that of twice the coefficients beside it
+            at_vertices = 2 * local[:, BESIDE]
+        slopes = -np.einsum("cvie,die->cdve", at_vertices, self.normals)
+        return np.asarray(slopes / (2 * self.areas))
 
 
 def skeleton_of(problem: ContactProblem, nodes: Array) -> Skeleton:
@@ -96,7 +133,7 @@ def skeleton_of(problem: ContactProblem, nodes: Array) -> Skeleton:
     edges = np.take_along_axis(beside, np.argmin(has, axis=1), axis=0)
     tail_is_second = ends[0, edges] != triangles[AFTER[:, 0]]
     place = np.stack([tail_is_second, ~tail_is_second], axis=1).astype(np.int64)
-    return Skeleton(np.asarray(nodes, dtype=float), triangles, ends, edges, place)
+    return Skeleton(np.asarray(nodes, dtype=float), triangles, ends, edges, place, problem.order)
 
 
 def same_domain(problem: ContactProblem, nodes: Array) -> bool:
