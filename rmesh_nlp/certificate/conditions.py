@@ -28,6 +28,9 @@ Mask = NDArray[np.bool_]
 SAMPLE_POINTS = np.stack([np.linspace(1, 0, 33), np.linspace(0, 1, 33)])
 """Barycentric coordinates (2, 33) of the points of an edge at which coefficients are looked at."""
 
+MIDDLE = 16
+"""Number of the one in the middle."""
+
 DEVIATION = 1e-12
 """Deviations relative to the values themselves that count as none."""
 
@@ -56,7 +59,7 @@ class Conditions:
     given: Array  # (components, k, edges), moments of the given displacement
     given_doubt: float  # largest doubt of these by quadrature, relative to the largest moment
     given_error: float  # largest distance from what displacements interpolate, relative to the same
-    traction: Array  # (components, order + 1, edges), moments of the given traction of the displacements' order
+    traction: Array  # (components, order + 1, edges), moments of the given traction, of displacements' order
     traction_oscillation: Array  # (edges,), L2 norm of the traction less its best approximation
     traction_doubt: Array  # (components, order + 1, edges), of ``traction`` by quadrature
     contact: NDArray[np.int64]  # (contact edges,), their numbers; the arrays below run over these
@@ -114,7 +117,7 @@ def _given_displacement(
                 continue
             part = integrals(coefficient, corners, order)
             samples = values_at(coefficient, corners, SAMPLE_POINTS)
-            interpolated = to_coefficients(order, 2) @ samples[[0, -1, SAMPLE_POINTS.shape[1] // 2]][: order + 1]
+            interpolated = to_coefficients(order, 2) @ samples[[0, -1, MIDDLE]][: order + 1]
             held[i, edges], given[i][:, edges] = True, lowered(part.moments, degree)
             doubt = max(doubt, float(np.max(part.doubt, initial=0.0)))
             bend = np.abs(samples - functions(order, SAMPLE_POINTS).T @ interpolated)

@@ -9,14 +9,19 @@ import numpy as np
 from rmesh_nlp.assessment.energy import friction_energy
 from rmesh_nlp.certificate.conditions import DEVIATION, SAMPLE_POINTS, Conditions
 from rmesh_nlp.certificate.integrals import Loads, values_at
+from rmesh_nlp.certificate.polynomials import degree_of
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import SIDES, functions, to_coefficients
 from rmesh_nlp.problem import ContactProblem, Motion, Place
 from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient
 
-GIVEN = "the given displacement is not linear on every edge"
-"""Of a fault that no stand-off removes."""
+GIVEN = "the given displacement is not"
+"""Begins a fault that no stand-off removes."""
+
+KINDS = {1: "linear", 2: "quadratic"}
+"""Displacements by their order."""
 
 LATTICE = 4
 """Parts of an edge of the lattice in a triangle on which an obstacle in the interior is looked at."""
@@ -24,7 +29,7 @@ LATTICE = 4
 
 @dataclass(frozen=True)
 class Potential:
-    """J(u) of a piecewise linear displacement, and its parts."""
+    """J(u) of a displacement, and its parts."""
 
     energy: float  # J(u), friction included
     norm: float  # energy norm of u, the root of twice the strain energy
@@ -60,7 +65,7 @@ def displacement_faults(
     """Reasons why the displacement is not known to be admissible; none if it is."""
     faults = []
     if conditions.given_error > DEVIATION:
-        faults.append(f"upper: {GIVEN}, and held at nodes only")
+        faults.append(f"upper: {GIVEN} {KINDS[problem.order]} on every edge, and held at nodes only")
     depth = penetration(problem, skeleton, conditions, displacement)
     if depth > 0:
         faults.append(
@@ -74,40 +79,60 @@ def penetration(
 ) -> float:
     """How deep the body may penetrate the obstacle; 0 if it provably does not.
 
-    The gap is the linear displacement plus the offset. Where the offset is linear or concave on an
-    edge, a gap that is not negative at the ends is so in between. Elsewhere the offset is sampled,
-    and what its second differences allow between samples is added.
+    The gap is the displacement plus the offset. Where the offset is linear or concave on an edge, a gap that
+    is not negative at the ends is so in between. At order 2 a gap none of whose coefficients is negative is
+    so where the offset is a parabola. Elsewhere the gap is sampled, and what its second differences allow
+    between samples is added.
     """
     inside = [o for o in problem.obstacles if o.boundary is Place.INTERIOR]
-    found = [(o, skeleton.triangles, _LATTICE_POINTS) for o in inside]
-    found += [(part.obstacle, skeleton.ends[:, part.edges], SAMPLE_POINTS) for part in conditions.parts]
+    found = [(o, skeleton.triangles, skeleton.displaced, _LATTICE_POINTS) for o in inside]
+    along_edges = skeleton.along(skeleton.order)
+    for part in conditions.parts:
+        found.append((part.obstacle, skeleton.ends[:, part.edges], along_edges[:, part.edges], SAMPLE_POINTS))
     size = float(np.max(np.abs(displacement), initial=0.0))
     depths = [0.0]
-    for obstacle, cells, points in found:
+    for obstacle, cells, nodes, points in found:
         if cells.size:
-            along = np.einsum("c,cve->ve", obstacle.normal, displacement[:, cells])
+            along = np.einsum("c,cve->ve", obstacle.normal, displacement[:, nodes])
             depths.append(_depth(obstacle.offset, skeleton.nodes[:, cells], along, points, size))
     return max(depths)
 
 
 def _depth(offset: Coefficient, corners: Array, along: Array, points: Array, size: float) -> float:
-    samples = values_at(offset, corners, points)
-    gap = samples + points.T @ along
-    small = DEVIATION * max(size, float(np.max(np.abs(samples))))
-    if len(points) == 2:
-        top = bends = np.diff(samples, 2, axis=0)
-        share = 1 / 2  # what a kink halfway between two samples lies below them
+    samples, vertices = values_at(offset, corners, points), len(points)
+    order = degree_of(along, vertices)
+    shapes, small = functions(order, points), DEVIATION * max(size, float(np.max(np.abs(samples))))
+    gap = samples + shapes.T @ along
+    if order == 1:
+        coefficients = gap[np.argmax(points, axis=1)]
+        holds = np.max(_bends(samples)[1], axis=0) <= small  # where the offset is concave
     else:
-        one, two, across = bends = np.einsum("k,kdpe->dpe", (1.0, -2.0, 1.0), samples[_TRIPLES])
-        mixed = (one + two - across) / 2
-        top = (one + two) / 2 + np.hypot((one - two) / 2, mixed)  # larger eigenvalue
-        share = 1.0
-    concave = np.max(top, axis=0) <= small
+        of_offset = to_coefficients(order, vertices) @ samples[_nodes(points)]
+        coefficients = along + of_offset
+        holds = np.max(np.abs(samples - shapes.T @ of_offset), axis=0) <= small
+    # between two samples of an edge a kink halfway lies half of a second difference below them
+    share, bends = 1 / 2 if vertices == 2 else 1.0, _bends(samples if order == 1 else gap)[0]
     between = share * np.max(np.abs(bends).reshape(-1, samples.shape[1]), axis=0)
-    vertices = np.argmax(points, axis=1)
-    least = np.where(concave, np.min(gap[vertices], axis=0), np.min(gap, axis=0) - between)
+    least = np.where(holds, np.min(coefficients, axis=0), np.min(gap, axis=0) - between)
     depth = float(np.max(-least))
     return depth if depth > small else 0.0
+
+
+def _bends(samples: Array) -> tuple[Array, Array]:
+    """Second differences of samples on edges or triangles, and the largest in any direction."""
+    if len(samples) == SAMPLE_POINTS.shape[1]:
+        bends = np.diff(samples, 2, axis=0)
+        return bends, bends
+    one, two, across = bends = np.einsum("k,kdpe->dpe", (1.0, -2.0, 1.0), samples[_TRIPLES])
+    mixed = (one + two - across) / 2
+    return bends, (one + two) / 2 + np.hypot((one - two) / 2, mixed)  # larger eigenvalue
+
+
+def _nodes(points: Array) -> list[int]:
+    """Which of the points are vertices and middles of edges."""
+    corners = np.eye(len(points))
+    nodes = [*corners, *((corners[a] + corners[b]) / 2 for a, b in SIDES[len(points)])]
+    return [int(np.argmin(np.sum((points.T - node) ** 2, axis=1))) for node in nodes]
 
 
 _PLACES = [(i, j) for i in range(LATTICE + 1) for j in range(LATTICE + 1 - i)]

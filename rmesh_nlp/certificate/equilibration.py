@@ -63,8 +63,7 @@ class Guess:
         point, and between vertices of the mesh the coefficient of their edge.
         """
         mesh, finer = coarse.problem.mesh, fine.problem.mesh
-        ends = np.hstack([np.tile(np.arange(mesh.p.shape[1]), (2, 1)), mesh.facets])  # of the finer's vertices
-        node = ends
+        node = ends = np.hstack([np.tile(np.arange(mesh.p.shape[1]), (2, 1)), mesh.facets])
         if coarse.order == 2:
             P, Q = np.hstack([np.tile(np.arange(finer.p.shape[1]), (2, 1)), finer.facets])
             one, other = (part.ravel() for part in np.broadcast_arrays(ends[:, None, P], ends[None, :, Q]))
@@ -85,7 +84,7 @@ class Balance:
     pressure: Array  # (k, contact edges) coefficients of Bernstein's polynomials along the contact edges
     friction: Array  # the same; zero in a scalar problem
     reaction_work: float  # of the reactions on the given displacements
-    obstacle_force: Array  # (elements, 3 or 6) coefficients of an interior obstacle's reaction, times the area
+    obstacle_force: Array  # (elements, 3 or 6), reaction of an interior obstacle times the area, coefficients
 
 
 @dataclass(frozen=True)
@@ -130,13 +129,14 @@ def balanced(found: Hybrid, u: Array, force: Array, friction: Array) -> Balance:
     contact, W = found.conditions.contact, found.traces(u)
     edge, shape = found.skeleton.lengths[contact], found.conditions.offset.shape
     reaction = found.reaction(W)[found.held] @ (W + found.start)[found.held]
-    inside = force[: found.inside] if found.inside else np.zeros(3 * found.conditions.degree * len(found.numbers))
+    functions = 3 * found.conditions.degree  # Bernstein's on a triangle
+    inside = force[: found.inside] if found.inside else np.zeros(len(found.numbers) * functions)
     return Balance(
         traces=found.of_elements(W),
         pressure=force[found.inside :].reshape(shape) / edge,
         friction=friction.reshape(shape) / edge if friction.size else np.zeros(shape),
         reaction_work=float(reaction),
-        obstacle_force=inside.reshape(len(found.numbers), -1),
+        obstacle_force=inside.reshape(-1, functions),
     )
 
 

@@ -45,8 +45,8 @@ class Hybrid:
     """The contact problem of the traces, and what leads from its solution back to the elements.
 
     The sum of the forces through each edge is ``matrix @ W - source``. The traces of an element are numbered
-    edge by edge, ends counter-clockwise and then middles, component by component, then those of an obstacle in
-    the interior.
+    edge by edge, ends counter-clockwise and then the middle, component by component, then those of an
+    obstacle in the interior.
     """
 
     skeleton: Skeleton
@@ -128,7 +128,7 @@ def hybrid(
 
 
 def contact_start(found: Hybrid) -> Array:
-    """(k contact edges,) traces of the base along the first row of ``conditions.axes``, function by function."""
+    """(k contact edges,) traces of the base along the first row of ``conditions.axes``, edges fastest."""
     return np.asarray(found.start[_contact_traces(found.conditions, 0).ravel()])
 
 
@@ -166,4 +166,3 @@ def _assembled(numbers: Index, S: Array, size: int) -> sp.csr_array:
     row = np.broadcast_to(numbers[:, :, None], S.shape).ravel()
     column = np.broadcast_to(numbers[:, None, :], S.shape).ravel()
     return sp.csr_array(sp.coo_array((S.ravel(), (row, column)), shape=(size, size)))
-

@@ -283,11 +283,9 @@ def equilibrated_stress(
         assert isinstance(law, Elastic)
         lam[part], mu[part] = law.in_plane_lambda, law.lame_mu
     u = guess.displacement
-    slope = skeleton.gradients(u)
-    trace = lam * (slope[0, 0] + slope[1, 1])
-    computed = _linear_stress(
-        np.stack([trace + 2 * mu * slope[0, 0], trace + 2 * mu * slope[1, 1], mu * (slope[0, 1] + slope[1, 0])])
-    )
+    (xx, xy), (yx, yy) = skeleton.gradients(u)
+    trace = lam * (xx + yy)
+    computed = linear_stress(np.stack([trace + 2 * mu * xx, trace + 2 * mu * yy, mu * (xy + yx)]))
     body_force = load.balanced
     if problem.order == 2:  # less that of the computed stress, the same all over an element
         body_force = body_force + divergence(computed, on_thirds(skeleton.corners))[:, :1, 0]
@@ -313,13 +311,15 @@ def equilibrated_stress(
     )
 
 
-def _linear_stress(values: Array) -> Array:
-    """(3 thirds, 6 nodes, 3 values, ...) stress (3 values, 1 or 3 vertices, ...) constant or linear on a triangle."""
+def linear_stress(values: Array) -> Array:
+    """(3 thirds, 6 nodes, 3 values, ...) stress that is constant or linear on a triangle.
+
+    Its values at the vertices are (3 values, 1 or 3 vertices, ...).
+    """
     if values.shape[1] == 1:
         return np.tile(values[:, 0], (3, 6, 1, 1))
-    corners = np.broadcast_to(values, (3, 3, *values.shape[2:]))
-    centre = corners.mean(axis=1)
-    thirds = np.stack([np.stack([corners[:, j], corners[:, k], centre], axis=1) for j, k in AFTER])
+    centre = values.mean(axis=1)
+    thirds = np.stack([np.stack([values[:, j], values[:, k], centre], axis=1) for j, k in AFTER])
     return np.einsum("nv,isve->inse", NODES, thirds)
 
 

@@ -20,7 +20,7 @@ DENOMINATORS = {2: {2: 6, 3: 12, 4: 30}, 3: {2: 12, 3: 30, 4: 90}}
 
 
 def moments(coefficients: Array, degree: int, vertices: int = 2) -> Array:
-    """(..., functions of a degree, cells) moments of polynomials with coefficients (..., functions, cells)."""
+    """(..., functions of the degree, cells) moments of polynomials with coefficients (..., any, cells)."""
     order = degree_of(coefficients, vertices)
     return np.asarray(_mass(degree, order, vertices) @ coefficients / DENOMINATORS[vertices][degree + order])
 

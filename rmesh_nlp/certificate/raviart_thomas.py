@@ -41,10 +41,11 @@ FREE = {1: 5, 2: 9}
 class Reference:
     """Functions on the reference triangle.
 
-    First the curls of x, y, x^2, x y, y^2, of degree 2 also of x^3, x^2 y, x y^2, y^3, of no divergence; then
-    (x - centre) / 2, of divergence 1. The others have no normal component on the edges: ``phi_i (x - x_i) / 3``
-    for the first two vertices, of divergence phi_i - 1/3, that of the third vertex being less the sum of these
-    two; of degree 2 ``phi_a phi_b (2 x - x_a - x_b) / 4``, of divergence ``2 phi_a phi_b - (phi_a + phi_b) / 4``.
+    First the curls of x, y, x^2, x y, y^2 and, of degree 2, of x^3, x^2 y, x y^2, y^3, of no divergence; then
+    (x - centre) / 2, of divergence 1. The others have no normal component on the edges:
+    ``phi_i (x - x_i) / 3`` for the first two vertices, of divergence phi_i - 1/3, that of the third vertex
+    being less the sum of these two; and, of degree 2, ``phi_a phi_b (2 x - x_a - x_b) / 4`` for the edges, of
+    divergence ``2 phi_a phi_b - (phi_a + phi_b) / 4``.
     """
 
     products: Array  # (4, n^2), integrals of products of components a, b of two of n functions, over the area
@@ -73,8 +74,8 @@ def reference(degree: int) -> Reference:
     inside = np.column_stack([np.ones(3), np.eye(3)[:, :2] - 1 / 3])
     if degree == 2:
         raised = elevation(3)
-        sides = np.array([np.eye(6)[i] - raised[:, list(ab)].sum(axis=1) / 4 for i, ab in enumerate(SIDES[3], 3)])
-        inside = np.hstack([raised @ inside, sides.T])
+        of_edges = [raised[:, [a, b]].sum(axis=1) / 4 for a, b in SIDES[3]]
+        inside = np.hstack([raised @ inside, np.eye(6)[:, 3:] - np.transpose(of_edges)])
     return Reference(products, variations, means, np.vstack(forces), np.hstack([free, inside]))
 
 
@@ -103,9 +104,9 @@ class RaviartThomas:
     The unknowns of an element are, for each edge, the moments of the displacement against Bernstein's
     polynomials, those of its ends counter-clockwise and then the rest, divided by the length of the edge.
 
-    With ``obstacle`` the reaction of an obstacle, a polynomial on each element, is to be found too. The moments
-    of the displacement against Bernstein's polynomials, divided by the area, are unknowns as well then; their
-    forces are the coefficients of source and reaction, times the area.
+    With ``obstacle`` the reaction of an obstacle, a polynomial on each element, is to be found too. The
+    moments of the displacement against Bernstein's polynomials, divided by the area, are unknowns as well
+    then; their forces are the coefficients of source and reaction, times the area.
     """
 
     skeleton: Skeleton
@@ -288,7 +289,8 @@ def equilibrated_flux(
     # what leaves an element through its edges is the source and the reaction within it
     wanted = (source * skeleton.areas).T + (interior.sign * reaction if interior else 0.0)
     edges, inflow = np.hsplit(forces, [3 * (degree + 1)])
-    out = np.append(edges.sum(axis=1) / (degree + 1) + wanted.mean(axis=1), inflow - wanted[:, : inflow.shape[1]])
+    whole = edges.sum(axis=1) / (degree + 1) + wanted.mean(axis=1)
+    out = np.append(whole, inflow - wanted[:, : inflow.shape[1]])
     scale = max(float(np.max(np.abs(part), initial=1e-300)) for part in (edges, wanted))
     defect = np.sqrt(2 * elements.energy(correction))
     variation = np.sqrt(elements.variation(flux))

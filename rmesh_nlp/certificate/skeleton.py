@@ -112,15 +112,13 @@ class Skeleton:
         return np.concatenate([self.place, added], axis=1)
 
     def gradients(self, displacement: Array) -> Array:
-        """(components, 2, 1 or 3, elements) gradients of a displacement with coefficients (components, nodes).
+        """(components, 2, 1 or 3, elements) gradients of a displacement, by coefficients (components, nodes).
 
         They are constant on an element, or linear with these values at its vertices.
         """
         local = displacement[:, self.displaced]
-        if self.order == 1:
-            at_vertices = local[:, None]
-        else:  # at a vertex the gradient of a parabola is that of twice the coefficients beside it
-            at_vertices = 2 * local[:, BESIDE]
+        # at a vertex the gradient of a parabola is that of twice the coefficients beside it
+        at_vertices = local[:, None] if self.order == 1 else 2 * local[:, BESIDE]
         slopes = -np.einsum("cvie,die->cdve", at_vertices, self.normals)
         return np.asarray(slopes / (2 * self.areas))
 

@@ -13,6 +13,7 @@ from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.parts import Certificate
 from rmesh_nlp.solving.solution import Assessment
@@ -45,7 +46,8 @@ def certify(solution: Assessment, *, refinements: int | None = None) -> Certific
     assessed = None if problem.motion.curves else solution.assessed
     first = problem if solution.assessed is None else solution.assessed[0].problem
     given, is_new = np.asarray(first.mesh.p), not np.array_equal(first.mesh.t, problem.mesh.t)
-    guess = Guess(solution.displacement, solution.pressure, solution.tangential_stress)
+    u = DisplacementSpace.of(problem).coefficients(solution.displacement)
+    guess = Guess(u, solution.pressure, solution.tangential_stress)
     after = refined_bracket(problem, nodes, guess, refinements)
     if assessed is not None:
         after = _with_upper(after, assessed[1])

@@ -18,7 +18,7 @@ from rmesh_nlp.certificate.skeleton import AFTER, CORNERS, Skeleton, same_domain
 from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
-from support.certificates import distorted
+from support.certificates import distorted, of_values
 
 JUMP = lambda x, y: ca.if_else(x > 0.37, 1.0, 0.0)  # noqa: E731
 
@@ -74,7 +74,7 @@ def test_a_load_is_split_into_its_best_linear_part_and_the_rest() -> None:
     problem = plate(mesh=distorted(plate().mesh, 0.2, 1), law=PlaneStrain(3.0, 2.0, (linear, 5.0)))
     skeleton = on(problem)
     found, force = loads(problem, skeleton), np.stack([linear(*skeleton.corners), np.full((3, 16), 5.0)])
-    np.testing.assert_allclose(found.linear, force, atol=1e-12)
+    np.testing.assert_allclose(found.balanced, force, atol=1e-12)
     assert np.max(found.remainder) < 1e-6
     u = np.random.default_rng(0).normal(size=problem.mesh.p.shape)
     mass = (np.ones((3, 3)) + np.eye(3)) / 12
@@ -83,7 +83,7 @@ def test_a_load_is_split_into_its_best_linear_part_and_the_rest() -> None:
     assert found.doubtful_work(u, skeleton) < 1e-10
     found = loads(plate(mesh=problem.mesh, law=PlaneStrain(3.0, 2.0, (0.0, bent))), skeleton)
     points, weights = triangle_rule(8)
-    rest = 6 * (skeleton.corners[0].T @ points) ** 2 - found.linear[1].T @ points
+    rest = 6 * (skeleton.corners[0].T @ points) ** 2 - found.balanced[1].T @ points
     np.testing.assert_allclose((rest * weights) @ points.T, 0, atol=1e-12)  # orthogonal to linear functions
     np.testing.assert_allclose(found.remainder**2, skeleton.areas * (rest**2 @ weights))
     assert not np.any(loads(plate(law=PlaneStrain(3.0, 2.0, (1.0, 5.0))), skeleton).remainder)
@@ -98,6 +98,10 @@ def test_doubtful_work_is_the_doubt_times_what_any_displacement_may_be() -> None
     assert np.sum(found.doubt) > 1e-3
 
 
+def bent(x, y):
+    return x * x - 3 * x * y + 2 * y * y
+
+
 def test_edges_are_numbered_and_directed_as_promised() -> None:
     skeleton = on(plate(), distorted(plate().mesh, 0.2, 3).p)
     ends = skeleton.ends[skeleton.place, skeleton.edges[:, None]]
@@ -109,7 +113,16 @@ def test_edges_are_numbered_and_directed_as_promised() -> None:
     assert np.all(np.any(skeleton.edges[:, skeleton.owner] == np.arange(skeleton.owner.size), axis=0))
     slope = np.array([[2.0, -1.0], [0.5, 3.0]])
     found = skeleton.gradients(slope @ skeleton.nodes)
-    np.testing.assert_allclose(found, np.broadcast_to(slope[..., None], found.shape), atol=1e-12)
+    np.testing.assert_allclose(found[:, :, 0], np.broadcast_to(slope[..., None], (2, 2, 16)), atol=1e-12)
+    # those of parabolas at the vertices; nodes at edges come after the vertices, in the edges' order
+    second = replace(plate(), order=2)
+    skeleton = on(second, skeleton.nodes)
+    x, y = skeleton.corners
+    quadratic = of_values(replace(second, mesh=replace(second.mesh, doflocs=skeleton.nodes)), (bent, bent))
+    found = skeleton.gradients(quadratic)
+    np.testing.assert_allclose(found[1], [2 * x - 3 * y, 4 * y - 3 * x], atol=1e-12)
+    ends = skeleton.along(2)[skeleton.places(3), skeleton.edges[:, None]]
+    np.testing.assert_array_equal(ends[:, 2], skeleton.inside(2)[[4, 5, 3]])
 
 
 def test_conditions_of_edges_by_hand() -> None:

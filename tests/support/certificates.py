@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.certify import contact_solution
 
@@ -26,5 +28,11 @@ def guess_on(problem: ContactProblem, displacement: np.ndarray | None = None) ->
     """The contact solution, or a displacement without contact stresses."""
     if displacement is None:
         return contact_solution(ContactSolver(problem), problem.mesh.p)
-    nothing = np.zeros(problem.mesh.p.shape[1])
+    nothing = np.zeros(DisplacementSpace.of(problem).n_nodes)
     return Guess(displacement, nothing, nothing)
+
+
+def of_values(problem: ContactProblem, fields: Sequence[Callable]) -> np.ndarray:
+    """Coefficients of the displacement that has the values of the components at the nodes' points."""
+    space = DisplacementSpace.of(problem)
+    return space.coefficients(np.stack([field(*space.points(problem.mesh.p)) for field in fields]))
