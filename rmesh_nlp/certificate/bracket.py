@@ -29,7 +29,7 @@ import numpy as np
 from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError, conditions_of
 from rmesh_nlp.certificate.displacement import displacement_faults, potential
 from rmesh_nlp.certificate.equilibration import EquilibratedField, Guess
-from rmesh_nlp.certificate.integrals import loads
+from rmesh_nlp.certificate.integrals import Loads, loads
 from rmesh_nlp.certificate.johnson_mercier import equilibrated_stress
 from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.polynomials import moments
@@ -117,6 +117,8 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
     lower, upper = dual - float(np.sum(spread)) - doubt - rounding, found.energy
     contact = _contact_gap(skeleton, conditions, field, u, found.friction)
     local = field.defect**2 / 2 + spread + field.obstacle_gap + contact
+    if problem.order > conditions.degree:
+        local = local - _unbalanced(skeleton, conditions, load, u)
     why = displacement_faults(problem, skeleton, conditions, u)
     if not doubt <= max(DOUBT * abs(upper - lower), TOLERANCE * strain):
         why = (f"lower: {DOUBTFUL}", *why, f"upper: {DOUBTFUL}")
@@ -137,6 +139,15 @@ def _contact_gap(
     slack = slack + np.sum(balance.friction * turned[0], axis=0)  # none in a scalar problem
     shares = slack * skeleton.lengths[contact] + friction
     return np.asarray(np.bincount(skeleton.owner[contact], shares, skeleton.areas.size))
+
+
+def _unbalanced(skeleton: Skeleton, conditions: Conditions, load: Loads, u: Array) -> Array:
+    """(elements,) work of what the field leaves of the loads; none on displacements of its own degree."""
+    body = load.moments - moments(load.balanced, skeleton.order, 3)
+    inside = np.sum(body * u[:, skeleton.displaced], axis=(0, 1)) * skeleton.areas
+    pull = conditions.traction - moments(conditions.applied, skeleton.order)
+    through = np.sum(pull * u[:, skeleton.along(skeleton.order)], axis=(0, 1)) * skeleton.lengths
+    return np.asarray(inside + np.bincount(skeleton.owner, through, inside.size))
 
 
 def edge_residual(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField) -> float:

@@ -67,9 +67,10 @@ def along_one_axis(k: float, f: float, start: float, end: float) -> float:
     return float(weights / 2 @ (flux**2 / (2 * k) - f * w))
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("end", [0.3, 0.85])
-def test_the_lower_bound_is_exact_where_the_flux_is_linear(sign: float, end: float) -> None:
+def test_the_lower_bound_is_exact_where_the_flux_is_linear(sign: float, end: float, order: int) -> None:
     """A membrane with k = 2 and f = 3 that touches its obstacle at 0.3, or ends free at 0.85, before 0.9."""
     k, f, start = 2.0, 3.0, 0.1
     gap = end if end < 0.8 else 0.9
@@ -159,9 +160,10 @@ def test_bounds_meet_where_a_linear_displacement_slides_or_sticks(turn: float, s
         adds_up(rough)
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("kind", ["scalar", "membrane", "elastic"])
-def test_another_numbering_of_the_displacement_has_the_same_bounds(kind: str) -> None:
-    problem = random_problem(3, kind=kind)
+def test_another_numbering_of_the_displacement_has_the_same_bounds(kind: str, order: int) -> None:
+    problem = replace(random_problem(3, kind=kind), order=order)
     nodes, guess = problem.mesh.p, guess_on(problem)
     other = contact_solution(ContactSolver(renumbered(problem)), nodes)
     assert not np.allclose(other.displacement, guess.displacement)
@@ -171,8 +173,9 @@ def test_another_numbering_of_the_displacement_has_the_same_bounds(kind: str) ->
         np.testing.assert_allclose(two.local, one.local, rtol=1e-4, atol=1e-6 * np.max(one.local))
 
 
-def test_exact_energy_of_61_is_inside_before_and_after():
-    problem = EXAMPLES["6.1"](4)
+@pytest.mark.parametrize("order", [1, 2])
+def test_exact_energy_of_61_is_inside_before_and_after(order):
+    problem = replace(EXAMPLES["6.1"](4), order=order)
     for formulation in (fixed, joint):
         found = certify(formulation.solve(problem))
         assert found.guaranteed_lower
@@ -194,14 +197,15 @@ def block(**changes) -> ContactProblem:
 
 @pytest.mark.parametrize("kind", ["scalar", "membrane", "elastic", "rough", "two foundations"])
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (5, 9))])
-def test_bounds_hold_on_finer_meshes(kind, seed):
+@pytest.mark.parametrize("order", [1, 2])
+def test_bounds_hold_on_finer_meshes(kind, seed, order):
     """The lower bound of a coarse, distorted mesh lies below the energy of a fine one, and close to it."""
     if kind == "two foundations":
         coarse = block(obstacle=(Obstacle("bottom"), Obstacle("right", (-1.0, 0.0), 0.001)))
     else:
         frame = {"frame": TURNED} if kind in ("elastic", "rough") and seed else {}
         coarse = random_problem(seed, kind=kind, **frame)
-    coarse = replace(coarse, mesh=distorted(coarse.mesh, 0.2, seed))
+    coarse = replace(coarse, mesh=distorted(coarse.mesh, 0.2, seed), order=order)
     rough, close = bracket_of(coarse), bracket_of(replace(coarse, mesh=coarse.mesh.refined(2)))
     assert rough.guaranteed_lower
     assert close.guaranteed_lower
@@ -376,8 +380,9 @@ def test_a_load_that_varies_within_elements_works_on_what_the_field_does_there()
     "kind",
     ["scalar", "elastic", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("membrane", "rough"))],
 )
-def test_a_finer_equilibration_bounds_the_same_displacement_more_closely(kind):
-    problem = random_problem(4, kind=kind)
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_finer_equilibration_bounds_the_same_displacement_more_closely(kind, order):
+    problem = replace(random_problem(4, kind=kind), order=order)
     nodes, guess = np.asarray(problem.mesh.p), guess_on(problem)
     plain, finer = (refined_bracket(problem, nodes, guess, refinements) for refinements in (0, 1))
     assert finer.upper == pytest.approx(plain.upper, rel=1e-9)

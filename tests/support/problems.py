@@ -39,8 +39,8 @@ def sloped_block(friction: float = 60.0) -> ContactProblem:
 
 
 def renumbered(problem: ContactProblem, seed: int = 7) -> Discretisation:
-    """The same with the nodes of the displacement in another order than the vertices."""
-    order = np.random.default_rng(seed).permutation(problem.mesh.p.shape[1])
+    """The same with the nodes of the displacement in another order than the vertices and edges."""
+    order = np.random.default_rng(seed).permutation(DisplacementSpace.of(problem).n_nodes)
     return Discretisation(problem, displacement_space=DisplacementSpace(problem, order))
 
 
