@@ -74,8 +74,9 @@ def solve(
     ] = None,
     n: o.Size = None,
     delta: o.Delta = None,
+    order: o.Order = None,
     seed: o.Seed = None,
-    quadrature: o.Quadrature = "midpoint",
+    quadrature: o.Quadrature = None,
     objective: o.Objective = None,
     relaxation: o.Relaxation = None,
     outer: o.Outer = None,
@@ -112,6 +113,7 @@ def solve(
     rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
     rmesh solve 6.2 --n 12x6 --delta 0.15667,0.07333
     rmesh solve 6.1 --formulation nested --outer newton --n 32
+    rmesh solve 6.1 --order 2
     rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
     rmesh solve my.toml --formulation nested --certify
     rmesh solve my.toml --remesh
@@ -121,10 +123,11 @@ def solve(
     if not example.endswith(".toml"):
         raise typer.Exit(load("cli.solving").solve(example, formulation or "joint", given, out, voice))
     for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
-        if value not in (None, "midpoint"):
+        if value is not None:
             raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
     work, columns = load("cli.solving").solve_file, columns if figures else 0
-    raise typer.Exit(work(Path(example), formulation, given["options"], certify, out, voice, columns))
+    asked = formulation, given["options"], given.get("order")
+    raise typer.Exit(work(Path(example), *asked, certify, out, voice, columns))
 
 
 @app.command()
@@ -133,6 +136,7 @@ def path(
     formulation: Annotated[
         str | None, Option("--formulation", "-f", help="Formulation; default: that of the file.")
     ] = None,
+    order: o.Order = None,
     out: Annotated[
         Path | None,
         Option("--out", metavar="DIR", help="Folder to write; default: results/<name>-path."),
@@ -147,7 +151,7 @@ def path(
     rmesh path my.toml
     rmesh path my.toml -f nested --out pressing
     """
-    raise typer.Exit(load("cli.load_path").path(file, formulation, out))
+    raise typer.Exit(load("cli.load_path").path(file, formulation, o.parse_order(order), out))
 
 
 @app.command()
@@ -157,6 +161,7 @@ def check(
         Path | None,
         Option("--picture", metavar="FILE", help="Where to draw; default: beside the problem file."),
     ] = None,
+    order: o.Order = None,
 ) -> None:
     """Validate a problem file, print what it says, draw its mesh with boundary roles and motion.
 
@@ -167,11 +172,11 @@ def check(
     rmesh check study.toml
     rmesh check my.toml --picture roles.pdf
     """
-    raise typer.Exit(load("cli.preparing").check(file, picture))
+    raise typer.Exit(load("cli.preparing").check(file, picture, o.parse_order(order)))
 
 
 @app.command()
-def advise(file: o.File, json: o.Json = False) -> None:
+def advise(file: o.File, order: o.Order = None, json: o.Json = False) -> None:
     """Say what moving nodes, a new mesh and refinement can attain, before anything moves.
 
     Solves on the given mesh and on its uniform refinement; factors are how many times less the error of
@@ -181,7 +186,7 @@ def advise(file: o.File, json: o.Json = False) -> None:
     rmesh advise my.toml
     rmesh advise my.toml --json
     """
-    raise typer.Exit(load("cli.preparing").advise(file, json))
+    raise typer.Exit(load("cli.preparing").advise(file, o.parse_order(order), json))
 
 
 @app.command()
@@ -196,6 +201,7 @@ def remesh(
             "--out", metavar="MESH", help="The mesh to write, in a format that keeps names, such as .msh."
         ),
     ] = Path("mesh.msh"),
+    order: o.Order = None,
 ) -> None:
     """Write a mesh that suits the solution of a problem file, made by Mmg in a few rounds.
 
@@ -204,7 +210,7 @@ def remesh(
     \b
     rmesh remesh my.toml --nodes 2000 --out better.msh
     """
-    raise typer.Exit(load("cli.preparing").remesh(file, nodes, out))
+    raise typer.Exit(load("cli.preparing").remesh(file, nodes, out, o.parse_order(order)))
 
 
 @app.command()
@@ -271,8 +277,9 @@ def compare(
     ] = "fixed,nested,joint,mpcc",
     n: o.Size = None,
     delta: o.Delta = None,
+    order: o.Order = None,
     seed: o.Seeds = None,
-    quadrature: o.Quadrature = "midpoint",
+    quadrature: o.Quadrature = None,
     objective: o.Objectives = None,
     relaxation: o.Relaxation = None,
     outer: o.Outer = None,

@@ -17,7 +17,7 @@ from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, located, writable
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.files import safe_name, write_text, write_whole
-from rmesh_nlp.io.problem_file import build, read_table
+from rmesh_nlp.io.problem_file import build, read_table, with_order
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.style import Page, look, new_figure, save
@@ -26,9 +26,9 @@ from rmesh_nlp.solving.load_path import PathStep, load_path
 from rmesh_nlp.solving.options import accepted
 
 
-def path(file: Path, formulation: str | None, out: Path | None) -> int:
+def path(file: Path, formulation: str | None, order: int | None, out: Path | None) -> int:
     """Solve the load path of a problem file; returns the exit code."""
-    table = read_table(file)
+    table = with_order(read_table(file), order)
     plan = table.path
     if plan is None:
         raise BadInputError(f"{file}: has no table [path]: move = [dx, dy], steps = 5")

@@ -31,13 +31,26 @@ Delta = Annotated[
         "Default: the paper's, scaled with the mesh width.",
     ),
 ]
+Order = Annotated[
+    str | None,
+    Option(
+        "--order",
+        metavar="1|2",
+        help="Displacements: 1 linear on each triangle, 2 quadratic. Default: 1; of a file its own.",
+    ),
+]
 Seed = Annotated[
     str | None,
     Option("--seed", metavar="NUMBER", help="Start from random node positions instead of the given mesh."),
 ]
 Quadrature = Annotated[
-    str,
-    Option("--quadrature", metavar="RULE", help="Rule for the load: midpoint, or a degree such as 6."),
+    str | None,
+    Option(
+        "--quadrature",
+        metavar="RULE",
+        help="Rule for the load: midpoint, or a degree such as 6. Default: midpoint, the paper's; with "
+        "--order 2 one that is exact or of degree 8.",
+    ),
 ]
 Objective = Annotated[
     str | None,
@@ -199,6 +212,15 @@ def parse_delta(text: str) -> float | tuple[float, float] | Literal["none"]:
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
 
 
+def parse_order(text: str | None) -> int | None:
+    """``1`` or ``2``; None for that of the file."""
+    if text not in (None, "1", "2"):
+        raise BadInputError(
+            f"--order must be 1 for linear displacements or 2 for quadratic ones, got {text!r}"
+        )
+    return None if text is None else int(text)
+
+
 def parse_quadrature(text: str) -> str | int:
     """``midpoint`` or a degree."""
     if text == "midpoint":
@@ -264,13 +286,14 @@ def parse_names(text: str) -> tuple[str, ...]:
 PARSERS: dict[str, Callable[[Any], Any]] = {
     "n": parse_size,
     "delta": parse_delta,
+    "order": parse_order,
     "quadrature": parse_quadrature,
     "seed": parse_seeds,
     "regularisation": parse_weights,
     "settings": parse_settings,
 }
 
-SETTINGS = ("n", "delta", "quadrature", "certify", "repeats")
+SETTINGS = ("n", "delta", "order", "quadrature", "certify", "repeats")
 OPTIONS = (  # of :func:`rmesh_nlp.solving.driver.solve_by_options`
     *("seed", "objective", "relaxation", "outer", "regularisation", "remesh", "starts", "levels"),
     *("time_limit_s", "max_iterations", "tolerance", "start", "settings"),

@@ -23,7 +23,7 @@ from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.files import safe_name, write_new, write_whole
-from rmesh_nlp.io.problem_file import build, read_table
+from rmesh_nlp.io.problem_file import build, read_table, with_order
 from rmesh_nlp.io.problem_file import template as problem_template
 from rmesh_nlp.io.problem_messages import one_line
 from rmesh_nlp.io.records import to_json
@@ -61,11 +61,13 @@ def new(path: Path, study: bool) -> int:
     return SUCCESS
 
 
-def check(path: Path, picture: Path | None = None) -> int:
+def check(path: Path, picture: Path | None = None, order: int | None = None) -> int:
     """Validate a problem file, print what it says, draw the mesh with roles and motion; or a study."""
     if is_study(path):
+        if order is not None:
+            raise BadInputError(f"--order {order} is for problem files: write it into {path}")
         return studies.check(path)
-    problem = load_problem(path)
+    problem = load_problem(path, order)
     _, options = solve_options(path, None, {})
     parts = discretise(problem)
     free = parts.mesh_map
@@ -91,9 +93,9 @@ def check(path: Path, picture: Path | None = None) -> int:
     return SUCCESS
 
 
-def advise(path: Path, json: bool = False) -> int:
+def advise(path: Path, order: int | None = None, json: bool = False) -> int:
     """Print what moving nodes, a new mesh and refinement can attain for the problem of a file."""
-    problem = load_problem(path, says=not json)
+    problem = load_problem(path, order, says=not json)
     with located(path):
         found = advice(problem)
     if json:
@@ -103,14 +105,14 @@ def advise(path: Path, json: bool = False) -> int:
     return SUCCESS
 
 
-def remesh(path: Path, nodes: int | None, out: Path) -> int:
+def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -> int:
     """Write a mesh that suits the solution of the problem of a file."""
     if not out.parent.is_dir():
         raise BadInputError(f"cannot write {out}: there is no folder {str(out.parent)!r}")
     source = read_table(path).mesh.file
     if source is not None and out.exists() and out.samefile(path.parent / source):
         raise BadInputError(f"--out {out}: this is the mesh of {path}, choose another name")
-    problem = replace(with_edge_gaps(load_problem(path)), quadrature="auto")
+    problem = replace(with_edge_gaps(load_problem(path, order)), quadrature="auto")
     _check_format(problem.mesh, out)
     with located(path):
         first = Solved.of(problem)
@@ -148,11 +150,11 @@ def _check_format(mesh: MeshTri, out: Path) -> None:
             raise BadInputError(f"--out {out}: {out.suffix} loses names such as {min(lost)!r}, take .msh")
 
 
-def load_problem(path: Path, says: bool = True) -> ContactProblem:
-    """The problem of a file; repairs of its mesh are printed as notes."""
+def load_problem(path: Path, order: int | None = None, *, says: bool = True) -> ContactProblem:
+    """The problem of a file, or with another order; repairs of its mesh are printed as notes."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", MeshRepairWarning)
-        problem = build(read_table(path), path)
+        problem = build(with_order(read_table(path), order), path)
     for warning in caught:
         if says and issubclass(warning.category, MeshRepairWarning):
             print(f"note: {path}: {warning.message}")

@@ -63,6 +63,7 @@ def solve_file(
     path: Path,
     formulation: str | None,
     options: Mapping[str, Any],
+    order: int | None,
     certify: bool,
     out: Path | None,
     voice: str = "text",
@@ -70,11 +71,12 @@ def solve_file(
 ) -> int:
     """Solve the problem of a file; returns the exit code.
 
-    Options given on the command line override ``[solve]``, which may ask to ``certify`` as well. Figures are
+    Options given on the command line override ``[solve]``, which may ask to ``certify`` as well, and an
+    ``order`` overrides that of the file. Figures are
     as wide as so many ``columns`` of a page; 0 for none.
     """
     stated = read_table(path)
-    problem = load_problem(path, says=voice == "text")
+    problem = load_problem(path, order, says=voice == "text")
     name, options = solve_options(path, formulation, options)
     one = planned(problem, name, options, certify=certify or stated.solve.certify)
     series = Series(problem, most=max(2, SERIES_NODES // problem.mesh.p.shape[1]))

@@ -84,6 +84,9 @@ PRINTED_DIGITS = 4
 EXACT_ENERGY_61 = -(625 / 2016 + 125 * np.pi**2 / 202752 + 125 * (220 + 7 * np.pi**2) / 22176)
 """J(u) of Example 6.1, -1.9456096613, as printed in closed form in section 6."""
 
+RULES: dict[int, str] = {1: "midpoint", 2: "auto"}
+"""Quadrature rules by the order of displacements: the paper's is too coarse for quadratic ones."""
+
 MATERIAL = PlaneStrain(lame_lambda=1.15e4, lame_mu=0.83e4)
 LOAD = 57.5
 
@@ -112,7 +115,7 @@ def negative_laplacian(u: PositionFunction) -> PositionFunction:
     return lambda x, y: function(x, y)
 
 
-def example_61(n: Size = 8, delta: Delta | None = None) -> ContactProblem:
+def example_61(n: Size = 8, delta: Delta | None = None, order: int = 1) -> ContactProblem:
     """Example 6.1: -Laplace(u) = f on the unit square, u >= 0 on x_1 = 1, u = 0 elsewhere.
 
     Parameters
@@ -122,6 +125,8 @@ def example_61(n: Size = 8, delta: Delta | None = None) -> ContactProblem:
     delta : float, (float, float) or "none", optional
         Half-widths of the move limits, in units of length; by default the paper's, scaled with the mesh
         width.
+    order : 1 or 2
+        Of the displacements; the paper's are linear, 1.
 
     Notes
     -----
@@ -138,31 +143,33 @@ def example_61(n: Size = 8, delta: Delta | None = None) -> ContactProblem:
         obstacle=Obstacle("contact", normal=(1.0,)),
         motion=Motion(_delta(delta, "6.1", (nx, ny))),
         exact=ExactSolution(exact_displacement_61, EXACT_ENERGY_61),
-        quadrature="midpoint",
+        quadrature=RULES.get(order, "auto"),
         name="6.1",
         size=f"{nx}" if nx == ny else f"{nx}x{ny}",
+        order=order,
     )
 
 
-def example_62(n: Size = (12, 6), delta: Delta | None = None) -> ContactProblem:
+def example_62(n: Size = (12, 6), delta: Delta | None = None, order: int = 1) -> ContactProblem:
     """Example 6.2: elastic body (0,4) x (0.05,1) above a rigid foundation, no friction.
 
     Held on x_1 = 0, pressed down by 57.5 N/m^2 on the top where x_1 > 2; initial distance
     alpha = 0.05. The grid is the uniform one of (0,4) x (0,1) with its bottom row moved up, so it
     must have fewer than 20 rows of squares.
     """
-    return _elastic("6.2", n, delta, bottom=0.05, traction=(0.0, -LOAD), friction=0.0)
+    return _elastic("6.2", n, delta, order, bottom=0.05, traction=(0.0, -LOAD), friction=0.0)
 
 
-def example_63(n: Size = (12, 6), delta: Delta | None = None) -> ContactProblem:
+def example_63(n: Size = (12, 6), delta: Delta | None = None, order: int = 1) -> ContactProblem:
     """Example 6.3: as 6.2 on (0,4) x (0,1), in contact from the start, with Tresca friction g = 10."""
-    return _elastic("6.3", n, delta, bottom=0.0, traction=(-LOAD, -LOAD), friction=10.0)
+    return _elastic("6.3", n, delta, order, bottom=0.0, traction=(-LOAD, -LOAD), friction=10.0)
 
 
 def _elastic(
     name: str,
     n: Size,
     delta: Delta | None,
+    order: int,
     bottom: float,
     traction: tuple[float, float],
     friction: float,
@@ -189,15 +196,16 @@ def _elastic(
         obstacle=Obstacle("contact", normal=(0.0, 1.0), offset=alpha, friction=friction),
         motion=Motion(_delta(delta, name, (nx, ny)), pinned=("top",)),
         tractions=(Traction("load", traction),),
-        quadrature="midpoint",
+        quadrature=RULES.get(order, "auto"),
         name=name,
         size=f"{nx}x{ny}",
         units=Units("m", "N"),
+        order=order,
     )
 
 
 EXAMPLES: dict[str, Callable[..., ContactProblem]] = {"6.1": example_61, "6.2": example_62, "6.3": example_63}
-"""The paper's examples by number; each takes ``n`` and ``delta``."""
+"""The paper's examples by number; each takes ``n``, ``delta`` and ``order``."""
 
 
 def _size(n: Size) -> tuple[int, int]:

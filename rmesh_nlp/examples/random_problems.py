@@ -54,8 +54,10 @@ class Frame:
 STILL = Frame(np.eye(2), np.zeros(2))
 
 
-def random_problem(seed: int, frame: Frame = STILL, kind: str | None = None) -> ContactProblem:
-    """A problem of random kind, seen from a frame."""
+def random_problem(
+    seed: int, frame: Frame = STILL, kind: str | None = None, order: int = 1
+) -> ContactProblem:
+    """A problem of random kind with displacements of an order, seen from a frame."""
     rng = np.random.default_rng(seed)
     nx, ny = rng.integers(3, 6), rng.integers(2, 5)
     mesh = rectangle(int(nx), int(ny), x=(0, 2), diagonal=["rising", "falling"][rng.integers(2)])
@@ -69,6 +71,7 @@ def random_problem(seed: int, frame: Frame = STILL, kind: str | None = None) -> 
         rng.integers(3)
     ]
     zones = mesh.subdomains is not None
+    chosen: dict[str, Any] = {"quadrature": 3 if order == 1 else "auto", "order": order}
     if kind in ("scalar", "membrane"):
         source = frame.scalar(lambda x, y: -3 + 4 * c[0] * ca.sin(3 * x) + c[1] * x * y)
         law: Any = Laplace(source)
@@ -78,7 +81,7 @@ def random_problem(seed: int, frame: Frame = STILL, kind: str | None = None) -> 
             if kind == "scalar"
             else Obstacle.interior(-0.2 - 0.1 * c[2])
         )
-        return ContactProblem(mesh, law, (Dirichlet("left", (0.1 * c[3],)),), obstacle, motion, quadrature=3)
+        return ContactProblem(mesh, law, (Dirichlet("left", (0.1 * c[3],)),), obstacle, motion, **chosen)
     force = frame.vector(lambda x, y: (c[0] * x, -1 + c[1] * y * x))
     pressure = frame.vector(lambda x, y: (c[2], -2 + c[3] * x))
     law = [PlaneStrain, PlaneStress][rng.integers(2)](50 + 40 * c[4], 40 + 30 * c[5], force)
@@ -99,5 +102,5 @@ def random_problem(seed: int, frame: Frame = STILL, kind: str | None = None) -> 
         obstacle,
         motion,
         (Traction("top", pressure),),
-        quadrature=3,
+        **chosen,
     )

@@ -1,38 +1,52 @@
-"""Stresses of a P1 displacement, element by element."""
+"""Stresses of a displacement, element by element."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import slopes
+from rmesh_nlp.fem.sampling import points_of
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.laws import Laplace
 
+CENTRE = np.full(3, 1 / 3)
 
-def gradients(problem: ContactProblem, nodes: Array, displacement: Array) -> Array:
-    """Displacement gradient (components, 2, elements), constant on each element."""
-    triangles = problem.triangles
-    X, u = nodes[:, triangles], displacement[:, triangles]
-    edges = np.stack([X[:, 1] - X[:, 0], X[:, 2] - X[:, 0]], axis=1)  # (2, edge, elements)
+
+def gradients(problem: ContactProblem, X: Array, displacement: Array, shares: Array = CENTRE) -> Array:
+    """Displacement gradient (components, 2, elements, ...) at barycentric coordinates (3, ...)."""
+    space = DisplacementSpace.of(problem)
+    # the linear fields that have the slopes of positions and displacement there
+    turn = slopes(space.order, shares)
+    x, u = (
+        np.einsum("cne,nv...->cve...", space.coefficients(values)[:, space.elements], turn)
+        for values in (points_of(space, X), displacement)
+    )
+    edges = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]], axis=1)  # (2, edge, elements, ...)
     difference = np.stack([u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]], axis=1)
     (a, b), (c, d) = edges  # x and y of the first and of the second edge
     with np.errstate(divide="ignore", invalid="ignore"):  # an invalid mesh is written too
         inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
-    return np.einsum("cke,kje->cje", difference, inverse)
+    return np.asarray(np.einsum("cke...,kje...->cje...", difference, inverse))
 
 
-def stresses(problem: ContactProblem, nodes: Array, displacement: Array) -> Array:
-    """Stress of each element in N/m^2.
+def stresses(problem: ContactProblem, X: Array, displacement: Array, shares: Array = CENTRE) -> Array:
+    """Stress in N/m^2 in each element, at its centre or at other barycentric coordinates (3, ...).
+
+    Vertices are at X (2, vertices), the displacement (components, nodes) is given at the nodes' points. On a
+    straight triangle the stress of a linear displacement is constant, of a quadratic one it is linear, and at
+    the centre its mean.
 
     Returns
     -------
-    (4, elements) array of sigma_xx, sigma_yy, sigma_xy, sigma_zz; for a scalar problem the
-    (2, elements) flux, conductivity times grad u.
+    (4, elements, ...) array of sigma_xx, sigma_yy, sigma_xy, sigma_zz; for a scalar problem the
+    (2, elements, ...) flux, conductivity times grad u.
     """
-    gradient = gradients(problem, nodes, displacement)
-    result = np.zeros((2 if problem.components == 1 else 4, gradient.shape[-1]))
+    gradient = gradients(problem, X, displacement, shares)
+    result = np.zeros((2 if problem.components == 1 else 4, *gradient.shape[2:]))
     for law, elements in problem.regions:
-        part = gradient[..., elements]
+        part = gradient[:, :, elements]
         if isinstance(law, Laplace):
             result[:, elements] = law.conductivity * part[0]
             continue
@@ -44,6 +58,6 @@ def stresses(problem: ContactProblem, nodes: Array, displacement: Array) -> Arra
 
 
 def von_mises(stress: Array) -> Array:
-    """Equivalent stress (elements,) of stresses (4, elements)."""
+    """Equivalent stress (elements, ...) of stresses (4, elements, ...)."""
     xx, yy, xy, zz = stress
     return np.asarray(np.sqrt(((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2 + 3 * xy**2))

@@ -13,6 +13,7 @@ from skfem import MeshTri
 from rmesh_nlp.contact.active_set import solve, touching_set
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.io.files import write_text, write_whole
@@ -32,7 +33,8 @@ if TYPE_CHECKING:
 def gaps(space: DisplacementSpace, nodes: Array, displacement: Array) -> Array:
     """Gap (nodes,) along the contact normal in units of length; NaN off the contact set.
 
-    Nodes and displacement are those of the space. At a node that may meet two foundations the smaller gap.
+    ``nodes`` (2, nodes) are the points of the space's nodes, the displacement (components, nodes) has its
+    values there. At a node that may meet two foundations the smaller gap.
     """
     result = np.full(space.n_nodes, np.nan)
     for part in space.contact_sets:
@@ -46,27 +48,31 @@ def point_data(solution: Solution) -> dict[str, Array]:
     """Fields of the nodes of the displacement, by name; vectors have three components for VTU files.
 
     ``motion`` is the vector from the initial position, ``mobility`` 0 pinned, 1 sliding, 2 free,
-    3 tied, ``box_multiplier`` (of move limits) as in :class:`rmesh_nlp.models.residual.Multipliers`.
+    3 tied, -1 in the middle of an edge, which follows its ends; ``box_multiplier`` (of move limits) as in
+    :class:`rmesh_nlp.models.residual.Multipliers`.
     """
     space, fields = DisplacementSpace.of(solution.problem), fields_of(solution)
-    data, mobility = fields.point_data(), MeshMap.of(solution.problem).mobility
+    data = fields.point_data()
     data["gap"] = gaps(space, fields.nodes, solution.displacement)
     data["motion"] = three(fields.nodes - fields.initial)
-    data["mobility"] = space.of_linear(mobility[None].astype(float))[0].astype(np.int32)
+    vertices = space.number[: space.n_vertices]
+    data["mobility"] = np.full(space.n_nodes, -1, np.int32)
+    data["mobility"][vertices] = MeshMap.of(solution.problem).mobility
     if solution.multipliers is not None:
-        data["box_multiplier"] = space.of_linear(solution.multipliers.limit[None])[0]
+        data["box_multiplier"] = np.zeros(space.n_nodes)
+        data["box_multiplier"][vertices] = solution.multipliers.limit
     return data
 
 
 def cell_data(solution: Solution, certificate: Certificate | None = None) -> dict[str, Array]:
     """Fields of the elements, by name.
 
-    ``stress`` is (elements, 4), sigma_xx, sigma_yy, sigma_xy, sigma_zz, with ``von_mises``; for
-    a scalar problem ``flux``. ``area_ratio`` is the area over the initial one, ``least_angle``
-    in degrees, ``zone`` a number per set of subdomains. With a certificate ``error_bound`` and
-    ``error_bound_initial`` are what each element adds to the bound of half the squared error, on the
-    relocated and on the given mesh, and ``equilibrated_flux`` or ``equilibrated_stress`` (xx, yy, xy) is
-    the mean of the field that proves it.
+    ``stress`` is (elements, 4), sigma_xx, sigma_yy, sigma_xy, sigma_zz at the centre, the mean of a stress
+    that is linear, with ``von_mises`` of it; for a scalar problem ``flux``. ``area_ratio`` is the area over
+    the initial one, ``least_angle`` in degrees, ``zone`` a number per set of subdomains. With a certificate
+    ``error_bound`` and ``error_bound_initial`` are what each element adds to the bound of half the squared
+    error, on the relocated and on the given mesh, and ``equilibrated_flux`` or ``equilibrated_stress`` (xx,
+    yy, xy) is the mean of the field that proves it.
     """
     problem, nodes = solution.problem, np.asarray(solution.mesh.p)
     stress = stresses(problem, nodes, solution.displacement)
@@ -102,7 +108,7 @@ def write_solution(
 ) -> None:
     """Write a solution with all its fields, in the format of the suffix; ``.vtu`` for ParaView."""
     space = DisplacementSpace.of(solution.problem)
-    points, of_cells = space.points(np.asarray(solution.mesh.p)), cell_data(solution, certificate)
+    points, of_cells = points_of(space, np.asarray(solution.mesh.p)), cell_data(solution, certificate)
     file_mesh(points, space.elements, point_data(solution), of_cells).write(path, file_format)
 
 
@@ -189,12 +195,12 @@ class Series:
                 active = touching_set(system, pressure[model.contact_nodes] > 0)
             state = solve(system, active)
             active = state.active
-            u = model.displacement.values(state.u)
+            u = space.values(model.displacement.values(state.u))
             file = self._file(step, name)
-            points = space.points(nodes)
+            points = points_of(space, nodes)
             fields = {
                 "displacement": u[0] if u.shape[0] == 1 else three(u),
-                "motion": three(points - space.points(self.problem.mesh.p)),
+                "motion": three(points - points_of(space, np.asarray(self.problem.mesh.p))),
             }
             write_whole(folder / file, file_mesh(points, space.elements, fields).write)
             entries.append(f'    <DataSet timestep="{step.iteration}" file={quoteattr(file)}/>')
@@ -217,7 +223,7 @@ class Series:
 
 def node_table(solution: Solution) -> pd.DataFrame:
     """The fields of the nodes as a pandas table, one row per node, vectors by component."""
-    x, y = DisplacementSpace.of(solution.problem).points(np.asarray(solution.mesh.p))
+    x, y = points_of(DisplacementSpace.of(solution.problem), np.asarray(solution.mesh.p))
     return _table({"x": x, "y": y, **point_data(solution)})
 
 

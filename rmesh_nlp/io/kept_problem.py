@@ -33,6 +33,8 @@ MESH = "given-mesh"  # name, without its ending, of the copy of the mesh file
 class KeptSolution:
     """What figures of a relocation need, read back from a folder; ``mesh`` is the relocated one.
 
+    Displacement (components, nodes) and pressure (nodes,) are values at the points of the nodes, as in files.
+
     ``is_remeshed`` says that the mesh before relocation is not the given one.
     """
 
@@ -69,8 +71,10 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
         mesh_table = table.mesh.model_copy(update={"file": names(table)[1]})
         table = table.model_copy(update={"mesh": mesh_table})
     problem = build(table, path)
-    if record.get("quadrature") is not None:  # some formulations raise it
-        problem = replace(problem, quadrature=record["quadrature"])
+    # the command line may have given another order, and some formulations raise the degree of the rule
+    asked = {name: record[name] for name in ("order", "quadrature") if record.get(name) is not None}
+    if asked:
+        problem = replace(problem, **asked)
     fields = read_vtu(folder / "solution.vtu")
     space = DisplacementSpace.of(problem)
     is_remeshed = not np.array_equal(fields.triangles, space.elements)
@@ -79,7 +83,7 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
         if remeshed is None:
             return None
         problem, space = remeshed, DisplacementSpace.of(remeshed)
-    vertices, multipliers = space.nodes_of(np.arange(problem.mesh.p.shape[1])), fields.multipliers
+    vertices, multipliers = space.number[: space.n_vertices], fields.multipliers
     if multipliers is not None:
         multipliers = replace(multipliers, limit=multipliers.limit[vertices])
     mesh = relocated_mesh(problem.mesh, fields.nodes[:, vertices])
@@ -95,13 +99,14 @@ def _on_written_mesh(problem: ContactProblem, folder: Path, fields: Fields) -> C
     if not path.exists() or problem.motion.numbers or problem.point_loads:
         return None
     mesh = read_mesh(path)
-    if mesh.t.shape != fields.triangles.shape:
+    vertices, triangles = fields.initial[:, : mesh.p.shape[1]], fields.triangles[:3]  # which files have first
+    if mesh.t.shape != triangles.shape:
         return None
-    one, two = np.sort(mesh.t, axis=0), np.sort(fields.triangles, axis=0)
+    one, two = np.sort(mesh.t, axis=0), np.sort(triangles, axis=0)
     order, place = np.lexsort(one), np.empty(one.shape[1], dtype=np.int64)  # files group elements by name
     place[order] = np.lexsort(two)
     if not np.array_equal(one, two[:, place]):
         return None
     edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
     zones = {name: place[elements] for name, elements in (mesh.subdomains or {}).items()}
-    return on_mesh(problem, from_arrays(fields.initial.T, fields.triangles.T, edges, zones), problem.motion)
+    return on_mesh(problem, from_arrays(vertices.T, triangles.T, edges, zones), problem.motion)

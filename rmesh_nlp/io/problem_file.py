@@ -90,15 +90,20 @@ def template(name: str, file: str) -> str:
     return text.replace("{name}", name).replace("{file}", file)
 
 
-def load_problem(path: str | Path) -> ContactProblem:
-    """The contact problem of a TOML file.
+def load_problem(path: str | Path, order: int | None = None) -> ContactProblem:
+    """The contact problem of a TOML file, or the same with displacements of another order.
 
     Raises
     ------
     ProblemFileError
         With one line per error, each naming file, key, value and what was expected.
     """
-    return build(read_table(path), Path(path))
+    return build(with_order(read_table(path), order), Path(path))
+
+
+def with_order(table: ProblemTable, order: int | None) -> ProblemTable:
+    """The tables with another order, None for their own."""
+    return table if order is None else table.model_copy(update={"order": order})
 
 
 def read_table(path: str | Path) -> ProblemTable:
@@ -206,6 +211,7 @@ class _Builder:
                 size=f"{mesh.t.shape[1]} triangles",
                 point_loads=tuple(loads),
                 units=Units(table.units.length, table.units.force),
+                order=table.order,
             )
         except ProblemError as error:
             raise self.wrong(*self.fault(error), one_line(error)) from error

@@ -118,6 +118,9 @@ Given = Annotated[Any, BeforeValidator(_given), expected(ONE_OR_TWO)]
 Condition = Annotated[
     Any, BeforeValidator(_condition), expected("a condition on x and y such as 'y == 1 and x > 2'")
 ]
+Order = Annotated[
+    Annotated[_Whole, Field(ge=1, le=2)], expected("1 for linear displacements or 2 for quadratic ones")
+]
 Quadrature = Annotated[
     Literal["auto", "midpoint"] | Annotated[_Whole, Field(ge=1, le=50)],
     expected("'auto', 'midpoint' or a degree from 1 to 50"),
@@ -340,6 +343,7 @@ class ProblemTable(Table):
     """A whole problem file."""
 
     name: Text | None = None
+    order: Order = 1
     quadrature: Quadrature = "auto"
     mesh: MeshTable
     boundaries: dict[str, Condition] = Field(default_factory=dict)

@@ -119,8 +119,10 @@ class RecordModel(BaseModel):
     relative_error_bound_initial: Number = None
     relative_error_bound: Number = None
     certificate_remark: str | None = None
+    order: int = 1
     nodes: int | None = None
     triangles: int | None = None
+    unknowns: int | None = None
     biactive_nodes: list[Any] | None = None
 
     @model_validator(mode="after")

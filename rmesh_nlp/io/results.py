@@ -138,7 +138,7 @@ class Results:
             fields, _ = read_vtu(places.vtu), places.steps()
         except BadInputError:
             return False
-        count = fields.nodes.shape[1]
+        count = fields.n_vertices
         return bool(count == record.get("nodes", count) and np.all(np.isfinite(fields.displacement)))
 
     def repaired(self) -> list[Record]:

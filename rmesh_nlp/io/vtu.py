@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.sampling import edges_of, points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.problem.coefficients import on_points
@@ -22,7 +23,11 @@ CELLS = {3: "triangle", 6: "triangle6"}  # what VTU files call elements, by thei
 
 @dataclass(frozen=True)
 class Fields:
-    """What a VTU file holds, at the nodes of the displacement and on the elements."""
+    """What a VTU file holds, at the nodes of the displacement and on the elements.
+
+    Fields of nodes are values at their points. Of quadratic displacements these are the vertices and the
+    middles of edges; a triangle has the former first.
+    """
 
     nodes: Array  # (2, nodes) positions after the relocation
     initial: Array  # (2, nodes) positions before
@@ -36,6 +41,16 @@ class Fields:
     error_bound: Array | None = None  # (elements,) parts of the bound of half the squared error, if certified
     error_bound_initial: Array | None = None
     multipliers: Multipliers | None = None  # as read from a file; those of move limits are at the nodes
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of nodes that are vertices of the mesh, or belong to no element."""
+        return int(self.nodes.shape[1] - np.unique(self.triangles[3:]).size)
+
+    @property
+    def boundary(self) -> NDArray[np.int64]:
+        """(2 or 3, edges) nodes of the edges on the boundary: the ends, then the middle."""
+        return edges_of(self.triangles, outer=True)
 
     def point_data(self) -> dict[str, NDArray]:
         """The fields of the nodes as VTU files have them, by name."""
@@ -71,7 +86,7 @@ def file_mesh(
 def fields_of(solution: Solution) -> Fields:
     """The fields of a solution."""
     space = DisplacementSpace.of(solution.problem)
-    nodes = space.points(np.asarray(solution.mesh.p))
+    nodes = points_of(space, np.asarray(solution.mesh.p))
     contact, bound, foundation = np.zeros(space.n_nodes, dtype=bool), np.zeros(space.n_nodes), nodes.copy()
     for part in space.contact_sets:
         here = nodes[:, part.nodes]
@@ -81,7 +96,7 @@ def fields_of(solution: Solution) -> Fields:
             foundation[:, part.nodes] = part.obstacle.feet(here)
     return Fields(
         nodes=nodes,
-        initial=space.points(solution.initial_nodes),
+        initial=points_of(space, solution.initial_nodes),
         triangles=space.elements,
         displacement=solution.displacement,
         pressure=solution.pressure,

@@ -11,6 +11,7 @@ from rmesh_nlp.examples import PAPER, PaperValues
 from rmesh_nlp.io.records import Record
 
 DEFAULT_RELAXATION = "scholtes"
+LINEAR = "order 1"  # what is only said beside another one
 RELOCATING_NOTHING = "fixed"  # the formulation whose solution is that of the initial grid
 
 # starts of ``mpcc`` that solve another model first: the homotopy then only certifies its end
@@ -30,7 +31,7 @@ def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list
 
 @dataclass(frozen=True)
 class Block:
-    """Records of one example on one grid with the same move limits and rule, in the order of their solves."""
+    """Records of one example on one grid with the same order, move limits and rule, as they were solved."""
 
     records: tuple[Record, ...]
 
@@ -45,18 +46,18 @@ class Block:
         return f"{'Example' if self.example in PAPER else 'Problem'} {self.example}"
 
     @property
-    def settings(self) -> tuple[str, str, str]:
-        """Size, move limits and quadrature rule in words."""
+    def settings(self) -> tuple[str, str, str, str]:
+        """Size, order of displacements, move limits and quadrature rule in words."""
         record = self.records[0]
         size = f"n = {record['n']}" if self.example in PAPER else str(record["n"])
         rule = record.get("quadrature", "midpoint")
         words = "midpoint rule" if rule == "midpoint" else f"rule of degree {rule}"
-        return size, f"delta = {delta_text(record['delta'])}", words
+        return size, f"order {order_of(record)}", f"delta = {delta_text(record['delta'])}", words
 
     @property
     def title(self) -> str:
-        """The example with its settings."""
-        return f"{self.name}: {', '.join(self.settings)}"
+        """The example with its settings, the order if it is not 1."""
+        return f"{self.name}: {', '.join(text for text in self.settings if text != LINEAR)}"
 
     @property
     def objectives(self) -> dict[str, list[Record]]:
@@ -90,7 +91,7 @@ class Block:
             return None
         across, up = paper.size
         sizes = [f"{across}x{up}", *([f"{across}"] if across == up else [])]
-        same = record["n"] in sizes and record["delta"] == list(paper.delta)
+        same = record["n"] in sizes and record["delta"] == list(paper.delta) and order_of(record) == 1
         return paper if same and record.get("quadrature", "midpoint") == "midpoint" else None
 
 
@@ -101,7 +102,18 @@ def blocks(records: Iterable[Record]) -> list[Block]:
 
 def block_key(record: Record) -> Hashable:
     """What records of one block have in common."""
-    return record["example"], record["n"], str(record["delta"]), record.get("quadrature", "midpoint")
+    rule = record.get("quadrature", "midpoint")
+    return record["example"], record["n"], str(record["delta"]), rule, order_of(record)
+
+
+def order_of(record: Record) -> int:
+    """The order of the displacements, which old records do not name."""
+    return int(record.get("order") or 1)
+
+
+def with_order(name: str, record: Record) -> str:
+    """A name with the order of the displacements, if it is not 1."""
+    return name if order_of(record) == 1 else f"{name}, order {order_of(record)}"
 
 
 def audited(record: Record) -> float:
@@ -157,7 +169,7 @@ def names_of_solves(records: Sequence[Record]) -> list[str]:
         told, same = [block.example], [other for other in groups if other.example == block.example]
         for place, text in enumerate(block.settings):
             alike = [other for other in same if other.settings[place] == text]
-            told += [text] if len(alike) < len(same) else []
+            told += [text] if len(alike) < len(same) or (place == 1 and text != LINEAR) else []
             same = alike
         names += [", ".join([*told, label(record)]) for record in block.records]
     return names

@@ -14,13 +14,13 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.space import contact_edges
+from rmesh_nlp.fem.sampling import along
+from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.io.vtu import Fields
-from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.style import FOUNDATION
 from rmesh_nlp.solving.plotting import draw_mesh
 
-POINTS = 9  # of a foundation below one contact edge
+PARTS = 8  # of a foundation below one contact edge
 
 # parts of the extent of the body
 FAR = 1.0  # a foundation farther away than this is not drawn
@@ -60,7 +60,7 @@ class Foundation:
 class Body:
     """A body on one mesh; scalar problems have no foundations.
 
-    Nodes (2, nodes), triangles (3, elements), displacement (components, nodes).
+    Nodes (2, nodes), triangles (nodes per element, elements), displacement (components, nodes).
     """
 
     nodes: Array
@@ -83,16 +83,15 @@ class Body:
         return self.nodes + factor * self.displacement if self.elastic else self.nodes
 
 
-def foundations(problem: ContactProblem, X: Array) -> tuple[Foundation, ...]:
-    """The foundations for vertices at ``X`` (2, vertices); none for scalar problems."""
+def foundations(space: DisplacementSpace, nodes: Array) -> tuple[Foundation, ...]:
+    """The foundations for nodes at (2, nodes); none for scalar problems."""
     found = []
-    t = np.linspace(0, 1, POINTS)
-    for part in problem.contact_sets if problem.components == 2 else ():
-        edges, here = contact_edges(problem, part.obstacle), X[:, part.nodes]
-        starts = np.einsum("cve,vk->cek", X[:, edges], np.stack([1 - t, t]))
+    for part in space.contact_sets if space.problem.components == 2 else ():
+        edges, here = space.nodes_of(contact_edges(space.problem, part.obstacle)), nodes[:, part.nodes]
+        starts = along(edges, nodes, PARTS)
         lines = part.obstacle.feet(starts.reshape(2, -1)).reshape(starts.shape)
         gaps, feet = part.obstacle.distances(here), part.obstacle.feet(here)
-        name, far = str(part.obstacle.boundary), _is_far(gaps, X)
+        name, far = str(part.obstacle.boundary), _is_far(gaps, nodes)
         found.append(Foundation(name, gaps, here, feet, starts, lines, far))
     return tuple(found)
 
@@ -103,10 +102,9 @@ def body_of(fields: Fields) -> Body:
     known: tuple[Foundation, ...] = ()
     if fields.displacement.shape[0] == 2 and nodes.size:
         gaps = np.linalg.norm(feet - nodes, axis=0)
-        pairs = np.hstack([fields.triangles[[i, j]] for i, j in ((0, 1), (1, 2), (2, 0))])
-        edges, times = np.unique(np.sort(pairs, axis=0), axis=1, return_counts=True)
-        edges = edges[:, (times == 1) & np.all(fields.contact[edges], axis=0)].T
-        starts, lines = fields.nodes[:, edges], fields.foundation[:, edges]
+        edges = fields.boundary
+        edges = edges[:, np.all(fields.contact[edges], axis=0)]
+        starts, lines = along(edges, fields.nodes), along(edges, fields.foundation)
         known = (Foundation("", gaps, nodes, feet, starts, lines, _is_far(gaps, fields.initial)),)
     return Body(fields.nodes, fields.triangles, fields.displacement, known)
 

@@ -12,8 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, StrMethodFormatter
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.sampling import along, edges_of, pieces
 from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.io.manifest import Manifest
 from rmesh_nlp.io.records import Record
@@ -21,7 +23,7 @@ from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.units import NO_UNITS, Units, bracketed, units_of
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, label
+from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, grouped, label, order_of, with_order
 from rmesh_nlp.report.drawing import body_of, colour_bar, draw_deformed, magnification, window
 from rmesh_nlp.report.histories import Curve, curve
 from rmesh_nlp.report.study_summary import Chart, charts, is_study
@@ -90,7 +92,8 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
     """
     drawn = [(one.record, read_vtu(one.vtu)) for one in results if one.record["energy"] is not None]
     units = units_of(block.records[0].get("units"))
-    stem = f"{block.example}-{block.records[0]['n']}"
+    order = order_of(block.records[0])
+    stem = f"{block.example}-{block.records[0]['n']}" + (f"-order{order}" if order != 1 else "")
     moved = [(record, field) for record, field in drawn if record["formulation"] != RELOCATING_NOTHING]
     fixed = [field for record, field in drawn if record["formulation"] == RELOCATING_NOTHING]
     given = {"given grid": fixed[0]} if fixed else {}
@@ -133,10 +136,11 @@ def grid_figure(panels: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure
     windows = [window(bodies), *([window(bodies, factor)] if elastic else [])]
     below = 0.3 if elastic else 0.15
     figure, axes = Page().panels(len(bodies), windows, units.length, below=below, beside=1.0)
-    values = [size_of(body.displacement) for body in bodies]
+    cut = [pieces(body.triangles, body.nodes.shape[1]) for body in bodies]
+    values = [size_of(parts(body.displacement)) for parts, body in zip(cut, bodies, strict=True)]
     levels = MaxNLocator(LEVELS).tick_values(min(map(np.min, values)), max(map(np.max, values)))
-    for column, title, body, value in zip(axes.T, panels, bodies, values, strict=True):
-        mesh = plotting.triangulation(body.nodes, body.triangles)
+    for column, title, body, parts, value in zip(axes.T, panels, bodies, cut, values, strict=True):
+        mesh = plotting.triangulation(body.nodes, parts)
         filled = column[0].tricontourf(mesh, value, levels=levels, cmap=MAP)
         plotting.draw_mesh(column[0], body.nodes, body.triangles, color="white")
         column[0].set_title(title)
@@ -156,12 +160,20 @@ def surface_figure(panels: Mapping[str, Fields]) -> Figure:
     high = max(float(field.displacement.max()) for field in panels.values())
     for column, (title, field) in enumerate(panels.items(), 1):
         axis = figure.add_subplot(1, len(panels), column, projection="3d")
+        parts = pieces(field.triangles, field.nodes.shape[1])
+        whole = parts.triangles.shape[1] == field.triangles.shape[1]
         axis.plot_trisurf(
-            plotting.triangulation(field.nodes, field.triangles),
-            field.displacement[0],
-            **{"cmap": MAP, "vmin": low, "vmax": high, "edgecolor": GRID_LINE, "linewidth": 0.3},
+            plotting.triangulation(field.nodes, parts),
+            parts(field.displacement[0]),
+            **{"cmap": MAP, "vmin": low, "vmax": high, "edgecolor": GRID_LINE, "linewidth": 0.3 * whole},
             **{"shade": False, "rasterized": plotting.is_fine(field.triangles)},
         )
+        if not whole:  # the edges of the mesh, not those of the pieces
+            surface = np.vstack([field.nodes, field.displacement])
+            lines = along(edges_of(field.triangles), surface)
+            axis.add_collection3d(
+                Line3DCollection(list(lines.transpose(1, 2, 0)), colors=GRID_LINE, linewidths=0.3)
+            )
         axis.set(xlabel="$x_1$", ylabel="$x_2$", zlim=(low, high))
         axis.set_title(f"u, {title}", y=0.98)
         axis.view_init(elev=28, azim=-130)
@@ -176,10 +188,11 @@ def stress_figure(curves: Mapping[str, Fields], units: Units = NO_UNITS) -> Figu
     frictional = any(np.any(field.friction_bound > 0) for field in fields)
     figure = new_figure(TWO_COLUMNS, 4.6 if frictional else 2.6)
     axes = figure.subplots(2 if frictional else 1, 1, sharex=True, squeeze=False)[:, 0]
-    along = plotting.direction(fields[0].nodes[:, fields[0].contact])
+    coordinate = plotting.direction(fields[0].nodes[:, fields[0].contact])
 
     def draw(axis: Axes, field: Fields, values: Array, **pen: Any) -> None:
-        plotting.draw_along(axis, field.nodes, np.flatnonzero(field.contact), values, along, **pen)
+        where = np.flatnonzero(field.contact), field.boundary
+        plotting.draw_along(axis, field.nodes, where, values, coordinate, **pen)
 
     for position, (name, field) in enumerate(curves.items()):
         for axis, values in zip(axes, (field.pressure, field.tangential_stress), strict=False):
@@ -190,7 +203,7 @@ def stress_figure(curves: Mapping[str, Fields], units: Units = NO_UNITS) -> Figu
         pen = {"color": "0.5", "linewidth": 0.9, "linestyle": (0, (6, 2))}
         draw(axes[1], fields[0], fields[0].friction_bound, **pen, label="friction bound ±g")
         draw(axes[1], fields[0], -fields[0].friction_bound, **pen)
-    axes[-1].set_xlabel(f"$x_{along + 1}${bracketed(units.length)} on the contact boundary")
+    axes[-1].set_xlabel(f"$x_{coordinate + 1}${bracketed(units.length)} on the contact boundary")
     add_legend(figure, [axes[-1]])
     return figure
 
@@ -222,19 +235,24 @@ def error_figure(field: Fields, bounds: tuple[Array, Array], record: Record) -> 
 
 
 def bracket_figure(records: Sequence[Record]) -> Figure:
-    """Lower and upper bounds of the least energy against the number of nodes, a band per formulation."""
+    """Lower and upper bounds of the least energy against the size of the mesh, a band per formulation.
+
+    The size is the number of nodes, and of unknowns where not all displacements are linear.
+    """
     figure = new_figure(TWO_COLUMNS * 0.6, 2.8)
     axis = figure.subplots()
-    for position, name in enumerate(dict.fromkeys(label(record) for record in records)):
-        rows = sorted((r for r in records if label(r) == name), key=lambda record: record["nodes"])
-        nodes = [row["nodes"] for row in rows]
+    size = "nodes" if all(order_of(record) == 1 for record in records) else "unknowns"
+    bands = grouped(records, lambda record: with_order(label(record), record))
+    for position, (name, own) in enumerate(bands.items()):
+        rows = sorted(own, key=lambda record: int(record[size]))
+        nodes = [row[size] for row in rows]
         low, high = ([row[f"energy_{side}_bound"] for row in rows] for side in ("lower", "upper"))
         style = look(position)
         axis.fill_between(nodes, low, high, color=style.color, alpha=0.15, linewidth=0)
         pen: dict[str, Any] = {"color": style.color, "marker": style.marker, "markersize": 4}
         axis.plot(nodes, high, **pen, label=name)
         axis.plot(nodes, low, **pen, linestyle="--")
-    axis.set(xscale="log", xlabel="nodes", ylabel="bounds of the least energy")
+    axis.set(xscale="log", xlabel=size, ylabel="bounds of the least energy")
     axis.legend()
     return figure
 

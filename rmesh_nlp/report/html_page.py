@@ -36,8 +36,10 @@ from rmesh_nlp.report.blocks import (
     Block,
     blocks,
     objective_of,
+    order_of,
     variant,
     variants_of,
+    with_order,
 )
 from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, MAIN, RESIDUALS, STATUS, Column
 from rmesh_nlp.report.figures import convergence_figure, profile_figure
@@ -60,6 +62,10 @@ WHICH = (
     Column("size", lambda record: str(record["n"])),
     Column("seed", "seed"),
 )
+COUNTED = (
+    Column("order", order_of),
+    Column("unknowns", "unknowns"),
+)  # where not all displacements are linear
 MORE = (*COSTS[-1:], *ENERGIES[1:], *RESIDUALS[1:], *CERTIFICATES[1:])
 
 COST = (
@@ -163,7 +169,7 @@ def _setup(records: Sequence[Record], failed: int) -> dict[str, str]:
         ", ".join(dict.fromkeys(map(name, records))) for name in (family, variant, objective_of)
     )
     return {
-        "problems": f"{len({(r['example'], r['n']) for r in records})} of {families}",
+        "problems": f"{len({(r['example'], r['n'], order_of(r)) for r in records})} of {families}",
         "formulations": variants,
         "outer objectives": objectives,
         "solves": f"{len(records)}, of which {good} succeeded, {refused} were refused",
@@ -199,7 +205,8 @@ def _convergence(results: Sequence[Result]) -> tuple[list[tuple[str, str]], str]
 
 
 def _solves(records: Sequence[Record], columns: Sequence[Column], failed: Set[int]) -> Table:
-    cells = {column.head: [column.cell(record) for record in records] for column in (*WHICH, *columns)}
+    which = WHICH if all(order_of(record) == 1 for record in records) else (*WHICH, *COUNTED)
+    cells = {column.head: [column.cell(record) for record in records] for column in (*which, *columns)}
     known = {head: own for head, own in cells.items() if set(own) != {MISSING}}
     return Table(list(known), list(zip(*known.values(), strict=True)), texts=2, failed=failed)
 
@@ -220,7 +227,11 @@ def _mesh(record: Record, fields: Fields) -> dict[str, Any]:
     if np.any(fields.friction_bound > 0):
         values["tangential stress"] = fields.tangential_stress
     values["motion"] = np.hypot(*(fields.nodes - fields.initial))
-    parts = [str(record["example"]), f"n = {record['n']}" if record["n"] else "", variant(record)]
+    parts = [
+        with_order(str(record["example"]), record),
+        f"n = {record['n']}" if record["n"] else "",
+        variant(record),
+    ]
     parts += [f"seed {record['seed']}" if record["seed"] is not None else ""]
     parts += [f"repetition {record['repeat'] + 1}" if record.get("repeat") else ""]
     places = zip(("x", "y", "x0", "y0"), (*fields.nodes, *fields.initial), strict=True)
@@ -228,7 +239,7 @@ def _mesh(record: Record, fields: Fields) -> dict[str, Any]:
     return {
         "name": ", ".join(part for part in parts if part),
         **{name: _rounded(place, size) for name, place in places},
-        "t": fields.triangles[:3].T.tolist(),
+        "t": fields.triangles.T.tolist(),
         "fields": {name: _rounded(v, float(np.abs(v).max())) for name, v in values.items()},
     }
 

@@ -16,6 +16,7 @@ from rmesh_nlp.report.blocks import (
     label,
     objective_of,
     seedless,
+    with_order,
 )
 from rmesh_nlp.report.columns import shown
 from rmesh_nlp.report.markup import Groups
@@ -143,6 +144,6 @@ def _several_meshes(records: Sequence[Record]) -> dict[str, list[Record]]:
         if record["success"] and record.get("nodes") and record.get("energy_initial_audited") is not None
         if str(record["objective"]).startswith("energy")
     ]
-    found = grouped(solved, lambda record: str(record["example"]))
+    found = grouped(solved, lambda record: with_order(str(record["example"]), record))
     several = {name: own for name, own in found.items() if len({record["nodes"] for record in own}) > 1}
     return {name: sorted(own, key=lambda record: int(record["nodes"])) for name, own in several.items()}

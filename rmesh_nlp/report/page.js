@@ -62,10 +62,24 @@ if (viewer) {
         return [left + (x - lo[0]) * scale, height - pad - (y - lo[1]) * scale, x, y];
       });
       pen.lineWidth = 0.6; pen.strokeStyle = "#fff";
-      for (const [a, b, c] of solve.t) {
+      const trace = (cell) => {
+        pen.beginPath(); pen.moveTo(place[cell[0]][0], place[cell[0]][1]);
+        [0, 1, 2].forEach((k) => {
+          const a = place[cell[k]], b = place[cell[(k + 1) % 3]], m = place[cell[3 + k]];
+          if (m) pen.quadraticCurveTo(2 * m[0] - (a[0] + b[0]) / 2, 2 * m[1] - (a[1] + b[1]) / 2, b[0], b[1]);
+          else pen.lineTo(b[0], b[1]);
+        });
+        pen.closePath();
+      };
+      const paint = (cell) => {
+        const [a, b, c] = cell;
         pen.fillStyle = colour(((values[a] + values[b] + values[c]) / 3 - least) / (most - least || 1));
-        pen.beginPath(); pen.moveTo(place[a][0], place[a][1]); pen.lineTo(place[b][0], place[b][1]);
-        pen.lineTo(place[c][0], place[c][1]); pen.closePath(); pen.fill(); pen.stroke();
+        trace(cell); pen.fill();
+      };
+      for (const cell of solve.t) {
+        paint(cell);
+        if (cell.length === 6) [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]].forEach((one) => paint(one.map((k) => cell[k])));
+        trace(cell); pen.stroke();
       }
       if (printed) {
         pen.fillStyle = "#1a1a1a"; pen.font = "12px sans-serif";

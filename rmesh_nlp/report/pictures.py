@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.contact.active_set import solve, touching_set
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.sampling import along, points_of
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.io.kept_problem import KeptSolution
 from rmesh_nlp.mapping import MeshMap, Mobility
@@ -50,7 +51,7 @@ SMALL = 1e-6  # a multiplier below this part of the largest of its kind is not a
 class State(Body):
     """A solution on one mesh: nodes and triangles of its displacement space, vertices ``X`` (2, vertices).
 
-    Pressure is (nodes,); stress, von Mises' or the length of the flux, is (elements,).
+    Pressure is (nodes,); stress, von Mises' or the length of the flux, is (elements, pieces).
     """
 
     title: str
@@ -61,10 +62,16 @@ class State(Body):
 
     @staticmethod
     def of(title: str, problem: ContactProblem, X: Array, u: Array, pressure: Array) -> State:
-        """The state of displacement ``u`` (components, nodes)."""
+        """The state of displacement ``u`` (components, nodes), the vertices at X (2, vertices)."""
         space, stress = DisplacementSpace.of(problem), plotting.size_of_stress(problem, X, u)
-        known = foundations(problem, X)
-        return State(space.points(X), space.elements, u, known, title, problem, X, pressure, stress)
+        nodes = points_of(space, X)
+        known = foundations(space, nodes)
+        return State(nodes, space.elements, u, known, title, problem, X, pressure, stress)
+
+    @property
+    def space(self) -> DisplacementSpace:
+        """Its displacement space."""
+        return DisplacementSpace.of(self.problem)
 
     @property
     def closed(self) -> NDArray[np.bool_]:
@@ -86,7 +93,7 @@ def before(problem: ContactProblem, pressure: Array | None = None, title: str = 
     state = solve(system, start)
     pressure = np.zeros(space.n_nodes)
     np.add.at(pressure, model.contact_nodes, state.normal_force / space.weights(X))
-    return State.of(title, problem, X, model.displacement.values(state.u), pressure)
+    return State.of(title, problem, X, space.values(model.displacement.values(state.u)), pressure)
 
 
 def after(solution: Drawable) -> State:
@@ -123,10 +130,11 @@ def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
     units, elastic = solution.problem.units, states[0].elastic
     if any(np.any(state.displacement) for state in states):
         label = f"|u|{bracketed(units.length)}" if elastic else "u"
-        sizes = [plotting.size_of(state.displacement) for state in states]
-        yield "displacement", _coloured(states, sizes, plotting.draw_nodal, label, page)
+        fields = [state.displacement for state in states]
+        yield "displacement", _coloured(states, fields, plotting.draw_nodal, label, page)
         label = f"von Mises stress{bracketed(units.stress)}" if elastic else "|flux|"
-        coloured = _coloured(states, [state.stress for state in states], plotting.draw_elements, label, page)
+        stresses = [state.stress for state in states]
+        coloured = _coloured(states, stresses, plotting.draw_elements, label, page)
         yield "stress" if elastic else "flux", coloured
     if any(np.any(state.pressure) for state in states) and not np.any(states[-1].closed):
         yield "pressure", _pressures(states, page)
@@ -144,13 +152,13 @@ def _meshes(states: Sequence[State], page: Page) -> Figure:
     windows = [window(states, 1.0), window(states, factor)] if deforms else [window(states)]
     figure, axes = page.panels(len(states), windows, states[0].problem.units.length, below=0.3)
     for column, state in zip(axes.T, states, strict=True):
-        plotting.draw_mesh(column[0], state.X, state.problem.triangles)
+        plotting.draw_mesh(column[0], state.nodes, state.triangles)
         _contact_set(column[0], state)
         for part in state.problem.contact_sets:
             if isinstance(part.obstacle.boundary, str):
-                edges = contact_edges(state.problem, part.obstacle).T
+                edges = state.space.nodes_of(contact_edges(state.problem, part.obstacle))
                 pen = {"color": style.CONTACT, "linewidth": 1.5, "label": "may come in contact"}
-                draw_lines(column[0], state.X[:, edges], zorder=3, **pen)  # over the foundation
+                draw_lines(column[0], along(edges, state.nodes), zorder=3, **pen)  # over the foundation
         column[0].set_title(state.title)
         if deforms:
             draw_foundations(column[0], state, linewidth=4.0)  # a boundary may lie on it
@@ -161,38 +169,41 @@ def _meshes(states: Sequence[State], page: Page) -> Figure:
 
 def _coloured(states: Sequence[State], values: list[Array], draw: Any, label: str, page: Page) -> Figure:
     """Fields as colours of one scale, by the function that draws nodal fields or those of elements."""
-    scale = {"vmin": min(map(np.min, values)), "vmax": max(map(np.max, values))}
     length = states[0].problem.units.length
     figure, axes = page.panels(len(states), [window(states)], length, below=0.75)
+    painted: list[Any] = []
     for axis, state, value in zip(axes[0], states, values, strict=True):
-        painted = draw(axis, state.nodes, state.triangles, value, **scale)
+        painted.append(draw(axis, state.nodes, state.triangles, value))
         if not plotting.is_fine(state.triangles):  # the lines would hide the colours
-            plotting.draw_mesh(axis, state.X, state.problem.triangles, thin=0.4, color="white")
+            plotting.draw_mesh(axis, state.nodes, state.triangles, thin=0.4, color="white")
         _contact_set(axis, state, filled=False)
         axis.set_title(state.title)
+    drawn = np.concatenate([np.ravel(one.get_array()) for one in painted])
+    for one in painted:
+        one.set_clim(drawn.min(), drawn.max())
     below: dict[str, Any] = {"location": "bottom", "aspect": 40, "shrink": 0.8}
-    colour_bar(figure, painted, axes.ravel().tolist(), 5, label=label, **below)
+    colour_bar(figure, painted[-1], axes.ravel().tolist(), 5, label=label, **below)
     return figure
 
 
 def _pressures(states: Sequence[State], page: Page) -> Figure:
     """Contact pressure along each contact boundary, one panel per boundary that is touched."""
     problem, units = states[0].problem, states[0].problem.units
+    space = states[0].space
     sets = [
-        part
-        for part in DisplacementSpace.of(problem).contact_sets
-        if any(np.any(state.pressure[part.nodes]) for state in states)
+        part for part in space.contact_sets if any(np.any(state.pressure[part.nodes]) for state in states)
     ]
     figure = style.new_figure(page.width, 0.3 + page.line_height * len(sets))
     axes = figure.subplots(len(sets), 1, squeeze=False)[:, 0]
     name = f"contact pressure{bracketed(units.stress)}" if states[0].elastic else "contact stress"
     for axis, part in zip(axes, sets, strict=True):
-        along = plotting.direction(states[0].nodes[:, part.nodes])
+        coordinate = plotting.direction(states[0].nodes[:, part.nodes])
+        where = part.nodes, space.nodes_of(contact_edges(problem, part.obstacle))
         for position, state in enumerate(states):
             pen = {**style.look(position).line(scale=0.6), "markeredgewidth": 0.6, "label": state.title}
-            plotting.draw_along(axis, state.nodes, part.nodes, state.pressure, along, **pen)
-        where = f"$x_{along + 1}${bracketed(units.length)} on {part.obstacle.boundary}"
-        axis.set(xlabel=where, ylabel=name)
+            plotting.draw_along(axis, state.nodes, where, state.pressure, coordinate, **pen)
+        place = f"$x_{coordinate + 1}${bracketed(units.length)} on {part.obstacle.boundary}"
+        axis.set(xlabel=place, ylabel=name)
     style.add_legend(figure, [axes[0]])
     return figure
 
@@ -285,20 +296,21 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     has a marker for its mobility, and sliding ones a short line along which they slide. Foundations are
     drawn with the initial gap of every contact node, in red where they overlap the body.
     """
-    mesh, free, triangles = problem.mesh, MeshMap.of(problem), problem.triangles
-    body = Body(mesh.p, triangles, np.zeros((problem.components, 0)), foundations(problem, mesh.p))
+    mesh, free, space = problem.mesh, MeshMap.of(problem), DisplacementSpace.of(problem)
+    nodes, cells = points_of(space, np.asarray(mesh.p)), space.elements
+    body = Body(nodes, cells, np.zeros((problem.components, 0)), foundations(space, nodes))
     extent = np.ptp(np.hstack([mesh.p, *(one.feet for one in body.near)]), axis=1)
     with rc_context(style.SETTINGS):
         figure = style.new_figure(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0))
         axis = figure.add_subplot()
         # one zone has one colour, the lightest
         zone = element_zones(problem.mesh).astype(float)
-        plotting.draw_elements(axis, mesh.p, triangles, zone, cmap="Pastel2", vmin=0, vmax=8)
-        plotting.draw_mesh(axis, mesh.p, triangles, color="0.6")
+        plotting.draw_elements(axis, nodes, cells, zone, cmap="Pastel2", vmin=0, vmax=8)
+        plotting.draw_mesh(axis, nodes, cells, color="0.6")
         for position, (label, boundary) in enumerate(_roles(problem)):
             colour = style.LOOKS[1:][position % (len(style.LOOKS) - 1)].color
-            edges = mesh.facets[:, mesh.boundaries[boundary]].T
-            draw_lines(axis, mesh.p[:, edges], color=colour, linewidth=3, label=f"{label}: {boundary}")
+            edges = space.nodes_of(mesh.facets[:, mesh.boundaries[boundary]])
+            draw_lines(axis, along(edges, nodes), color=colour, linewidth=3, label=f"{label}: {boundary}")
         _draw_mobility(axis, problem, free)
         # so wide that they are seen on both sides of a boundary that lies on them
         draw_foundations(axis, body, linewidth=8, capstyle="butt", zorder=0.5)

@@ -28,6 +28,7 @@ from rmesh_nlp.report.blocks import (
     seconds_of_work,
     variant,
     variants_of,
+    with_order,
 )
 from rmesh_nlp.report.histories import cost_of_gain, curve, shift_to_audited
 from rmesh_nlp.report.markup import MISSING
@@ -85,8 +86,8 @@ class Chart:
 
 
 def family(record: Record) -> str:
-    """What summaries join: the family in a study, else the example."""
-    return str(record.get("family") or record["example"])
+    """What summaries join: the family in a study, else the example; another order than 1 apart."""
+    return with_order(str(record.get("family") or record["example"]), record)
 
 
 def is_study(records: Sequence[Record]) -> bool:
@@ -97,7 +98,7 @@ def is_study(records: Sequence[Record]) -> bool:
 def instance(record: Record) -> Instance:
     """What has to agree for two variants to have solved the same."""
     # a variant without a seed, and one that failed before it had move limits, still solve the instance
-    return str(record["example"]), str(record["n"]), objective_of(record)
+    return with_order(str(record["example"]), record), str(record["n"]), objective_of(record)
 
 
 def summary_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:

@@ -10,12 +10,13 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.fem.sampling import Pieces, along, centres, edges_of, pieces, points_of
+from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.problem import ContactProblem, Place
 
 MAP, GRID_LINE = "viridis", "0.25"
-FINE = 10_000  # triangles above which lines are rasterised: as vectors they would fill tens of megabytes
+FINE = 10_000  # elements above which lines are rasterised: as vectors they would fill tens of megabytes
 WIDE = 1.6  # width over height of a body from which on its colour bar stands below it
 PICTURES = ("mesh", "displacement", "stress", "pressure")
 
@@ -43,23 +44,25 @@ def plot(
 
         _, axes = pyplot.subplots(layout="constrained")
     space, scalar = DisplacementSpace.of(problem), problem.components == 1
-    nodes, title = space.points(X), "flux" if scalar and what == "stress" else what
+    nodes, cells = points_of(space, X), space.elements
+    title = "flux" if scalar and what == "stress" else what
     if what == "mesh":
         if np.any(problem.mesh.p != X):
-            draw_mesh(axes, problem.mesh.p, problem.triangles, color="0.85", linewidth=0.6)
-        draw_mesh(axes, X, problem.triangles, **{"color": "0.2", "linewidth": 0.7, **style})
+            given = points_of(space, np.asarray(problem.mesh.p))
+            draw_mesh(axes, given, cells, color="0.85", linewidth=0.6)
+        draw_mesh(axes, nodes, cells, **{"color": "0.2", "linewidth": 0.7, **style})
     elif what == "stress":
-        painted = draw_elements(axes, X, problem.triangles, size_of_stress(problem, X, u), **style)
+        painted = draw_elements(axes, nodes, cells, size_of_stress(problem, X, u), **style)
         _bar(axes, painted, X, "|flux|" if scalar else "von Mises stress")
     elif what == "displacement":
-        painted = draw_nodal(axes, nodes, space.elements, size_of(u), **style)
+        painted = draw_nodal(axes, nodes, cells, u, **style)
         _bar(axes, painted, X, "u" if scalar else "|u|")
     else:
         title = "contact pressure"
         if all(part.obstacle.boundary is not Place.INTERIOR for part in space.contact_sets):
             _plot_pressures(axes, space, nodes, pressure, style)
             return axes
-        _bar(axes, draw_nodal(axes, nodes, space.elements, pressure, **style), X, title)
+        _bar(axes, draw_nodal(axes, nodes, cells, pressure, **style), X, title)
     axes.set(aspect="equal", xlabel="$x_1$", ylabel="$x_2$", title=title)
     return axes
 
@@ -68,13 +71,14 @@ def _plot_pressures(
     axes: Axes, space: DisplacementSpace, nodes: Array, pressure: Array, style: dict[str, Any]
 ) -> None:
     """The pressure along each contact boundary."""
-    along = direction(nodes[:, space.contact_nodes])
+    coordinate = direction(nodes[:, space.contact_nodes])
     for part in space.contact_sets:
         look = {"marker": "o", "ms": 3, "label": str(part.obstacle.boundary), **style}
-        draw_along(axes, nodes, part.nodes, pressure, along, **look)
+        edges = space.nodes_of(contact_edges(space.problem, part.obstacle))
+        draw_along(axes, nodes, (part.nodes, edges), pressure, coordinate, **look)
     if len(space.contact_sets) > 1:
         axes.legend()
-    axes.set(xlabel=f"$x_{along + 1}$", ylabel="contact pressure", title="contact pressure")
+    axes.set(xlabel=f"$x_{coordinate + 1}$", ylabel="contact pressure", title="contact pressure")
 
 
 def _bar(axes: Axes, painted: Any, X: Array, label: str) -> None:
@@ -91,38 +95,47 @@ def size_of(u: Array) -> Array:
 
 
 def size_of_stress(problem: ContactProblem, X: Array, u: Array) -> Array:
-    """(elements,) von Mises stress, or the length of the flux of a scalar problem."""
-    stress = stresses(problem, X, u)
+    """(elements, pieces) von Mises stress, or the length of the flux of a scalar problem, as it is drawn."""
+    stress = stresses(problem, X, u, centres(DisplacementSpace.of(problem).elements))
     return np.linalg.norm(stress, axis=0) if problem.components == 1 else von_mises(stress)
 
 
 def is_fine(triangles: NDArray[Any]) -> bool:
-    """Whether a mesh (3, elements) is too fine for vectors."""
+    """Whether a mesh (nodes per element, elements) is too fine for vectors."""
     return bool(triangles.shape[1] > FINE)
 
 
-def triangulation(nodes: Array, triangles: NDArray[Any]) -> Triangulation:
-    """Matplotlib's mesh, of the corners where elements have further nodes."""
-    return Triangulation(nodes[0], nodes[1], triangles[:3].T)
+def triangulation(nodes: Array, parts: Pieces) -> Triangulation:
+    """Matplotlib's mesh of the pieces of a mesh with its nodes at (2, nodes)."""
+    x, y = parts(nodes)
+    return Triangulation(x, y, parts.triangles.T)
 
 
-def draw_mesh(axis: Axes, nodes: Array, triangles: NDArray[Any], thin: float = 1.0, **options: Any) -> None:
-    """The edges of a mesh, with thinner lines on finer meshes."""
-    width = thin * float(np.clip(8 / np.sqrt(triangles.shape[1]), 0.08, 0.5))
-    pen = {"color": GRID_LINE, "linewidth": width, "rasterized": is_fine(triangles), **options}
-    axis.triplot(triangulation(nodes, triangles), **pen)
+def draw_mesh(axis: Axes, nodes: Array, cells: NDArray[Any], thin: float = 1.0, **options: Any) -> None:
+    """The edges of a mesh, with thinner lines on finer meshes; those with a node in the middle are bent."""
+    width = thin * float(np.clip(8 / np.sqrt(cells.shape[1]), 0.08, 0.5))
+    pen = {"color": GRID_LINE, "linewidth": width, "rasterized": is_fine(cells), **options}
+    lines = along(edges_of(cells), nodes)
+    axis.plot(*np.pad(lines, ((0, 0), (0, 0), (0, 1)), constant_values=np.nan).reshape(2, -1), **pen)
 
 
-def draw_nodal(axis: Axes, nodes: Array, triangles: NDArray[Any], values: Array, **options: Any) -> Any:
-    """A field (nodes,), smooth and so always rasterised; returned for its colour bar."""
+def draw_nodal(axis: Axes, nodes: Array, cells: NDArray[Any], values: Array, **options: Any) -> Any:
+    """The size of a field (nodes,) or (components, nodes), smooth and so always rasterised.
+
+    Returned for its colour bar.
+    """
     look = {"cmap": MAP, "shading": "gouraud", "rasterized": True, **options}
-    return axis.tripcolor(triangulation(nodes, triangles), values, **look)
+    parts = pieces(cells, nodes.shape[1])
+    return axis.tripcolor(triangulation(nodes, parts), size_of(parts(np.atleast_2d(values))), **look)
 
 
-def draw_elements(axis: Axes, nodes: Array, triangles: NDArray[Any], values: Array, **options: Any) -> Any:
-    """A field (elements,), constant on each; returned for its colour bar."""
+def draw_elements(axis: Axes, nodes: Array, cells: NDArray[Any], values: Array, **options: Any) -> Any:
+    """A field (elements,) or (elements, pieces), constant on each; returned for its colour bar."""
     look = {"cmap": MAP, "rasterized": True, **options}
-    return axis.tripcolor(triangulation(nodes, triangles), facecolors=values, **look)
+    parts = pieces(cells, nodes.shape[1])
+    each = parts.triangles.shape[1] // cells.shape[1]
+    of_pieces = np.broadcast_to(values.reshape(len(values), -1), (len(values), each)).ravel()
+    return axis.tripcolor(triangulation(nodes, parts), facecolors=of_pieces, **look)
 
 
 def direction(points: Array) -> int:
@@ -131,8 +144,24 @@ def direction(points: Array) -> int:
 
 
 def draw_along(
-    axis: Axes, nodes: Array, which: NDArray[np.int64], values: Array, along: int, **pen: Any
+    axis: Axes,
+    nodes: Array,
+    where: tuple[NDArray[np.int64], NDArray[np.int64]],
+    values: Array,
+    coordinate: int,
+    **pen: Any,
 ) -> None:
-    """Values (nodes,) at some of the nodes as a curve over one of their coordinates."""
-    ordered = which[np.argsort(nodes[along, which])]
-    axis.plot(nodes[along, ordered], values[ordered], **pen)
+    """Values (nodes,) along a part of the boundary as a curve over one coordinate, with marks at its nodes.
+
+    ``where`` are its nodes and the nodes (2 or 3, edges) of edges. Along an edge whose nodes are all there
+    the curve is the polynomial through them, cut off at the largest and the least of their values: a pressure
+    is nowhere negative, and friction within its bound.
+    """
+    which, edges = where
+    whole = edges[:, np.all(np.isin(edges, which), axis=0)]
+    at_nodes = values[whole]
+    between = np.clip(along(whole, values).T, at_nodes.min(axis=0), at_nodes.max(axis=0))[1:-1].T
+    x = np.concatenate([nodes[coordinate, which], along(whole, nodes[coordinate])[:, 1:-1].ravel()])
+    y = np.concatenate([values[which], between.ravel()])
+    order = np.argsort(x)
+    axis.plot(x[order], y[order], **{"markevery": np.flatnonzero(order < which.size).tolist(), **pen})

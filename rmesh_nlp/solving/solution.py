@@ -18,6 +18,7 @@ from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
 from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.mmg import is_available
 from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.optimize.status import Status, success_in_words
@@ -50,9 +51,9 @@ class Assessment:
     mesh : skfem.MeshTri
         The relocated mesh, boundaries named as before.
     displacement : (components, nodes) array
-        In units of length.
+        Values in units of length, at the vertices and of order 2 at the middles of edges.
     pressure : (nodes,) array
-        Contact pressure in N/m^2, >= 0, zero off the contact boundary: nodal force over omega_i.
+        Likewise: contact pressure in N/m^2, >= 0, zero off the contact boundary: nodal force over omega_i.
     tangential_stress : (nodes,) array
         Friction on the body in N/m^2, along the tangent; zero without friction.
     energy : float
@@ -230,8 +231,10 @@ class Solution(Assessment):
             "complementarity_residual": self.audit.complementarity_residual,
             "penetration": self.audit.penetration,
             **self._own("stationarity", "stationarity_residual"),
+            "order": problem.order,
             "nodes": int(self.mesh.p.shape[1]),
             "triangles": int(self.mesh.t.shape[1]),
+            "unknowns": int(np.sum(~DisplacementSpace.of(problem).given()[0])),
             "quadrature": problem.rule,
             "units": asdict(problem.units),
             "versions": versions(),

@@ -54,7 +54,8 @@ def plan_comparison(
     *,
     n: Size | None = None,
     delta: Delta | None = None,
-    quadrature: str | int = "midpoint",
+    order: int | None = None,
+    quadrature: str | int | None = None,
     options: Mapping[str, Any] | None = None,
     certify: bool = False,
     repeats: int = 1,
@@ -63,14 +64,15 @@ def plan_comparison(
 
     An option goes to those formulations that take it; of ``objective`` and ``seed`` there may be several, as
     lists. A formulation may have options of its own, see :func:`formulation_options`. The problem of a file,
-    whose name ends with ``.toml``, is solved on uniform refinements of its mesh as well, without motion.
+    whose name ends with ``.toml``, is solved on uniform refinements of its mesh as well, without motion;
+    ``order`` takes the place of its own.
     """
     options = dict(options or {})
     _check_options(options)
-    own = _file_problems(examples)
-    if own and (n is not None or delta is not None or quadrature != "midpoint"):
+    own = _file_problems(examples, order)
+    if own and (n is not None or delta is not None or quadrature is not None):
         raise BadInputError("size, delta and quadrature are for the examples: write them into the files")
-    given: dict[str, Any] = {"n": n, "delta": delta, "quadrature": quadrature}
+    given: dict[str, Any] = {"n": n, "delta": delta, "order": order, "quadrature": quadrature}
     given = {key: value for key, value in given.items() if value is not None}
     problems: list[tuple[dict[str, Any], ContactProblem]] = [({}, problem) for problem in own]
     for name in (name for name in examples if not name.endswith(SUFFIX)):
@@ -130,9 +132,9 @@ def _check_options(options: Mapping[str, Any]) -> None:
             raise unknown("outer solver" if option == "outer" else option, options[option], known)
 
 
-def _file_problems(names: Sequence[str]) -> list[ContactProblem]:
+def _file_problems(names: Sequence[str], order: int | None) -> list[ContactProblem]:
     """The problems of those names that are files."""
-    problems = [load_problem(Path(name)) for name in names if name.endswith(SUFFIX)]
+    problems = [load_problem(Path(name), order) for name in names if name.endswith(SUFFIX)]
     if name := _twice([problem.name for problem in problems]):
         raise BadInputError(f"two problem files are both called {name!r}: give them a name of their own")
     return problems
@@ -240,7 +242,7 @@ def _finished(plan: Sequence[PlannedSolve], rows: Sequence[Record], results: Res
         row = by_key.get(solve.key)
         if row is None:
             continue
-        asked = {**row, **(row.get("asked") or {})}
+        asked = {"order": 1, **row, **(row.get("asked") or {})}  # which old rows do not name
         for name, value in solve.identity.items():
             if asked.get(name) != value:
                 raise BadInputError(

@@ -15,6 +15,7 @@ from typing import Any
 from rmesh_nlp import __version__
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.paper import RULES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -57,18 +58,24 @@ class PlannedSolve:
     made: Formulation | Chooser | None = None  # in the place of the installed formulation, in this process
 
     @property
+    def order(self) -> int:
+        """Of the displacements."""
+        return int(self.problem.get("order", 1)) if self.built is None else self.built.order
+
+    @property
     def key(self) -> str:
         """A file name: in a study with a digest of the content, else of names and options.
 
         The digest is of problem, variant, options, limits, repetition and version: the same solve has the
-        same key anywhere. Keys of comparisons are such as ``6.2-12x6-joint`` or ``6.1-8-mpcc-seed3``.
+        same key anywhere. Keys of comparisons are such as ``6.2-12x6-joint`` or ``6.1-8-order2-mpcc-seed3``.
         """
+        which = [self.name, self.size, f"order{self.order}" if self.order != 1 else ""]
         if not self.variant:
             options = [
                 f"{name}{value}" if isinstance(value, (int, float)) else str(value)
                 for name, value in sorted(self.options.items())
             ]
-            return safe_name("-".join(filter(None, [self.name, self.size, self.formulation, *options])))
+            return safe_name("-".join(filter(None, [*which, self.formulation, *options])))
         decisive = ("formulation", "options", "repeat", "certify", "time_s", "memory_mb")
         content = {
             "problem": {k: v for k, v in self.problem.items() if k != "path"},
@@ -77,7 +84,7 @@ class PlannedSolve:
             **{name: getattr(self, name) for name in decisive},
         }
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-        stem = "-".join(filter(None, [self.name, self.size, self.variant]))
+        stem = "-".join(filter(None, [*which, self.variant]))
         return safe_name(f"{stem[:100]}-{digest}")
 
     @property
@@ -86,6 +93,7 @@ class PlannedSolve:
         entries: Record = {"key": self.key, "example": self.name, "formulation": self.formulation}
         if self.variant:
             entries |= {"family": self.family, "variant": self.variant, "repeat": self.repeat}
+        entries["order"] = self.order
         if self.built is None:
             return {**entries, "n": self.size}
         motion, rule = self.built.motion.delta_record(), self.built.rule
@@ -119,20 +127,21 @@ def _problem(stated: Mapping[str, Any]) -> ContactProblem:
     if stated["kind"] == "example":
         return build_example(**{key: value for key, value in stated.items() if key != "kind"})
     if stated["kind"] == "file":
-        return load_problem(stated["path"])
+        return load_problem(stated["path"], stated.get("order"))
     if stated["kind"] == "random":
-        problem = random_problem(stated["seed"], kind=stated["of"])
+        problem = random_problem(stated["seed"], kind=stated["of"], order=stated.get("order", 1))
         return replace(problem, name=f"random-{stated['seed']}", size=f"{problem.mesh.t.shape[1]} triangles")
     raise ValueError(f"unknown kind of problem {stated['kind']!r}")
 
 
-def build_example(example: str, quadrature: str | int = "midpoint", **given: Any) -> ContactProblem:
-    """An example by name with ``n`` and ``delta``, lists for pairs; by default of the paper's size."""
+def build_example(example: str, quadrature: str | int | None = None, **given: Any) -> ContactProblem:
+    """An example by name with ``n``, ``delta`` and ``order``, lists for pairs; by default the paper's."""
     if example not in EXAMPLES:
         raise unknown("example", example, EXAMPLES)
     given = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
     try:
-        return replace(EXAMPLES[example](**given), quadrature=quadrature)
+        problem = EXAMPLES[example](**given)
+        return problem if quadrature is None else replace(problem, quadrature=quadrature)
     except (ValueError, MemoryError) as error:
         raise BadInputError(str(error)) from error
 
@@ -202,9 +211,9 @@ def _problems(study: StudyTable, path: Path) -> Iterator[tuple[dict[str, Any], s
     """What states each problem, its name, family and size."""
     for name in study.examples:
         sizes = study.sizes.get(name, (None,)) if isinstance(study.sizes, dict) else study.sizes or (None,)
-        for size in sizes:
-            stated = {"kind": "example", "example": name, "quadrature": study.quadrature}
-            stated |= {} if size is None else {"n": size}
+        for size, order in product(sizes, study.order or (1,)):
+            stated = {"kind": "example", "example": name, "quadrature": study.quadrature or RULES[order]}
+            stated |= ({} if size is None else {"n": size}) | _order(order)
             try:
                 yield stated, name, name, _problem(stated).size
             except BadInputError as error:
@@ -217,12 +226,21 @@ def _problems(study: StudyTable, path: Path) -> Iterator[tuple[dict[str, Any], s
         if table.mesh.file is not None:
             parts.append((file.parent / table.mesh.file).read_bytes())
         digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
-        stated = {"kind": "file", "digest": digest, "path": str(file.resolve())}
-        yield stated, load_problem(file).name, Path(text).stem, ""
+        for order in study.order or (table.order,):
+            own = {} if order == table.order == 1 else {"order": order}
+            stated = {"kind": "file", "digest": digest, "path": str(file.resolve()), **own}
+            yield stated, load_problem(file, order).name, Path(text).stem, ""
     if (draws := study.random) is not None:
         for number in range(draws.seed, draws.seed + draws.count):
             kind = draws.kinds[number % len(draws.kinds)]
-            yield {"kind": "random", "seed": number, "of": kind}, f"random-{number}", f"random {kind}", ""
+            for order in study.order or (1,):
+                stated = {"kind": "random", "seed": number, "of": kind, **_order(order)}
+                yield stated, f"random-{number}", f"random {kind}", ""
+
+
+def _order(order: int) -> dict[str, int]:
+    """What states another order than 1, which keys of old do not name."""
+    return {} if order == 1 else {"order": order}
 
 
 def seconds_of_plan(solves: Sequence[PlannedSolve], rows: Sequence[Record]) -> float:

@@ -53,6 +53,14 @@ def _seeds(value: Any) -> tuple[int | None, ...]:
     return tuple(dict.fromkeys(seeds))
 
 
+def _orders(value: Any) -> tuple[int, ...]:
+    """``2`` or ``[1, 2]``."""
+    items = value if isinstance(value, list) else [value]
+    if not items or any(type(item) is not int or item not in (1, 2) for item in items):
+        raise ValueError("expected 1 for linear displacements, 2 for quadratic ones, or [1, 2]")
+    return tuple(dict.fromkeys(items))
+
+
 def _formulations(value: Any) -> Any:
     """A list of names, or a table of tables."""
     if isinstance(value, list) and value and all(isinstance(name, str) for name in value):
@@ -109,7 +117,8 @@ class StudyTable(Table):
     files: Texts = ()
     random: RandomTable | None = None
     sizes: Annotated[Any, BeforeValidator(_sizes)] = None
-    quadrature: Quadrature = "midpoint"
+    order: Annotated[tuple[int, ...], BeforeValidator(_orders)] = ()
+    quadrature: Quadrature | None = None
     formulations: Annotated[dict[str, FormulationTable], BeforeValidator(_formulations)]
     objectives: Texts = ("energy",)
     seeds: Annotated[Any, BeforeValidator(_seeds)] = (None,)

@@ -67,6 +67,14 @@ def test_file_means_what_python_means(write):
     assert (ours.motion, ours.obstacles[0].gap) == (theirs.motion, "node")
 
 
+def test_order_is_that_of_the_file_unless_another_is_asked_for(write):
+    path = write(SCALAR)
+    assert [load_problem(path, order).order for order in (None, 1, 2)] == [1, 1, 2]
+    path = write(f"order = 2\n{SCALAR}")
+    assert [load_problem(path, order).order for order in (None, 1, 2)] == [2, 1, 2]
+    assert ("displacements", "quadratic on each triangle") in load_problem(path).summary()
+
+
 def test_rules_of_motion_reach_the_problem(write):
     rules = """\
 dirichlet = { left = 0 }

@@ -12,12 +12,12 @@ from support.reporting import fixed_61, joint_61, joint_62
 
 
 def test_records_are_grouped_in_the_order_of_their_appearance() -> None:
-    other = ({"n": "16"}, {"quadrature": 6}, {"example": "6.2"}, {"delta": [0.1, 0.1]})
+    other = ({"order": 2}, {"n": "16"}, {"quadrature": 6}, {"example": "6.2"}, {"delta": [0.1, 0.1]})
     rows = [fixed_61(), fixed_61(**other[0]), joint_61(), *(fixed_61(**one) for one in other[1:])]
-    rows.append(joint_61(objective="error-l2"))
+    rows.append(joint_61(objective="error-l2", order=1))
     groups = blocks(rows)
-    assert [len(group.records) for group in groups] == [3, 1, 1, 1, 1]
-    assert groups[0].records == (rows[0], rows[2], rows[6])
+    assert [len(group.records) for group in groups] == [3, 1, 1, 1, 1, 1]
+    assert groups[0].records == (rows[0], rows[2], rows[7])
     older = fixed_61()
     del older["quadrature"]
     assert block_key(older) == block_key(fixed_61())
@@ -56,6 +56,7 @@ def test_failures_are_neither_best_nor_successes() -> None:
         ({"n": "16"}, False),
         ({"delta": [0.0275, 0.1]}, False),
         ({"quadrature": 4}, False),
+        ({"order": 2}, False),
         ({"example": "mine"}, False),
         ({"example": "6.2", "n": "12x6", "delta": [0.15667, 0.07333]}, True),
         ({"example": "6.2", "n": "12", "delta": [0.15667, 0.07333]}, False),
@@ -95,6 +96,10 @@ def test_titles_and_names_tell_the_settings_that_differ() -> None:
     assert Block((fixed_61(),)).title == "Example 6.1: n = 8, delta = 0.0275, midpoint rule"
     rule = Block((fixed_61(quadrature=6, delta=None),))
     assert rule.title == "Example 6.1: n = 8, delta = none, rule of degree 6"
+    quadratic = fixed_61(order=2)
+    assert Block((quadratic,)).title == "Example 6.1: n = 8, order 2, delta = 0.0275, midpoint rule"
+    assert names_of_solves([quadratic]) == ["6.1, order 2, fixed"]
+    assert names_of_solves([fixed_61(), quadratic]) == ["6.1, order 1, fixed", "6.1, order 2, fixed"]
     assert delta_text({"relative": 0.3}) == "0.3 x shortest edge"
     assert delta_text([0.1, 0.25]) == "0.1 x 0.25"
     finer = [joint_62(n="24x12", delta=[delta, delta]) for delta in (0.1, 0.2)]

@@ -76,7 +76,7 @@ def body(displacement: np.ndarray, *ways: np.ndarray) -> Body:
 @pytest.mark.parametrize(("below", "is_far"), [(1.9, False), (2.1, True)])
 def test_foundation_farther_than_the_body_is_long_is_not_drawn(below: float, is_far: bool) -> None:
     problem = replace(pressed(0.0).problem, obstacle=Obstacle.line("bottom", (0.0, -below), (0.0, 1.0)))
-    (one,) = foundations(problem, problem.mesh.p)
+    (one,) = foundations(DisplacementSpace.of(problem), problem.mesh.p)
     assert (one.name, one.is_far) == ("bottom", is_far)
     np.testing.assert_allclose(one.gaps, below)
 
@@ -150,7 +150,7 @@ def test_lines_of_fine_meshes_are_rasterised_and_fields_always(
     assert all(line.get_rasterized() is fine for line in axis.lines)
     assert mesh.p.shape == (2, 12)
     assert mesh.t.shape == (3, 12)  # so that the number of values does not tell what they belong to
-    smooth = draw_nodal(axis, mesh.p, np.vstack([mesh.t, mesh.t]), 2 * mesh.p[0])  # corners are drawn
+    smooth = draw_nodal(axis, mesh.p, mesh.t, 2 * mesh.p[0])
     constant = draw_elements(axis, mesh.p, mesh.t, np.arange(mesh.t.shape[1]))
     assert (type(smooth).__name__, type(constant).__name__) == ("TriMesh", "PolyCollection")
     assert smooth.get_rasterized()

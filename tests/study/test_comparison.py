@@ -56,11 +56,13 @@ def test_keys_are_file_names():
 
 
 def test_size_delta_and_rule_reach_the_example():
+    (one,) = plan_comparison(["6.1"], ["fixed"], n=5, order=2)
+    assert (one.key, one.built.order, one.identity["order"]) == ("6.1-5-order2-fixed", 2, 2)
     (one,) = plan_comparison(["6.1"], ["fixed"], n=5, delta=0.02, quadrature=6)
     assert (one.built.size, one.built.rule) == ("5", 6)
     assert one.identity == {
         **{"key": "6.1-5-fixed", "example": "6.1", "formulation": "fixed"},
-        **{"n": "5", "delta": [0.02, 0.02], "quadrature": 6},
+        **{"n": "5", "order": 1, "delta": [0.02, 0.02], "quadrature": 6},
     }
 
 

@@ -14,6 +14,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.study.plan import PlannedSolve, build, make_plan, seconds_of_plan
 from rmesh_nlp.study.study_file import read_study, template
+from support.problem_files import SCALAR
 
 JOINT = "formulations = ['joint']\n"
 
@@ -50,6 +51,25 @@ def test_the_template_is_a_valid_study_of_which_every_problem_can_be_built(path)
     plan = plan_of(path, template("mine", "study.toml"))
     assert {solve.variant for solve in plan} == {"fixed", "auto"}
     assert [build(solve).name for solve in plan] == [solve.name for solve in plan]
+
+
+def test_order_is_an_axis_of_all_problems_and_order_1_has_the_keys_of_old(path):
+    path.with_name("own.toml").write_text(f"order = 2\n{SCALAR}")
+    text = JOINT + "examples = ['6.1']\nfiles = ['own.toml']\nrandom = { count = 1 }\n"
+    plain, both = plan_of(path, text), plan_of(path, text + "order = [1, 2]")
+    assert [solve.order for solve in plain] == [1, 2, 1]  # files have their own
+    assert [(solve.name, solve.order) for solve in both] == [
+        (name, order) for name in ("6.1", "own", "random-0") for order in (1, 2)
+    ]
+    assert len({solve.key for solve in both}) == 6
+    assert {solve.key for solve in plain} <= {solve.key for solve in both}
+    assert ["order2" in solve.key for solve in both] == [False, True] * 3
+    for solve in both:
+        problem = build(solve)
+        assert problem.order == solve.order == solve.identity["order"]
+        assert replace(solve, built=problem).order == solve.order
+    # quadratic displacements are integrated by a better rule than the paper's
+    assert [build(solve).quadrature for solve in both[:2]] == ["midpoint", "auto"]
 
 
 def test_keys_tell_everything_apart_that_decides_the_result_and_nothing_else(monkeypatch):
@@ -108,6 +128,13 @@ def test_a_problem_file_is_known_by_its_content(path):
         (JOINT + "examples = ['6.1']\nsizes = [1]", "expected sizes such as 8 or '12x6'"),
         (JOINT + "examples = ['6.1']\nsizes = ['1x4']", "expected sizes such as 8 or '12x6'"),
         (JOINT + "examples = ['6.1']\nseeds = [-1]", "expected seeds such as"),
+        (
+            JOINT + "examples = ['6.1']\norder = 0",
+            "order = 0: expected 1 for linear displacements, 2 for quadratic ones, or [1, 2]",
+        ),
+        (JOINT + "examples = ['6.1']\norder = [1, true]", "expected 1 for linear"),
+        (JOINT + "examples = ['6.1']\norder = ['two']", "expected 1 for linear"),
+        (JOINT + "examples = ['6.1']\norder = []", "expected 1 for linear"),
         (JOINT + "examples = '6.1'", "examples = '6.1': expected a list of texts"),
         (
             "examples = ['6.1']\n[formulations.joint]\nouter = 'newton'",
