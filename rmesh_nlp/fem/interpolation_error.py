@@ -1,4 +1,4 @@
-"""Error of linear interpolation on a triangle, in the energy of a law, from second derivatives.
+"""Error of interpolation on a triangle, in the energy of a law, from derivatives of the displacement.
 
 Let u be quadratic with second derivatives H, and e_i the edge opposite to vertex i of a triangle. At the
 midpoint of e_i the gradient of the interpolation error is ``(e_j' H e_k) / 2 * grad(lambda_i)`` up to its
@@ -7,16 +7,23 @@ midpoints is exact. With ``g = grad(lambda_i)`` the energy density of a gradient
 ``kappa w^2 |g|^2 / 2`` for the scalar law, and ``((lambda + mu) (w.g)^2 + mu |w|^2 |g|^2) / 2`` for isotropic
 elasticity.
 
-The error of a triangle of area A is ``phi(shape, H) A^2``. So N triangles of the best shapes have the least
-error, ``(integral of sqrt(phi))^2 / N``, where their number per area is proportional to ``sqrt(phi)``.
+Let u be cubic with third derivatives D instead, and interpolated by a quadratic polynomial. The error
+vanishes at vertices and middles of edges: on the edge e_i it is ``D(e_i, e_i, e_i) / 12`` times the bubble
+``lambda_j lambda_k (lambda_j - lambda_k)``, and ``lambda_0 lambda_1 lambda_2`` has a coefficient of its own.
+
+The error of a triangle of area A is ``phi(shape, derivatives) A^(k + 1)`` with the order k of interpolation.
+So N triangles of the best shapes have the least error, ``(integral of phi^(1 / (k + 1)))^(k + 1) / N^k``,
+where their number per area is proportional to ``phi^(1 / (k + 1))``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import comb
 from typing import Any
 
 import numpy as np
+from skfem.quadrature import get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.laws import Elastic, Law
@@ -35,12 +42,17 @@ STEPS, HALVINGS = (0.4, 0.35, np.pi / 9), 7
 """First steps of stretch, angle and turn in the search for the best shapes, and how often they are halved."""
 
 
-def errors(law: Law, triangles: Any, second: Any) -> Any:
+def errors(law: Law, triangles: Any, derivatives: Any) -> Any:
     """(n,) errors in the energy on triangles (2, 3, n), counter-clockwise.
 
-    ``second`` (components, 3, n) are the derivatives xx, xy and yy of each component of the displacement. Of
-    nested lists of CasADi symbols the error is an expression.
+    ``derivatives`` of each component of the displacement, constant on a triangle: (components, 3, n) xx, xy
+    and yy for linear interpolation, (components, 4, n) xxx, xxy, xyy and yyy for quadratic. Of nested lists
+    of CasADi symbols the error is an expression.
     """
+    return (_of_linear if len(derivatives[0]) == 3 else _of_quadratic)(law, triangles, derivatives)
+
+
+def _of_linear(law: Law, triangles: Any, second: Any) -> Any:
     (x, y), total = triangles, 0.0
     edges = [(x[i - 1] - x[i - 2], y[i - 1] - y[i - 2]) for i in range(3)]
     area = (edges[0][0] * edges[1][1] - edges[0][1] * edges[1][0]) / 2
@@ -53,6 +65,63 @@ def errors(law: Law, triangles: Any, second: Any) -> Any:
         else:
             total += law.conductivity * size
     return total / (96 * area)  # area / 3 * 1/4 * 1/2 / (2 area)^2
+
+
+def _of_quadratic(law: Law, triangles: Any, third: Any) -> Any:
+    x, y = triangles
+    edges = [(x[i - 1] - x[i - 2], y[i - 1] - y[i - 2]) for i in range(3)]  # from vertex i + 1 to i + 2
+    double = edges[0][0] * edges[1][1] - edges[0][1] * edges[1][0]
+    bubbles = []
+    for D in third:
+        along = [_third(D, edge, edge, edge) / 12 for edge in edges]
+        inner = 3 * along[2] + along[0] - along[1] + _third(D, edges[2], edges[2], edges[1]) / 2
+        bubbles.append([*along, inner])
+    total = 0.0
+    for point, weight in enumerate(BUBBLE_WEIGHTS):
+        slopes = []
+        for bubble in bubbles:  # twice the area times the gradient of the error of each component
+            by_lambda = [
+                sum(BUBBLE_SLOPES[m, k, point] * one for m, one in enumerate(bubble)) for k in range(3)
+            ]
+            slopes.append(
+                (
+                    sum(-edge[1] * rate for edge, rate in zip(edges, by_lambda, strict=True)),
+                    sum(edge[0] * rate for edge, rate in zip(edges, by_lambda, strict=True)),
+                )
+            )
+        if isinstance(law, Elastic):
+            (a, b), (c, d) = slopes
+            shear = law.lame_mu * (2 * a * a + 2 * d * d + (b + c) ** 2)
+            density = law.in_plane_lambda * (a + d) ** 2 + shear
+        else:
+            density = law.conductivity * sum(one**2 for one in slopes[0])
+        total += weight * density
+    return total / (4 * double)  # area * 1/2 / (2 area)^2
+
+
+def _third(D: Any, a: Any, b: Any, c: Any) -> Any:
+    """The third derivative xxx, xxy, xyy, yyy in three directions."""
+    (p, q), (r, s), (t, u) = a, b, c
+    mixed = D[1] * (p * r * u + p * s * t + q * r * t) + D[2] * (p * s * u + q * r * u + q * s * t)
+    return D[0] * p * r * t + mixed + D[3] * q * s * u
+
+
+def _bubble_slopes(shares: Array) -> Array:
+    """(4 bubbles, 3, points) derivatives by the barycentric coordinates of those in the module's text."""
+    zero, found = np.zeros(shares.shape[1]), []
+    for i in range(3):
+        one, two = shares[i - 2], shares[i - 1]
+        by = [zero] * 3
+        by[i - 2], by[i - 1] = two * (2 * one - two), one * (one - 2 * two)
+        found.append(by)
+    found.append([shares[1] * shares[2], shares[2] * shares[0], shares[0] * shares[1]])
+    return np.array(found)
+
+
+_POINTS, _WEIGHTS = get_quadrature_tri(4)
+
+BUBBLE_SLOPES, BUBBLE_WEIGHTS = _bubble_slopes(np.vstack([1 - _POINTS.sum(axis=0), _POINTS])), 2 * _WEIGHTS
+"""At the points of a rule that is exact for the energy, with weights that sum to one."""
 
 
 def stretched(stretch: Array, angle: Array, turn: Array | float) -> Array:
@@ -68,34 +137,36 @@ def stretched(stretch: Array, angle: Array, turn: Array | float) -> Array:
 
 
 def best_shapes(
-    law: Law, second: Array, largest_aspect: float = LARGEST_ASPECT
+    law: Law, derivatives: Array, largest_aspect: float = LARGEST_ASPECT
 ) -> tuple[Array, Array, Array]:
     """Stretch and angle (n,) of the best triangles equilateral in a metric, and their errors ``phi``.
 
     The errors are means over all turns, which remeshing leaves to chance.
     """
-    xx, xy, yy = _squares(second)
-    angle = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2  # long where the second derivatives are small
+    (xx, xy, yy), degree = _squares(derivatives), derivatives.shape[1] - 1
+    angle = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2  # long where the derivatives are small
     mean, spread = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     ratio = np.sqrt(np.maximum(mean - spread, 0.0) / np.maximum(mean + spread, 1e-300))
-    stretch = np.minimum(-np.log(np.maximum(ratio, 1e-8)) / 4, np.log(largest_aspect) / 2)
-    stretch[mean == 0] = 0.0  # no second derivatives: all shapes are as good
+    stretch = np.minimum(-np.log(np.maximum(ratio, 1e-8)) / (2 * degree), np.log(largest_aspect) / 2)
+    stretch[mean == 0] = 0.0  # no derivatives: all shapes are as good
 
     def value(point: Array) -> Array:
-        return np.mean([errors(law, stretched(point[0], point[1], turn), second) for turn in TURNS], axis=0)
+        return np.mean(
+            [errors(law, stretched(point[0], point[1], turn), derivatives) for turn in TURNS], axis=0
+        )
 
     (stretch, angle), found = _descended(value, np.stack([stretch, angle]), largest_aspect)
     return stretch, angle, found
 
 
-def least_errors(law: Law, second: Array, stretch: Array, angle: Array) -> Array:
-    """(n,) errors ``phi`` of the best triangles of area 1 whatsoever, as in a lattice made for ``second``.
+def least_errors(law: Law, derivatives: Array, stretch: Array, angle: Array) -> Array:
+    """(n,) errors ``phi`` of the best triangles of area 1 whatsoever, as in a lattice.
 
     They are looked for around those of :func:`best_shapes`, which have ``stretch`` and ``angle``.
     """
 
     def value(point: Array) -> Array:
-        return errors(law, stretched(point[0], point[1], point[2]), second)
+        return errors(law, stretched(point[0], point[1], point[2]), derivatives)
 
     starts = [
         np.stack([stretch + more, angle + off, np.full(angle.size, turn)])
@@ -103,21 +174,25 @@ def least_errors(law: Law, second: Array, stretch: Array, angle: Array) -> Array
         for more in (0.0, np.log(3) / 4)  # of an equilateral triangle it makes a right one
         for off in (0.0, np.pi / 4, np.pi / 2)
     ]
-    second = np.tile(second, len(starts))
+    derivatives = np.tile(derivatives, len(starts))
     _, found = _descended(value, np.hstack(starts), LARGEST_ASPECT, repeats=2)
     return np.asarray(found.reshape(len(starts), -1).min(axis=0))
 
 
-def isotropic_errors(law: Law, second: Array) -> Array:
+def isotropic_errors(law: Law, derivatives: Array) -> Array:
     """(n,) errors ``phi`` of equilateral triangles of area 1, which local refinement tends to at best."""
-    zero = np.zeros(second.shape[2])
-    return np.mean([errors(law, stretched(zero, zero, turn), second) for turn in TURNS], axis=0)
+    zero = np.zeros(derivatives.shape[2])
+    return np.mean([errors(law, stretched(zero, zero, turn), derivatives) for turn in TURNS], axis=0)
 
 
-def _squares(second: Array) -> tuple[Array, Array, Array]:
-    """Entries of the sum of the squares of the matrices of all components."""
-    a, b, c = second[:, 0], second[:, 1], second[:, 2]
-    return np.sum(a**2 + b**2, axis=0), np.sum(b * (a + c), axis=0), np.sum(b**2 + c**2, axis=0)
+def _squares(derivatives: Array) -> tuple[Array, Array, Array]:
+    """Entries of the sum over i of the squares of the derivatives of du/dx_i, all components added up."""
+    degree = derivatives.shape[1] - 1
+    by_x, by_y = derivatives[:, :-1], derivatives[:, 1:]
+    times = np.array([comb(degree - 1, k) for k in range(degree)])[:, None]
+    pairs = (by_x, by_x), (by_x, by_y), (by_y, by_y)
+    xx, xy, yy = (np.sum(times * one * other, axis=(0, 1)) for one, other in pairs)
+    return xx, xy, yy
 
 
 def _descended(

@@ -2,7 +2,7 @@
 
 In the metric every triangle is equilateral with edges of length one. Their shapes are those of least
 interpolation error in the energy (:mod:`rmesh_nlp.fem.interpolation_error`), their number per area is
-proportional to ``sqrt(phi)``, so that all triangles have the same error.
+such that all triangles have the same error.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT, best_shapes
-from rmesh_nlp.fem.recovery import Index, Recovered
+from rmesh_nlp.fem.recovery import Recovered
+from rmesh_nlp.fem.space import Index
 from rmesh_nlp.meshes.geometry import signed_areas
 
 EQUILATERAL = np.sqrt(3) / 4
@@ -67,19 +68,19 @@ class Metric:
 
 
 def best_metric(nodes: Array, regions: Sequence[Recovered], largest_aspect: float = LARGEST_ASPECT) -> Metric:
-    """The metric for second derivatives at nodes (2, nodes), with so many triangles as have error one each.
+    """The metric for derivatives at nodes (2, nodes), with so many triangles as have error one each.
 
-    At a node of several regions it is the mean over them. Without any second derivatives it is uniform.
+    At a node of several regions it is the mean over them. Without any derivatives it is uniform.
     """
     n = nodes.shape[1]
     logarithm, density, weights = np.zeros((3, n)), np.zeros(n), np.zeros(n)
     for region in regions:
-        stretch, angle, phi = best_shapes(region.law, region.second, largest_aspect)
+        stretch, angle, phi = best_shapes(region.law, region.derivatives, largest_aspect)
         share = nodal_areas(nodes[:, region.nodes], region.triangles)
         rate = -2 * stretch  # short edges count more
         entries = np.stack([rate * np.cos(2 * angle), rate * np.sin(2 * angle), -rate * np.cos(2 * angle)])
         logarithm[:, region.nodes] += share * entries
-        density[region.nodes] += share * np.sqrt(phi)
+        density[region.nodes] += share * phi ** (1 / region.degree)
         weights[region.nodes] += share
     total = np.where(weights > 0, weights, 1.0)  # a node may be of no triangle
     density /= total

@@ -1,15 +1,18 @@
-"""Second derivatives of a piecewise linear displacement, by fits of quadratic polynomials around each node.
+"""The derivatives that a displacement lacks, by fits of polynomials of one degree more around each vertex.
 
-The polynomial of a node is that of least squares through the nodal values of the triangles around it and
-around its neighbours (Z. Zhang, A. Naga, A new finite element gradient recovery method, SIAM J. Sci. Comput.
-26 (2005) 1192-1213). Fits never reach across a jump of the material, where second derivatives have one too.
-Where they are unbounded, at corners and ends of contact, a fit has their size at the width of its patch.
+They are the second ones of linear displacements, the third ones of quadratic displacements. The polynomial
+of a vertex is that of least squares through the values at the nodes of the triangles around it and, for
+linear displacements, around its neighbours (Z. Zhang, A. Naga, A new finite element gradient recovery method,
+SIAM J. Sci. Comput. 26 (2005) 1192-1213). Fits never reach across a jump of the material, where these
+derivatives have one too. Where they are unbounded, at corners and ends of contact, a fit has their size at
+the width of its patch.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import comb, factorial
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,21 +20,16 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.interpolation_error import errors
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem.laws import Law
-
-Index = NDArray[np.int64]
-
-UNKNOWNS = 6
-"""Coefficients of a quadratic polynomial of two variables."""
 
 NEARNESS = 2.0
 """Weights of nodes fall like ``exp(-NEARNESS r^2)``, with r in root mean squares of the patch. With weights
 like ``1 / (1 + r^2)`` fits smooth too much: errors on adapted meshes are estimated at 0.27 to 1 times the
 true ones in place of 0.8 to 1.06 (fifteen meshes of ``scripts/benchmark_mesh.py``)."""
 
-CONDITION = 1e5
-"""Largest condition number of the normal equations of a fit; a patch with more is enlarged."""
+CONDITION = {2: 1e5, 3: 1e7}
+"""Largest condition number of the normal equations of a fit of a degree; a patch with more is enlarged."""
 
 RINGS = 6
 """Most rings of neighbours that a patch may have. A region without fits has no second derivatives."""
@@ -45,7 +43,7 @@ CHUNK = 20_000
 
 @dataclass(frozen=True)
 class Recovered:
-    """Second derivatives in one region of a mesh.
+    """Derivatives of a degree in one region of a mesh.
 
     Attributes
     ----------
@@ -55,96 +53,122 @@ class Recovered:
         Vertices of the region.
     triangles : (3, m) int array
         The elements by places in ``nodes``.
-    second : (components, 3, k) array
-        The derivatives xx, xy and yy of each component of the displacement at the nodes.
+    derivatives : (components, degree + 1, k) array
+        xx, xy and yy, or xxx, xxy, xyy and yyy, of each component of the displacement at the nodes.
     """
 
     law: Law
     elements: Index
     nodes: Index
     triangles: Index
-    second: Array
+    derivatives: Array
+
+    @property
+    def degree(self) -> int:
+        """Of the derivatives."""
+        return self.derivatives.shape[1] - 1
 
     @property
     def in_elements(self) -> Array:
-        """(components, 3, m) means over the vertices of each element."""
-        return np.asarray(self.second[:, :, self.triangles].mean(axis=2))
+        """(components, degree + 1, m) means over the vertices of each element."""
+        return np.asarray(self.derivatives[:, :, self.triangles].mean(axis=2))
 
 
-def second_derivatives(problem: ContactProblem, nodes: Array, values: Array) -> tuple[Recovered, ...]:
-    """Recover the second derivatives region by region.
+def recovered(space: DisplacementSpace, nodes: Array, coefficients: Array) -> tuple[Recovered, ...]:
+    """Recover the derivatives of one degree more than the displacement has, region by region.
 
-    ``nodes`` (2, vertices) are positions, ``values`` (components, vertices) the displacement there.
+    ``nodes`` (2, vertices) are positions, ``coefficients`` (components, nodes) the displacement.
     """
-    found = []
-    for law, elements in problem.regions:
-        used, flat = np.unique(problem.triangles[:, elements], return_inverse=True)
-        triangles = flat.reshape(3, -1)
-        second = _fitted(nodes[:, used], triangles, values[:, used])
-        found.append(Recovered(law, elements, used, triangles, second))
+    found, points, values = [], space.points(nodes), space.values(coefficients)
+    for law, elements in space.problem.regions:
+        used, flat = np.unique(space.problem.triangles[:, elements], return_inverse=True)
+        at_nodes, own = np.unique(space.elements[:, elements], return_inverse=True)
+        triangles, own = flat.reshape(3, -1), own.reshape(-1, elements.size)
+        centres = own[:3].ravel()[np.unique(triangles, return_index=True)[1]]
+        fits = _Fits(points[:, at_nodes], values[:, at_nodes], centres, space.order + 1)
+        found.append(Recovered(law, elements, used, triangles, fits.over(triangles, own)))
     return tuple(found)
 
 
 def interpolation_error(nodes: Array, triangles: Index, regions: Sequence[Recovered]) -> float:
-    """Estimated error of the energy of the mesh that second derivatives were recovered on."""
+    """Estimated error of the energy of the mesh that derivatives were recovered on."""
     corners = nodes[:, triangles]
     return float(sum(errors(one.law, corners[:, :, one.elements], one.in_elements).sum() for one in regions))
 
 
-def _fitted(p: Array, triangles: Index, values: Array) -> Array:
-    n = p.shape[1]
-    ends = np.hstack([triangles[[0, 1]], triangles[[1, 2]], triangles[[2, 0]]])
-    ones = np.ones(ends.shape[1])
-    near = sp.csr_array((ones, (ends[0], ends[1])), shape=(n, n))
-    near = (near + near.T + sp.eye_array(n)).tocsr()
-    found, todo, patch = np.zeros((values.shape[0], 3, n)), np.arange(n), near
-    for _ in range(RINGS - 1):
-        patch = sp.csr_array(patch @ near)  # of the nodes that are left
-        failed = []
-        for first in range(0, todo.size, CHUNK):
-            here = todo[first : first + CHUNK]
-            good, second = _fit(p, values, here, patch[first : first + CHUNK])
-            found[:, :, here[good]] = second[:, :, good]
-            failed.append(~good)
-        rest = np.concatenate(failed)
-        todo, patch = todo[rest], patch[np.flatnonzero(rest)]
-        if todo.size == 0:
-            break
-    return found
+class _Fits:
+    """Polynomials of a degree around some of the points (2, nodes) with values (components, nodes)."""
 
+    def __init__(self, points: Array, values: Array, centres: Index, degree: int) -> None:
+        self._points, self._values, self._centres, self._degree = points, values, centres, degree
+        self._least = ROUNDING * np.max(np.abs(values), initial=0.0)
 
-def _fit(p: Array, values: Array, nodes: Index, patch: sp.csr_array) -> tuple[NDArray[np.bool_], Array]:
-    """Whether the polynomials of some nodes are determined, and their second derivatives (c, 3, nodes).
+    def over(self, triangles: Index, nodes: Index) -> Array:
+        """Derivatives (components, degree + 1, centres), by triangles and their nodes (per triangle, m)."""
+        n = self._centres.size
+        place = np.repeat(triangles, len(nodes), axis=0).ravel(), np.tile(nodes, (3, 1)).ravel()
+        around = sp.csr_array((np.ones(place[0].size), place), shape=(n, self._points.shape[1]))
+        around.sum_duplicates()
+        near = sp.csr_array(around[:, self._centres])
+        # a quadratic polynomial takes two rings of vertices, one ring has enough nodes for a cubic one
+        reach = near if self._degree == 2 else sp.eye_array(n).tocsr()
+        found, todo = np.zeros((self._values.shape[0], self._degree + 1, n)), np.arange(n)
+        for _ in range(RINGS - 1):
+            patch, failed = sp.csr_array(reach @ around), []
+            for first in range(0, todo.size, CHUNK):
+                here = todo[first : first + CHUNK]
+                good, derivatives = self._fit(self._centres[here], patch[first : first + CHUNK])
+                found[:, :, here[good]] = derivatives[:, :, good]
+                failed.append(~good)
+            rest = np.concatenate(failed)
+            todo = todo[rest]
+            if todo.size == 0:
+                break
+            reach = sp.csr_array(reach[np.flatnonzero(rest)] @ near)
+        return found
 
-    Each patch is mapped to one of unit second moments first, so that flat ones are as well-conditioned.
-    """
-    first, of = patch.indptr[:-1], patch.indices
-    count = np.diff(patch.indptr)
-    row = np.repeat(np.arange(nodes.size), count)
+    def _fit(self, nodes: Index, patch: sp.csr_array) -> tuple[NDArray[np.bool_], Array]:
+        """Whether polynomials around nodes are determined, and their derivatives (c, degree + 1, nodes).
 
-    def total(v: Array) -> Array:
-        return np.asarray(np.add.reduceat(v, first, axis=-1))
+        Each patch is mapped to one of unit second moments first, so that flat ones are as well-conditioned.
+        """
+        p, values, degree = self._points, self._values, self._degree
+        first, of = patch.indptr[:-1], patch.indices
+        count = np.diff(patch.indptr)
+        row = np.repeat(np.arange(nodes.size), count)
 
-    dx, dy = p[:, of] - p[:, nodes[row]]
-    xx, xy, yy = (total(v) / count for v in (dx**2, dx * dy, dy**2))
-    a = np.sqrt(xx)  # the Cholesky factor [[a, 0], [b, c]] of the moments
-    b = xy / a
-    c = np.sqrt(np.maximum(yy - b**2, 1e-300))
-    x = dx / a[row]
-    y = (dy - b[row] * x) / c[row]
-    near = np.exp(-NEARNESS * (x**2 + y**2))
-    terms = np.stack([np.ones_like(x), x, y, x**2 / 2, x * y, y**2 / 2])
-    rise = values[:, of] - values[:, nodes[row]]
-    matrix = np.empty((nodes.size, UNKNOWNS, UNKNOWNS))
-    right = np.empty((nodes.size, UNKNOWNS, len(values)))
-    for i, one in enumerate(terms):
-        for j in range(i, UNKNOWNS):
-            matrix[:, i, j] = matrix[:, j, i] = total(near * one * terms[j])
-        right[:, i] = total(near * one * rise).T
-    good = (count >= UNKNOWNS) & (np.linalg.cond(matrix) < CONDITION)
-    solution = np.zeros_like(right)
-    solution[good] = np.linalg.solve(matrix[good], right[good])
-    solution[np.abs(solution) <= ROUNDING * np.max(np.abs(values), initial=0.0)] = 0.0
-    s, t, u = (solution[:, i].T for i in (3, 4, 5))  # by x and y: back to dx and dy
-    f, g, h = 1 / a, -b / (a * c), 1 / c
-    return good, np.stack([f**2 * s + 2 * f * g * t + g**2 * u, h * (f * t + g * u), h**2 * u], axis=1)
+        def total(v: Array) -> Array:
+            return np.asarray(np.add.reduceat(v, first, axis=-1))
+
+        dx, dy = p[:, of] - p[:, nodes[row]]
+        xx, xy, yy = (total(v) / count for v in (dx**2, dx * dy, dy**2))
+        a = np.sqrt(xx)  # the Cholesky factor [[a, 0], [b, c]] of the moments
+        b = xy / a
+        c = np.sqrt(np.maximum(yy - b**2, 1e-300))
+        x = dx / a[row]
+        y = (dy - b[row] * x) / c[row]
+        near = np.exp(-NEARNESS * (x**2 + y**2))
+        powers = [(total - j, j) for total in range(degree + 1) for j in range(total + 1)]
+        terms = np.stack([x**i * y**j / (factorial(i) * factorial(j)) for i, j in powers])
+        rise, unknowns = values[:, of] - values[:, nodes[row]], len(terms)
+        matrix = np.empty((nodes.size, unknowns, unknowns))
+        right = np.empty((nodes.size, unknowns, len(values)))
+        for i, one in enumerate(terms):
+            for j in range(i, unknowns):
+                matrix[:, i, j] = matrix[:, j, i] = total(near * one * terms[j])
+            right[:, i] = total(near * one * rise).T
+        good = (count >= unknowns) & (np.linalg.cond(matrix) < CONDITION[degree])
+        solution = np.zeros_like(right)
+        solution[good] = np.linalg.solve(matrix[good], right[good])
+        solution[np.abs(solution) <= self._least] = 0.0
+        # by x and y: back to dx and dy
+        highest, f, g, h = solution[:, -degree - 1 :].T, 1 / a, -b / (a * c), 1 / c
+        found = [
+            h**j
+            * sum(
+                comb(degree - j, k) * f ** (degree - j - k) * g**k * highest[:, j + k]
+                for k in range(degree - j + 1)
+            )
+            for j in range(degree + 1)
+        ]
+        return good, np.stack(found, axis=1)

@@ -1,4 +1,4 @@
-"""The least errors of the energy that meshes of as many triangles have, from recovered second derivatives."""
+"""The least errors of the energy that meshes of as many triangles have, from recovered derivatives."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ class LeastErrors:
 
     @staticmethod
     def of(nodes: Array, regions: Sequence[Recovered], triangles: float) -> LeastErrors:
-        """Those of a number of triangles, for second derivatives at nodes (2, vertices)."""
-        totals = np.sum([_roots(nodes, region) for region in regions], axis=0)
-        return LeastErrors(*(float(total) ** 2 / triangles for total in totals))
+        """Those of a number of triangles, for derivatives at nodes (2, vertices)."""
+        totals, degree = np.sum([_roots(nodes, region) for region in regions], axis=0), regions[0].degree
+        return LeastErrors(*(float(total) ** degree / triangles ** (degree - 1) for total in totals))
 
 
 def _roots(nodes: Array, region: Recovered) -> tuple[float, float, float]:
-    """Integrals of ``sqrt(phi)`` over a region, for the three kinds of triangles."""
-    law, second = region.law, region.second
+    """Integrals of the root of ``phi`` over a region, for the three kinds of triangles."""
+    law, derivatives, power = region.law, region.derivatives, 1 / region.degree
     areas = nodal_areas(nodes[:, region.nodes], region.triangles)
-    stretch, angle, phi = best_shapes(law, second)
-    equilateral = areas * np.sqrt(phi)
+    stretch, angle, phi = best_shapes(law, derivatives)
+    equilateral = areas * phi**power
     total = float(equilateral.sum())
     if total == 0:
         return 0.0, 0.0, 0.0
@@ -54,6 +54,6 @@ def _roots(nodes: Array, region: Recovered) -> tuple[float, float, float]:
     parts = (np.arange(SAMPLES) + 0.5) / SAMPLES * total
     chosen = np.searchsorted(np.cumsum(equilateral), parts)
     chosen = np.minimum(chosen, areas.size - 1)
-    least = least_errors(law, second[:, :, chosen], stretch[chosen], angle[chosen])
-    share = float(np.mean(np.sqrt(least / phi[chosen])))
-    return total * share, total, float(areas @ np.sqrt(isotropic_errors(law, second)))
+    least = least_errors(law, derivatives[:, :, chosen], stretch[chosen], angle[chosen])
+    share = float(np.mean((least / phi[chosen]) ** power))
+    return total * share, total, float(areas @ isotropic_errors(law, derivatives) ** power)

@@ -1,6 +1,6 @@
 """The best mesh of the same connectivity by the interpolation error alone: what relocation can reach.
 
-Second derivatives are frozen functions of position, so that no contact problem is solved. A small weight of
+The derivatives are frozen functions of position, so that no contact problem is solved. A small weight of
 the distortion keeps triangles upright, as in relocation itself. A mesh of more than a few hundred nodes is
 coarsened: the best positions are a map of the domain, and a coarse one gains less than a fine one.
 """
@@ -113,7 +113,7 @@ class _Part:
         self._given = _columns(X0, triangles)
         X, X_0, H, unit = (
             *(ca.SX.sym(name, 2, 3) for name in ("X", "X0")),
-            ca.SX.sym("H", 3, len(region.second)),
+            ca.SX.sym("H", region.degree + 1, len(region.derivatives)),
             ca.SX.sym("unit"),
         )
         corners = [[X[i, k] for k in range(3)] for i in range(2)]
@@ -127,7 +127,7 @@ class _Part:
 
     def __call__(self, X: Array, unit: float) -> tuple[float, float, Array]:
         """The error, with the distortion, and the derivatives (2, vertices) of that."""
-        t, second = self._triangles, self._region.second
+        t, second = self._triangles, self._region.derivatives
         centres = X[:, t].mean(axis=1)
         vertices, weights = located(self._nodes, self._region.triangles, centres)
         H = second[:, :, vertices].reshape(-1, *vertices.shape)  # (entries, 3, elements)

@@ -1,4 +1,4 @@
-"""The metric start: solve, recover second derivatives, remesh in the best metric, and once more.
+"""The metric start: solve, recover derivatives, remesh in the best metric, and once more.
 
 Relocation begins on a mesh whose triangles suit the solution: it keeps the connectivity, which bounds what
 it can gain.
@@ -21,7 +21,8 @@ from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT
 from rmesh_nlp.fem.metric import Metric, best_metric
-from rmesh_nlp.fem.recovery import Index, Recovered, interpolation_error, second_derivatives
+from rmesh_nlp.fem.recovery import Recovered, interpolation_error, recovered
+from rmesh_nlp.fem.space import Index
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.mmg import remeshed
@@ -83,10 +84,9 @@ class Solved:
 
     @cached_property
     def regions(self) -> tuple[Recovered, ...]:
-        """Second derivatives of the displacement."""
+        """The derivatives that the displacement lacks."""
         displacement, space = self.solver.displacement.values(self.state.u), self.solver.discretisation.space
-        X = np.asarray(self.problem.mesh.p)
-        return second_derivatives(self.problem, X, displacement[:, space.number])
+        return recovered(space, np.asarray(self.problem.mesh.p), displacement)
 
     @cached_property
     def error(self) -> float:
@@ -165,7 +165,7 @@ def remeshed_problem(
     tolerance: float = EXACT,
     off: float | None = None,
 ) -> tuple[ContactProblem, float]:
-    """The problem on a mesh of a number of nodes, the best for second derivatives recovered on its own.
+    """The problem on a mesh of a number of nodes, the best for derivatives recovered on its own.
 
     ``ratio`` is that of the triangles of the metric to the nodes of the mesh, which is returned as well:
     known from another mesh it saves runs of Mmg. Arcs are at most ``off`` above their edges, by default as on

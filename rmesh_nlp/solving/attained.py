@@ -8,7 +8,7 @@ import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
-from rmesh_nlp.fem.recovery import interpolation_error, second_derivatives
+from rmesh_nlp.fem.recovery import interpolation_error, recovered
 from rmesh_nlp.models.attainable import LeastErrors
 from rmesh_nlp.solving.parts import Part
 from rmesh_nlp.solving.solution import Assessment
@@ -26,16 +26,16 @@ class Attained(Part):
 
 
 def attained(found: Assessment, reduction: ErrorReduction, finest: Admissible | None) -> Attained | None:
-    """Both from second derivatives on the refined last mesh, on the last one itself where none was refined.
+    """Both from derivatives on the refined last mesh, on the last one itself where none was refined.
 
     The error of the last mesh is that of interpolation, within the bounds that are known.
     """
     assert found.assessed is not None
     there = found.assessed[1] if finest is None else finest
     triangles, refined = found.problem.triangles.shape[1], there.problem.triangles
-    nodes, number = there.body.nodes, there.parts.space.number
-    regions = second_derivatives(there.problem, nodes, there.displacement[:, number])
-    times = refined.shape[1] / triangles  # the error falls like the number of triangles
+    nodes = there.body.nodes
+    regions = recovered(there.parts.space, nodes, there.displacement)
+    times = (refined.shape[1] / triangles) ** found.problem.order  # how the error falls
     error = float(np.clip(times * interpolation_error(nodes, refined, regions), *reduction.error))
     least = min(LeastErrors.of(nodes, regions, triangles).any_mesh, error)
     return Attained((found.gain_audited + error) / least, least / error) if least > 0 else None

@@ -1,7 +1,8 @@
-"""Second derivatives recovered from nodal values: exact for quadratics wherever a fit is determined."""
+"""Derivatives recovered from nodal values: exact for polynomials wherever a fit is determined."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 from skfem import MeshTri
 
 from rmesh_nlp.fem import recovery
-from rmesh_nlp.fem.recovery import NEARNESS, RINGS, Recovered, second_derivatives
+from rmesh_nlp.fem.recovery import NEARNESS, RINGS, Recovered
+from rmesh_nlp.fem.recovery import recovered as recovered_in
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes import from_arrays, named
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import NO_CONTACT, ContactProblem, Laplace, PlaneStrain
@@ -32,9 +35,9 @@ def on(mesh: MeshTri, law: Any = None) -> ContactProblem:
 
 def recovered(mesh: MeshTri, values: np.ndarray, law: Any = None) -> np.ndarray:
     """(components, 3, nodes) on a mesh of one region."""
-    (region,) = second_derivatives(on(mesh, law), mesh.p, values)
+    (region,) = recovered_in(DisplacementSpace.of(on(mesh, law)), mesh.p, values)
     np.testing.assert_array_equal(region.nodes, np.arange(mesh.p.shape[1]))
-    return region.second
+    return region.derivatives
 
 
 def with_tail(cells: int) -> MeshTri:
@@ -110,6 +113,55 @@ class TestQuadratics:
         np.testing.assert_allclose(recovered(mesh, values), whole, rtol=1e-12, atol=1e-14)
 
 
+class TestCubics:
+    """Third derivatives of quadratic displacements."""
+
+    THIRD = np.array([[1.7, -0.6, 0.4, 2.0], [-2.0, 0.9, 3.1, 0.5]])
+
+    def found(self, mesh: MeshTri, function: Any) -> np.ndarray:
+        space = DisplacementSpace.of(replace(on(mesh), order=2))
+        values = function(space.points(np.asarray(mesh.p)))
+        (region,) = recovered_in(space, mesh.p, space.coefficients(values))
+        return region.derivatives
+
+    def cubic(self, p: np.ndarray) -> np.ndarray:
+        x, y = p
+        a, b, c, d = self.THIRD.T[..., None]
+        return a * x**3 / 6 + b * x * x * y / 2 + c * x * y * y / 2 + d * y**3 / 6 + quadratic(p)
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_are_exact_at_all_vertices_also_on_the_boundary(self, seed: int) -> None:
+        mesh = distorted(rectangle(5, 4, x=(0, 2)), 0.3, seed)
+        found = self.found(mesh, self.cubic)
+        np.testing.assert_allclose(found, np.broadcast_to(self.THIRD[..., None], found.shape), atol=1e-7)
+
+    def test_flat_triangles_do_as_well_as_round_ones(self) -> None:
+        mesh = distorted(rectangle(6, 6), 0.2, 1)
+        thin = from_arrays(
+            (np.diag([1.0, 1e-3]) @ mesh.p).T, on(mesh).triangles.T, {"left": lambda x: x[0] < 1e-9}
+        )
+        found = self.found(thin, lambda p: self.cubic(np.diag([1.0, 1e3]) @ p))
+        expected = self.THIRD * [1.0, 1e3, 1e6, 1e9]
+        size = np.abs(expected).max(axis=0)[None, :, None]
+        np.testing.assert_allclose(found / size, expected[..., None] / size + 0 * found, atol=1e-5)
+
+    def test_a_quadratic_displacement_has_none(self) -> None:
+        assert not np.any(self.found(distorted(rectangle(5, 5), 0.2, 3), quadratic))
+
+    def test_error_falls_by_four_when_the_mesh_is_halved(self) -> None:
+        worst = []
+        for n in (8, 16):
+            mesh = rectangle(n, n)
+            found = self.found(mesh, lambda p: np.stack([np.exp(p[0]) * np.sin(2 * p[1])] * 2))[0]
+            x, y = mesh.p
+            exact = np.exp(x) * np.array(
+                [np.sin(2 * y), 2 * np.cos(2 * y), -4 * np.sin(2 * y), -8 * np.cos(2 * y)]
+            )
+            inside = np.all((mesh.p > 0.2) & (mesh.p < 0.8), axis=0)
+            worst.append(np.abs(found - exact)[:, inside].max())
+        assert np.log2(worst[0] / worst[1]) > 1.8
+
+
 class TestSmoothFunctions:
     def test_error_falls_by_four_when_the_mesh_is_halved(self) -> None:
         worst = []
@@ -150,12 +202,12 @@ class TestRegions:
         x, y = mesh.p
         values = (np.where(x < 0, x, 5 * x) * y + np.where(x < 0, 2.0, -3.0) * x**2 / 2)[None]
         problem = on(mesh, {"a": Laplace(1.0), "b": Laplace(1.0, 5.0)})
-        left, right = second_derivatives(problem, mesh.p, values)
+        left, right = recovered_in(DisplacementSpace.of(problem), mesh.p, values)
         assert (left.law.conductivity, right.law.conductivity) == (1.0, 5.0)
         assert np.intersect1d(left.nodes, right.nodes).size == 5
         for region, expected in ((left, (2.0, 1.0, 0.0)), (right, (-3.0, 5.0, 0.0))):
-            assert region.second.shape == (1, 3, 25)
-            np.testing.assert_allclose(region.second[0].T - expected, 0.0, atol=1e-9)
+            assert region.derivatives.shape == (1, 3, 25)
+            np.testing.assert_allclose(region.derivatives[0].T - expected, 0.0, atol=1e-9)
             np.testing.assert_array_equal(
                 region.nodes[region.triangles], problem.triangles[:, region.elements]
             )

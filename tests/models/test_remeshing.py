@@ -307,7 +307,7 @@ class TestSolved:
         total = 0.0
         for one in solved.regions:
             corners = mesh.p[:, one.nodes][:, one.triangles]
-            total += errors(one.law, corners, one.second[:, :, one.triangles].mean(axis=2)).sum()
+            total += errors(one.law, corners, one.derivatives[:, :, one.triangles].mean(axis=2)).sum()
         assert solved.error == pytest.approx(total, rel=1e-12)
         assert len(solved.regions) == 2
 
