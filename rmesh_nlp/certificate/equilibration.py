@@ -18,16 +18,18 @@ small, and so is the rounding of stresses, which would else be differences of la
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rmesh_nlp.certificate.hybrid import Hybrid, contact_start
 from rmesh_nlp.contact.active_set import DualEnergy, solve
-from rmesh_nlp.contact.system import ActiveSet
+from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.newton_step import BoxStep
+from rmesh_nlp.optimize.status import Status
 
 SOFTER = 10.0
 """By how much the compliance of a trace exceeds that of its diagonal entry, roughly.
@@ -110,18 +112,32 @@ def balance(found: Hybrid, guess: Guess, products: int) -> Balance:
 
     These begin with those of the guess, cut to what contact and friction allow, and are improved by
     ``products`` back-substitutions. With an obstacle in the interior the problem is solved exactly, for its
-    forces are as many as the elements.
+    forces are as many as the elements; at order 2 too, where a few products leave most of the gap.
     """
     skeleton, contact = found.skeleton, found.conditions.contact
     degree, edge = found.conditions.degree, skeleton.lengths[contact]
     along = skeleton.along(degree)[:, contact]
-    if found.inside:
-        inside = guess.pressure[skeleton.inside(degree)].T > 0
-        touching = np.concatenate([inside.ravel(), guess.pressure[along].ravel() > 0])
-        solved = solve(found.system, ActiveSet(touching, np.zeros(0, dtype=np.int8)))
-        return balanced(found, solved.u, np.maximum(solved.normal_force, 0.0), np.zeros(0))
     pressure, friction = ((nodal[along] * edge).ravel() for nodal in (guess.pressure, guess.friction))
+    if found.inside or skeleton.order == 2:
+        inside = guess.pressure[skeleton.inside(degree)].T.ravel()[: found.inside]
+        touching = np.append(inside, pressure) > 0
+        solved = _solved(found, touching, friction)
+        if found.inside or solved.status is Status.CONVERGED:
+            force = np.maximum(solved.normal_force, 0.0)
+            return balanced(found, solved.u, force, solved.tangential_force)
     return balanced(found, *_improved(found, pressure, friction, products))
+
+
+def _solved(found: Hybrid, touching: NDArray[np.bool_], friction: Array) -> Equilibrium:
+    """The contact problem of the traces solved by an active set, which begins with the contact of a guess."""
+    system, bound = found.system, found.system.slip_bound
+    friction = friction[: bound.size]
+    sliding = np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8)
+    # friction turns where the slip is zero, and traces are counted from those of the base
+    base = system.tangents.T @ contact_start(found)[: bound.size]
+    from_zero = replace(system, load=system.load + system.stiffness @ base)
+    solved = solve(from_zero, ActiveSet(touching, sliding))
+    return replace(solved, u=solved.u - base)
 
 
 def balanced(found: Hybrid, u: Array, force: Array, friction: Array) -> Balance:
