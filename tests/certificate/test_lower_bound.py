@@ -93,6 +93,8 @@ def test_it_is_a_bound_and_close_to_that_of_the_certificate(name):
 
 
 def test_what_it_cannot_do_is_refused():
+    with pytest.raises(ValueError, match="displacements of order 1: take order = 1"):
+        LowerBound(replace(plate(), order=2))
     with pytest.raises(ValueError, match="scalar"):
         LowerBound(ContactProblem(rectangle(2, 2), PlaneStrain(1.0, 1.0, (0.0, -1.0)), ("left",)))
     with pytest.raises(ValueError, match="linear along"):

@@ -4,24 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from skfem import MeshTri
 
+from rmesh_nlp.certificate import equilibration
 from rmesh_nlp.certificate.bracket import Bracket, bracket, refined_bracket
-from rmesh_nlp.certificate.equilibration import Guess
-from rmesh_nlp.certificate.lower_bound import LowerBound
+from rmesh_nlp.certificate.conditions import conditions_of
+from rmesh_nlp.certificate.displacement import penetration
+from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import EXACT_ENERGY_61
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, Place, Traction
-from support.certificates import distorted, guess_on, of_values
-from support.problems import renumbered
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, Traction
+from support.certificates import distorted, guess_on
 
-Field = Callable
+Field = Callable[[Any, Any], Any]
 
 
 def on(problem: ContactProblem) -> Bracket:
@@ -29,81 +34,196 @@ def on(problem: ContactProblem) -> Bracket:
 
 
 def smooth(n: int, order: int) -> ContactProblem:
-    """u = sin(pi x) sin(pi y) under its source, on the right under its traction; least energy -pi^2 / 4."""
+    """u = sin(pi x) sin(pi y) under its source and, on the right, its traction; least energy -pi^2 / 4."""
     source = Laplace(lambda x, y: 2 * np.pi**2 * ca.sin(np.pi * x) * ca.sin(np.pi * y))
     pull = Traction("right", (lambda x, y: -np.pi * ca.sin(np.pi * y),))
     return ContactProblem(rectangle(n, n), source, ("left", "bottom", "top"), tractions=pull, order=order)
 
 
-def pulled(mesh: MeshTri, slope: tuple[Field, Field], **settings) -> ContactProblem:
-    """A harmonic displacement with this gradient, pulled by its fluxes at the sides of a box."""
-    (ux, uy), sides = slope, mesh.boundaries
-    out = {
-        "left": lambda x, y: -ux(x, y),
-        "right": ux,
-        "bottom": lambda x, y: -uy(x, y),
-        "top": uy,
-    }
-    loads = tuple(Traction(side, (flux,)) for side, flux in out.items() if side in sides)
+def pulled(mesh: MeshTri, ux: Field, uy: Field, **settings: Any) -> ContactProblem:
+    """A harmonic displacement with this gradient, under its fluxes at the sides of a box."""
+    out = {"west": lambda x, y: -ux(x, y), "east": ux, "south": lambda x, y: -uy(x, y), "north": uy}
+    loads = tuple(Traction(side, (flux,)) for side, flux in out.items() if side in mesh.boundaries)
     return ContactProblem(mesh, Laplace(), tractions=loads, **settings)
 
 
 def l_shape(n: int, order: int) -> ContactProblem:
-    """r^(2/3) sin(2 t / 3) on three squares of n x n cells around the re-entrant corner at the origin."""
+    """r^(2/3) sin(2 t / 3) on three squares of n x n cells, zero on the edges of the re-entrant corner."""
     mesh = rectangle(2 * n, 2 * n, x=(-1, 1), y=(-1, 1))
-    middle = mesh.p[:, mesh.t].mean(axis=1)
-    mesh = mesh.remove_elements(np.flatnonzero((middle[0] > 0) & (middle[1] < 0)))
-    sides = {"left": (0, -1), "right": (0, 1), "bottom": (1, -1), "top": (1, 1)}
-    mesh = mesh.with_boundaries(
-        {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in sides.items()}
-        | {"corner": lambda x: (x[0] > -1e-9) & (x[1] < 1e-9) & (np.min(np.abs(x), axis=0) < 1e-9)}
+    x, y = mesh.p[:, mesh.t].mean(axis=1)
+    mesh = mesh.remove_elements(np.flatnonzero((x > 0) & (y < 0))).with_boundaries(
+        {
+            "west": lambda x: np.isclose(x[0], -1),
+            "east": lambda x: np.isclose(x[0], 1),
+            "south": lambda x: np.isclose(x[1], -1),
+            "north": lambda x: np.isclose(x[1], 1),
+            "corner": lambda x: np.min(np.abs(x), axis=0) < 1e-9,
+        }
     )
 
-    def turned(x, y):  # the angle, from the left part of the negative y axis on
-        return ca.atan2(-x - y, x - y) / 3 + np.pi / 4
+    def third(x: Any, y: Any) -> Any:  # of the angle, whose jump is in the quarter that is missing
+        return ca.atan2(-x - y, y - x) / 3 + np.pi / 4
 
-    def slope(shape: Field) -> Field:
-        return lambda x, y: 2 / 3 * (x * x + y * y) ** (-1 / 6) * shape(turned(x, y))
+    def size(x: Any, y: Any) -> Any:
+        return 2 / 3 * (x * x + y * y) ** (-1 / 6)
 
-    return pulled(
-        mesh, (slope(lambda t: -ca.sin(t)), slope(ca.cos)), dirichlet=("corner",), order=order
-    )
+    ux, uy = (lambda x, y: -size(x, y) * ca.sin(third(x, y))), (lambda x, y: size(x, y) * ca.cos(third(x, y)))
+    return pulled(mesh, ux, uy, dirichlet=("corner",), order=order)
 
 
 def signorini(n: int, order: int) -> ContactProblem:
     """r^(3/2) cos(3 t / 2), which leaves the obstacle at the origin; held where it touches left of -1/2."""
-    mesh = rectangle(2 * n + 1, n, x=(-1, 1))
-    bottom = np.asarray(mesh.boundaries["bottom"])
-    held = mesh.p[0, mesh.facets[:, bottom]].mean(axis=0) < -0.5
-    parts = {name: part for name, part in mesh.boundaries.items() if name != "bottom"}
-    mesh = replace(mesh, _boundaries=parts | {"held": bottom[held], "free": bottom[~held]})
-    root = lambda x, y: 1.5 * (x * x + y * y + 1e-30) ** 0.25  # noqa: E731
-    slope = (
-        lambda x, y: root(x, y) * ca.cos(ca.atan2(y, x) / 2),
-        lambda x, y: -root(x, y) * ca.sin(ca.atan2(y, x) / 2),
+    mesh = rectangle(2 * n + 1, n, x=(-1, 1)).with_boundaries(
+        {
+            "west": lambda x: np.isclose(x[0], -1),
+            "east": lambda x: np.isclose(x[0], 1),
+            "north": lambda x: np.isclose(x[1], 1),
+            "held": lambda x: np.isclose(x[1], 0) & (x[0] < -0.5),
+            "free": lambda x: np.isclose(x[1], 0) & (x[0] > -0.5),
+        }
     )
-    return pulled(mesh, slope, dirichlet=("held",), obstacle=Obstacle("free", (1.0,)), order=order)
+
+    def size(x: Any, y: Any) -> Any:
+        return 1.5 * (x * x + y * y) ** 0.25
+
+    ux, uy = (
+        (lambda x, y: size(x, y) * ca.cos(ca.atan2(y, x) / 2)),
+        (lambda x, y: -size(x, y) * ca.sin(ca.atan2(y, x) / 2)),
+    )
+    return pulled(mesh, ux, uy, dirichlet=("held",), obstacle=Obstacle("free", (1.0,)), order=order)
 
 
-@lru_cache
-def least_energy(name: str) -> float:
-    """Less half the work of the tractions of the harmonic problems, by Gauss's rule on whole sides."""
+def less_half_the_work(
+    power: float, part: Callable[[np.ndarray], np.ndarray], corners: list[complex]
+) -> float:
+    """Least energy of a part of z^power, by the work of its fluxes along the polygon through the corners."""
     s, weights = np.polynomial.legendre.leggauss(200)
-    s, weights = (1 + s) / 2, weights / 2
-    if name == "smooth":
-        return -(np.pi**2) / 4
-    power, first, shape = {"l_shape": (2 / 3, 0.0, np.sin), "signorini": (3 / 2, -1.0, np.cos)}[name]
-    corners = [(1, 0), (1, 1), (-1, 1), (-1, 0)]
-    if name == "l_shape":
-        corners = [*corners[:3], (-1, -1), (0, -1)]
     total = 0.0
-    for a, b in zip(np.array(corners, dtype=float), np.array(corners[1:], dtype=float), strict=False):
-        x, y = a[:, None] + (b - a)[:, None] * s
-        z = x + 1j * y
-        z = np.abs(z) * np.exp(1j * np.mod(np.angle(z), 2 * np.pi))
-        r, t = np.abs(z), np.mod(np.angle(z), 2 * np.pi)
-        turn = np.exp(1j * (power - 1) * t) * power * r ** (power - 1)  # derivative of z^power
-        slope = (turn.imag, turn.real) if shape is np.sin else (turn.real, -turn.imag)
-        normal = (b - a)[1], -(b - a)[0]
-        total += weights @ (r**power * shape(power * t) * (slope[0] * normal[0] + slope[1] * normal[1]))
+    for a, b in pairwise(corners):
+        z = a + (b - a) * (1 + s) / 2
+        log = np.log(np.abs(z)) + 1j * np.mod(np.angle(z), 2 * np.pi)
+        # the flux out of the body is the derivative along -i (b - a)
+        flux = part(-1j * (b - a) * power * np.exp((power - 1) * log))
+        total += weights / 2 @ (part(np.exp(power * log)) * flux)
     return -total / 2
+
+
+EXACT = {
+    smooth: -(np.pi**2) / 4,
+    l_shape: less_half_the_work(2 / 3, np.imag, [1, 1 + 1j, -1 + 1j, -1 - 1j, -1j]),
+    signorini: less_half_the_work(3 / 2, np.real, [1, 1 + 1j, -1 + 1j, -1]),
+}
+
+
+@pytest.mark.parametrize(
+    ("make", "order", "rate"),
+    [
+        (smooth, 1, 2),
+        (smooth, 2, 4),
+        (l_shape, 1, 4 / 3),
+        (l_shape, 2, 4 / 3),
+        (signorini, 1, 2),
+        (signorini, 2, 3),
+    ],
+)
+def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(
+    make: Callable[[int, int], ContactProblem], order: int, rate: float
+) -> None:
+    widths = []
+    for n in (4, 8):
+        found = on(make(n, order))
+        assert found.why == ()
+        assert found.lower < EXACT[make] < found.upper
+        assert found.upper - found.lower < 1.45 * (found.upper - EXACT[make])
+        assert np.sum(found.local) == pytest.approx(found.upper - found.lower, rel=1e-4)
+        assert np.all(found.local >= 0)
+        widths.append(found.upper - found.lower)
+    assert np.log2(widths[0] / widths[1]) > rate - 0.3
+
+
+@pytest.mark.parametrize("make", EXACT)
+def test_on_a_finer_mesh_the_field_leaves_little_of_the_width(make: Callable) -> None:
+    problem = make(4, 2)
+    found = refined_bracket(problem, problem.mesh.p, guess_on(problem), 1)
+    assert found.lower < EXACT[make]
+    assert found.upper - found.lower < 1.2 * (found.upper - EXACT[make])
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**20), amount=st.floats(0.0, 0.3), refinements=st.integers(0, 1))
+def test_it_holds_the_least_energy_of_61_on_any_relocated_mesh(
+    seed: int, amount: float, refinements: int
+) -> None:
+    problem = replace(EXAMPLES["6.1"](4), order=2)
+    problem = replace(problem, mesh=distorted(problem.mesh, amount, seed))
+    found = refined_bracket(problem, problem.mesh.p, guess_on(problem), refinements)
+    assert found.lower <= EXACT_ENERGY_61 <= found.upper
+    assert found.guaranteed_lower
+    assert found.residual < 1e-12
+
+
+def scalar() -> ContactProblem:
+    return ContactProblem(rectangle(4, 4), Laplace(-5.0), ("left",), Obstacle("bottom", (1.0,), 0.8), order=2)
+
+
+def membrane() -> ContactProblem:
+    sides = ("left", "right", "top", "bottom")
+    return ContactProblem(rectangle(4, 4), Laplace(-5.0), sides, Obstacle.interior(-0.1), order=2)
+
+
+def frictional() -> ContactProblem:
+    law, pull = PlaneStrain(10.0, 8.0, (0.0, -1.0)), Traction("top", (0.3, -0.5))
+    rough = Obstacle("bottom", friction=0.1)
+    return ContactProblem(rectangle(6, 3, x=(0, 2)), law, ("left",), rough, tractions=pull, order=2)
+
+
+@pytest.mark.parametrize("make", [scalar, membrane, frictional])
+def test_the_lower_bound_of_order_2_does_not_depend_on_the_guess(make: Callable[[], ContactProblem]) -> None:
+    """Contact and friction of the field are found exactly, from any contact that it begins with."""
+    problem = make()
+    guess = guess_on(problem)
+    assert np.any(guess.pressure > 0)
+    one, other = on(problem), bracket(problem, problem.mesh.p, guess_on(problem, 0 * guess.displacement))
+    assert other.lower == pytest.approx(one.lower, rel=1e-9)
+    assert other.guaranteed_lower
+
+
+def test_it_is_a_bound_where_the_contact_of_the_field_is_not_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, solve = signorini(4, 2), equilibration.solve
+    best = on(problem)
+    monkeypatch.setattr(
+        equilibration, "solve", lambda *given: replace(solve(*given), status=Status.CYCLED, u=np.nan)
+    )
+    found = on(problem)
+    assert found.guaranteed_lower
+    assert found.lower < best.lower
+
+
+@pytest.mark.parametrize(
+    ("offset", "value", "why"),
+    [
+        (lambda x, y: 0.02 * (x - 1) ** 2, lambda x, y: 0.1 * y**2, ""),
+        (lambda x, y: 0.02 * (x - 1) ** 4, 0.0, "between"),
+        (0.0, lambda x, y: 0.1 * y**3, "not quadratic"),
+    ],
+)
+def test_parabolas_are_exact_at_order_2(offset: Field | float, value: Field | float, why: str) -> None:
+    """Gaps hold along edges by their coefficients, and quadratic given displacements everywhere."""
+    held = (Dirichlet("left", (0.0, value)),)
+    problem = replace(frictional(), dirichlet=held, obstacle=Obstacle("bottom", (0.0, 1.0), offset))
+    found = on(problem)
+    assert found.guaranteed_lower
+    assert found.guaranteed_upper is (why == "")
+    assert why in " ".join(found.why)
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_gap_is_as_deep_as_its_least_coefficient(inside: bool) -> None:
+    problem = membrane() if inside else signorini(3, 2)
+    skeleton = skeleton_of(problem, problem.mesh.p)
+    conditions = conditions_of(problem, skeleton)
+    u = np.full((1, guess_on(problem).displacement.shape[1]), 0.5)
+    assert penetration(problem, skeleton, conditions, u) == 0.0
+    edge = int(problem.mesh.f2t.shape[1] - 1) if inside else int(conditions.contact[0])
+    u[0, problem.mesh.p.shape[1] + edge] = -0.3  # the parabola itself goes down to 0.1 only
+    assert penetration(problem, skeleton, conditions, u) == pytest.approx(0.3 - (0.1 if inside else 0.0))
