@@ -111,7 +111,7 @@ class Continuous:
         rigid = self.parts.rigid_motions(nodes)
         order = None
         if space.n_nodes > LARGE:
-            order = elimination_order(points, space.nodes_of(self.problem.mesh.facets), index)
+            order = elimination_order(points, space.elements, index)
         return ContactSystem(
             stiffness=sp.csc_array(self.stiffness[free][:, free]),
             load=(self.load - pull)[free],

@@ -110,8 +110,9 @@ def _values(coefficient: Coefficient, where: Array) -> Array:
     return on_points(coefficient, where.reshape(2, -1), "a load").reshape(where.shape[1:])
 
 
-STEPS = 3
-"""Steps to a point of an edge at which the slip changes sign; one is exact on a straight foundation."""
+STEPS = 8
+"""Steps to a point of an edge at which the slip changes sign; one is exact on a straight foundation. A disc
+as large as an edge needs eight: rules do not see what is left behind the end of a part."""
 
 
 def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tuple[Array, Array]:

@@ -1,10 +1,10 @@
 """By how much relocation lowers the error of the energy: an interval, from refinements of the last mesh.
 
 ``J_0`` and ``J_1`` are the continuous energies of the given and of the last mesh. A uniform refinement of the
-last one lowers its energy by ``d``, so its error ``e_1`` is at least that. Errors of piecewise linear
-displacements fall by a factor r between 4, where the solution is smooth, and ``SLOWEST`` at the singularities
-that occur, so ``e_1`` is at most ``d / (1 - 1 / r)``; a second refinement tells r. With
-``e_0 = e_1 + J_0 - J_1`` the factor is ``1 + (J_0 - J_1) / e_1``.
+last one lowers its energy by ``d``, so its error ``e_1`` is at least that. Errors of displacements of order k
+fall by a factor r between 4^k, where the solution is smooth, and ``SLOWEST`` at the singularities that occur,
+so ``e_1`` is at most ``d / (1 - 1 / r)``; a second refinement tells r. With ``e_0 = e_1 + J_0 - J_1`` the
+factor is ``1 + (J_0 - J_1) / e_1``.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ SLOWEST = 1.7
 (:mod:`rmesh_nlp.examples.random_problems`, seeds 0 to 39, 12 to 99 nodes) the error of a relocated mesh fell
 by 2.0 to 8 with the first refinement."""
 
-FASTEST = 8.0
-"""The largest one: on coarse meshes more than 4 occurs."""
+FASTEST = 2.0
+"""The largest one over ``4^k``, that of smooth solutions at order k: on coarse meshes more occurs."""
 
 UNRESOLVED = 1.0
 """Ratio of successive falls from which on nothing is claimed: the mesh is too coarse to tell. A
@@ -129,8 +129,8 @@ def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | 
         here = finer
     if not min(falls) > 0 or any(b >= UNRESOLVED * a for a, b in pairwise(falls)):
         return None, here
-    known, rest = sum(falls[:-1]), falls[-1]
-    return (known + rest / (1 - 1 / FASTEST), known + rest / (1 - 1 / SLOWEST)), here
+    known, rest, fastest = sum(falls[:-1]), falls[-1], FASTEST * 4**last.problem.order
+    return (known + rest / (1 - 1 / fastest), known + rest / (1 - 1 / SLOWEST)), here
 
 
 def on_refined(last: Admissible) -> Admissible:

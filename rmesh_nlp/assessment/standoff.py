@@ -53,6 +53,7 @@ class Cells:
     low: Array  # (m, k), the same less what they may fall by between the points
     at_nodes: Array  # (v, m), coefficients d_i of the interpolant of these gaps
     vertices: int  # nodes of a cell at its vertices, which come first
+    bends: Array  # (v, directions), second differences of N_i between points; no directions if N_i is linear
 
     def off(self, given: Array) -> Array:
         """(m,) how far the free nodes of each cell must keep off; -infinity where none is free.
@@ -80,7 +81,15 @@ class Cells:
     def gaps(self, displacement: Array) -> Array:
         """(m, k) least gaps about the points under a displacement (components, nodes)."""
         u = np.einsum("cvm,vk->cmk", displacement[:, self.nodes], self.shares)
-        return np.sum(self.normals * u, axis=0) + self.low
+        return np.sum(self.normals * u, axis=0) + self.low - self.dips(displacement)
+
+    def dips(self, displacement: Array) -> Array:
+        """(m, k) by how much the normal displacement is less between the points: of a parabola an eighth."""
+        result = np.zeros(self.low.shape)
+        for bends in self.bends.T:
+            bent = np.einsum("cvm,v->cm", displacement[:, self.nodes], bends)
+            result += np.maximum(np.sum(self.normals * bent[..., None], axis=0), 0.0) / 8
+        return result
 
     def missing(self, displacement: Array) -> Array:
         """(m,) by how much the free nodes of each cell must keep off more than they do; not negative."""
@@ -111,14 +120,18 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
     if contact.obstacle.boundary is Place.INTERIOR:
         nodes, at = space.elements, body.points
         fits = [n for n in LATTICES if n * n / 2 * nodes.shape[1] <= POINTS]
-        barycentric, bends = _lattice(fits[0] if fits else LATTICES[-1])
-        where = barycentric[:, None]
+        n = fits[0] if fits else LATTICES[-1]
+        barycentric, bends = _lattice(n)
+        where, steps = barycentric[:, None], (np.roll(np.eye(3), 1, axis=0) - np.eye(3)) / n
     else:
         edges = body.edges(str(contact.obstacle.boundary))
         nodes, at = space.nodes_of(edges.ends), edges.at
         barycentric, bends, where = np.stack([1 - _ALONG, _ALONG]), _EDGE_BENDS, _ALONG[None]
+        steps = np.array([[-1.0], [1.0]]) / SAMPLES
     shares, to_gaps = functions(space.order, barycentric), to_coefficients(space.order, len(barycentric))
     own = np.argmax(shares, axis=1)  # the points of the nodes
+    # a quadratic form has twice its value at the step as its second difference
+    turns = 2 * functions(space.order, steps) if space.order == 2 else np.zeros((len(shares), 0))
     step, triples = max(1, 400_000 // shares.shape[1]), _triples_of(bends, shares.shape[1])
     for first in range(0, nodes.shape[1], step):
         part = np.arange(first, min(first + step, nodes.shape[1]))
@@ -128,7 +141,9 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
         bend = distance[:, bends[0]] - 2 * distance[:, bends[1]] + distance[:, bends[2]]
         low = distance - BETWEEN * np.max(np.abs(bend)[:, triples], axis=2)
         some, at_nodes = nodes[:, part], to_gaps @ distance[:, own].T
-        yield Cells(contact, part, some, row[some], shares, points, distance, low, at_nodes, len(barycentric))
+        yield Cells(
+            contact, part, some, row[some], shares, points, distance, low, at_nodes, len(barycentric), turns
+        )
 
 
 _ALONG = np.arange(SAMPLES + 1) / SAMPLES

@@ -62,7 +62,7 @@ def tightened(
     """
     margin = MARGIN * float(np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=0.0))
     chosen, slips = _closed(cells, field.values(state.u), state), _slips(system)
-    solver = _Multipliers(system, _points(cells, chosen, field, margin), slips, PENALTY)
+    solver = _Multipliers(system, _points(cells, chosen, field, margin, state.u), slips, PENALTY)
     u, pressing, friction = state.u.copy(), np.zeros(chosen.shape[1]), state.tangential_force[slips.number]
     before = np.inf
     for _ in range(ROUNDS):
@@ -76,7 +76,7 @@ def tightened(
             chosen, pressing = np.hstack([chosen, more]), np.append(pressing, np.zeros(more.shape[1]))
             order = np.argsort(chosen[0], kind="stable")  # part by part
             chosen, pressing = chosen[:, order], pressing[order]
-            solver = _Multipliers(system, _points(cells, chosen, field, margin), slips, solver.penalty)
+            solver = _Multipliers(system, _points(cells, chosen, field, margin, u), slips, solver.penalty)
             before = np.inf
             continue
         if open_by <= margin:
@@ -191,8 +191,9 @@ def _violated(cells: Sequence[Cells], displacement: Array, chosen: Index) -> Ind
     return np.array(new, dtype=np.int64).reshape(-1, 3).T
 
 
-def _points(cells: Sequence[Cells], chosen: Index, field: Field, margin: float) -> _Points:
-    rows, gaps, n_u = [], [], int(field.index.max()) + 1
+def _points(cells: Sequence[Cells], chosen: Index, field: Field, margin: float, u: Array) -> _Points:
+    """The gaps at the chosen points, less what they fall by between points if the displacement is near u."""
+    rows, gaps, n_u, displacement = [], [], int(field.index.max()) + 1, field.values(u)
     for number, part in enumerate(cells):
         cell, point = chosen[1:, chosen[0] == number]
         nodes = part.nodes[:, cell]
@@ -201,7 +202,8 @@ def _points(cells: Sequence[Cells], chosen: Index, field: Field, margin: float) 
         free, row = index >= 0, np.broadcast_to(np.arange(cell.size), index.shape)
         rows.append(sp.csr_array((weight[free], (row[free], index[free])), shape=(cell.size, n_u)))
         given = np.where(free, 0.0, weight * field.offset[:, nodes]).sum(axis=(0, 1))
-        gaps.append(given + part.low[cell, point] - margin)
+        low = part.low - part.dips(displacement)
+        gaps.append(given + low[cell, point] - margin)
     return _Points(sp.csr_array(sp.vstack(rows)), np.concatenate(gaps))
 
 

@@ -83,12 +83,13 @@ def setup_warnings(
     model = model or ContactSolver(problem)
     system = model.system(problem.mesh.p)
     state = state or model.solve(problem.mesh.p)
-    u = model.displacement.values(state.u)
+    space, coefficients = model.discretisation.space, model.displacement.values(state.u)
+    u = space.values(coefficients)
     found = [*_problem(problem), *_loads(problem, system, accurate), *_sizes(problem, u)]
-    for part in problem.contact_sets:
-        found += _contact(problem, part, system, state, u)
+    for part in space.contact_sets:
+        found += _contact(space, part, system, state, u)
     warnings = tuple(SetupWarning(kind, message) for kind, message in found)
-    return (*warnings, *penetration_warnings(model.discretisation.space, problem.mesh.p, u))
+    return (*warnings, *penetration_warnings(space, problem.mesh.p, coefficients))
 
 
 def penetration_warnings(space: DisplacementSpace, nodes: Array, displacement: Array) -> list[SetupWarning]:
@@ -113,11 +114,13 @@ Found = Iterator[tuple[str, str]]
 
 
 def _contact(
-    problem: ContactProblem, part: ContactSet, system: ContactSystem, state: Equilibrium, u: Array
+    space: DisplacementSpace, part: ContactSet, system: ContactSystem, state: Equilibrium, u: Array
 ) -> Found:
+    problem = space.problem
     offset, touching = system.offset[part.rows], state.active.touching[part.rows]
-    if holds_along_edges(problem, part.obstacle):  # nodes keep off the foundation, which is no overlap
-        offset = part.obstacle.distances(problem.mesh.p[:, part.nodes])
+    # nodes keep off the foundation, or at edges are coefficients: neither is an overlap
+    if holds_along_edges(problem, part.obstacle) or space.order == 2:
+        offset = part.obstacle.distances(space.points(problem.mesh.p)[:, part.nodes])
     name, n, unit = _name(part), touching.size, after(problem.units.length)
     scale = _extent(problem) if problem.components == 2 else max(float(np.max(np.abs(u))), 1e-300)
     inside = offset < -1e-9 * scale
@@ -158,7 +161,7 @@ def _problem(problem: ContactProblem) -> Found:
         if not isinstance(law, PlaneStrain):
             continue
         poisson = law.lame_lambda / (2 * (law.lame_lambda + law.lame_mu))
-        if poisson > LOCKING:
+        if poisson > LOCKING and problem.order == 1:
             text = (
                 f"Poisson's ratio is {poisson:.4g} in plane strain: linear triangles lock above {LOCKING}, "
             )

@@ -160,7 +160,7 @@ class ContactSolver:
         mesh, space = self.problem.mesh, self.discretisation.space
         if space.n_nodes <= LARGE:
             return None
-        return elimination_order(space.points(mesh.p), space.nodes_of(mesh.facets), self.displacement.index)
+        return elimination_order(space.points(mesh.p), space.elements, self.displacement.index)
 
 
 class _AtZero:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import permutations
 
 import numpy as np
 import scipy.sparse as sp
@@ -244,18 +245,21 @@ def _entries(matrix: sp.csr_array, rows: Index, columns: Index) -> Array:
     return np.asarray(sp.csr_matrix(matrix)[rows, columns.ravel()]).reshape(columns.shape)
 
 
-def elimination_order(points: Array, edges: NDArray[np.integer], index: Index) -> Index:
-    """The unknowns of a nodal field, ``index`` (components, nodes), in the order of their elimination."""
-    unknowns = index[:, dissected(points, edges)].T.ravel()
+def elimination_order(points: Array, cells: NDArray[np.integer], index: Index) -> Index:
+    """The unknowns of a nodal field, ``index`` (components, nodes), in the order of their elimination.
+
+    The nodes of a cell, an edge or an element (nodes per cell, cells), are adjacent.
+    """
+    unknowns = index[:, dissected(points, cells)].T.ravel()
     unknowns = unknowns[unknowns != CONSTANT]
     _, first = np.unique(unknowns, return_index=True)  # tied nodes have one unknown
     return np.asarray(unknowns[np.sort(first)], dtype=np.int64)
 
 
-def dissected(points: Array, edges: NDArray[np.integer]) -> Index:
+def dissected(points: Array, cells: NDArray[np.integer]) -> Index:
     """The nodes, separators after the halves that they separate."""
     n = points.shape[1]
-    ends = np.hstack([edges, edges[::-1]])
+    ends = np.hstack([cells[list(pair)] for pair in permutations(range(len(cells)), 2)])
     adjacent = sp.csr_array((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=(n, n))
     beyond = np.zeros(n)
     parts: list[Index] = []  # from the last one to be eliminated to the first

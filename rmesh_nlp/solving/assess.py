@@ -261,7 +261,13 @@ def _quantities(ends: _Ends) -> ContactQuantities | None:
 
 
 def _nodal_stress(ends: _Ends, force: Array) -> Array:
-    """(nodes,) contact forces over the weights omega_i of their nodes, in N/m^2; zero off the contact set."""
+    """(nodes,) contact forces over the weights omega_i of their nodes, in N/m^2; zero off the contact set.
+
+    At order 2 these are the values at the nodes' points of a pressure that is quadratic on each edge. Its
+    coefficients by ``M p = lambda``, M the mass matrix of the nodes that press, oscillate: forces at vertices
+    and at edges err by turns, which the solution multiplies. Errors in the mean square of division and
+    solution: Example 6.1 with n = 16 3.7 % and 11 %, Hertz with 16 edges over the half-width 1.2 % and 1.8 %.
+    """
     model, space = ends.outer.contact, ends.outer.discretisation.space
     stress = np.zeros(space.n_nodes)
     if force.size:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.contact_terms import nodal_weights
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.solution import Solution
 
@@ -46,7 +46,8 @@ class PathStep:
         """Energies, and force, pressure and contact of the moving foundation, as plain values."""
         solution = self.solution
         force = contact_force(solution, self.obstacle)
-        pressure = solution.pressure[solution.problem.contact_sets[self.obstacle].nodes]
+        space = DisplacementSpace.of(solution.problem)
+        pressure = solution.pressure[space.contact_sets[self.obstacle].nodes]
         return {
             "step": self.number,
             "moved_x": self.moved[0],
@@ -125,11 +126,11 @@ def load_path(
 
 def contact_force(solution: Solution, obstacle: int = 0) -> Array:
     """Resultant (2,) of the pressure of one foundation on the body, friction left out."""
-    problem, nodes = solution.problem, np.asarray(solution.mesh.p)
-    part = problem.contact_sets[obstacle]
-    force = solution.pressure[part.nodes] * nodal_weights(problem, nodes)[part.rows]
+    space, nodes = DisplacementSpace.of(solution.problem), np.asarray(solution.mesh.p)
+    part, points = space.contact_sets[obstacle], space.points(nodes)
+    force = solution.pressure[part.nodes] * space.weights(nodes)[part.rows]
     total = np.zeros(2)
-    total[: problem.components] = part.obstacle.normals(nodes[:, part.nodes]) @ force
+    total[: solution.problem.components] = part.obstacle.normals(points[:, part.nodes]) @ force
     return total
 
 

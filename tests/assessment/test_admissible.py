@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
@@ -15,6 +16,7 @@ from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
@@ -29,6 +31,7 @@ from rmesh_nlp.problem import (
     Traction,
 )
 from rmesh_nlp.problem.contact_problem import refined
+from support.rings import conducting_ring, ring_on_a_shaft
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)
 BUMP = Obstacle.interior(lambda x, y: -0.05 + 0.08 * ca.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2) / 0.0009))
@@ -62,18 +65,20 @@ def test_on_flat_foundations_it_is_the_energy_by_an_accurate_rule(name: str, n: 
         assert found.energy > problem.exact.energy
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("frequency", [3, 8, 16])
-def test_friction_is_the_integral_of_the_bound_times_the_slip(frequency: int) -> None:
+def test_friction_is_the_integral_of_the_bound_times_the_slip(frequency: int, order: int) -> None:
     def bound(x: object, y: object) -> object:
         return 8 * (1 + 0.95 * np.sin(frequency * np.pi * x + 0.3))
 
-    found = admissible(block(Obstacle.graph("bottom", 0.0, friction=bound)))
+    found = admissible(replace(block(Obstacle.graph("bottom", 0.0, friction=bound)), order=order))
     edges = found.problem.mesh.facets[:, found.problem.mesh.boundaries["bottom"]]
     s = (np.arange(4000) + 0.5) / 4000
+    shares = functions(order, np.stack([1 - s, s]))
     total = 0.0
-    for a, b in edges.T:
+    for (a, b), nodes in zip(edges.T, found.parts.space.nodes_of(edges).T, strict=True):
         x = found.body.nodes[0, a] * (1 - s) + found.body.nodes[0, b] * s
-        slip = found.displacement[0, a] * (1 - s) + found.displacement[0, b] * s
+        slip = found.displacement[0, nodes] @ shares
         total += abs(x[-1] - x[0]) * 4000 / 3999 * np.mean(bound(x, 0) * np.abs(slip))  # type: ignore[operator]
     assert found.friction == pytest.approx(total, rel=1e-6)
     # the bound of slip at nodes makes it no smaller than that
@@ -106,6 +111,7 @@ def test_ripples_of_a_foundation_keep_nodes_off_by_their_height() -> None:
 ABOVE = Obstacle("top", (0.0, -1.0), lambda x, y: 0.01 + 0.004 * np.sin(16 * np.pi * x))
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(
     ("obstacles", "load"),
     [
@@ -114,9 +120,11 @@ ABOVE = Obstacle("top", (0.0, -1.0), lambda x, y: 0.01 + 0.004 * np.sin(16 * np.
     ],
     ids=["friction", "two foundations"],
 )
-def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bound(obstacles, load) -> None:
+def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bound(
+    obstacles, load, order: int
+) -> None:
     """Normals are the same everywhere on each, so what points press is shared among nodes exactly."""
-    here = Continuous(replace(block(obstacles), tractions=(load,)))
+    here = Continuous(replace(block(obstacles), tractions=(load,), order=order))
     system = here.system(here.first_standoff())
     found = tightened(system, solve(system), here.cells, here.field)
     assert found is not None
@@ -134,27 +142,31 @@ def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bou
     np.testing.assert_allclose(system.stiffness @ found.u - system.load, forces, atol=1e-7)
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(
     "obstacle", [WAVES, PEAK, Obstacle.circle("bottom", (1.0, -0.52), 0.5)], ids=["waves", "peak", "disc"]
 )
-def test_nothing_passes_between_the_nodes(obstacle: Obstacle) -> None:
-    problem = block(obstacle)
+def test_nothing_passes_between_the_nodes(obstacle: Obstacle, order: int) -> None:
+    problem = replace(block(obstacle), order=order)
     found = admissible(problem)
     assert found.status is Status.CONVERGED
     assert np.sum(found.state.active.touching) >= 1
     assert deepest(found) < 1e-10
     model = ContactSolver(problem)
     at_nodes = model.displacement.values(model.solve(problem.mesh.p).u)
-    assert deepest(replace(found, displacement=at_nodes)) > 1e-3
+    assert deepest(replace(found, displacement=at_nodes)) > 1e-4
     # and no farther off than need be: somewhere the gap closes
     lower = replace(found, displacement=found.displacement - np.array([[0.0], [1e-4]]))
     assert deepest(lower) > 1e-5
-    finer = refined(refined(refined(problem)))
-    assert found.energy > admissible(finer).energy
+    for _ in range(4 - order):
+        problem = refined(problem)
+    assert found.energy > admissible(problem).energy
 
 
-def test_a_bump_narrower_than_the_triangles_is_seen_inside_them() -> None:
-    problem = ContactProblem(rectangle(7, 7), Laplace(-1.0), SIDES, BUMP)  # no node at the top of the bump
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_bump_narrower_than_the_triangles_is_seen_inside_them(order: int) -> None:
+    mesh = rectangle(7, 7, x=(0, 1.1))  # no node at the top of the bump, at no middle of an edge either
+    problem = ContactProblem(mesh, Laplace(-1.0), SIDES, BUMP, order=order)
     found = admissible(problem)
     assert deepest(found) < 1e-10
     assert ContactSolver(problem).solve(problem.mesh.p).energy < found.energy - 1e-3
@@ -170,12 +182,17 @@ def test_triangles_that_are_held_as_a_whole_are_cut_where_the_foundation_rises()
     assert found.energy > 0
     above = replace(problem, dirichlet=tuple(Dirichlet(side, 0.2) for side in SIDES))
     assert admissible(above).problem is above
+    quadratic = replace(problem, order=2)  # its edge inside the square has a free node
+    found = admissible(quadratic)
+    assert found.problem is quadratic
+    assert deepest(found) == 0
 
 
-def test_beside_a_held_node_the_free_one_keeps_off_as_far_as_needed() -> None:
+@pytest.mark.parametrize("order", [1, 2])
+def test_beside_a_held_node_the_free_one_keeps_off_as_far_as_needed(order: int) -> None:
     # the foundation rises from the held corner: half-way up the first edge it needs twice the height
     rise = Obstacle.graph("bottom", lambda x, y: 0.02 * np.sin(2 * np.pi * x) ** 2)
-    found = admissible(block(rise, 2))
+    found = admissible(replace(block(rise, 2), order=order))
     assert deepest(found) < 1e-10
 
 
@@ -189,13 +206,30 @@ def falling(problem: ContactProblem, times: int) -> list[float]:
     return energies
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_refined_meshes_lower_it_and_never_below_the_limit(seed: int) -> None:
-    falls = -np.diff(falling(replace(random_problem(seed), quadrature="auto"), 3))
+@pytest.mark.parametrize(("seed", "order"), [(0, 1), (1, 1), (1, 2)])
+def test_refined_meshes_lower_it_and_never_below_the_limit(seed: int, order: int) -> None:
+    falls = -np.diff(falling(replace(random_problem(seed), quadrature="auto", order=order), 3))
     assert np.all(falls[1:] < 0.75 * falls[:-1])
 
 
-def test_a_body_on_a_curve_touches_with_its_true_shape() -> None:
+@pytest.mark.parametrize("make", [conducting_ring, ring_on_a_shaft])
+def test_errors_of_order_2_fall_by_the_fourth_power_of_the_width_beside_curves_too(make: Callable) -> None:
+    """And by the second of order 1, always from above; on the shaft normals turn along edges."""
+    for order, least in ((1, 1.8), (2, 3.4)):
+        errors = []
+        for n in (2, 4):
+            problem, exact, *_ = make(n, order)
+            found = admissible(problem)
+            assert found.status is Status.CONVERGED
+            assert deepest(found) == 0
+            errors.append((found.energy - exact) / exact)
+        assert errors[1] > 0
+        assert np.log2(errors[0] / errors[1]) > least
+    assert errors[1] < 3e-4
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_body_on_a_curve_touches_with_its_true_shape(order: int) -> None:
     """Half a disc of radius 1 that hangs 0.01 over a line by its given top."""
     n = 8
     angle = np.linspace(-np.pi, 0, n + 1)
@@ -208,18 +242,27 @@ def test_a_body_on_a_curve_touches_with_its_true_shape() -> None:
         (Dirichlet("top", (0.0, -0.02)),),
         Obstacle.graph("arc", -0.01),
         Motion(None, curves={"arc": Circle((0.0, 1.0), 1.0)}),
+        order=order,
     )
     found = admissible(problem)
     assert deepest(found) < 1e-10
-    assert found.standoff.max() > 0.98 * (1 - np.cos(np.pi / 16))  # the sagitta of the edge below
+    sagitta = 1 - np.cos(np.pi / 16)  # of the edge below, whose middle is a node of order 2
+    keeps_off = Continuous(problem).first_standoff().max()
+    assert 0.97 * sagitta < keeps_off < sagitta if order == 1 else 0 < keeps_off < 0.03 * sagitta
     assert falling(problem, 3)[0] == found.energy
 
 
-@pytest.mark.parametrize(("height", "status"), [(-0.3, Status.CONVERGED), (-0.4, Status.INACCURATE)])
-def test_where_normals_turn_along_an_edge_nothing_passes_or_it_is_said(height: float, status: Status) -> None:
+@pytest.mark.parametrize(
+    ("height", "status", "order"),
+    [(-0.3, Status.CONVERGED, 1), (-0.4, Status.INACCURATE, 1), (-0.3, Status.CONVERGED, 2)],
+)
+def test_where_normals_turn_along_an_edge_nothing_passes_or_it_is_said(
+    height: float, status: Status, order: int
+) -> None:
     """A disc smaller than an edge, over which the body is dragged: stand-offs must be raised."""
     disc = Obstacle.circle("bottom", (1.1, height), 0.3)
-    problem = ContactProblem(rectangle(2, 1, x=(0, 2)), LAW, (Dirichlet("top", (-0.3, -0.05)),), disc)
+    given = (Dirichlet("top", (-0.3, -0.05)),)
+    problem = ContactProblem(rectangle(2, 1, x=(0, 2)), LAW, given, disc, order=order)
     found = admissible(problem)
     assert found.status is status
     assert (deepest(found) < 1e-9) is (status is Status.CONVERGED)

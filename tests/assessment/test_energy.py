@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from rmesh_nlp.assessment.energy import friction_energy, load_vector, stiffness
 from rmesh_nlp.assessment.integrals import over_edges, over_triangles
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
@@ -70,9 +72,10 @@ def test_rules_are_refined_until_a_narrow_bump_is_integrated() -> None:
     assert doubt.sum() < 1e-8
 
 
-def test_stiffness_and_loads_are_those_of_the_formulations() -> None:
+@pytest.mark.parametrize("order", [1, 2])
+def test_stiffness_and_loads_are_those_of_the_formulations(order: int) -> None:
     load = (lambda x, y: x * y, lambda x, y: np.sin(x))
-    problem = plate({"hole": HOLE}, load=load).with_rule(20)
+    problem = replace(plate({"hole": HOLE}, load=load), order=order).with_rule(20)
     body, model = Body(problem, problem.mesh.p), ContactSolver(problem)
     system = model.system(problem.mesh.p)
     free = np.flatnonzero(model.displacement.index.T.ravel() >= 0)
@@ -81,6 +84,19 @@ def test_stiffness_and_loads_are_those_of_the_formulations() -> None:
     assert abs(K - system.stiffness).max() < 1e-4 * abs(K).max()
     np.testing.assert_allclose(F[free], system.load, atol=1e-6 * np.max(np.abs(F)))
     assert np.max(doubt) < 1e-6 * np.max(np.abs(F))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_work_of_polynomial_loads_is_exact(order: int) -> None:
+    """Of sources of degrees 0 to 3 on u = x^order over the unit square."""
+    for degree in range(4):
+        source = Laplace(lambda x, y, k=degree: x**k + 0 * y)
+        problem = ContactProblem(rectangle(1, 1), source, ("left",), order=order)
+        space = DisplacementSpace.of(problem)
+        load, doubt = load_vector(Body(problem, problem.mesh.p), space)
+        u = space.coefficients(space.points(problem.mesh.p)[:1] ** order)
+        assert load @ u[0] == pytest.approx(1 / (degree + order + 1), rel=1e-13)
+        assert not np.any(doubt)
 
 
 @pytest.mark.parametrize("points", [2, 4])
@@ -139,9 +155,34 @@ def test_strain_energies_by_hand(chunk: int, monkeypatch: pytest.MonkeyPatch) ->
     np.testing.assert_allclose(K, matrix(body).toarray(), atol=1e-7 * np.max(K))
 
 
-def test_resultants_of_loads_are_those_of_the_true_domain() -> None:
+def test_strain_energy_of_a_quadratic_displacement_by_hand() -> None:
+    """u = (x y, x^2): exx = y, exy = 3 x / 2; du/dx = y, du/dy = x for the first component alone."""
+    mesh = rectangle(3, 2)
+    for law, components, energy in (
+        (PlaneStrain(3.0, 2.0), slice(0, 2), 3.0 / 6 + 2.0 * (1 / 3 + 2 * 9 / 4 / 3)),
+        (Laplace(1.0, 5.0), slice(0, 1), 5 / 3),
+    ):
+        problem = ContactProblem(mesh, law, ("left",), order=2)
+        space = DisplacementSpace.of(problem)
+        x, y = space.points(mesh.p)
+        u = space.coefficients(np.array([x * y, x * x])[components]).T.ravel()
+        K = stiffness(Body(problem, mesh.p), space)
+        assert u @ (K @ u) / 2 == pytest.approx(energy)
+
+
+def test_rules_beside_arcs_suffice_for_quadratic_displacements(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = replace(plate({"hole": HOLE}), order=2)
+    K = matrix(Body(problem, problem.mesh.p)).toarray()
+    assert abs(K - K.T).max() < 1e-12 * np.max(K)
+    monkeypatch.setattr(energies, "STIFFNESS_POINTS", 14)
+    np.testing.assert_allclose(K, matrix(Body(problem, problem.mesh.p)).toarray(), atol=1e-6 * np.max(K))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_resultants_of_loads_are_those_of_the_true_domain(order: int) -> None:
     problem = replace(
         plate({"hole": HOLE}, load=(2.0, -3.0)),
+        order=order,
         tractions=(Traction("right", (10.0, 0.0)), Traction("hole", (0.0, 4.0))),
         point_loads=(PointLoad(0, (0.5, 0.25)),),
     )
@@ -174,6 +215,51 @@ def test_friction_of_a_slip_by_hand(a: float, b: float) -> None:
     assert found == pytest.approx([wanted], rel=1e-12)
     assert doubt.shape == (1,)
     assert doubt[0] < 1e-12
+
+
+@pytest.mark.parametrize(
+    "zeros", [(0.5, 1.7), (0.3, 3.0), (-1.0, 3.0), (0.9, 0.9), (-0.5, 0.0), (2.0, 2.5), (1e-9, 1.0)]
+)
+@pytest.mark.parametrize("scale", [-0.2, 0.3])
+def test_friction_of_a_slip_that_is_a_parabola_by_hand(zeros: tuple[float, float], scale: float) -> None:
+    """The integral of (1 + x)^2 |scale (x - a) (x - b)| from 0 to 2: split at up to two places."""
+    problem = ContactProblem(
+        rectangle(1, 1, x=(0, 2)),
+        PlaneStrain(1.0, 1.0),
+        ("top",),
+        Obstacle.graph("bottom", 0.0, friction=lambda x, y: (1 + x) ** 2),
+        order=2,
+    )
+    body, space = Body(problem, problem.mesh.p), DisplacementSpace.of(problem)
+    edges, x = body.edges("bottom"), space.points(problem.mesh.p)[0]
+    slip = scale * (x - zeros[0]) * (x - zeros[1])
+    u = space.coefficients(np.stack([slip, np.full(x.size, 7.0)]))
+    anti = (np.polynomial.Polynomial([1, 2, 1]) * scale * np.polynomial.Polynomial.fromroots(zeros)).integ()
+    ends = [0.0, *np.clip(zeros, 0, 2), 2.0]
+    wanted = sum(abs(anti(high) - anti(low)) for low, high in itertools.pairwise(ends))
+    found, doubt = friction_energy(edges, problem.obstacles[0], u[:, space.nodes_of(edges.ends)])
+    assert found == pytest.approx([wanted], rel=1e-12)
+    assert doubt[0] < 1e-12
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_friction_along_a_round_foundation(order: int) -> None:
+    """The slip along it of a displacement that turns on the way, by a fine sum."""
+    disc = Obstacle.circle("bottom", (1.0, -1.0), 1.1, friction=lambda x, y: 1 + x)
+    problem = ContactProblem(rectangle(2, 1, x=(0, 2)), PlaneStrain(1.0, 1.0), ("top",), disc, order=order)
+    body, space = Body(problem, problem.mesh.p), DisplacementSpace.of(problem)
+    edges = body.edges("bottom")
+    u = np.random.default_rng(3).normal(size=(2, space.n_nodes))
+    found, doubt = friction_energy(edges, disc, u[:, space.nodes_of(edges.ends)])
+    s = (np.arange(20_000) + 0.5) / 20_000
+    shares = functions(order, np.stack([1 - s, s]))
+    for edge, (a, b) in enumerate(edges.ends.T):
+        x = body.nodes[:, [a]] * (1 - s) + body.nodes[:, [b]] * s
+        normals = disc.normals(x)
+        along = u[:, space.nodes_of(edges.ends)[:, edge]] @ shares
+        slip = normals[1] * along[0] - normals[0] * along[1]
+        assert found[edge] == pytest.approx(np.mean((1 + x[0]) * np.abs(slip)), rel=1e-6)
+    assert np.max(doubt) < 1e-6 * np.max(found)
 
 
 def test_a_constant_coefficient_has_its_value_everywhere() -> None:

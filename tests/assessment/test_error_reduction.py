@@ -207,3 +207,17 @@ def test_new_nodes_touch_where_both_ends_of_their_edge_do(discretised: Callable)
     found = module._refined_set(discretised(coarse).space, old, discretised(fine).space)
     np.testing.assert_array_equal(found.touching, wanted.touching)
     np.testing.assert_array_equal(found.sliding, wanted.sliding)
+
+
+@pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
+def test_contact_of_order_2_on_a_refined_mesh_begins_close_to_its_end(name: str) -> None:
+    """Nodes at old edges tell of new vertices, and ends of new edges of their nodes."""
+    coarse = admissible(replace(EXAMPLES[name](), order=2))
+    found = module.on_refined(coarse)
+    space = found.parts.space
+    begun = module._refined_set(coarse.parts.space, coarse.state.active, space)
+    assert begun.touching.any()
+    assert np.sum(begun.touching != found.state.active.touching) <= 5
+    assert np.sum(begun.sliding != found.state.active.sliding) <= 4
+    assert found.state.iterations <= 6
+    assert found.energy < coarse.energy

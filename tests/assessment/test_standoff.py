@@ -23,13 +23,14 @@ def cells_on(problem: ContactProblem) -> list[Cells]:
     return list(cells_of(Body(problem, problem.mesh.p), space, space.contact_sets[0]))
 
 
-def edge(height: Callable, held: tuple[str, ...] = ("top",), length: float = 2.0) -> Cells:
+def edge(height: Callable, held: tuple[str, ...] = ("top",), length: float = 2.0, order: int = 1) -> Cells:
     """One contact edge from x = 0 to its length over a foundation -1 + height(x / length)."""
     problem = ContactProblem(
         rectangle(1, 1, x=(0, length)),
         PlaneStrain(1.0, 1.0),
         tuple(Dirichlet(name, (0.0, 0.25)) for name in held),
         Obstacle.graph("bottom", lambda x, y: -1 + height(x / length)),
+        order=order,
     )
     (cells,) = cells_on(problem)
     return cells
@@ -60,6 +61,37 @@ def test_nodes_keep_off_by_the_height_of_the_foundation_over_its_chord(height: C
     assert cells.missing(on_chord)[0] < 1e-12
     on_chord[1] -= 0.05
     assert cells.missing(on_chord)[0] == pytest.approx(0.05, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("height", "off"),
+    [
+        (lambda s: 0.4 * s * (1 - s) + 0.1 * s, 0.0),
+        (lambda s: s * (1 - s) * (1 - 2 * s), 3**0.5 / 18),  # a cubic: over the parabola, which is zero
+        (lambda s: 0.05 * (1 - np.cos(2 * np.pi * s)), 0.0),  # below it everywhere
+    ],
+)
+def test_nodes_of_order_2_keep_off_by_the_height_over_the_parabola(height: Callable, off: float) -> None:
+    cells, fine = edge(height, order=2), np.linspace(0, 1, 20_001)
+    parabola = np.polynomial.Polynomial.fit([0, 0.5, 1], height(np.array([0, 0.5, 1])), 2)
+    exact = max(float(np.max(height(fine) - parabola(fine))), 0.0)
+    assert exact == pytest.approx(off, abs=1e-8)
+    found = max(cells.off(np.zeros(9))[0], 0.0)
+    assert exact - 1e-12 <= found <= exact + 2e-4
+    # with these coefficients of the gap the foundation is met at the crest, and nowhere passed
+    u = np.zeros((2, 9))
+    u[1, cells.nodes[:, 0]] = found - cells.at_nodes[:, 0]
+    assert -1e-12 <= np.min(cells.gaps(u)) <= 1e-4
+    assert cells.missing(u)[0] < 1e-12
+
+
+def test_between_points_a_parabola_is_lower_by_its_bend() -> None:
+    """Of a gap (s - r)^2 whose least value lies between two points nothing below zero is overlooked."""
+    cells, at = edge(lambda s: 0 * s, order=2), RIDGE
+    u = np.zeros((2, 9))
+    u[1, cells.nodes[:, 0]] = np.array([at**2, (1 - at) ** 2, -at * (1 - at)]) - 1.0
+    assert np.min(cells.gaps(u)) == pytest.approx(0.0, abs=1e-12)
+    assert np.min(cells.gaps(u) + cells.dips(u)) > 1e-5
 
 
 def test_beside_a_held_node_the_free_one_makes_up_for_it() -> None:

@@ -16,8 +16,9 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import LEAF, ContactSystem, Equilibrium, dissected, elimination_order
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.fields import CONSTANT
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, PlaneStrain
+from rmesh_nlp.problem import ContactProblem, Laplace, PlaneStrain
 from support.contact_geometry import block_on_a_circle, block_sliding_on_a_circle
 from support.problems import sloped_block
 
@@ -132,11 +133,15 @@ def test_another_quadrature_rule_changes_the_load_alone() -> None:
 
 def test_every_unknown_is_eliminated_once_and_a_separator_after_what_it_separates() -> None:
     mesh = rectangle(24, 10, x=(0, 4))
-    order = dissected(mesh.p, mesh.facets)
-    assert np.array_equal(np.sort(order), np.arange(mesh.p.shape[1]))
-    # without the first separator, which is last, nothing connects the two halves
-    separator = np.isclose(mesh.p[0], 2.0)
-    assert np.argsort(order)[separator].min() == mesh.p.shape[1] - separator.sum()
+    for degree in (1, 2):
+        space = DisplacementSpace.of(ContactProblem(mesh, Laplace(), ("left",), order=degree))
+        points = space.points(mesh.p)
+        order = dissected(points, space.elements)
+        assert np.array_equal(np.sort(order), np.arange(space.n_nodes))
+        # without the first separator, which is last, nothing connects the two halves
+        separator = np.isclose(points[0], 2.0)
+        assert np.argsort(order)[separator].min() == space.n_nodes - separator.sum()
+    np.testing.assert_array_equal(dissected(mesh.p, mesh.facets), dissected(mesh.p, mesh.t))
     n = 3 * LEAF  # points that no line separates
     assert dissected(np.zeros((2, n)), np.array([[0], [1]])).size == n
 
