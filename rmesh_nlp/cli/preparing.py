@@ -76,6 +76,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
         rows.append(("regularisation", "a barrier in the place of the least area: areas are only positive"))
     rows += [(f"nodes {kind.name.lower()}", str(np.sum(free.mobility == kind))) for kind in Mobility]
     rows += [("outer variables", str(free.n)), ("validity constraints", str(parts.validity.size))]
+    rows += [("unknowns of the displacement", str(parts.n_u))]
     with located(path):
         parts.check_unknowns()
         found = [warning.message for warning in setup_warnings(problem)]

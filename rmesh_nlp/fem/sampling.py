@@ -19,7 +19,7 @@ from rmesh_nlp.problem.body import Body
 
 Index = NDArray[np.int64]
 
-HALVED = 2_500  # cells up to which each is cut into 16 pieces
+MOST = 40_000  # pieces up to which they are halved, twice at most
 SMALL = {3: ((0, 1, 2),), 6: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))}
 """The straight triangles between the nodes of a cell, by how many it has."""
 
@@ -56,18 +56,20 @@ class Pieces:
 
 
 def pieces(cells: Index, n_nodes: int) -> Pieces:
-    """The pieces of cells: a triangle with three nodes is its own; one with six is cut into 16, or into 4."""
-    return _cut(cells, n_nodes, _is_halved(cells))
+    """The pieces of cells: a triangle with three nodes is its own; one with six is cut into 64, 16 or 4."""
+    return _cut(cells, n_nodes, _halvings(cells))
 
 
-def _is_halved(cells: Index) -> bool:
-    return len(cells) == 6 and cells.shape[1] <= HALVED
+def _halvings(cells: Index) -> int:
+    """How often pieces are halved."""
+    return 0 if len(cells) == 3 else sum(cells.shape[1] * each <= MOST for each in (16, 64))
 
 
-def _cut(cells: Index, n_nodes: int, halved: bool) -> Pieces:
+def _cut(cells: Index, n_nodes: int, halvings: int) -> Pieces:
     weights = eye_array(n_nodes, format="csr")
-    if halved:
-        cells, weights = _halved(cells, n_nodes)
+    for _ in range(halvings):
+        cells, finer = _halved(cells, weights.shape[0])
+        weights = finer @ weights
     small = np.stack([cells[list(one)] for one in SMALL[len(cells)]], axis=-1)
     return Pieces(small.reshape(3, -1), weights)
 
@@ -96,7 +98,7 @@ def _nodes() -> Array:
 def centres(cells: Index) -> Array:
     """(3, pieces) barycentric coordinates of the centres of the pieces of each cell."""
     n = len(cells)
-    one = _cut(np.arange(n)[:, None], n, _is_halved(cells))
+    one = _cut(np.arange(n)[:, None], n, _halvings(cells))
     return np.asarray(one(_nodes()[:, :n])[:, one.triangles].mean(axis=1))
 
 

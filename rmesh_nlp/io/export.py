@@ -30,6 +30,25 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+QUADRATIC = {
+    *(
+        "vtu",
+        "vtk",
+        "vtk42",
+        "vtk51",
+        "xdmf",
+        "gmsh",
+        "gmsh22",
+        "med",
+        "exodus",
+        "abaqus",
+        "nastran",
+        "permas",
+    )
+}
+"""Formats of meshio that have quadratic triangles."""
+
+
 def gaps(space: DisplacementSpace, nodes: Array, displacement: Array) -> Array:
     """Gap (nodes,) along the contact normal in units of length; NaN off the contact set.
 
@@ -106,10 +125,19 @@ def write_solution(
     file_format: str | None = None,
     certificate: Certificate | None = None,
 ) -> None:
-    """Write a solution with all its fields, in the format of the suffix; ``.vtu`` for ParaView."""
-    space = DisplacementSpace.of(solution.problem)
-    points, of_cells = points_of(space, np.asarray(solution.mesh.p)), cell_data(solution, certificate)
-    file_mesh(points, space.elements, point_data(solution), of_cells).write(path, file_format)
+    """Write a solution with all its fields, in the format of the suffix; ``.vtu`` for ParaView.
+
+    Formats without quadratic triangles get the vertices alone, with the values there.
+    """
+    space, cells = DisplacementSpace.of(solution.problem), solution.problem.triangles
+    points, of_nodes = points_of(space, np.asarray(solution.mesh.p)), point_data(solution)
+    kind = file_format or meshio.extension_to_filetypes.get(Path(path).suffix, [""])[0]
+    if space.order == 1 or kind in QUADRATIC:
+        cells = space.elements
+    else:
+        vertices = space.number[: space.n_vertices]
+        points, of_nodes = points[:, vertices], {name: values[vertices] for name, values in of_nodes.items()}
+    file_mesh(points, cells, of_nodes, cell_data(solution, certificate)).write(path, file_format)
 
 
 def write_mesh(mesh: MeshTri, path: str | Path) -> None:

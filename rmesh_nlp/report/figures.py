@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
+from matplotlib.colors import LogNorm, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, StrMethodFormatter
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.sampling import along, edges_of, pieces
@@ -42,6 +42,8 @@ from rmesh_nlp.solving import plotting
 from rmesh_nlp.solving.plotting import GRID_LINE, MAP, size_of
 
 LEVELS = 16  # contours of a solution
+VIEW, BOX = (28, -130), (4, 4, 2.4)  # elevation and azimuth of the eye before a surface, shape of its box
+NEARER = 0.1  # of the units of the box
 DECADES = 3  # powers of ten that the colours of an error map span
 FLOOR = 1e-8  # part of the best energy down to which distances are drawn: the solvers' tolerance
 MARKERS = 15  # about as many markers on a curve
@@ -161,24 +163,42 @@ def surface_figure(panels: Mapping[str, Fields]) -> Figure:
     for column, (title, field) in enumerate(panels.items(), 1):
         axis = figure.add_subplot(1, len(panels), column, projection="3d")
         parts = pieces(field.triangles, field.nodes.shape[1])
-        whole = parts.triangles.shape[1] == field.triangles.shape[1]
-        axis.plot_trisurf(
+        surface = axis.plot_trisurf(
             plotting.triangulation(field.nodes, parts),
             parts(field.displacement[0]),
-            **{"cmap": MAP, "vmin": low, "vmax": high, "edgecolor": GRID_LINE, "linewidth": 0.3 * whole},
-            **{"shade": False, "rasterized": plotting.is_fine(field.triangles)},
+            **{"cmap": MAP, "vmin": low, "vmax": high, "edgecolor": GRID_LINE, "linewidth": 0.3},
+            **{"shade": False, "rasterized": plotting.is_fine(parts.triangles)},
         )
-        if not whole:  # the edges of the mesh, not those of the pieces
-            surface = np.vstack([field.nodes, field.displacement])
-            lines = along(edges_of(field.triangles), surface)
-            axis.add_collection3d(
-                Line3DCollection(list(lines.transpose(1, 2, 0)), colors=GRID_LINE, linewidths=0.3)
-            )
+        if parts.triangles.shape[1] > field.triangles.shape[1]:
+            corners = parts(np.vstack([field.nodes, field.displacement]))[:, parts.triangles]
+            _draw_edges(axis, surface, corners.transpose(2, 1, 0), field)
         axis.set(xlabel="$x_1$", ylabel="$x_2$", zlim=(low, high))
         axis.set_title(f"u, {title}", y=0.98)
-        axis.view_init(elev=28, azim=-130)
-        axis.set_box_aspect((4, 4, 2.4), zoom=1.0)
+        axis.view_init(*VIEW)
+        axis.set_box_aspect(BOX, zoom=1.0)
     return figure
+
+
+def _draw_edges(axis: Any, surface: Any, corners: Array, field: Fields) -> None:
+    """The edges of the mesh on a surface, in the place of those of its pieces.
+
+    They are flat polygons among those of the surface, drawn from the farthest to the nearest. So they are
+    nearer to the eye by more than a piece is long.
+    """
+    lines = along(edges_of(field.triangles), np.vstack([field.nodes, field.displacement]))
+    high, round_ = np.deg2rad(VIEW)
+    eye = np.array([np.cos(high) * np.cos(round_), np.cos(high) * np.sin(round_), np.sin(high)])
+    lines += (NEARER * eye / BOX * np.ptp(corners, axis=(0, 1)))[:, None, None]
+    pairs = np.stack([lines[:, :, :-1], lines[:, :, 1:]]).reshape(2, 3, -1).transpose(2, 0, 1)
+    colours = surface.cmap(surface.norm(surface.get_array()))
+    faces = np.vstack([colours, np.zeros((len(pairs), 4))])
+    edges = np.vstack([colours, np.tile(to_rgba(GRID_LINE), (len(pairs), 1))])
+    surface.remove()
+    limits = axis.get_w_lims()
+    pen: dict[str, Any] = {"linewidths": 0.4, "rasterized": surface.get_rasterized()}
+    polygons = np.concatenate([corners, pairs[:, [0, 1, 1]]])
+    axis.add_collection3d(Poly3DCollection(polygons, facecolors=faces, edgecolors=edges, **pen))
+    axis.set(xlim=limits[:2], ylim=limits[2:4])
 
 
 def stress_figure(curves: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure:

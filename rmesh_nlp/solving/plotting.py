@@ -10,7 +10,7 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.sampling import Pieces, along, centres, edges_of, pieces, points_of
+from rmesh_nlp.fem.sampling import ALONG, Pieces, along, centres, edges_of, pieces, points_of
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.problem import ContactProblem, Place
@@ -159,9 +159,11 @@ def draw_along(
     """
     which, edges = where
     whole = edges[:, np.all(np.isin(edges, which), axis=0)]
-    at_nodes = values[whole]
-    between = np.clip(along(whole, values).T, at_nodes.min(axis=0), at_nodes.max(axis=0))[1:-1].T
-    x = np.concatenate([nodes[coordinate, which], along(whole, nodes[coordinate])[:, 1:-1].ravel()])
-    y = np.concatenate([values[which], between.ravel()])
+    parts, degree = ALONG[len(edges)], len(edges) - 1
+    inside = [k for k in range(parts + 1) if k * degree % parts]  # between the nodes
+    at_nodes, curve, places = values[whole], along(whole, values), along(whole, nodes[coordinate])
+    curve = np.clip(curve.T, at_nodes.min(axis=0), at_nodes.max(axis=0)).T
+    x = np.concatenate([nodes[coordinate, which], places[:, inside].ravel()])
+    y = np.concatenate([values[which], curve[:, inside].ravel()])
     order = np.argsort(x)
     axis.plot(x[order], y[order], **{"markevery": np.flatnonzero(order < which.size).tolist(), **pen})

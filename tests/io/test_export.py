@@ -11,20 +11,23 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.export import Series, cell_data, element_table, gaps, node_table, write_mesh, write_solution
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes import read_mesh
+from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain, Relative, Traction
 from rmesh_nlp.solving.parts import Step
+from support.curved import disc
 from support.formulations import fixed, joint, nested
 
 
-@pytest.fixture(scope="module")
-def problem():
+@pytest.fixture(scope="module", params=[1, 2])
+def problem(request):
     return ContactProblem(
         rectangle(6, 3, x=(0, 2), diagonal="falling"),
         PlaneStrain(100.0, 80.0),
@@ -33,6 +36,7 @@ def problem():
         Motion(Relative(0.3)),
         (Traction("top", (0.5, -4.0)),),
         name="small <&>",
+        order=request.param,
     )
 
 
@@ -55,17 +59,25 @@ def test_file_has_all_fields(solution, tmp_path):
     nodes, cells = file.point_data, {name: data[0] for name, data in file.cell_data.items()}
     assert {"tangential_stress", "friction_bound", "contact", "foundation", "mobility"} <= set(nodes)
     assert {"stress", "von_mises", "least_angle", "zone"} <= set(cells)
-    np.testing.assert_array_equal(nodes["box_multiplier"], solution.multipliers.limit)
+    space = DisplacementSpace.of(solution.problem)
+    assert (file.cells[0].type, len(file.points)) == (
+        {1: "triangle", 2: "triangle6"}[space.order],
+        space.n_nodes,
+    )
+    limit = np.pad(solution.multipliers.limit, (0, space.n_nodes - space.n_vertices))
+    np.testing.assert_array_equal(nodes["box_multiplier"], limit)
+    assert np.all(nodes["mobility"][: space.n_vertices] >= 0)
+    assert np.all(nodes["mobility"][space.n_vertices :] == -1)
     assert np.any(solution.multipliers.limit != 0)
     np.testing.assert_array_equal(cells["area_multiplier"], solution.multipliers.area)
     np.testing.assert_allclose(nodes["initial_position"] + nodes["motion"], file.points, atol=1e-15)
     touching = nodes["pressure"] > 0
     assert np.any(touching)
     np.testing.assert_allclose(nodes["gap"][touching], 0, atol=1e-15)
-    assert np.all(np.isnan(np.delete(nodes["gap"], solution.problem.contact_nodes)))
+    assert np.all(np.isnan(np.delete(nodes["gap"], space.contact_nodes)))
     np.testing.assert_array_equal(read_vtu(tmp_path / "s.vtu").displacement, solution.displacement)
     before, after = (
-        signed_areas(points[:, :2].T, file.cells[0].data.T)
+        signed_areas(points[:, :2].T, file.cells[0].data.T[:3])
         for points in (nodes["initial_position"], file.points)
     )
     np.testing.assert_allclose(cells["area_ratio"], after / before, rtol=1e-12)
@@ -78,7 +90,7 @@ def test_a_space_with_another_numbering_writes_the_same_fields_at_the_same_place
     series = series_of(problem, [np.full(MeshMap.of(problem).n, 0.01)])
     write_solution(solution, tmp_path / "one.vtu")
     series.write(tmp_path, "one", solution.pressure)
-    order = np.random.default_rng(3).permutation(problem.mesh.p.shape[1])
+    order = np.random.default_rng(3).permutation(DisplacementSpace.of(problem).n_nodes)
     monkeypatch.setattr(DisplacementSpace, "of", staticmethod(lambda made: DisplacementSpace(made, order)))
     fields = {name: getattr(solution, name) for name in ("displacement", "pressure", "tangential_stress")}
     back = np.argsort(order)
@@ -92,8 +104,43 @@ def test_a_space_with_another_numbering_writes_the_same_fields_at_the_same_place
         assert set(theirs.point_data) == set(found.point_data)
         for name, values in found.point_data.items():
             np.testing.assert_allclose(theirs.point_data[name][order], values, atol=1e-12, err_msg=name)
-    np.testing.assert_array_equal(node_table(permuted)[["x", "y"]].to_numpy()[order], solution.mesh.p.T)
+    vertices = order[: problem.mesh.p.shape[1]]
+    np.testing.assert_array_equal(node_table(permuted)[["x", "y"]].to_numpy()[vertices], solution.mesh.p.T)
     np.testing.assert_array_equal(element_table(permuted)["node_2"], order[problem.triangles[1]])
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_nodes_of_curved_bodies_are_on_the_curve_and_vtu_displacements_reproduce_polynomials(order, tmp_path):
+    """ParaView's interpolation of what is written is the displacement that was computed."""
+    problem = replace(disc({"arc": Circle((0.0, 1.0), 1.0)}), order=order)
+    solution = fixed.solve(problem)
+    write_solution(solution, tmp_path / "disc.vtu")
+    file, mesh = meshio.read(tmp_path / "disc.vtu"), solution.mesh
+    ends = mesh.facets[:, mesh.boundaries["arc"]]
+    nodes = DisplacementSpace.of(problem).nodes_of(ends)
+    np.testing.assert_allclose(np.linalg.norm(file.points[nodes, :2] - [0.0, 1.0], axis=-1), 1.0, rtol=1e-12)
+    assert len(nodes) == 1 + order
+    # values at the middles, not coefficients: the parabola through them has the computed energy's field
+    space = DisplacementSpace.of(problem)
+    found = space.coefficients(file.point_data["displacement"].T)
+    model = ContactSolver(problem)
+    expected = model.displacement.values(model.solve(np.asarray(mesh.p)).u)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    read = read_vtu(tmp_path / "disc.vtu")
+    assert read.n_vertices == mesh.p.shape[1]
+    rim = {frozenset(one) for one in space.nodes_of(mesh.facets[:, mesh.boundary_facets()]).T.tolist()}
+    assert {frozenset(one) for one in read.boundary.T.tolist()} == rim
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("s.vtk", "triangle6"), ("s.inp", "triangle6"), ("s.tec", "triangle"), ("s.vol.gz", "triangle")],
+)
+def test_formats_without_quadratic_triangles_get_the_vertices(problem, solution, tmp_path, name, kind):
+    write_solution(solution, tmp_path / name)
+    (block,) = meshio.read(tmp_path / name).cells
+    assert block.type == ("triangle" if problem.order == 1 else kind)
+    assert len(block.data) == problem.triangles.shape[1]
 
 
 def test_multipliers_of_angles_are_in_the_file(problem, tmp_path):
@@ -185,9 +232,10 @@ def test_frames_are_drawn_at_their_outer_variables(problem, tmp_path):
     series.write(tmp_path, "run")
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(series.names("run"))
     last, expected = meshio.read(tmp_path / "run-00002.vtu"), MeshMap.of(problem).positions.values(2 * q)
-    np.testing.assert_allclose(last.points[:, :2].T, expected)
-    motion = np.vstack([expected - problem.mesh.p, np.zeros(problem.mesh.p.shape[1])])
-    np.testing.assert_allclose(last.point_data["motion"].T, motion, atol=1e-15)
+    n = problem.mesh.p.shape[1]
+    np.testing.assert_allclose(last.points[:n, :2].T, expected)
+    motion = np.vstack([expected - problem.mesh.p, np.zeros(n)])
+    np.testing.assert_allclose(last.point_data["motion"][:n].T, motion, atol=1e-15)
 
 
 def played(series, folder):
@@ -202,9 +250,10 @@ def test_series_plays_the_iterates(problem, tmp_path, formulation):
     series = Series(problem, every=5)
     final = formulation.solve(problem, on_step=series)
     first, *between, last = played(series, tmp_path)
+    n = problem.mesh.p.shape[1]
     assert between
-    np.testing.assert_allclose(first.points[:, :2].T, problem.mesh.p, atol=0.02)
-    np.testing.assert_allclose(last.points[:, :2].T, final.mesh.p, atol=1e-6)
+    np.testing.assert_allclose(first.points[:n, :2].T, problem.mesh.p, atol=0.02)
+    np.testing.assert_allclose(last.points[:n, :2].T, final.mesh.p, atol=1e-6)
     np.testing.assert_allclose(last.point_data["displacement"][:, :2].T, final.displacement, atol=1e-6)
 
 
@@ -235,14 +284,16 @@ def test_frames_of_a_series_have_the_displacement_of_their_mesh(tmp_path, made):
         np.testing.assert_allclose(found.reshape(n, -1)[:, : made.components].T, expected, atol=1e-9)
 
 
-def test_gap_is_the_distance_along_the_normal_to_the_nearer_foundation():
+@pytest.mark.parametrize("order", [1, 2])
+def test_gap_is_the_distance_along_the_normal_to_the_nearer_foundation(order):
     """A body 0.1 above a floor and 0.3 beside a wall, which sinks by 0.03 and moves away by 0.5."""
     sides = (Obstacle("bottom", (0.0, 1.0), 0.1), Obstacle("left", (1.0, 0.0), 0.3))
-    problem = ContactProblem(rectangle(2, 2), PlaneStrain(1.0, 1.0), "right", sides)
-    x, y = problem.mesh.p
+    problem = ContactProblem(rectangle(2, 2), PlaneStrain(1.0, 1.0), "right", sides, order=order)
+    space = DisplacementSpace.of(problem)
+    x, y = points = space.points(problem.mesh.p)
     u = np.tile([[0.5], [-0.03]], x.size)
     expected = np.select([(y == 0) & (x < 1), (x == 0) & (y > 0)], [0.07, 0.8], np.nan)
-    np.testing.assert_allclose(gaps(DisplacementSpace.of(problem), problem.mesh.p, u), expected, rtol=1e-12)
+    np.testing.assert_allclose(gaps(space, points, u), expected, rtol=1e-12)
 
 
 def test_tables_have_a_column_for_each_component(problem):
@@ -251,7 +302,7 @@ def test_tables_have_a_column_for_each_component(problem):
     vectors = {f"{name}_{axis}" for name in ("displacement", "motion") for axis in "xy"}
     assert {"x", "y", "gap", "pressure", *vectors} <= set(nodes)
     assert not {"motion_z", "displacement", "motion"} & set(nodes)
-    np.testing.assert_array_equal(nodes[["x", "y"]].T, problem.mesh.p)
+    np.testing.assert_array_equal(nodes[["x", "y"]].to_numpy()[: problem.mesh.p.shape[1]], problem.mesh.p.T)
     np.testing.assert_array_equal(nodes["displacement_y"], solution.displacement[1])
     assert {"stress_xx", "stress_yy", "stress_xy", "stress_zz", "von_mises", "zone"} <= set(elements)
     np.testing.assert_array_equal(elements[["node_1", "node_2", "node_3"]].T, problem.triangles)

@@ -7,22 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.export import write_mesh, write_solution
 from rmesh_nlp.io.kept_problem import keep, names, read_kept
 from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem.contact_problem import refined
-from support.formulations import joint
+from rmesh_nlp.report.pictures import after
+from support.formulations import fixed, joint
 from support.problem_files import VALID
 
 SHAPE = VALID[VALID.index("[mesh]") : VALID.index("[boundaries]")]
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("mesh", [SHAPE, '[mesh]\nfile = "body.msh"\n\n'])
-def test_a_kept_solution_is_read_back_from_its_folder_alone(tmp_path, mesh):
+def test_a_kept_solution_is_read_back_from_its_folder_alone(tmp_path, mesh, order):
     path, folder = tmp_path / "my.toml", tmp_path / "out"
     write_mesh(rectangle(8, 3, x=(0, 4)), tmp_path / "body.msh")
-    path.write_text(VALID.replace(SHAPE, mesh))
+    path.write_text(f"order = {order}\n{VALID.replace(SHAPE, mesh)}")
     table = read_table(path)
     assert names(table) == ["problem.toml"] + ["given-mesh.msh"] * ("file" in mesh)
     keep(path, table, folder)
@@ -34,6 +37,7 @@ def test_a_kept_solution_is_read_back_from_its_folder_alone(tmp_path, mesh):
     kept = read_kept(folder, {"quadrature": 7})
     assert (kept.problem.name, kept.problem.quadrature, kept.is_remeshed) == ("block", 7, False)
     assert read_kept(folder, {}).problem.quadrature == 4
+    assert kept.problem.order == order
     np.testing.assert_array_equal(kept.problem.mesh.p, solution.problem.mesh.p)
     np.testing.assert_array_equal(kept.mesh.p, solution.mesh.p)
     for name in ("displacement", "pressure"):
@@ -55,12 +59,28 @@ def test_a_solution_on_another_mesh_than_the_kept_one_is_not_drawn_on_it(tmp_pat
     assert read_kept(tmp_path, {}) is None
 
 
-def test_a_solution_on_a_new_mesh_is_read_back_with_it(tmp_path):
+@pytest.mark.parametrize("order", [1, 2])
+def test_an_order_of_the_command_line_is_that_of_the_record(tmp_path, order):
+    path = tmp_path / "my.toml"
+    path.write_text(f"order = {3 - order}\n{VALID}")
+    solution = fixed.solve(load_problem(path, order))
+    keep(path, read_table(path), tmp_path / "out")
+    write_solution(solution, tmp_path / "out" / "solution.vtu")
+    kept = read_kept(tmp_path / "out", solution.record())
+    assert kept.problem.order == order
+    np.testing.assert_array_equal(kept.displacement, solution.displacement)
+    pictured = after(kept), after(solution)
+    np.testing.assert_array_equal(pictured[0].stress, pictured[1].stress)
+    assert read_kept(tmp_path / "out", {}) is None  # of another space
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_solution_on_a_new_mesh_is_read_back_with_it(tmp_path, order):
     path, folder = tmp_path / "my.toml", tmp_path / "out"
-    path.write_text(VALID.replace('["top", 0]', '["top"]'))
+    path.write_text(f"order = {order}\n" + VALID.replace('["top", 0]', '["top"]'))
     problem = load_problem(path)
     new = refined(problem)
-    solution = joint.solve(new)
+    solution = joint.solve(new, max_iterations=5)
     keep(path, read_table(path), folder)
     write_solution(solution, folder / "solution.vtu")
     assert read_kept(folder, {}) is None  # without the mesh
@@ -69,7 +89,8 @@ def test_a_solution_on_a_new_mesh_is_read_back_with_it(tmp_path):
     assert kept.is_remeshed
     np.testing.assert_allclose(kept.problem.mesh.p, new.mesh.p, atol=1e-14)
     np.testing.assert_array_equal(kept.mesh.p, solution.mesh.p)
-    np.testing.assert_array_equal(kept.problem.triangles, new.triangles)
+    elements = [DisplacementSpace.of(one).elements for one in (kept.problem, new)]
+    np.testing.assert_array_equal(*elements)
     for name, facets in new.mesh.boundaries.items():
         assert np.size(kept.problem.mesh.boundaries[name]) == np.size(facets)
     for name, elements in (new.mesh.subdomains or {}).items():

@@ -18,7 +18,7 @@ from rmesh_nlp.report.drawing import Body, Foundation, foundations, magnificatio
 from rmesh_nlp.report.figures import grid_figure
 from rmesh_nlp.report.pictures import pictures
 from rmesh_nlp.report.style import Page, new_figure
-from rmesh_nlp.solving.plotting import draw_elements, draw_mesh, draw_nodal, plot
+from rmesh_nlp.solving.plotting import draw_along, draw_elements, draw_mesh, draw_nodal, plot
 from rmesh_nlp.solving.solution import Solution
 from support.formulations import fixed
 
@@ -27,7 +27,7 @@ BELOW = 0.002
 
 
 @cache
-def pressed(rise: float) -> Solution:
+def pressed(rise: float, order: int = 1) -> Solution:
     """A block pressed onto a flat foundation; its bottom rises by ``rise`` to both sides."""
     mesh = rectangle(6, 2, x=(-1, 1))
     x, y = mesh.p
@@ -37,6 +37,7 @@ def pressed(rise: float) -> Solution:
         dirichlet=(Dirichlet("top", (0.0, -0.01)),),
         obstacle=Obstacle.line("bottom", (0.0, -BELOW), (0.0, 1.0)),
         motion=Motion(0.1),
+        order=order,
     )
     return fixed.solve(problem)
 
@@ -47,9 +48,10 @@ def drawings(solution: Solution) -> Sequence[Axes]:
     return [meshes.axes[1], grid_figure({"it": fields_of(solution)}).axes[1]]
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(("rise", "factor"), [(0.0, 10), (0.3, 1)])
-def test_flat_foundation_stays_flat_and_is_touched(rise: float, factor: int) -> None:
-    solution = pressed(rise)
+def test_flat_foundation_stays_flat_and_is_touched(rise: float, factor: int, order: int) -> None:
+    solution = pressed(rise, order)
     assert np.any(solution.pressure > 0)
     for axis in drawings(solution):
         assert axis.get_title() == (
@@ -120,11 +122,12 @@ def test_panels_fill_the_width_of_the_page(
     assert axes[0, 0].get_ylim() == (0.0, height)
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("what", ["displacement", "pressure"])
 def test_fields_are_drawn_at_the_nodes_of_the_displacement_space(
-    what: str, monkeypatch: pytest.MonkeyPatch
+    what: str, order: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    solution = pressed(0.3)
+    solution = pressed(0.3, order)
     problem, u, pressure = solution.problem, solution.displacement, solution.pressure
     turned = np.arange(u.shape[1])[::-1]
 
@@ -137,7 +140,8 @@ def test_fields_are_drawn_at_the_nodes_of_the_displacement_space(
     plain = picture(u, pressure)
     assert np.any(picture(u[:, turned], pressure[turned]) != plain)
     monkeypatch.setattr(DisplacementSpace, "of", staticmethod(lambda p: DisplacementSpace(p, turned)))
-    np.testing.assert_array_equal(picture(u[:, turned], pressure[turned]), plain)
+    drawn = picture(u[:, turned], pressure[turned])
+    np.testing.assert_allclose(drawn.astype(int), plain, atol=1)  # sums of values at nodes in another order
 
 
 @pytest.mark.parametrize("fine", [True, False])
@@ -157,3 +161,43 @@ def test_lines_of_fine_meshes_are_rasterised_and_fields_always(
     assert constant.get_rasterized()
     np.testing.assert_array_equal(smooth.get_array(), 2 * mesh.p[0])
     np.testing.assert_array_equal(constant.get_array(), np.arange(mesh.t.shape[1]))
+
+
+QUADRATIC = np.array([[0], [1], [2], [3], [4], [5]])
+"""One element with its nodes in order."""
+
+
+def test_edges_of_quadratic_elements_are_bent_and_their_fields_drawn_in_pieces() -> None:
+    nodes = np.array([[0.0, 1.0, 0.0, 0.5, 0.5, 0.0], [0.0, 0.0, 1.0, 0.1, 0.5, 0.5]])
+    axis = new_figure(2, 2).subplots()
+    draw_mesh(axis, nodes, QUADRATIC)
+    drawn = axis.lines[0].get_xydata()
+    below = drawn[(drawn[:, 0] > 0) & (drawn[:, 1] < 0.11)]
+    np.testing.assert_allclose(below[:, 1], 0.4 * below[:, 0] * (1 - below[:, 0]), atol=1e-12)
+    assert len(below) >= 7
+    painted = draw_nodal(axis, nodes, QUADRATIC, nodes[0] ** 2)
+    values = painted.get_array()
+    assert values.size > 30
+    assert (values.min(), values.max()) == (0.0, 1.0)
+    flat = draw_elements(axis, nodes, QUADRATIC, np.array([7.0]))
+    np.testing.assert_array_equal(flat.get_array(), 7.0)
+    assert flat.get_array().size > 30
+
+
+def test_a_curve_along_edges_stays_between_the_values_at_their_nodes() -> None:
+    nodes = np.array([[0.0, 2.0, 1.0, 4.0, 3.0, 5.0], [0.0] * 6])
+    edges = np.array([[0, 1], [1, 3], [2, 4]])
+    values = np.array([8.0, 0.0, 4.0, 0.0, 1.0, 9.0])
+    axis = new_figure(2, 2).subplots()
+    draw_along(axis, nodes, (np.array([3, 1, 0, 2, 4, 5]), edges), values, 0, marker="o")
+    (line,) = axis.lines
+    x, y = line.get_xydata().T
+    assert np.all(np.diff(x) > 0)
+    np.testing.assert_array_equal(x[line.get_markevery()], np.arange(6.0))  # marks at the nodes
+    np.testing.assert_allclose(y[x <= 2], 8 - 4 * x[x <= 2], atol=1e-12)  # a parabola through a line is one
+    inside = (x > 2) & (x < 4)
+    assert np.count_nonzero(inside) == 7  # six between the nodes, and the one in the middle
+    assert np.all((y[inside] > 0) & (y[inside] <= 1.0))
+    assert np.count_nonzero(x > 4) == 1  # no edge is known there
+    draw_along(axis, nodes, (np.array([0, 1, 2, 3, 4, 5]), edges), np.array([4.0, 0, 0, 0, 0, 0]), 0)
+    assert np.min(axis.lines[1].get_ydata()) == 0.0

@@ -32,6 +32,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> list[Result]:
     """Small solves of a scalar example and of one with friction."""
     folder = tmp_path_factory.mktemp("results")
     cases = plan_comparison(["6.1"], ["fixed", "nested", "joint", "mpcc"], n=4)
+    cases += plan_comparison(["6.1"], ["fixed", "joint"], n=3, order=2)
     cases += plan_comparison(["6.3"], ["fixed", "joint"], n=(4, 3))
     list(run(cases, Results(folder)))
     return read_results(folder)
@@ -59,6 +60,7 @@ def test_every_example_has_its_figures_without_a_solve(
     paths = write_figures(results, tmp_path)
     grids = ("nested-grid", "joint-grid", "mpcc-grid")
     stems = {f"6.1-4-{what}" for what in (*grids, "stress", "surface", "convergence")}
+    stems |= {f"6.1-3-order2-{what}" for what in ("joint-grid", "stress", "surface", "convergence")}
     stems |= {f"6.3-4x3-{what}" for what in ("joint-grid", "stress", "convergence")}
     assert {path.name for path in paths} == {f"{stem}.{kind}" for stem in stems for kind in ("png", "pdf")}
     for path in paths:
@@ -105,7 +107,7 @@ def test_grids_have_equal_axes_and_show_both_meshes(
 
 @pytest.mark.slow
 def test_convergence_is_drawn_over_contact_solves(results: list[Result], figures: dict[str, Figure]) -> None:
-    by_name = {r.record["formulation"]: r for r in results if r.record["example"] == "6.1"}
+    by_name = {r.record["formulation"]: r for r in results if r.record["n"] == "4"}
     for name in ("joint", "nested", "mpcc"):
         found, result = curve(by_name[name]), by_name[name]
         assert found is not None

@@ -26,7 +26,9 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("compared")
-    list(run(plan_comparison(["6.1"], ["fixed", "joint", "nested"], n=4, quadrature=6), Results(path)))
+    plan = plan_comparison(["6.1"], ["fixed", "joint", "nested"], n=4, quadrature=6)
+    plan += plan_comparison(["6.1"], ["joint"], n=3, order=2)
+    list(run(plan, Results(path)))
     write_report(path, read_results(path), "Which one?", "A <study>")
     return path
 
@@ -50,17 +52,22 @@ def test_meshes_on_the_page_are_those_of_the_solutions(folder: Path) -> None:
     match = re.search(r'id="meshes-json">(.*?)</script>', text, re.S)
     assert match is not None
     shown = json.loads(match[1])
-    assert [one["name"] for one in shown] == ["6.1, n = 4, joint", "6.1, n = 4, nested"]  # what moved
-    (joint,) = (result for result in read_results(folder) if result.record["formulation"] == "joint")
-    fields = read_vtu(joint.vtu)
-    assert shown[0]["t"] == fields.triangles.T.tolist()
-    drawn = np.array([shown[0][name] for name in ("x", "y", "x0", "y0")])
-    np.testing.assert_allclose(drawn, np.vstack([fields.nodes, fields.initial]), rtol=1e-4)
-    motion = np.linalg.norm(fields.nodes - fields.initial, axis=0)
-    values = {"u": fields.displacement[0], "contact stress": fields.pressure, "motion": motion}
-    assert set(shown[0]["fields"]) == set(values)
-    for name, expected in values.items():
-        np.testing.assert_allclose(shown[0]["fields"][name], expected, rtol=1e-4, atol=1e-9)
+    names = ["6.1, n = 4, joint", "6.1, n = 4, nested", "6.1, order 2, n = 3, joint"]
+    assert [one["name"] for one in shown] == names  # what moved
+    moved = [result for result in read_results(folder) if result.record["formulation"] != "fixed"]
+    for one, result, corners in zip(shown, moved, (3, 3, 6), strict=True):
+        fields = read_vtu(result.vtu)
+        assert one["t"] == fields.triangles.T.tolist()
+        assert len(one["t"][0]) == corners
+        drawn = np.array([one[name] for name in ("x", "y", "x0", "y0")])
+        np.testing.assert_allclose(drawn, np.vstack([fields.nodes, fields.initial]), rtol=1e-4, atol=1e-9)
+        motion = np.linalg.norm(fields.nodes - fields.initial, axis=0)
+        values = {"u": fields.displacement[0], "contact stress": fields.pressure, "motion": motion}
+        assert set(one["fields"]) == set(values)
+        for name, expected in values.items():
+            np.testing.assert_allclose(one["fields"][name], expected, rtol=1e-4, atol=1e-9)
+    assert ">order<" in text
+    assert ">unknowns<" in text
 
 
 def test_hostile_text_stays_text(tmp_path: Path) -> None:
@@ -95,6 +102,9 @@ const column = heads.findIndex((head) => head.textContent === "J relocated");
 heads[column].click();
 found.sorted = [...table.tBodies[0].rows].map((row) => parseFloat(row.cells[column].textContent));
 const canvas = document.querySelector("canvas"), slider = document.querySelector("#slider");
+const chosen = document.querySelector("#solve");
+const choose = (one) => { chosen.value = one; chosen.dispatchEvent(new Event("change")); };
+choose(2); found.quadratic = document.querySelector("#viewer").dataset.drawn; choose(0);
 const after = canvas.toDataURL();
 slider.value = 0; slider.dispatchEvent(new Event("input"));
 found.moved = canvas.toDataURL() !== after;
@@ -138,7 +148,8 @@ def test_page_works_in_a_browser(folder: Path, tmp_path: Path, window: str) -> N
     found = json.loads(unescape(match[1]))
     assert found["wrong"] == []
     assert found["sorted"] == sorted(found["sorted"])
-    assert len(found["sorted"]) == 3
+    assert len(found["sorted"]) == 4
+    assert found["quadratic"] == "2 1 u"
     assert found["moved"]
     assert found["shown"] == "0 %"
     assert found["hover"].startswith("node ")
