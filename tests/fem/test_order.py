@@ -88,9 +88,8 @@ def corner_error(n: int, grading: float) -> tuple[float, int]:
         value, gradient = mode(x, y)
         return ca.dot(gradient, normal) * (value - 2 * u[0])
 
-    work, solver = measured(
-        l_shape(n, 2, grading), rm.quantities.boundary_integral("outer", density, degree=20)
-    )
+    work = rm.quantities.boundary_integral("outer", density, degree=20)
+    value, solver = measured(l_shape(n, 2, grading), work)
     return value + 2 * solver.given.energy, solver.discretisation.space.n_nodes
 
 

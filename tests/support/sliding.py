@@ -30,21 +30,22 @@ SLIDE, PRESS = 0.2, -0.1
 """Sizes of the slip and of the (downward) strain."""
 
 
-def displacement(x: Any, y: Any) -> Any:
+def displacement(x: Any, y: Any, power: int = 2) -> Any:
     """The exact solution.
 
     On y = 0 it slips by ``SLIDE (x - TURN)_+^3``, against a shear stress that rises to the bound at TURN and
-    is at the bound from there on; the lower edge stays down, pressed on by the strain in y.
+    is at the bound from there on; the lower edge stays down, pressed on by the strain in y. The body force has
+    a jump at TURN, with the power 3 a kink.
     """
     past, before = ca.fmax(x - TURN, 0), ca.fmax(TURN - x, 0) / TURN
-    shear = BOUND * (1 - before * before)
+    shear = BOUND * (1 - before**power)
     return ca.vertcat(SLIDE * past * past * past + y * shear / MU, PRESS * y)
 
 
-def _functions() -> tuple[ca.Function, ca.Function, ca.Function]:
+def _functions(power: int) -> tuple[ca.Function, ca.Function, ca.Function]:
     """The body force that the solution needs, its stress, and the density of its energy without friction."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    u = displacement(x, y)
+    u = displacement(x, y, power)
     slope = ca.horzcat(ca.jacobian(u, x), ca.jacobian(u, y))
     strain = (slope + slope.T) / 2
     stress = LAMBDA * ca.trace(strain) * ca.SX.eye(2) + 2 * MU * strain
@@ -55,27 +56,27 @@ def _functions() -> tuple[ca.Function, ca.Function, ca.Function]:
     return one, two, three
 
 
-def exact_energy() -> float:
+def exact_energy(power: int = 2) -> float:
     """J(u) by Gauss rules on either side of TURN, where the solution is a polynomial."""
-    _, stress, density = _functions()
+    _, stress, density = _functions(power)
     points, weights = np.polynomial.legendre.leggauss(12)
     y, wy = (points + 1) / 2, weights / 2
     total = BOUND * SLIDE * (1 - TURN) ** 4 / 4
     for low, high in ((0.0, TURN), (TURN, 1.0)):
         for x, wx in zip(low + (high - low) * y, (high - low) * wy, strict=True):
             total += wx * sum(w * float(density(x, at)) for at, w in zip(y, wy, strict=True))
-            total -= wx * float(ca.dot(stress(x, 1.0)[:, 1], displacement(x, 1.0)))  # the top
+            total -= wx * float(ca.dot(stress(x, 1.0)[:, 1], displacement(x, 1.0, power)))  # the top
     for at, w in zip(y, wy, strict=True):  # the right
-        total -= w * float(ca.dot(stress(1.0, at)[:, 0], displacement(1.0, at)))
+        total -= w * float(ca.dot(stress(1.0, at)[:, 0], displacement(1.0, at, power)))
     return total
 
 
-def sliding_block(n: int) -> ContactProblem:
+def sliding_block(n: int, power: int = 2) -> ContactProblem:
     """The unit square on ``n`` x ``n`` squares, held on the left, loaded elsewhere.
 
     On the left the solution is linear, so that the discrete one can meet it.
     """
-    force, stress, _ = _functions()
+    force, stress, _ = _functions(power)
     return ContactProblem(
         mesh=rectangle(n, n),
         law=PlaneStrain(LAMBDA, MU, (partial(_entry, force, 0), partial(_entry, force, 1))),
@@ -87,7 +88,7 @@ def sliding_block(n: int) -> ContactProblem:
         obstacle=Obstacle("bottom", friction=BOUND),
         motion=Motion((0.02, 0.02)),
         quadrature=6,
-        exact=ExactSolution(displacement, exact_energy()),
+        exact=ExactSolution(partial(displacement, power=power), exact_energy(power)),
         name="sliding block",
     )
 
