@@ -1,8 +1,6 @@
 """The NLP in the outer variables: its Hessian as a dense matrix and as a sparse Schur complement."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -15,6 +13,7 @@ from rmesh_nlp.models import reduced_nlp as module
 from rmesh_nlp.models.reduced_nlp import STIFF, ReducedNLP, dense, lifted, reduced_nlp, with_hessian
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.solving.outer import Outer
+from support.reduced import of_order_2
 
 
 def bumpy(friction: float) -> ContactProblem:
@@ -24,10 +23,6 @@ def bumpy(friction: float) -> ContactProblem:
     return ContactProblem(rectangle(4, 3, x=(0, 2)), law, ("left",), foundation, Motion(None))
 
 
-def _quadratic(make: Callable[[], ContactProblem]) -> ContactProblem:
-    return replace(make(), order=2)
-
-
 ENERGIES = {
     "6.1, areas": lambda: EXAMPLES["6.1"](3, 0.9),
     "6.2, gaps that move": lambda: EXAMPLES["6.2"]((6, 3), (1.0, 0.5)),
@@ -35,7 +30,7 @@ ENERGIES = {
     "gaps along edges": lambda: bumpy(0.0),
     "gaps along edges, friction": lambda: bumpy(0.3),
 }
-ENERGIES |= {f"{name}, order 2": partial(_quadratic, make) for name, make in ENERGIES.items()}
+ENERGIES |= {f"{name}, order 2": of_order_2(make) for name, make in ENERGIES.items()}
 OBJECTIVES = {name: (make, "energy") for name, make in ENERGIES.items() if "edges" not in name}
 OBJECTIVES["6.1 and its error"] = (lambda: EXAMPLES["6.1"](4), "error-l2")
 OBJECTIVES["6.1 and its error, order 2"] = (lambda: replace(EXAMPLES["6.1"](3), order=2), "error-l2")

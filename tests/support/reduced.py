@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
@@ -12,10 +14,11 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised
-from rmesh_nlp.problem import ContactProblem, Obstacle
+from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PointLoad
 from support.contact_geometry import (
     block_along_a_circle,
     block_between_two_foundations,
+    block_in_a_corner,
     block_sliding_on_a_circle,
     punch_held_by_symmetry,
 )
@@ -37,6 +40,20 @@ def disc_on_its_arc() -> ContactProblem:
     return replace(disc({"arc": arc}, delta=0.02), obstacle=Obstacle.graph("arc", 0.0))
 
 
+def tied_membrane() -> ContactProblem:
+    """Two inner nodes that move alike, a force at one of them, and a wall that is met in part."""
+    problem = EXAMPLES["6.1"](4)
+    one, two = (int(np.argmin(np.abs(problem.mesh.p.T - at).sum(axis=1))) for at in ((0.25, 0.5), (0.5, 0.5)))
+    return replace(
+        problem,
+        motion=Motion(0.1, tied=((one, two),)),
+        point_loads=(PointLoad(two, (0.3,)),),
+        obstacle=Obstacle("contact", (1.0,), lambda x, y: 0.3 * y),
+        quadrature=8,
+        exact=None,
+    )
+
+
 OTHERS: dict[str, Callable[[], ContactProblem]] = {
     "gaps along edges": block_along_a_circle,
     "two foundations": block_between_two_foundations,
@@ -44,6 +61,8 @@ OTHERS: dict[str, Callable[[], ContactProblem]] = {
     "interior obstacle": lambda: random_problem(2, kind="membrane"),
     "two materials": lambda: random_problem(8),
     "contact on an arc": disc_on_its_arc,
+    "two obstacles at a node": block_in_a_corner,
+    "tied nodes, point load, given gap": tied_membrane,
 }
 """More kinds of contact."""
 

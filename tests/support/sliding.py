@@ -34,8 +34,8 @@ def displacement(x: Any, y: Any, power: int = 2) -> Any:
     """The exact solution.
 
     On y = 0 it slips by ``SLIDE (x - TURN)_+^3``, against a shear stress that rises to the bound at TURN and
-    is at the bound from there on; the lower edge stays down, pressed on by the strain in y. The body force has
-    a jump at TURN, with the power 3 a kink.
+    is at the bound from there on; the lower edge stays down, pressed on by the strain in y. At TURN the body
+    force has a jump, with the power 3 a kink.
     """
     past, before = ca.fmax(x - TURN, 0), ca.fmax(TURN - x, 0) / TURN
     shear = BOUND * (1 - before**power)
