@@ -46,7 +46,7 @@ def tied_membrane() -> ContactProblem:
     one, two = (int(np.argmin(np.abs(problem.mesh.p.T - at).sum(axis=1))) for at in ((0.25, 0.5), (0.5, 0.5)))
     return replace(
         problem,
-        motion=Motion(0.1, tied=((one, two),)),
+        motion=Motion(0.05, tied=((one, two),)),
         point_loads=(PointLoad(two, (0.3,)),),
         obstacle=Obstacle("contact", (1.0,), lambda x, y: 0.3 * y),
         quadrature=8,
