@@ -56,7 +56,7 @@ class Cascade(CascadeSettings, Formulation):
             return Maps(self)
         # a mesh that was made for the solution: coarser ones know less of it
         descent = Descent(iterations=self.brief_unnested)
-        return Schedule(descent, (self.regularisation,), self.distortion)
+        return Schedule(descent, (self.final(outer.problem.order),), self.distortion)
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Maps(Formulation):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         chosen, levels = self.settings, _Levels(outer, self.settings, monitor)
-        weight, distortion = chosen.regularisation, chosen.distortion
+        weight, distortion = chosen.final(outer.problem.order), chosen.distortion
         minimised = f"the energy with {distortion} weighted {weight:g} of its estimated error"
         figures = CascadeFigures("newton", weight, distortion, minimised)
         monitor.work += Work(ESTIMATE_SOLVES)
