@@ -1,6 +1,6 @@
-"""What can be attained before anything moves: relocation, a new mesh, refinement.
+"""What can be attained before anything moves: relocation, a new mesh, refinement, displacements of order 2.
 
-Two contact solves, on the given mesh and on its uniform refinement, give the error of the energy, and second
+Two contact solves, on the given mesh and on its uniform refinement, give the error of the energy, and
 derivatives from which the least error of a mesh of as many triangles follows
 (:mod:`rmesh_nlp.fem.interpolation_error`). That error is extrapolated to the limit of fine meshes from both.
 """
@@ -31,6 +31,9 @@ triangles b is the least error and e that of those equilateral in the best metri
 relocation comes near b where a solution varies in one direction. Fitted to six problems of
 ``scripts/benchmark_mesh.py`` and the random ones with seeds 90000 to 90019; ``--predict`` reports others."""
 
+SLOWEST, FASTEST = 1.7, 16.0
+"""Factors by which the error at order 2 falls with a refinement: at strong singularities, and smooth."""
+
 SOLVES = {"relocate": 80, "remesh": 80, "refine": 5}
 """What each takes, about, in contact solves of the given mesh."""
 
@@ -58,6 +61,9 @@ class Advice:
         "remesh", "relocate" or "refine", see :func:`recommended`.
     predicted_factor : float
         With as many nodes by what is recommended; by a uniform refinement where that is refining.
+    second_order_factor, second_order_remeshing_factor : float or None
+        Of a problem of order 1: by displacements of order 2 on the given mesh, and on a new mesh of as many
+        triangles that is relocated too.
     """
 
     error: float
@@ -68,6 +74,8 @@ class Advice:
     remeshing_factor: float
     recommended: str
     predicted_factor: float
+    second_order_factor: float | None = None
+    second_order_remeshing_factor: float | None = None
 
     def record(self) -> dict[str, Any]:
         """As plain values."""
@@ -75,7 +83,7 @@ class Advice:
 
     def rows(self) -> list[tuple[str, str]]:
         """As (label, value) for people."""
-        return [
+        rows = [
             ("error of the energy", figure(self.error)),
             ("best mesh of as many triangles", f"{self.attainable_factor:.2g} times less error"),
             ("rmesh solve --remesh", _cost(self.remeshing_factor, "remesh")),
@@ -87,6 +95,11 @@ class Advice:
             ("refined uniformly, four times as many", _cost(4**self.rate, "refine")),
             ("recommended with as many nodes", self.sentence),
         ]
+        if self.second_order_factor is not None:
+            rows.append(("order 2 on this mesh", f"{self.second_order_factor:.2g} times less"))
+            factor = f"roughly {self.second_order_remeshing_factor:.2g} times less"
+            rows.append(("rmesh solve --order 2 --remesh", factor))
+        return rows
 
     @property
     def sentence(self) -> str:
@@ -103,24 +116,57 @@ def _cost(factor: float, what: str) -> str:
 
 
 def advise(problem: ContactProblem) -> Advice:
-    """Say what relocation, a new mesh and refinement can attain, and recommend one.
+    """Say what relocation, a new mesh, refinement and order 2 can attain, and recommend one.
 
     Move limits are not regarded; over curved foundations gaps hold along edges, as in ``auto``.
     """
     motion = replace(problem.motion, delta=None)
     given = replace(with_edge_gaps(problem), motion=motion, quadrature="auto")
-    here, finer = Solved.of(given), Solved.of(refined(given))
-    fall = max(here.state.energy - finer.state.energy, 0.0)
-    if _has_curved_data(given):  # the energies of two meshes do not compare
-        error, fall = 4 * finer.error, 3 * finer.error
-    else:
-        error = fall + max(finer.error, fall / 3)
-    best, remeshed, refinement = _factors(here, finer, error)
-    moved = min(best, best_map(given, np.asarray(finer.problem.mesh.p), finer.regions))
-    rate = float(np.clip(np.log(error / (error - fall)) / np.log(4), 0.0, 1.0)) if error > fall else 1.0
-    chosen = recommended(remeshed, moved)
-    predicted = {"remesh": remeshed, "relocate": moved, "refine": 4**rate}[chosen]
-    return Advice(error, rate, best, moved, refinement, remeshed, chosen, predicted)
+    here = _Prospect.of(given)
+    fine = here.finer
+    moved = min(here.best, best_map(given, np.asarray(fine.problem.mesh.p), fine.regions))
+    chosen = recommended(here.remeshed, moved)
+    predicted = {"remesh": here.remeshed, "relocate": moved, "refine": 4**here.rate}[chosen]
+    found = Advice(here.error, here.rate, here.best, moved, here.refinement, here.remeshed, chosen, predicted)
+    if problem.order > 1:
+        return found
+    second = _Prospect.of(replace(given, order=2))
+    factor = here.error / second.error if second.error > 0 else 1.0
+    return replace(found, second_order_factor=factor, second_order_remeshing_factor=factor * second.remeshed)
+
+
+@dataclass(frozen=True)
+class _Prospect:
+    """Error of the energy of a mesh, and factors by which other meshes lower it.
+
+    ``rate``: the error falls like (number of nodes)^-rate; ``best`` is the factor of any mesh of as many
+    triangles, ``remeshed`` that of a metric start and relocation, ``refinement`` that of local refinement.
+    """
+
+    error: float
+    rate: float
+    best: float
+    remeshed: float
+    refinement: float
+    finer: Solved
+
+    @staticmethod
+    def of(given: ContactProblem) -> _Prospect:
+        """By contact solves on a mesh and on its uniform refinement."""
+        here, finer = Solved.of(given), Solved.of(refined(given))
+        fall, order = max(here.state.energy - finer.state.energy, 0.0), given.order
+        if order == 2:  # nearly always limited by singularities, whose rate the estimates show
+            times = np.clip(here.error / finer.error, SLOWEST, FASTEST) if finer.error > 0 else FASTEST
+            error = fall * float(times / (times - 1))
+        elif _has_curved_data(given):  # the energies of two meshes do not compare
+            error, fall = 4 * finer.error, 3 * finer.error
+        else:
+            error = fall + max(finer.error, fall / 3)
+        rate = float(order)
+        if error > fall:
+            rate = float(np.clip(np.log(error / (error - fall)) / np.log(4), 0.0, order))
+        best, remeshed, refinement = _factors(here, finer, error)
+        return _Prospect(error, rate, best, remeshed, refinement, finer)
 
 
 def _has_curved_data(problem: ContactProblem) -> bool:
@@ -136,13 +182,24 @@ def _factors(here: Solved, finer: Solved, error: float) -> tuple[float, float, f
     coarse, fine = (
         LeastErrors.of(np.asarray(one.problem.mesh.p), one.regions, triangles) for one in (here, finer)
     )
-    any_mesh, equilateral, isotropic = (
-        b + max(b - a, 0.0) / 3 for a, b in zip(vars(coarse).values(), vars(fine).values(), strict=True)
-    )
+    order, pairs = here.problem.order, zip(vars(coarse).values(), vars(fine).values(), strict=True)
+    any_mesh, equilateral, isotropic = (_limit(a, b, order) for a, b in pairs)
     made = SHARE * (1 + ROUGH / np.sqrt(triangles)) * equilateral ** (1 - BEST) * any_mesh**BEST
     least = any_mesh, max(made, any_mesh), isotropic
     one, two, three = (max(1.0, error / value) if value > 0 else 1.0 for value in least)
     return one, two, three
+
+
+def _limit(coarse: float, fine: float, order: int) -> float:
+    """The value on ever finer meshes from those on two.
+
+    At order 2 singularities are in every problem, whose third derivatives coarse meshes hardly show: the
+    logarithm grows with each refinement by two thirds of what it grew by before, about (Example 6.3, wedge,
+    L-shape).
+    """
+    if order == 1:
+        return fine + max(fine - coarse, 0.0) / 3
+    return fine * max(fine / coarse, 1.0) ** 2 if coarse > 0 else fine
 
 
 def recommended(remeshing: float, relocation: float) -> str:
