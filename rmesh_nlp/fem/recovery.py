@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.interpolation_error import errors
+from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem.laws import Law
 
@@ -79,7 +80,7 @@ def recovered(space: DisplacementSpace, nodes: Array, coefficients: Array) -> tu
 
     ``nodes`` (2, vertices) are positions, ``coefficients`` (components, nodes) the displacement.
     """
-    found, points, values = [], space.points(nodes), space.values(coefficients)
+    found, points, values = [], points_of(space, nodes), space.values(coefficients)
     for law, elements in space.problem.regions:
         used, flat = np.unique(space.problem.triangles[:, elements], return_inverse=True)
         at_nodes, own = np.unique(space.elements[:, elements], return_inverse=True)
