@@ -66,11 +66,14 @@ def with_edge_gaps(problem: ContactProblem) -> ContactProblem:
 def _rises(body: Body, obstacle: Obstacle) -> bool:
     edges = body.edges_of(obstacle)
     rows = np.arange(edges.size)
-    s = np.broadcast_to(np.arange(SAMPLES + 1) / SAMPLES, (rows.size, SAMPLES + 1))
-    distance = obstacle.distances(edges.at(rows, s)[0].reshape(2, -1)).reshape(s.shape)
-    height = distance[:, :1] * (1 - s) + distance[:, -1:] * s - distance
-    size = float(np.max(np.abs(distance), initial=0.0))
-    return bool(np.max(height, initial=0.0) > STRAIGHT * size)
+    s, order = np.arange(SAMPLES + 1) / SAMPLES, body.problem.order
+    where = edges.at(rows, np.broadcast_to(s, (rows.size, s.size)))[0]
+    distance = obstacle.distances(where.reshape(2, -1)).reshape(where.shape[1:])
+    at_nodes = distance[:, [0, SAMPLES, SAMPLES // 2][: size(order, 2)]]
+    shares = functions(order, np.stack([1 - s, s]))
+    height = at_nodes @ to_coefficients(order, 2).T @ shares - distance
+    largest = float(np.max(np.abs(distance), initial=0.0))
+    return bool(np.max(height, initial=0.0) > STRAIGHT * largest)
 
 
 def holds_along_edges(problem: ContactProblem, obstacle: Obstacle) -> bool:

@@ -47,9 +47,9 @@ CHEAP = 150.0
 """How many times the nodes of the coarsest mesh the finest one must have for more than one schedule. Below it
 the others would cost a tenth of the solve and more, for 1 % less error in the median."""
 
-LIGHTER = {1: 1.0, 2: 0.1}
-"""What the final weight is multiplied by at an order: at order 2 relocation leaves a far smaller part of the
-error of the given mesh (chosen on Example 6.1, the L-shape with r^(2/3), Example 6.3 and the wedge)."""
+FINAL = {1: 0.003, 2: 0.0003}
+"""Final weights by the order of displacements: at order 2 relocation leaves a far smaller part of the error
+(the second was chosen on Example 6.1, the L-shape with r^(2/3), Example 6.3 and the wedge)."""
 
 CONTINUED = 1e-2
 """A descent at a weight before the final one ends where the model predicts less than this part of the
@@ -65,8 +65,9 @@ class CascadeSettings(Settings):
 
     Attributes
     ----------
-    regularisation : float
-        Final weight of the distortion at order 1, relative to the estimated error of the energy.
+    regularisation : float, optional
+        Final weight of the distortion, relative to the estimated error of the energy; by default that of
+        :data:`FINAL`.
     distortion : str
         See :mod:`rmesh_nlp.fem.distortion`.
     schedules : tuple of tuples of float
@@ -89,7 +90,7 @@ class CascadeSettings(Settings):
         Contact solves of all meshes together after which ``auto`` does not go on to a stationary point.
     """
 
-    regularisation: Positive = 0.003
+    regularisation: Positive | None = None
     distortion: str = "shape-size"
     schedules: Schedules = ((1.0, 0.1, 0.01), (1.0, 0.1), (0.1,), (0.1, 0.01))
     coarsest: Count = 60
@@ -103,16 +104,16 @@ class CascadeSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        regularised(1.0, self.regularisation, self.distortion)
+        regularised(1.0, 1.0, self.distortion)
         kinds = (tuple, list)
         if not (isinstance(self.schedules, kinds) and all(isinstance(one, kinds) for one in self.schedules)):
             raise BadInputError(f"schedules must be lists of weights, got {self.schedules!r}")
         for schedule in self.schedules:
-            weights((*schedule, self.regularisation), "a schedule of the cascade")
+            weights((*schedule, self.final(1)), "a schedule of the cascade")
 
     def final(self, order: int) -> float:
         """The final weight at an order of displacements."""
-        return self.regularisation * LIGHTER[order]
+        return FINAL[order] if self.regularisation is None else self.regularisation
 
     def starts(self, coarsest: int, finest: int) -> Schedules:
         """The schedules that are tried on a coarsest mesh, by the nodes of both."""
