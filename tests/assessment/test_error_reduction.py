@@ -24,9 +24,9 @@ from rmesh_nlp.problem.contact_problem import refined
 from support.problems import renumbered
 
 
-def graded(seed: int) -> list[Admissible]:
+def graded(seed: int, order: int = 1) -> list[Admissible]:
     """Of a random problem on its mesh and drawn towards its left side, the larger energy first."""
-    problem = replace(random_problem(seed, kind="elastic"), quadrature="auto")
+    problem = replace(random_problem(seed, kind="elastic"), quadrature="auto", order=order)
     nodes = np.array(problem.mesh.p)
     nodes[0] = 2 * (nodes[0] / 2) ** 1.15
     return sorted([admissible(problem), admissible(problem, nodes)], key=lambda end: -end.energy)
@@ -48,11 +48,12 @@ def truth(problem: ContactProblem) -> float:
     return energies[-1] - two * (two / one) / (1 - two / one)
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("seed", [101, 103])  # the interval was chosen on seeds 0 to 39
 def test_the_interval_holds_from_one_refinement_and_from_two(
-    seed: int, monkeypatch: pytest.MonkeyPatch
+    seed: int, order: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before, after = graded(seed)
+    before, after = graded(seed, order)
     least = truth(replace(before.problem, mesh=relocated_mesh(before.problem.mesh, before.body.nodes)))
     errors = before.energy - least, after.energy - least
     for few, closeness in ((400, 2), (0, 3)):

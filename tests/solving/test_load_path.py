@@ -16,7 +16,7 @@ from support.formulations import fixed, joint
 LAW = PlaneStrain(1.15e4, 0.83e4)
 
 
-def block(obstacle: Obstacle) -> ContactProblem:
+def block(obstacle: Obstacle, order: int = 1) -> ContactProblem:
     """A block on a fixed table, its sides free, pressed by a foundation from above."""
     return ContactProblem(
         mesh=rectangle(6, 4),
@@ -24,11 +24,13 @@ def block(obstacle: Obstacle) -> ContactProblem:
         dirichlet=(Dirichlet("bottom", (None, 0.0)), Dirichlet("left", (0.0, None))),
         obstacle=obstacle,
         motion=Motion(Relative(0.3)),
+        order=order,
     )
 
 
-def test_a_flat_plate_compresses_in_proportion() -> None:
-    problem = block(Obstacle.line("top", (0, 1), (0, -1)))
+@pytest.mark.parametrize(("order", "touching"), [(1, 7), (2, 13)])
+def test_a_flat_plate_compresses_in_proportion(order: int, touching: int) -> None:
+    problem = block(Obstacle.line("top", (0, 1), (0, -1)), order)
     steps = list(load_path(problem, (0.0, -0.02), 4, joint.solve, relocate="never", hold=fixed.solve))
     lam, mu = LAW.lame_lambda, LAW.lame_mu
     modulus = 4 * mu * (lam + mu) / (lam + 2 * mu)
@@ -38,7 +40,8 @@ def test_a_flat_plate_compresses_in_proportion() -> None:
         np.testing.assert_allclose(
             contact_force(step.solution), [0, modulus * step.moved[1]], rtol=1e-9, atol=1e-7
         )
-    assert [step.row()["touching_nodes"] for step in steps] == [7] * 4
+        assert step.row()["largest_pressure"] == pytest.approx(-modulus * step.moved[1])
+    assert [step.row()["touching_nodes"] for step in steps] == [touching] * 4
 
 
 @pytest.mark.slow
