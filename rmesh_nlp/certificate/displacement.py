@@ -9,10 +9,10 @@ import numpy as np
 from rmesh_nlp.assessment.energy import friction_energy
 from rmesh_nlp.certificate.conditions import DEVIATION, SAMPLE_POINTS, Conditions
 from rmesh_nlp.certificate.integrals import Loads, values_at
-from rmesh_nlp.certificate.polynomials import degree_of
+from rmesh_nlp.certificate.polynomials import degree_of, elevation
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.bernstein import SIDES, functions, to_coefficients
+from rmesh_nlp.fem.bernstein import functions, to_coefficients
 from rmesh_nlp.problem import ContactProblem, Motion, Place
 from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient
@@ -130,9 +130,7 @@ def _bends(samples: Array) -> tuple[Array, Array]:
 
 def _nodes(points: Array) -> list[int]:
     """Which of the points are vertices and middles of edges."""
-    corners = np.eye(len(points))
-    nodes = [*corners, *((corners[a] + corners[b]) / 2 for a, b in SIDES[len(points)])]
-    return [int(np.argmin(np.sum((points.T - node) ** 2, axis=1))) for node in nodes]
+    return [int(np.argmin(np.sum((points.T - node) ** 2, axis=1))) for node in elevation(len(points))]
 
 
 _PLACES = [(i, j) for i in range(LATTICE + 1) for j in range(LATTICE + 1 - i)]
