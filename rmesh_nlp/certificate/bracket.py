@@ -7,15 +7,15 @@ With a field sigma in equilibrium with the simplified load (f_h, g_h), pressure 
     D(sigma) = -1/2 |C^-1 sigma|^2 + int R . u_D - int p offset,
     contact(v) = int p (n . v + offset) + int (s |v_t| + q v_t)   >= 0.
 
-The simplified loads are the best approximations by polynomials of the degree of tractions of the field, 1 or
-for scalar problems the order of the displacements. So on each element such a polynomial w can be taken off v in
+The simplified loads are the best approximations by polynomials of the degree of the field's tractions: 1, for
+scalar problems the order of the displacements. So on each element such a polynomial w can be taken off v in
 the load terms, which are then bounded by ``r_T |v - w|_T``. With that w whose strain is the mean of
 ``C^-1 sigma``, or at degree 2 the computed displacement if that is closer,
 
     min J >= D(sigma) - sum_T (eta_T r_T + r_T^2 / 2),
 
-eta_T the distance of sigma from the stress of w on the element, in the energy norm. If u is admissible, J(u) is
-the upper bound, and half the square of the error of u in the energy norm is at most the difference.
+eta_T the distance of sigma from the stress of w on the element, in the energy norm. If u is admissible, J(u)
+is the upper bound, and half the square of the error of u in the energy norm is at most the difference.
 
 The lower bound holds whatever mesh the field in equilibrium lives on. On few elements the field's own error
 adds a fifth to a half of the true gap for elastic problems, on the mesh refined once a third of that or less.

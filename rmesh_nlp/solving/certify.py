@@ -8,6 +8,7 @@ import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.certificate.bracket import Bracket, refined_bracket
+from rmesh_nlp.certificate.conditions import NotCertifiableError
 from rmesh_nlp.certificate.displacement import GIVEN
 from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.certificate.skeleton import same_domain
@@ -17,6 +18,11 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.parts import Certificate
 from rmesh_nlp.solving.solution import Assessment
+
+POLYGON = (
+    "a body with curves is certified as the polygon of its mesh, whose error is larger than that of "
+    "displacements of order 2: take order = 1"
+)
 
 
 def certify(solution: Assessment, *, refinements: int | None = None) -> Certificate:
@@ -43,6 +49,8 @@ def certify(solution: Assessment, *, refinements: int | None = None) -> Certific
     if not np.all(np.isfinite(solution.displacement)):
         raise ValueError(f"there is nothing to certify: the solution is {solution.status.value}")
     problem, nodes = solution.problem, np.asarray(solution.mesh.p)
+    if problem.order == 2 and problem.motion.curves:
+        raise NotCertifiableError(POLYGON)
     assessed = None if problem.motion.curves else solution.assessed
     first = problem if solution.assessed is None else solution.assessed[0].problem
     given, is_new = np.asarray(first.mesh.p), not np.array_equal(first.mesh.t, problem.mesh.t)

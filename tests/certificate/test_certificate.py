@@ -11,11 +11,12 @@ import pytest
 
 from rmesh_nlp.certificate import bracket as bracketing
 from rmesh_nlp.certificate.bracket import Bracket
-from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.meshes.curves import Circle
+from rmesh_nlp.meshes.shapes import plate_with_hole, rectangle
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Laplace
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.solving import certify as certifying
-from rmesh_nlp.solving.certify import certify
+from rmesh_nlp.solving.certify import certified, certify
 from rmesh_nlp.solving.solution import Solution
 from support.formulations import fixed
 
@@ -106,3 +107,18 @@ def test_a_field_out_of_equilibrium_proves_nothing(residual: float, monkeypatch:
     assert not found.guaranteed_lower
     assert "out of equilibrium" in found.why
     assert "estimated" in found.sentence
+
+
+def test_a_body_with_curves_has_no_certificate_at_order_2() -> None:
+    """Its displacement is of the body, and the bounds would be those of a polygon."""
+    problem = ContactProblem(
+        plate_with_hole(3.0),
+        Laplace(1.0),
+        ("left",),
+        motion=Motion(None, curves={"hole": Circle((5.0, 5.0), 2.5)}),
+    )
+    assert certify(fixed.solve(problem)).guaranteed_lower
+    found, remark = certified(fixed.solve(replace(problem, order=2)))
+    assert found is None
+    assert "polygon" in remark
+    assert "take order = 1" in remark
