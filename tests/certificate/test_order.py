@@ -108,6 +108,12 @@ def less_half_the_work(
     return -total / 2
 
 
+def graded(problem: ContactProblem, power: float) -> ContactProblem:
+    """The same on a mesh that crowds around the origin."""
+    x = problem.mesh.p
+    return replace(problem, mesh=replace(problem.mesh, doflocs=np.sign(x) * np.abs(x) ** power))
+
+
 EXACT = {
     smooth: -(np.pi**2) / 4,
     l_shape: less_half_the_work(2 / 3, np.imag, [1, 1 + 1j, -1 + 1j, -1 - 1j, -1j]),
@@ -139,6 +145,19 @@ def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(
         assert np.all(found.local >= 0)
         widths.append(found.upper - found.lower)
     assert np.log2(widths[0] / widths[1]) > rate - 0.3
+
+
+@pytest.mark.parametrize(("make", "power"), [(l_shape, 3.0), (signorini, 2.0)])
+def test_on_graded_meshes_singularities_cost_neither_the_rate_nor_the_effectivity(
+    make: Callable[[int, int], ContactProblem], power: float
+) -> None:
+    coarse, fine = (on(graded(make(n, 2), power)) for n in (4, 8))
+    for found in (coarse, fine):
+        assert found.guaranteed_lower
+        assert found.guaranteed_upper
+        assert found.lower < EXACT[make] < found.upper
+        assert found.upper - found.lower < 1.2 * (found.upper - EXACT[make])
+    assert np.log2((coarse.upper - coarse.lower) / (fine.upper - fine.lower)) > 3
 
 
 @pytest.mark.parametrize("make", EXACT)
