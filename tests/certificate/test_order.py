@@ -196,9 +196,13 @@ def frictional() -> ContactProblem:
     return ContactProblem(rectangle(6, 3, x=(0, 2)), law, ("left",), rough, tractions=pull, order=2)
 
 
+@pytest.mark.parametrize("warm", [1, equilibration.WARM])
 @pytest.mark.parametrize("make", [scalar, membrane, frictional])
-def test_the_lower_bound_of_order_2_does_not_depend_on_the_guess(make: Callable[[], ContactProblem]) -> None:
+def test_the_lower_bound_of_order_2_does_not_depend_on_the_guess(
+    make: Callable[[], ContactProblem], warm: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Contact and friction of the field are found exactly, from any contact that it begins with."""
+    monkeypatch.setattr(equilibration, "WARM", warm)
     problem = make()
     guess = guess_on(problem)
     assert np.any(guess.pressure > 0)
