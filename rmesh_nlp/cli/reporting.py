@@ -82,12 +82,14 @@ def report(folder: Path) -> None:
 
 def export(folder: Path, path: Path) -> None:
     """Write the rows of a folder as Parquet."""
-    records = [result.record for result in read_quietly(folder)]
+    table = frame([result.record for result in read_quietly(folder)])
+    if "quadrature" in table:  # a column of Parquet holds values of one kind
+        table["quadrature"] = table["quadrature"].map(str, na_action="ignore")
     try:
-        write_whole(path, lambda aside: frame(records).to_parquet(aside, index=False))
+        write_whole(path, lambda aside: table.to_parquet(aside, index=False))
     except ImportError:
         raise BadInputError("--parquet needs pyarrow: pip install 'rmesh-nlp[study]'") from None
-    print(f"wrote {path}: {len(records)} rows")
+    print(f"wrote {path}: {len(table)} rows")
 
 
 def reproduce(out: Path, quick: bool, quiet: bool) -> int:

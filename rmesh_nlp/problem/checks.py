@@ -36,7 +36,7 @@ LEAST_DEGREE_ON_EDGES = 4
 
 def check(problem: ProblemData) -> None:
     """Raise a ProblemError if a problem contradicts itself."""
-    if problem.order not in ORDERS:
+    if type(problem.order) is not int or problem.order not in ORDERS:
         raise ProblemError("order", f"the order of displacements must be 1 or 2, got {problem.order!r}")
     _check_mesh(problem)
     _check_names(problem)

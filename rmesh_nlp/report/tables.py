@@ -11,7 +11,15 @@ from rmesh_nlp.display import for_markdown, for_spreadsheet
 from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import TABLES, Results
-from rmesh_nlp.report.blocks import Block, blocks, contact_units, grouped, names_of_solves, objective_of
+from rmesh_nlp.report.blocks import (
+    Block,
+    blocks,
+    contact_units,
+    grouped,
+    names_of_solves,
+    objective_of,
+    order_of,
+)
 from rmesh_nlp.report.columns import (
     CERTIFICATES,
     COMMON,
@@ -142,6 +150,7 @@ def frame(records: Sequence[Record]) -> pd.DataFrame:
         paper = block.paper
         for record in block.records:
             row = {name: value for name, value in record.items() if not isinstance(value, (dict, list))}
+            row["order"] = order_of(record)
             row["delta"] = "x".join(map(str, record["delta"] or ()))
             row["time_contact_solves"] = contact_units(record)
             row["paper_energy_initial"] = paper and paper.energy_initial
