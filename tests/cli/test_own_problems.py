@@ -105,8 +105,10 @@ def test_check_refuses_what_solve_would_refuse(
 
 
 @pytest.mark.slow
-def test_figures_are_drawn_again_without_the_problem_file(rmesh, block: Path) -> None:
-    assert rmesh("solve block.toml --out one").code == 0
+@pytest.mark.parametrize("order", [1, 2])
+def test_figures_are_drawn_again_without_the_problem_file(rmesh, block: Path, order: int) -> None:
+    assert rmesh(f"solve block.toml --order {order} --out one").code == 0
+    assert record()["order"] == order
     drawn = sorted(path.name for path in Path("one/figures").iterdir())
     first = {name: image.imread(f"one/figures/{name}.png") for name in ("limits", "mesh")}
     shutil.rmtree("one/figures")

@@ -8,6 +8,7 @@ from typing import Any
 
 import meshio
 import numpy as np
+import pandas as pd
 import pytest
 
 from rmesh_nlp.cli.solving import does_not_apply
@@ -20,18 +21,20 @@ def record(folder: str = "one") -> dict[str, Any]:
     return dict(json.loads(Path(folder, "record.json").read_text()))
 
 
-def test_solve_writes_record_solution_and_history(rmesh) -> None:
-    said = rmesh("solve 6.1 --formulation joint --n 4 --delta 0.05 --quadrature 6 --out one --json")
+@pytest.mark.parametrize("order", [1, 2])
+def test_solve_writes_record_solution_and_history(rmesh, order: int) -> None:
+    typed = f"solve 6.1 --formulation joint --n 4 --delta 0.05 --quadrature 6 --order {order}"
+    said = rmesh(f"{typed} --out one --json")
     assert said.code == 0
     row = record()
     assert json.loads(said.out) == row
     assert set(REQUIRED) <= set(row)
-    assert (row["example"], row["formulation"], row["n"]) == ("6.1", "joint", "4")
+    assert (row["example"], row["formulation"], row["n"], row["order"]) == ("6.1", "joint", "4", order)
     assert row["delta"] == [0.05, 0.05]
     assert row["energy"] < row["energy_initial"]
     assert row["gain"] == pytest.approx(row["energy_initial"] - row["energy"])
     mesh = meshio.read("one/solution.vtu")
-    assert {block.type for block in mesh.cells} == {"triangle"}
+    assert {block.type for block in mesh.cells} == {{1: "triangle", 2: "triangle6"}[order]}
     assert {"displacement", "initial_position", "pressure"} <= set(mesh.point_data)
     assert mesh.point_data["displacement"].max() == pytest.approx(row["u_max"])
     moved = np.abs(mesh.points - mesh.point_data["initial_position"])
@@ -112,6 +115,19 @@ def test_an_objective_that_joint_refuses_is_a_dash_and_no_failure(rmesh) -> None
     assert rows[2]["message"] in table
     assert "| nested, error-l2 |" in table
     assert all(row["I1"] + row["I2"] > 0 for row in rows if row["success"])
+
+
+def test_rows_of_several_orders_and_rules_are_exported(rmesh) -> None:
+    pytest.importorskip("pyarrow")
+    typed = "compare 6.1 -q --no-figures --n 3 --formulations fixed --out all"
+    assert rmesh(typed).code == 0
+    assert rmesh(f"{typed} --order 2 --resume").code == 0
+    assert rmesh("export all --parquet rows.parquet").code == 0
+    rows = pd.read_parquet("rows.parquet")
+    assert rows["order"].tolist() == [1, 2]
+    assert rows["quadrature"].tolist() == ["midpoint", "8"]
+    assert rows["unknowns"].tolist() == [2 * 3, 6 + 6 + 9 + 9]
+    assert "| 6.1, order 1, fixed |" in Path("all/table.md").read_text()
 
 
 def test_refusing_the_only_objective_is_no_success(rmesh) -> None:

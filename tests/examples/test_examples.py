@@ -7,6 +7,7 @@ import pytest
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES, PAPER
 from rmesh_nlp.examples.paper import truncated
+from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.problem.coefficients import on_points
 
 
@@ -28,6 +29,28 @@ def test_initial_energies_are_those_of_the_paper(name: str, n: int, energy: floa
     if n in (8, (12, 6)):
         assert truncated(found) == truncated(PAPER[name].energy_initial)
         assert problem.motion.delta == pytest.approx(PAPER[name].delta)
+
+
+@pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
+def test_examples_of_order_2_have_lower_energies_by_a_better_rule(name: str) -> None:
+    one, two = EXAMPLES[name](4), EXAMPLES[name](4, order=2)
+    assert (one.order, two.order, one.quadrature, two.quadrature) == (1, 2, "midpoint", "auto")
+    assert one.motion == two.motion
+    accurate = replace(one, quadrature=8)
+    energies = [ContactSolver(problem).solve(problem.mesh.p).energy for problem in (accurate, two)]
+    assert energies[1] < energies[0]  # linear displacements are quadratic ones
+    if name == "6.1":
+        assert energies[1] > EXACT_ENERGY_61
+
+
+@pytest.mark.parametrize("kind", ["scalar", "membrane", "elastic", "rough"])
+def test_random_problems_of_order_2_are_those_of_order_1(kind: str) -> None:
+    one, two = (random_problem(3, kind=kind, order=order) for order in (1, 2))
+    np.testing.assert_array_equal(one.mesh.p, two.mesh.p)
+    accurate = replace(one, quadrature=8)
+    energies = [ContactSolver(problem).solve(problem.mesh.p).energy for problem in (accurate, two)]
+    assert (two.order, two.motion) == (2, one.motion)
+    assert energies[1] < energies[0]
 
 
 def test_figures_are_truncated_as_the_paper_does() -> None:

@@ -67,6 +67,9 @@ POLE = Laplace(lambda x, y: 1 / (x - 0.25))
     [
         (SCALAR, {"dirichlet": 3}, "dirichlet", "dirichlet must be names of boundaries or Dirichlet, got 3"),
         (SCALAR, {"dirichlet": {"left": 0}}, "dirichlet", r"got \{'left': 0\}"),
+        (SCALAR, {"order": 3}, "order", "the order of displacements must be 1 or 2, got 3"),
+        (SCALAR, {"order": True}, "order", "must be 1 or 2, got True"),
+        (SCALAR, {"order": 2.0}, "order", r"must be 1 or 2, got 2\.0"),
         (SCALAR, {"motion": None}, "motion", "motion must be Motion, got None"),
         (SCALAR, {"point_loads": 3}, "tractions", "point_loads must be PointLoad, got 3"),
         (SCALAR, {"dirichlet": "lft"}, "dirichlet", "named 'lft'; it has bottom, left, right, top"),

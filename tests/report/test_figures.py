@@ -17,6 +17,7 @@ from rmesh_nlp.problem.units import Units
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.figures import (
     block_figures,
+    bracket_figure,
     convergence_figure,
     error_figure,
     stress_figure,
@@ -25,6 +26,7 @@ from rmesh_nlp.report.figures import (
 from rmesh_nlp.report.histories import Curve, curve
 from rmesh_nlp.report.style import LOOKS, SETTINGS, TWO_COLUMNS, add_legend, new_figure
 from rmesh_nlp.study.comparison import plan_comparison, run
+from support.reporting import joint_61
 
 
 @pytest.fixture(scope="module")
@@ -231,3 +233,16 @@ def test_convergence_is_drawn_down_to_a_part_of_the_best() -> None:
 def test_stress_has_its_unit_unless_the_problem_is_scalar(components: int, label: str) -> None:
     (axis,) = stress_figure({"a": fields(0.0, components)}, Units("m", "N")).axes
     assert axis.get_ylabel() == label
+
+
+def test_brackets_of_orders_are_over_unknowns() -> None:
+    rows = [
+        joint_61(nodes=nodes, unknowns=n, order=order, energy_lower_bound=-2.0, energy_upper_bound=-1.0)
+        for order, nodes, n in ((1, 25, 12), (1, 81, 56), (2, 25, 56), (2, 9, 12))
+    ]
+    (axis,) = bracket_figure(rows).axes
+    assert axis.get_xlabel() == "unknowns"
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["joint", "joint, order 2"]
+    assert all(line.get_xdata().tolist() == [12, 56] for line in axis.lines)
+    (axis,) = bracket_figure(rows[:2]).axes
+    assert axis.get_xlabel() == "nodes"

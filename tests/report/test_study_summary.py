@@ -110,3 +110,13 @@ def test_gains_are_of_the_given_energy_and_of_the_best_gain() -> None:
     profiles = drawn(rows)
     assert profiles["quality"]["a"]([0.29, 0.3, 0.5]).tolist() == [0, 0.5, 1.0]
     assert profiles["data-90"]["a"](1e9) == 0.0
+
+
+def test_orders_are_families_and_instances_of_their_own() -> None:
+    rows = [
+        joint_61(variant="joint", family="f", order=order, energy_initial_audited=-1.0, energy_audited=end)
+        for order, end in ((1, -1.1), (2, -1.4))
+    ]
+    _, table = summary_rows(rows)
+    assert [row[0] for row in table] == ["f", "f, order 2"]
+    assert [row[6] for row in table] == ["100", "100"]  # each is the best of its order

@@ -178,6 +178,8 @@ def test_relocation_stands_beside_refinement() -> None:
     assert "one uniform refinement (400 nodes) gains 2 times as much as joint on 100 nodes, in 0.1" in note
     useless = {**moved, "energy_audited": -1.0}
     assert refinement_notes([given, useless, finer]) == ["6.2: no formulation gained on the given mesh."]
+    quadratic = {**given, "order": 2, "nodes": 400}  # another discretisation, no refinement
+    assert refinement_rows([given, quadratic]) == []
     for no_row in ({**moved, "success": False}, {**moved, "objective": "error-l2"}, {**moved, "nodes": None}):
         assert len(refinement_rows([given, finer, no_row])[0][1]) == 2
     assert "Relocation against uniform refinement" in markdown([given, moved, finer])
@@ -231,6 +233,7 @@ def test_csv_has_every_scalar_field_and_the_values_of_the_paper() -> None:
     assert first["delta"] == "0.15667x0.07333"
     assert float(first["time_contact_solves"]) == pytest.approx(20.0)
     assert (second["status"], second["energy"]) == ("failed", "")
+    assert first["order"] == "1"  # old rows do not name it
     assert set(REQUIRED) - {"versions"} <= set(first)
 
 

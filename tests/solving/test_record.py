@@ -17,12 +17,17 @@ from rmesh_nlp.solving.parts import Work
 from rmesh_nlp.solving.solution import Solution, _gain
 from rmesh_nlp.study.progress import summary as one_line
 from support.endings import Own
-from support.formulations import joint
+from support.formulations import fixed, joint
 
 
 @pytest.fixture(scope="module")
 def solution() -> Solution:
     return joint.solve(EXAMPLES["6.2"]((4, 2)))
+
+
+def test_record_counts_unknowns_at_edges() -> None:
+    record = fixed.solve(EXAMPLES["6.2"]((4, 2), order=2)).record()
+    assert (record["order"], record["nodes"], record["unknowns"]) == (2, 15, 2 * (4 * 3 + 12 + 8 + 8))
 
 
 def test_figures_are_those_of_the_solution(solution: Solution) -> None:
@@ -37,6 +42,7 @@ def test_figures_are_those_of_the_solution(solution: Solution) -> None:
     assert [record[f"{name}_time_s"] for name in ("build", "solve", "audit")] == [1.0, 20.0, 300.0]
     assert (record["u_min"], record["u_max"]) == (made.displacement.min(), made.displacement.max())
     assert (record["nodes"], record["triangles"]) == (made.mesh.p.shape[1], made.mesh.t.shape[1])
+    assert (record["order"], record["unknowns"]) == (1, 2 * 4 * 3)  # held on the left
     assert (record["energy_audited"], record["penetration"]) == (-2.25, 0.5)
     assert record["stationarity_residual"] is None
     assert (record["seed"], record["own"], type(record["own"])) == (5, 2.5, float)
