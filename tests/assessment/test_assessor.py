@@ -81,9 +81,10 @@ RENUMBERED = {
 }
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("name", EXPLOITS)
-def test_each_cause_is_named_on_a_problem_made_for_it(name: str) -> None:
-    problem = CAUSES[name]()
+def test_each_cause_is_named_on_a_problem_made_for_it(name: str, order: int) -> None:
+    problem = replace(CAUSES[name](), order=order)
     model = ContactSolver(problem)
     own = model.solve(problem.mesh.p)
     assessor = Assessor(model, own)
@@ -91,7 +92,7 @@ def test_each_cause_is_named_on_a_problem_made_for_it(name: str) -> None:
     assert set(found) == set(EXPLOITS)
     assert sum(found.values()) == pytest.approx(exact.energy - own.energy, rel=1e-9)
     others = max(abs(value) for cause, value in found.items() if cause != name)
-    assert abs(found[name]) > 1e-6 * abs(own.energy)
+    assert abs(found[name]) > 1e-7 * abs(own.energy)
     assert others < 1e-2 * abs(found[name])
     audit = assessor.audit(problem.mesh.p, own, exact)
     assert audit.energy_audited == exact.energy
@@ -99,16 +100,22 @@ def test_each_cause_is_named_on_a_problem_made_for_it(name: str) -> None:
     assert audit.min_area_ratio == 1
     assert assessor.audit(problem.mesh.p, own, exact, 0.25).min_area_ratio == 0.25
     assert max(audit.equilibrium_residual, audit.complementarity_residual) < 1e-9
-    if name == "friction":  # a g |u_t| that is lumped at nodes is too large by what lies beside the turn
+    if (name, order) == (
+        "friction",
+        1,
+    ):  # a g |u_t| that is lumped at nodes is too large by what lies beside the turn
         slip = exact.displacement[0, exact.body.nodes[1] == 0]
         weights = np.where(np.abs(exact.body.nodes[0, exact.body.nodes[1] == 0]) == 1.5, 0.5, 1.0)
         assert found[name] == pytest.approx(exact.friction - 0.5 * weights @ np.abs(slip))
         assert found[name] < 0
 
 
-@pytest.mark.parametrize("name", RENUMBERED)
-def test_another_numbering_of_the_displacement_has_the_same_assessment(name: str) -> None:
-    problem = RENUMBERED[name]()
+@pytest.mark.parametrize(
+    ("name", "order"),
+    [*((name, 1) for name in RENUMBERED), ("elastic", 2), ("friction", 2)],
+)
+def test_another_numbering_of_the_displacement_has_the_same_assessment(name: str, order: int) -> None:
+    problem = replace(RENUMBERED[name](), order=order)
     given, measured = np.asarray(problem.mesh.p), []
     moved = given.copy()
     moved[:, problem.mesh.interior_nodes()] += 0.01
@@ -177,7 +184,7 @@ def test_residuals_by_hand(normal: float, tangential: float, balance: float, law
     assert np.isnan(law_residual(system, state[0], state[1], np.array([np.nan])))
 
 
-def standing(pressure: float) -> ContactProblem:
+def standing(pressure: float, order: int = 1) -> ContactProblem:
     """A block of width 2 under a uniform pressure on a line."""
     return ContactProblem(
         rectangle(4, 2, x=(0, 2)),
@@ -186,11 +193,13 @@ def standing(pressure: float) -> ContactProblem:
         Obstacle.graph("bottom", 0.0),
         Motion(None),
         (Traction("top", (0.0, -pressure)),),
+        order=order,
     )
 
 
-def test_quantities_of_a_block_that_stands_on_a_line() -> None:
-    found = admissible(standing(3.0))
+@pytest.mark.parametrize("order", [1, 2])
+def test_quantities_of_a_block_that_stands_on_a_line(order: int) -> None:
+    found = admissible(standing(3.0, order))
     values = quantities(found.parts.space, found.body.nodes, found.system, found.state)
     assert values is not None
     assert values.entries("_initial") == pytest.approx(
@@ -215,9 +224,12 @@ def test_quantities_count_nodes_that_press_and_friction_in_the_resultant() -> No
     assert quantities(alone.parts.space, free.mesh.p, alone.system, alone.state) is None
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(("example", "n"), [("6.3", (6, 4)), ("6.2", (6, 4))])
-def test_the_resultant_is_what_holds_the_body_friction_included(example: str, n: tuple[int, int]) -> None:
-    found = admissible(EXAMPLES[example](n))
+def test_the_resultant_is_what_holds_the_body_friction_included(
+    example: str, n: tuple[int, int], order: int
+) -> None:
+    found = admissible(replace(EXAMPLES[example](n), order=order))
     values = quantities(found.parts.space, found.body.nodes, found.system, found.state)
     held = found.system.stiffness @ found.state.u - found.system.load  # the foundation is the rest
     pressed, rubbed = (float(np.sum(rows @ held)) for rows in (found.system.normals, found.system.tangents))
