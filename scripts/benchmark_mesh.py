@@ -51,7 +51,7 @@ from best_mesh.rows import (  # noqa: E402
 def tasks(case: Case, sizes: Sequence[int]) -> Iterator[tuple[str, int, Callable[[], Iterator[Row]]]]:
     """Method, size and how to measure it."""
     most = int(case.problem(max(sizes)).mesh.p.shape[1])
-    plain = case.laplacian is not None  # cheap, and followed to the errors of relocated meshes
+    plain = case.equations is not None  # cheap, and followed to the errors of relocated meshes
     yield ADAPTIVE, most, partial(methods.h_adaptive, case, max(8 * most, 10_000) if plain else most)
     yield LOOP, most, partial(methods.metric_loop, case, max(2 * most, 6_000) if plain else most)
     for size in sizes:

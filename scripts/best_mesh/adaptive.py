@@ -1,9 +1,11 @@
-"""Written first by anyone who has scikit-fem: h-adaptive linear elements, quadratic ones on a given mesh.
+"""Written first by anyone who has scikit-fem: elements of order 1 or 2 in contact, on h-adaptive meshes.
 
-``-Laplace(u) = f``, u given on a part of the boundary and perhaps ``u >= 0`` elsewhere. Nothing of
-`rmesh_nlp` is used. The adaptive loop is the usual one: solve, estimate by residuals and jumps (R. Verfürth,
-A posteriori error estimation techniques, OUP 2013, section 1.4), mark half of the sum (W. Dörfler, SIAM J.
-Numer. Anal. 33 (1996) 1106-1124), refine.
+``-div sigma(grad u) = f``; u is given on a part of the boundary, ``u + offset >= 0`` elsewhere (the last
+component), with Tresca friction of the first component. Nothing of `rmesh_nlp` is used. At order 2 contact
+and friction are those of Bernstein's coefficients, so that no parabola enters the foundation.
+The adaptive loop is the usual one: solve by a primal-dual active set, estimate by residuals and jumps
+(R. Verfürth, A posteriori error estimation techniques, OUP 2013, section 1.4), mark half of the sum
+(W. Dörfler, SIAM J. Numer. Anal. 33 (1996) 1106-1124), refine.
 """
 
 from __future__ import annotations
@@ -11,54 +13,100 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
-from skfem import Basis, BilinearForm, Element, ElementTriP1, ElementTriP2, LinearForm, MeshTri
-from skfem.helpers import dot, grad
+from skfem import (
+    Basis,
+    BilinearForm,
+    ElementTriP1,
+    ElementTriP2,
+    ElementVector,
+    FacetBasis,
+    LinearForm,
+    MeshTri,
+)
+from skfem.helpers import grad
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefTri
 
-BULK, RULE, FINE = 0.5, 6, 10
-"""Dörfler's share; degrees of the rules for the load and for errors."""
+BULK, RULE, FINE, MOST = 0.5, 6, 10, 100
+"""Dörfler's share; degrees of the rules for the load and for errors; most steps of an active set."""
+
+DOUBT, DEPTH = 1e-4, 12
+"""Part of the error by which rules may differ on an element; times that it is else cut at its corners."""
+
+ELEMENTS = {1: ElementTriP1(), 2: ElementTriP2()}
+"""By order."""
+
+INSIDE = 1e-6
+"""Where, from the end of an edge to its middle, data are read that may jump at nodes."""
 
 OnPoints = Callable[[NDArray], NDArray]
-stiffness = BilinearForm(lambda u, v, _: dot(grad(u), grad(v)))
+
+
+def nothing(x: NDArray) -> NDArray:
+    """Zero at points (2, ...)."""
+    return np.zeros(x.shape[1:])
 
 
 @dataclass(frozen=True)
-class Laplacian:
-    """A problem by functions of points (2, ...).
+class Equations:
+    """A problem by functions of points (2, ...), whose values (...) may have a first axis of components.
 
     Attributes
     ----------
     source : callable
+        Body forces.
     held : callable
         Which points of the boundary have u given.
     above : callable, optional
-        Which points have u >= 0, none of them by default.
-    given : callable, optional
-        The values of u where it is held; 0 by default.
+        Which points are contact nodes, none of them by default.
+    given : callable
+        The values of u where it is held.
     slope : callable, optional
         Gradients (2, ...) of the exact solution. Errors are then half squares of that in the energy norm, and
         else those of the energy, against ``exact``.
+    exact : float
+    components : int
+    stress : callable
+        Of gradients (components, 2, ...).
+    traction, offset : callable
+        On the boundary; at contact nodes, linear on edges.
+    friction : callable, optional
+        Bound of the friction stress.
     """
 
     source: OnPoints
     held: OnPoints
-    above: OnPoints | None = None
-    given: OnPoints | None = None
+    above: OnPoints = nothing
+    given: OnPoints = nothing
     slope: OnPoints | None = None
     exact: float = float("nan")
+    components: int = 1
+    stress: Callable[[NDArray], NDArray] = lambda gradient: gradient
+    traction: OnPoints = nothing
+    offset: OnPoints = nothing
+    friction: OnPoints | None = None
 
 
 @dataclass(frozen=True)
 class Solved:
-    """Values (unknowns,), nodes in contact, their forces, the energy, and the processor time so far."""
+    """Values u (unknowns,) whose numbers are ``dofs`` (components, nodes), and the processor time so far.
+
+    ``touching`` and ``slip`` (nodes,) are the state of contact: 1 and -1 are directions, 0 is stick.
+    """
 
     basis: Basis
+    dofs: NDArray
     u: NDArray
-    active: NDArray
+    contact: NDArray
+    touching: NDArray
+    slip: NDArray
     energy: float
     seconds: float
 
@@ -67,92 +115,188 @@ class Solved:
         """Of the basis."""
         return self.basis.mesh
 
+    @property
+    def nodes(self) -> int:
+        """Their number."""
+        return int(self.dofs.shape[1])
 
-def solve(problem: Laplacian, mesh: MeshTri, element: Element, active: NDArray, spent: float = 0.0) -> Solved:
-    """Solve on a mesh by a primal-dual active set that starts from the points ``active`` (2, n)."""
+    @property
+    def points(self) -> NDArray:
+        """(2, nodes)."""
+        return self.basis.doflocs[:, self.dofs[0]]
+
+
+def solve(
+    problem: Equations, mesh: MeshTri, order: int, before: Solved | None = None, spent: float = 0.0
+) -> Solved:
+    """Solve on a mesh by a primal-dual active set that starts from the state of another mesh."""
     began = time.process_time()
-    basis = Basis(mesh, element, intorder=RULE)
-    matrix = stiffness.assemble(basis).tocsr()
-    load = LinearForm(lambda v, w: problem.source(w.x) * v).assemble(basis)
-    rim = basis.get_dofs().all()
-    held = rim[problem.held(basis.doflocs[:, rim])]
-    value, contact = np.zeros(basis.N), np.zeros(0, dtype=int)
-    if problem.given is not None:
-        value[held] = problem.given(basis.doflocs[:, held])
-    if problem.above is not None:
-        contact = np.setdiff1d(np.flatnonzero(problem.above(basis.doflocs)), held)
-    touching = _among(basis.doflocs[:, contact], active)
-    while True:
-        free = np.ones(basis.N, dtype=bool)
-        free[held] = free[contact[touching]] = False
-        u = value.copy()
+    element = ELEMENTS[order]
+    basis = Basis(mesh, element if problem.components == 1 else ElementVector(element), intorder=RULE)
+    dofs = np.hstack([basis.nodal_dofs, basis.facet_dofs][:order])
+    x, n, nodes = basis.doflocs[:, dofs[0]], mesh.p.shape[1], dofs.shape[1]
+    rim, sides = np.zeros(nodes, dtype=bool), mesh.boundary_facets()
+    rim[mesh.facets[:, sides]] = rim[(n + sides)[: nodes - n]] = True
+    held = rim & np.broadcast_to(problem.held(x) > 0, dofs.shape)
+    above = (problem.above(x) > 0) & ~held[-1]
+    matrix = BilinearForm(lambda u, v, _: _dot(problem.stress(grad(u)), grad(v))).assemble(basis)
+    load = LinearForm(lambda v, w: _dot(problem.source(w.x), v)).assemble(basis)
+    frame = FacetBasis(mesh, basis.elem, facets=sides, intorder=RULE)
+    load += LinearForm(lambda v, w: _dot(problem.traction(w.x), v)).assemble(frame)
+    # values from Bernstein's coefficients, at contact edges
+    to_values = sp.identity(basis.N, format="csr")
+    if order == 2:
+        edges = np.flatnonzero(above[n:])
+        middle, ends = dofs[:, n + edges], dofs[:, mesh.facets[:, edges]]
+        shares = [(middle, middle, -0.5), (middle, ends[:, 0], 0.25), (middle, ends[:, 1], 0.25)]
+        for row, column, share in shares:
+            parts = np.full(row.size, share), (row.ravel(), column.ravel())
+            to_values = to_values + sp.csr_matrix(parts, shape=matrix.shape)
+    matrix, load = (to_values.T @ matrix @ to_values).tocsr(), to_values.T @ load
+    bound = np.zeros(nodes)
+    if problem.friction is not None:
+        on = LinearForm(lambda v, w: _dot(np.stack([problem.friction(w.x), 0 * w.x[1]]), v))
+        facets = sides[problem.above(mesh.p[:, mesh.facets[:, sides]].mean(axis=1)) > 0]
+        frame = FacetBasis(mesh, basis.elem, facets=facets, intorder=RULE)
+        bound = (to_values.T @ on.assemble(frame))[dofs[0]]
+    rough = bound > 0
+    c, offset = np.zeros(dofs.shape), problem.offset(x)
+    c[held] = np.broadcast_to(problem.given(x), dofs.shape)[held]
+    touching, slip = np.zeros(nodes, dtype=bool), np.zeros(nodes)
+    if before is not None and np.any(above):
+        near = before.contact[cKDTree(before.points[:, before.contact].T).query(x[:, above].T)[1]]
+        touching[above], slip[above] = before.touching[near], before.slip[near]
+    for _ in range(MOST):
+        fixed = held.copy()
+        fixed[-1] |= touching
+        fixed[0] |= rough & (slip == 0)
+        c[-1, touching], c[0, rough & (slip == 0) & ~held[0]] = -offset[touching], 0.0
+        u, free, push = np.zeros(basis.N), np.ones(basis.N, dtype=bool), load.copy()
+        free[dofs[fixed]], u[dofs[fixed]] = False, c[fixed]
+        push[dofs[0]] -= slip * bound
         u[free] = splu(
             matrix[free][:, free].tocsc(),
             permc_spec="MMD_AT_PLUS_A",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
-        ).solve((load - matrix @ value)[free])
-        force = (matrix @ u - load)[contact]
-        new = np.where(touching, force > 0, u[contact] < 0)
-        if np.array_equal(new, touching):
-            energy = float(u @ (matrix @ u) / 2 - load @ u)
-            spent += time.process_time() - began
-            return Solved(basis, u, basis.doflocs[:, contact[touching]], energy, spent)
-        touching = new
+        ).solve((push - matrix @ u)[free])
+        c, force = u[dofs], (matrix @ u - load)[dofs]
+        slid = np.where(slip == 0, -np.sign(force[0]) * (abs(force[0]) > bound), slip * (slip * c[0] > 0))
+        now = above & np.where(touching, force[-1] > 0, c[-1] + offset < 0), rough * ~held[0] * slid
+        if np.array_equal(now, (touching, slip)):
+            break
+        touching, slip = now
+    energy = float(u @ (matrix @ u) / 2 - load @ u + bound @ abs(c[0]))
+    spent += time.process_time() - began
+    return Solved(basis, dofs, to_values @ u, np.flatnonzero(above), touching, slip, energy, spent)
 
 
-def error(problem: Laplacian, solved: Solved) -> float:
-    """Of the energy, or half its square in the energy norm."""
-    if problem.slope is None:
-        return solved.energy - problem.exact
-    fine = Basis(solved.mesh, solved.basis.elem, intorder=FINE)
-    away = fine.interpolate(solved.u).grad - problem.slope(np.asarray(fine.global_coordinates()))
-    return float(((away**2).sum(axis=0) * fine.dx).sum() / 2)
+def half_square(basis: Basis, u: NDArray, slope: OnPoints) -> float:
+    """Half the square of the error in the energy norm, for the gradient of the exact solution."""
+
+    def integrals(elements: NDArray | None, **rule: Any) -> NDArray:
+        fine = Basis(basis.mesh, basis.elem, elements=elements, **rule)
+        away = fine.interpolate(u).grad - slope(np.asarray(fine.global_coordinates()))
+        return np.asarray(((away**2).sum(axis=0) * fine.dx).sum(axis=1)) / 2
+
+    result = integrals(None, intorder=FINE)
+    doubtful = np.flatnonzero(abs(result - integrals(None, intorder=RULE)) > DOUBT * result.sum())
+    if doubtful.size:
+        result[doubtful] = integrals(doubtful, quadrature=_towards_corners())
+    return float(result.sum())
 
 
-def indicators(problem: Laplacian, solved: Solved) -> NDArray:
-    """(elements,) ``h^2 |f|^2 + 1/2 sum_E h_E |jump of du/dn|^2`` over interior edges E.
+def _towards_corners() -> tuple[NDArray, NDArray]:
+    """A rule on the reference triangle for singularities at corners, by ever smaller triangles."""
+    eye, half = np.eye(3), (np.ones((3, 3)) - np.eye(3)) / 2
+    cells = [half]
+    for c, a, b in (np.roll(eye, k, axis=0) for k in range(3)):
+        for s in 0.5 ** np.arange(1, DEPTH):
+            m, ha, hb = (a + b) / 2, (a + c) / 2, (b + c) / 2
+            cells += [c + s * (np.stack(one) - c) for one in ((a, m, ha), (m, b, hb), (m, hb, ha))]
+        cells.append(c + 0.5**DEPTH * (np.stack((c, a, b)) - c))
+    x, w = get_quadrature(RefTri, FINE)
+    shares = np.einsum("kn,mkv->vmn", np.stack([1 - x.sum(axis=0), *x]), np.stack(cells))
+    weights = np.outer(np.abs(np.linalg.det(np.stack(cells))), w)
+    return shares[1:].reshape(2, -1), weights.ravel()
 
-    Where all vertices touch, the obstacle bears the source.
+
+def indicators(problem: Equations, solved: Solved) -> NDArray:
+    """(elements,) ``h^2 |f + div sigma|^2 + h |jump of sigma n|^2``, jumps with half at interior edges.
+
+    On the boundary jumps are those to the tractions, where neither displacement nor contact is given. Where
+    all nodes touch, the obstacle bears the source.
     """
-    mesh, basis = solved.mesh, solved.basis
-    dx = basis.dx
-    f = problem.source(np.asarray(basis.global_coordinates()))
-    corners = mesh.p[:, mesh.t]
-    h2 = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=0).max(axis=0)
-    touching = _among(mesh.p, solved.active)[mesh.t].all(axis=0)
-    result = np.where(touching, 0.0, h2 * (f**2 * dx).sum(axis=1))
-    slope = basis.interpolate(solved.u).grad[..., 0]
-    inside = np.flatnonzero(mesh.f2t[1] >= 0)
-    a, b = mesh.p[:, mesh.facets[:, inside]].transpose(1, 0, 2)
-    one, two = mesh.f2t[:, inside]
-    jump = slope[:, one] - slope[:, two]
-    # the edge's length times that of the normal, both in the cross product
-    size = ((b[1] - a[1]) * jump[0] - (b[0] - a[0]) * jump[1]) ** 2 / 2
-    return result + np.bincount(mesh.f2t[:, inside].ravel(), np.tile(size, 2), mesh.t.shape[1])
+    mesh, basis, components = solved.mesh, solved.basis, problem.components
+    dx, number = basis.dx, np.zeros(basis.N, dtype=int)
+    number[solved.dofs] = np.arange(solved.nodes)
+    corners, weights = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.full(3, 1 / 6)
+    at_corners = Basis(mesh, basis.elem, quadrature=(corners, weights))
+    slope = np.asarray(at_corners.interpolate(solved.u).grad)
+    # (components, 2, elements, corners), linear on elements
+    stress = problem.stress(slope.reshape(components, 2, -1, 3))
+    shares = mesh.mapping().invA.transpose(1, 2, 0)  # gradients of two barycentric coordinates
+    divergence = np.einsum("cdek,dek->ce", stress[..., 1:] - stress[..., :1], shares)
+    f = np.broadcast_to(problem.source(np.asarray(basis.global_coordinates())), (components, *dx.shape))
+    x = mesh.p[:, mesh.t]
+    h2 = ((x - np.roll(x, 1, axis=1)) ** 2).sum(axis=0).max(axis=0)
+    residual = ((f + divergence[..., None]) ** 2 * dx).sum(axis=(0, 2))
+    result = np.where(solved.touching[number[basis.element_dofs]].all(axis=0), 0.0, h2 * residual)
+    ends = mesh.facets
+    along = mesh.p[:, ends[1]] - mesh.p[:, ends[0]]
+    normal = np.stack([along[1], -along[0]])  # as long as the edge
+
+    def traction(elements: NDArray, facets: NDArray) -> NDArray:
+        """(components, 2 ends, facets) times the length of the edge."""
+        local = np.argmax(mesh.t[:, None, elements] == ends[:, facets], axis=0)
+        return np.einsum("cdkf,df->ckf", stress[:, :, elements, local], normal[:, facets])
+
+    def squares(jump: NDArray) -> NDArray:
+        a, b = jump[:, 0], jump[:, 1]
+        return (a**2 + a * b + b**2).sum(axis=0) / 3
+
+    inside, rim = np.flatnonzero(mesh.f2t[1] >= 0), mesh.boundary_facets()
+    both = mesh.f2t[:, inside]
+    size = squares(traction(both[0], inside) - traction(both[1], inside)) / 2
+    result += np.bincount(both.ravel(), np.tile(size, 2), mesh.t.shape[1])
+    element, p = mesh.f2t[0, rim], mesh.p[:, ends[:, rim]]
+    middle = p.mean(axis=1)
+    out = np.sign(((middle - mesh.p[:, mesh.t[:, element]].mean(axis=1)) * normal[:, rim]).sum(axis=0))
+    place = p + INSIDE * (middle[:, None] - p)
+    given = np.broadcast_to(problem.traction(place), (components, *place.shape[1:])).copy()
+    unknown = np.broadcast_to(problem.held(middle) > 0, (components, rim.size)).copy()
+    unknown[-1] |= solved.touching[ends[:, rim]].any(axis=0)
+    if problem.friction is not None:
+        contact, slip = problem.above(middle) > 0, solved.slip[ends[:, rim]]
+        unknown[0] |= contact & (slip == 0).any(axis=0)
+        given[0] -= contact * slip * problem.friction(place)
+    jump = out * traction(element, rim) - given * np.linalg.norm(normal[:, rim], axis=0)
+    return result + np.bincount(element, squares(np.where(unknown[:, None], 0.0, jump)), mesh.t.shape[1])
 
 
-def adaptive(problem: Laplacian, mesh: MeshTri, most: int) -> Iterator[Solved]:
-    """Linear elements on meshes refined by the estimator, up to a number of nodes."""
-    active, spent = np.zeros((2, 0)), 0.0
-    while mesh.p.shape[1] <= most:
-        solved = solve(problem, mesh, ElementTriP1(), active, spent)
+def adaptive(problem: Equations, mesh: MeshTri, order: int, most: int) -> Iterator[Solved]:
+    """Meshes refined by the estimator, up to a number of nodes."""
+    solved = solve(problem, mesh, order)
+    while solved.nodes <= most:
         yield solved
         began = time.process_time()
         errors = indicators(problem, solved)
-        order = np.argsort(-errors)
-        share = np.searchsorted(np.cumsum(errors[order]), BULK * errors.sum())
-        mesh, active = mesh.refined(order[: 1 + share]), solved.active
-        spent = solved.seconds + time.process_time() - began
+        ranked = np.argsort(-errors)
+        share = np.searchsorted(np.cumsum(errors[ranked]), BULK * errors.sum())
+        mesh = mesh.refined(ranked[: 1 + share])
+        solved = solve(problem, mesh, order, solved, solved.seconds + time.process_time() - began)
 
 
-def quadratic(problem: Laplacian, mesh: MeshTri) -> Solved:
-    """Quadratic elements on a mesh, with u >= 0 at nodes and midpoints of the contact edges."""
-    return solve(problem, mesh, ElementTriP2(), np.zeros((2, 0)))
+def uniform(problem: Equations, mesh: MeshTri, order: int, most: int) -> Iterator[Solved]:
+    """Meshes refined uniformly, up to a number of nodes; each has the time of its own solve."""
+    solved = solve(problem, mesh, order)
+    while solved.nodes <= most:
+        yield solved
+        mesh = mesh.refined()
+        solved = solve(problem, mesh, order, solved)
 
 
-def _among(points: NDArray, active: NDArray) -> NDArray:
-    """Which points are active ones."""
-    if not points.size or not active.size:
-        return np.zeros(points.shape[1], dtype=bool)
-    return np.asarray(cKDTree(active.T).query(points.T)[0] < 1e-8)
+def _dot(a: NDArray, b: NDArray) -> NDArray:
+    """Sum of products over components, at (elements, points)."""
+    product = np.asarray(a) * np.asarray(b)
+    return product.reshape(-1, *product.shape[-2:]).sum(axis=0)

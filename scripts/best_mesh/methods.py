@@ -6,12 +6,11 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
-from skfem import ElementTriP1, MeshTri
+from skfem import MeshTri
 
 import rmesh_nlp as rm
 from best_mesh import adaptive as plain
-from best_mesh.cases import LAPLACIAN_61, Case, next_mesh
+from best_mesh.cases import EQUATIONS_61, Case, next_mesh
 from best_mesh.rows import ADAPTIVE, ATTAINABLE, GIVEN, LOOP, METRIC, QUADRATIC, Row
 from peer_solvers import unassessed
 from rmesh_nlp.examples import EXAMPLES
@@ -22,24 +21,23 @@ from rmesh_nlp.problem import ContactProblem
 def warm_up() -> None:
     """Solve once, so that loading libraries is nobody's cost."""
     mesh = MeshTri().refined(2)
-    list(plain.adaptive(LAPLACIAN_61, mesh, 100))
-    plain.quadratic(LAPLACIAN_61, mesh)
+    for order in (1, 2):
+        list(plain.adaptive(EQUATIONS_61, mesh, order, 100))
     rm.solve(EXAMPLES["6.1"](n=8, delta="none"), remesh=True)
 
 
 def given(case: Case, size: int) -> Iterator[Row]:
     """Linear elements on the mesh as given, and quadratic ones where scikit-fem has the problem."""
     problem = case.problem(size)
-    if case.laplacian is None:
+    if case.equations is None:
         began = time.process_time()
         Solved.of(problem)
         seconds = time.process_time() - began
     else:
         mesh = MeshTri(problem.mesh.p, problem.mesh.t)
-        seconds = plain.solve(case.laplacian, mesh, ElementTriP1(), np.zeros((2, 0))).seconds
-        found = plain.quadratic(case.laplacian, mesh)
-        error = plain.error(case.laplacian, found)
-        yield Row(case.name, QUADRATIC, size, int(found.basis.N), error, found.seconds)
+        seconds = plain.solve(case.equations, mesh, 1).seconds
+        found = plain.solve(case.equations, mesh, 2)
+        yield Row(case.name, QUADRATIC, size, found.nodes, case.error_of(found), found.seconds)
     yield Row(case.name, GIVEN, size, _nodes(problem), case.error(problem), seconds)
 
 
@@ -56,11 +54,10 @@ def h_adaptive(case: Case, most: int) -> Iterator[Row]:
     Problems that it does not have are refined by the package, without a time.
     """
     problem = case.problem(case.sizes[0])
-    if case.laplacian is not None:
+    if case.equations is not None:
         mesh = MeshTri(problem.mesh.p, problem.mesh.t)
-        for found in plain.adaptive(case.laplacian, mesh, most):
-            error = plain.error(case.laplacian, found)
-            yield Row(case.name, ADAPTIVE, most, int(found.mesh.p.shape[1]), error, found.seconds)
+        for found in plain.adaptive(case.equations, mesh, 1, most):
+            yield Row(case.name, ADAPTIVE, most, found.nodes, case.error_of(found), found.seconds)
         return
     while _nodes(problem) <= most:
         yield Row(case.name, ADAPTIVE, most, _nodes(problem), case.error(problem))

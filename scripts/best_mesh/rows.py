@@ -140,8 +140,8 @@ def table(rows: Sequence[Row], goals: Mapping[tuple[str, int], float]) -> str:
         met = "" if np.isnan(goal) else "yes" if best >= goal else "no"
         seconds = {r.method: r.seconds for r in rows if (r.case, r.size) == (given.case, given.size)}
         cost = [seconds.get(name, np.nan) for name in (RELOCATED, REMESHED)]
-        cells = [_figure(found.get(name, np.nan)) for name in COLUMNS]
-        cells += [_figure(goal), met, *map(_figure, (most, best / most, *cost))]
+        cells = [figure(found.get(name, np.nan)) for name in COLUMNS]
+        cells += [figure(goal), met, *map(figure, (most, best / most, *cost))]
         lines.append(f"| {given.case} | {given.nodes} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
@@ -156,19 +156,20 @@ def times(rows: Sequence[Row]) -> str:
             own = [r for r in of(rows, case, method) if r.nodes >= MANY]
             ratios = [r.seconds / at(errors, seconds, r.error) for r in own]
             if np.any(np.isfinite(ratios)):
-                columns = [str(r.nodes) for r in own], [f"{r.seconds:.2g}" for r in own], map(_figure, ratios)
+                columns = [str(r.nodes) for r in own], [f"{r.seconds:.2g}" for r in own], map(figure, ratios)
                 lines.append(f"| {case} | {method} | {' | '.join(map(', '.join, columns))} |")
     return "\n".join(lines) + "\n"
 
 
-def _figure(value: float) -> str:
+def figure(value: float) -> str:
+    """Three digits, or a dash."""
     return f"{value:.3g}" if np.isfinite(value) else "-"
 
 
 def picture(rows: Sequence[Row], case: str = "6.1") -> Figure:
     """Error against nodes and against time."""
-    figure = Figure(figsize=(11, 4.8), layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
+    sheet = Figure(figsize=(11, 4.8), layout="constrained")
+    axes = sheet.subplots(1, 2, sharey=True)
     for method, (colour, marker, style) in STYLES.items():
         part = of(rows, case, method)
         look = {"color": colour, "marker": marker, "linestyle": style, "markersize": 6}
@@ -181,5 +182,5 @@ def picture(rows: Sequence[Row], case: str = "6.1") -> Figure:
     axes[1].set(xlabel="processor time [s]")
     for axis in axes:
         axis.grid(alpha=0.3)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=9)
-    return figure
+    sheet.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=9)
+    return sheet

@@ -9,7 +9,9 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from skfem import ElementTriP1, MeshTri
+from skfem import MeshTri
+
+from rmesh_nlp.contact.solver import ContactSolver
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
@@ -67,32 +69,51 @@ def test_predicted_factors_are_compared_at_equal_nodes_unless_refining_is_advise
     assert last == "1 of 2 within 20%; not compared: c"
 
 
-@pytest.mark.parametrize("name", ["6.1", "L-shape", "free boundary", "Signorini", "jNO's L-shape, held"])
-def test_plain_solver_agrees_with_the_package(name: str) -> None:
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize(
+    "name", ["6.1", "L-shape", "free boundary", "Signorini", "jNO's L-shape, held", "wedge"]
+)
+def test_plain_solver_agrees_with_the_package(name: str, order: int) -> None:
     cases, plain = script("best_mesh.cases"), script("best_mesh.adaptive")
     case = cases.CASES[name]
-    problem = case.problem(case.sizes[0])
+    problem = replace(case.problem(case.sizes[0]), order=order)
     mesh = MeshTri(problem.mesh.p, problem.mesh.t)
-    found = plain.solve(case.laplacian, mesh, ElementTriP1(), np.zeros((2, 0)))
-    assert plain.error(case.laplacian, found) == pytest.approx(case.error(problem), rel=1e-6)
+    found, own = plain.solve(case.equations, mesh, order), ContactSolver(problem).given
+    assert found.energy == pytest.approx(own.energy, rel=1e-10)
+    if case.slope is not None:
+        assert case.error_of(found) == pytest.approx(case.error(problem), rel=1e-6)
 
 
 def test_plain_elements_converge_with_their_orders() -> None:
     cases, plain = script("best_mesh.cases"), script("best_mesh.adaptive")
     case = cases.CASES["6.1"]
-    grids = [case.problem(n).mesh for n in (16, 32)]
-    errors = [plain.error(case.laplacian, plain.quadratic(case.laplacian, MeshTri(g.p, g.t))) for g in grids]
+    grids = [MeshTri(grid.p, grid.t) for grid in (case.problem(n).mesh for n in (16, 32))]
+    errors = [case.error_of(plain.solve(case.equations, grid, 2)) for grid in grids]
     assert errors[0] / errors[1] > 12  # of the energy: 16 in the limit
-    last = list(plain.adaptive(case.laplacian, MeshTri(grids[0].p, grids[0].t), 1100))[-1]
-    uniform = plain.solve(case.laplacian, MeshTri(grids[1].p, grids[1].t), ElementTriP1(), last.active)
-    assert plain.error(case.laplacian, last) < 0.5 * plain.error(case.laplacian, uniform)
+    last = list(plain.adaptive(case.equations, grids[0], 1, 1100))[-1]
+    uniform = plain.solve(case.equations, grids[1], 1, last)
+    assert case.error_of(last) < 0.5 * case.error_of(uniform)
+
+
+@pytest.mark.parametrize(("name", "rate"), [("L-shape r^(2/3)", 1.7), ("wedge", 1.7)])
+def test_refinement_gives_the_rate_of_order_2_to_singular_solutions(name: str, rate: float) -> None:
+    cases, plain = script("best_mesh.cases"), script("best_mesh.adaptive")
+    case = {**cases.CASES, **cases.MORE}[name]
+    mesh = case.problem(4).mesh
+    found = list(plain.adaptive(case.equations, MeshTri(mesh.p, mesh.t), 2, 2500))
+    if case.slope is None:  # falls of the energy have the rate of errors
+        errors = [one.energy - found[-1].energy for one in found[:-3]]
+    else:
+        errors = [case.error_of(one) for one in found]
+    nodes = [one.nodes for one in found[: len(errors)]]
+    assert np.log(errors[2] / errors[-1]) > rate * np.log(nodes[-1] / nodes[2])
 
 
 def test_free_boundary_is_refined_outside_of_contact() -> None:
     cases, plain = script("best_mesh.cases"), script("best_mesh.adaptive")
     case = cases.CASES["free boundary"]
     mesh = MeshTri(case.problem(8).mesh.p, case.problem(8).mesh.t)
-    found = list(plain.adaptive(case.laplacian, mesh, 600))[-1]
+    found = list(plain.adaptive(case.equations, mesh, 1, 600))[-1]
     inside = np.hypot(*found.mesh.p) < 0.8
     assert np.sum(inside) < 0.1 * found.mesh.p.shape[1]  # of the area it is a fifth
 
@@ -104,7 +125,7 @@ def test_a_reference_extrapolates_the_energy_and_bounds_the_error_of_as_many_tri
     given = case.problem(0)
     fine = cases.reference(given, 2000)
     error = case.error(given)
-    assert abs(fine.limit - case.laplacian.exact) < 0.05 * error
+    assert abs(fine.limit - case.equations.exact) < 0.05 * error
     assert fine.least(given.mesh.t.shape[1]) < 0.5 * error  # a corner: graded meshes are far better
     refined = fine.problem  # what refinement reaches is above it
     assert fine.least(refined.mesh.t.shape[1]) < case.error(refined)
@@ -121,6 +142,44 @@ def test_benchmark_measures_each_mesh_once_and_writes_its_table(tmp_path: Path) 
     assert '"remeshed, relocated"' in kept
     assert benchmark.main(arguments) == 0
     assert (tmp_path / "rows.jsonl").read_text() == kept
+
+
+@pytest.mark.slow
+def test_benchmark_of_orders_measures_both_and_writes_its_tables(tmp_path: Path) -> None:
+    benchmark = script("benchmark_order")
+    arguments = ["--cases", "L-shape r^(2/3)", "--levels", "1", "--out", str(tmp_path)]
+    assert benchmark.main(arguments) == 0
+    table, kept = (tmp_path / "table.md").read_text(), (tmp_path / "rows.jsonl").read_text()
+    assert "| L-shape r^(2/3) | 225 |" in table
+    assert '"P1 remeshed, relocated"' in kept
+    assert benchmark.main(["--tables", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "table.md").read_text() == table
+    assert (tmp_path / "rows.jsonl").read_text() == kept
+
+
+def test_factors_and_rates_of_orders_are_at_equal_unknowns() -> None:
+    tables, row = script("best_mesh.order_tables"), script("best_mesh.rows").Row
+
+    def rows(method: str, nodes: list[int], factor: float, rate: float) -> list:
+        return [row("6.3", method, 0, n, factor * n**-rate, 1e-3 * n) for n in nodes]
+
+    found = [
+        *rows("P2 uniform", [100, 400, 1600, 6400], 1.0, 1.0),
+        *rows("P2 h-adaptive", [100, 6400], 5.0, 2.0),
+        *rows("P2 relocated", [100, 1600], 10.0, 2.0),
+        *rows("P2 remeshed, relocated", [102, 1600], 5.0, 2.0),
+        row("6.3", "reference", 0, 1000, 5.0),
+        row("6.3", "reference", 0, 2000, 2.0),
+    ]
+    assert tables.limit(found, "6.3", "reference", 0) == (1.0, 1.0)
+    # a mesh with 2 % more nodes and 4 % less error is as good
+    first, last = tables.factors(found).splitlines()[2:]
+    assert first == "| 6.3 | 100 | 0.01 | 1 | 20 | 10 | 20 | - | - | - | - |"
+    assert last == "| 6.3 | 1600 | 0.000625 | 1 | 320 | 160 | 320 | 1.00 | 2.00 | 2.00 | 2.00 |"
+    # of 1600 nodes and 10 / 1600^2: the adaptive mesh has 1131, uniform ones do not reach it
+    first, last = tables.times(found).splitlines()[2:]
+    assert first == "| 6.3 | relocated | 1600 | < 0.25 | 1.41 |"
+    assert last == "| 6.3 | remeshed, relocated | 1600 | < 0.25 | 1 |"
 
 
 def test_what_fails_is_a_row() -> None:
