@@ -14,6 +14,7 @@ from rmesh_nlp.cli.preparing import load_problem, solve_options
 from rmesh_nlp.cli.reporting import draw_solution, draw_study, table
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io import kept_problem
 from rmesh_nlp.io.export import Series, write_mesh
 from rmesh_nlp.io.files import safe_name, write_whole
@@ -79,7 +80,7 @@ def solve_file(
     problem = load_problem(path, order, says=voice == "text")
     name, options = solve_options(path, formulation, options)
     one = planned(problem, name, options, certify=certify or stated.solve.certify)
-    series = Series(problem, most=max(2, SERIES_NODES // problem.mesh.p.shape[1]))
+    series = Series(problem, most=max(2, SERIES_NODES // DisplacementSpace.of(problem).n_nodes))
     folder = Path("results") / safe_name(problem.name) if out is None else out
     with writable(folder, FILES) as results:
         with SolvesProgress(1, quiet=voice != "text") as progress:

@@ -248,10 +248,10 @@ def limits(solution: Drawable) -> NDArray[np.object_]:
 
 def _draw_limits(figure: Figure, axis: Axes, solution: Drawable) -> None:
     """Every vertex with the colour of its limit."""
-    X, triangles = np.asarray(solution.mesh.p), solution.problem.triangles
-    fine = plotting.is_fine(triangles)
+    X, space = np.asarray(solution.mesh.p), DisplacementSpace.of(solution.problem)
+    fine = plotting.is_fine(space.elements)
     if not fine:
-        plotting.draw_mesh(axis, X, triangles, color="0.85")
+        plotting.draw_mesh(axis, points_of(space, X), space.elements, color="0.85")
     kinds = limits(solution)
     used = np.isin(np.arange(X.shape[1]), solution.mesh.t)
     size = float(np.clip(1500 / max(X.shape[1], 1), 0.6, 6.0))
@@ -270,11 +270,12 @@ def _draw_limits(figure: Figure, axis: Axes, solution: Drawable) -> None:
 def _draw_motion(figure: Figure, axis: Axes, solution: Drawable) -> None:
     """The way of each vertex over the colours of its length."""
     old, new = np.asarray(solution.problem.mesh.p), np.asarray(solution.mesh.p)
-    length = np.linalg.norm(new - old, axis=0)
-    triangles = solution.problem.triangles
-    painted = plotting.draw_nodal(axis, new, triangles, length, vmin=0.0)
-    if not plotting.is_fine(triangles):  # the ways would hide the colours
-        draw_lines(axis, np.stack([old, new], axis=2)[:, length > 0], color="white", linewidth=0.6)
+    space = DisplacementSpace.of(solution.problem)
+    begin, end = points_of(space, old), points_of(space, new)
+    painted = plotting.draw_nodal(axis, end, space.elements, end - begin, vmin=0.0)
+    if not plotting.is_fine(space.elements):  # the ways would hide the colours
+        moved = np.any(old != new, axis=0)
+        draw_lines(axis, np.stack([old, new], axis=2)[:, moved], color="white", linewidth=0.6)
     below: dict[str, Any] = {"location": "bottom", "aspect": 25, "shrink": 0.9, "pad": 0.03}
     colour_bar(figure, painted, [axis], 4, label=f"motion{bracketed(solution.problem.units.length)}", **below)
     axis.set_title(f"motion from the {_title(solution)}")

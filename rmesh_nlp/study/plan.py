@@ -245,15 +245,17 @@ def _order(order: int) -> dict[str, int]:
 
 def seconds_of_plan(solves: Sequence[PlannedSolve], rows: Sequence[Record]) -> float:
     """Seconds that the solves take one after the other, roughly: as in these rows, else by ``RULE_S``."""
-    known: dict[tuple[str, str], list[float]] = {}
+    known: dict[tuple[str, str, int], list[float]] = {}
     for row in rows:
         if row.get("task_time_s") is not None:
-            known.setdefault((str(row.get("variant")), str(row.get("family"))), []).append(row["task_time_s"])
+            which = str(row.get("variant")), str(row.get("family")), row.get("order") or 1
+            known.setdefault(which, []).append(row["task_time_s"])
     total = 0.0
     for solve in solves:
-        times = known.get((solve.variant, solve.family))
+        times = known.get((solve.variant, solve.family, solve.order))
         numbers = [int(number) for number in re.findall(r"\d+", solve.size)]
         triangles = 2 * numbers[0] * numbers[-1] if numbers else 30
+        triangles *= solve.order**2  # as many unknowns as linear displacements on a refined mesh
         rule = RULE_S.get(solve.formulation, 1.0) * max(1.0, triangles / 128) ** GROWTH
         total += min(median(times) if times else rule, solve.time_s)
     return total
