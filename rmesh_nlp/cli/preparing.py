@@ -32,7 +32,7 @@ from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import MeshRepairWarning, read_mesh
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.report.pictures import draw_problem
+from rmesh_nlp.report.problem_picture import draw_problem
 from rmesh_nlp.solving.advice import advise as advice
 from rmesh_nlp.solving.formulation import find
 from rmesh_nlp.solving.options import accepted

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, to_rgba
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, StrMethodFormatter
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.sampling import along, edges_of, pieces
+from rmesh_nlp.fem.sampling import pieces
 from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.io.manifest import Manifest
 from rmesh_nlp.io.records import Record
@@ -38,12 +37,11 @@ from rmesh_nlp.report.style import (
     new_figure,
     save,
 )
+from rmesh_nlp.report.surface import surface_figure
 from rmesh_nlp.solving import plotting
-from rmesh_nlp.solving.plotting import GRID_LINE, MAP, size_of
+from rmesh_nlp.solving.plotting import MAP, size_of
 
 LEVELS = 16  # contours of a solution
-VIEW, BOX = (28, -130), (4, 4, 2.4)  # elevation and azimuth of the eye before a surface, shape of its box
-NEARER = 0.1  # of the units of the box
 DECADES = 3  # powers of ten that the colours of an error map span
 FLOOR = 1e-8  # part of the best energy down to which distances are drawn: the solvers' tolerance
 MARKERS = 15  # about as many markers on a curve
@@ -153,52 +151,6 @@ def grid_figure(panels: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure
     colour_bar(figure, filled, axes[0].tolist(), **shape, pad=0.02, label=name)
     add_legend(figure, [axes[-1, 0]], "outside lower center")
     return figure
-
-
-def surface_figure(panels: Mapping[str, Fields]) -> Figure:
-    """The solution of a scalar problem as a surface over each grid."""
-    figure = new_figure(TWO_COLUMNS, 2.9)
-    low = min(float(field.displacement.min()) for field in panels.values())
-    high = max(float(field.displacement.max()) for field in panels.values())
-    for column, (title, field) in enumerate(panels.items(), 1):
-        axis = figure.add_subplot(1, len(panels), column, projection="3d")
-        parts = pieces(field.triangles, field.nodes.shape[1])
-        surface = axis.plot_trisurf(
-            plotting.triangulation(field.nodes, parts),
-            parts(field.displacement[0]),
-            **{"cmap": MAP, "vmin": low, "vmax": high, "edgecolor": GRID_LINE, "linewidth": 0.3},
-            **{"shade": False, "rasterized": plotting.is_fine(parts.triangles)},
-        )
-        if parts.triangles.shape[1] > field.triangles.shape[1]:
-            corners = parts(np.vstack([field.nodes, field.displacement]))[:, parts.triangles]
-            _draw_edges(axis, surface, corners.transpose(2, 1, 0), field)
-        axis.set(xlabel="$x_1$", ylabel="$x_2$", zlim=(low, high))
-        axis.set_title(f"u, {title}", y=0.98)
-        axis.view_init(*VIEW)
-        axis.set_box_aspect(BOX, zoom=1.0)
-    return figure
-
-
-def _draw_edges(axis: Any, surface: Any, corners: Array, field: Fields) -> None:
-    """The edges of the mesh on a surface, in the place of those of its pieces.
-
-    They are flat polygons among those of the surface, drawn from the farthest to the nearest. So they are
-    nearer to the eye by more than a piece is long.
-    """
-    lines = along(edges_of(field.triangles), np.vstack([field.nodes, field.displacement]))
-    high, round_ = np.deg2rad(VIEW)
-    eye = np.array([np.cos(high) * np.cos(round_), np.cos(high) * np.sin(round_), np.sin(high)])
-    lines += (NEARER * eye / BOX * np.ptp(corners, axis=(0, 1)))[:, None, None]
-    pairs = np.stack([lines[:, :, :-1], lines[:, :, 1:]]).reshape(2, 3, -1).transpose(2, 0, 1)
-    colours = surface.cmap(surface.norm(surface.get_array()))
-    faces = np.vstack([colours, np.zeros((len(pairs), 4))])
-    edges = np.vstack([colours, np.tile(to_rgba(GRID_LINE), (len(pairs), 1))])
-    surface.remove()
-    limits = axis.get_w_lims()
-    pen: dict[str, Any] = {"linewidths": 0.4, "rasterized": surface.get_rasterized()}
-    polygons = np.concatenate([corners, pairs[:, [0, 1, 1]]])
-    axis.add_collection3d(Poly3DCollection(polygons, facecolors=faces, edgecolors=edges, **pen))
-    axis.set(xlim=limits[:2], ylim=limits[2:4])
 
 
 def stress_figure(curves: Mapping[str, Fields], units: Units = NO_UNITS) -> Figure:

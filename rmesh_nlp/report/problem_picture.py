@@ -1,0 +1,100 @@
+"""The picture of a problem before it is solved: boundaries with their roles, mobility of nodes, gaps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+
+from rmesh_nlp.fem.sampling import along, points_of
+from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.mapping import MeshMap, Mobility
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.lines import element_zones
+from rmesh_nlp.problem.units import bracketed
+from rmesh_nlp.report import style
+from rmesh_nlp.report.drawing import Body, draw_foundations, draw_lines, foundations
+from rmesh_nlp.solving import plotting
+
+WIDTH = 8.0  # inches of the picture of a problem; its height follows the extent of the mesh
+MARKERS = {
+    Mobility.PINNED: ("s", "pinned"),
+    Mobility.SLIDING: ("|", "slides along"),
+    Mobility.FREE: (".", "free"),
+    Mobility.TIED: ("D", "tied"),
+}
+
+
+def draw_problem(problem: ContactProblem, path: Path) -> None:
+    """Draw a problem before it is solved to a file (PNG, PDF, SVG by suffix).
+
+    Boundaries that are fixed, loaded or in contact have their own colours and a legend; each vertex
+    has a marker for its mobility, and sliding ones a short line along which they slide. Foundations are
+    drawn with the initial gap of every contact node, in red where they overlap the body.
+    """
+    mesh, free, space = problem.mesh, MeshMap.of(problem), DisplacementSpace.of(problem)
+    nodes, cells = points_of(space, np.asarray(mesh.p)), space.elements
+    body = Body(nodes, cells, np.zeros((problem.components, 0)), foundations(space, nodes))
+    extent = np.ptp(np.hstack([mesh.p, *(one.feet for one in body.near)]), axis=1)
+    with rc_context(style.SETTINGS):
+        figure = style.new_figure(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0))
+        axis = figure.add_subplot()
+        # one zone has one colour, the lightest
+        zone = element_zones(problem.mesh).astype(float)
+        plotting.draw_elements(axis, nodes, cells, zone, cmap="Pastel2", vmin=0, vmax=8)
+        plotting.draw_mesh(axis, nodes, cells, color="0.6")
+        for position, (label, boundary) in enumerate(_roles(problem)):
+            colour = style.LOOKS[1:][position % (len(style.LOOKS) - 1)].color
+            edges = space.nodes_of(mesh.facets[:, mesh.boundaries[boundary]])
+            draw_lines(axis, along(edges, nodes), color=colour, linewidth=3, label=f"{label}: {boundary}")
+        _draw_mobility(axis, problem, free)
+        # so wide that they are seen on both sides of a boundary that lies on them
+        draw_foundations(axis, body, linewidth=8, capstyle="butt", zorder=0.5)
+        _draw_gaps(axis, body)
+        axis.autoscale_view()
+        unit = bracketed(problem.units.length)
+        axis.set(aspect="equal", xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
+        heading = f"{problem.name}: {mesh.p.shape[1]} nodes, {free.n} outer variables"
+        for one in (one for one in body.foundations if one.is_far):
+            heading += f"\nthe foundation of {one.name} is {one.gaps.min():.3g} away, not drawn"
+        axis.set_title(heading)
+        style.add_legend(figure, [axis], "outside lower center")
+        figure.savefig(path, dpi=150, bbox_inches="tight")
+
+
+def _draw_mobility(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:
+    p, size = problem.mesh.p, 2000 / max(problem.mesh.p.shape[1], 100)
+    edges = p[:, problem.mesh.facets]
+    length = 0.2 * float(np.min(np.linalg.norm(edges[:, 0] - edges[:, 1], axis=0)))  # boundaries stay seen
+    for kind, (marker, label) in MARKERS.items():
+        here = p[:, free.mobility == kind]
+        if here.size and kind is Mobility.SLIDING:
+            step = free.positions.slopes(np.zeros(free.n))[:, free.mobility == kind]
+            step *= np.minimum(1.0, length / np.maximum(np.linalg.norm(step, axis=0), 1e-300))
+            ends = np.stack([here - step, here + step], axis=2)
+            draw_lines(axis, ends, color="black", linewidth=1.5, label=label)
+        elif here.size:
+            axis.scatter(here[0], here[1], s=size, marker=marker, color="black", label=label, zorder=3)
+
+
+def _draw_gaps(axis: Axes, body: Body) -> None:
+    """The initial gap of every contact node; overlaps are red."""
+    for one in body.near:
+        ends = np.stack([one.nodes, one.feet], axis=2)
+        overlaps = one.gaps < -1e-9 * np.ptp(body.nodes)
+        for chosen, colour, width, label in (
+            (one.gaps > 0, "0.5", 0.8, "initial gap"),
+            (overlaps, "red", 2.0, "initial overlap"),
+        ):
+            if np.any(chosen):
+                draw_lines(axis, ends[:, chosen], color=colour, linewidth=width, label=label)
+        axis.update_datalim(one.feet.T)
+
+
+def _roles(problem: ContactProblem) -> list[tuple[str, str]]:
+    """Label and name of every boundary that has a role."""
+    roles = [("given", one.boundary) for one in problem.supports]
+    roles += [("load", one.boundary) for one in problem.tractions]
+    return roles + [("contact", one.boundary) for one in problem.obstacles if isinstance(one.boundary, str)]
