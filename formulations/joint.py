@@ -126,6 +126,10 @@ class Joint(Formulation):
         return {**common, **own, **self.ipopt}
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        if problem.has_coulomb:
+            raise BadInputError(
+                "joint minimises an energy, and with Coulomb friction there is none: use mpcc or nested"
+            )
         if not objective.collapses:
             raise BadInputError(
                 f"joint minimises the energy only, or with terms in the positions, not {objective.text!r}: "

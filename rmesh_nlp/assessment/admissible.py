@@ -18,7 +18,7 @@ from rmesh_nlp.assessment.energy import friction_energy, load_vector, shape_inte
 from rmesh_nlp.assessment.standoff import Cells, cells_of
 from rmesh_nlp.assessment.tightening import tightened
 from rmesh_nlp.contact.active_set import solve
-from rmesh_nlp.contact.solver import Directions
+from rmesh_nlp.contact.solver import Directions, coefficients
 from rmesh_nlp.contact.system import LARGE, ActiveSet, ContactSystem, Equilibrium, elimination_order
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
@@ -83,7 +83,7 @@ class Continuous:
         self.given = self.field.values(np.zeros(parts.n_u))  # (components, nodes)
         sets = self.space.contact_sets
         self.cells = [cells for part in sets for cells in cells_of(body, self.space, part)]
-        rubbing = [part for part in sets if part.obstacle.frictional]
+        rubbing = [part for part in sets if part.obstacle.has_bound]
         self._rubbing = [(part, body.edges(str(part.obstacle.boundary))) for part in rubbing]
 
     @cached_property
@@ -123,6 +123,7 @@ class Continuous:
             frictional=frictional,
             rigid=rigid if rigid.size else None,
             order=order,
+            coulomb=coefficients(space, nodes),
         )
 
     def system(self, standoff: Array) -> ContactSystem:
@@ -137,7 +138,8 @@ class Continuous:
         curved = any(part.obstacle.level is not None for part in self.space.contact_sets)
         if np.any(standoff) or curved:
             state, standoff, left = self._safe(system, state, standoff)
-            closer = tightened(system, state, self.cells, self.field) if left == 0 else None
+            tighten = left == 0 and not self.problem.has_coulomb
+            closer = tightened(system, state, self.cells, self.field) if tighten else None
             if closer is not None and closer.energy < state.energy:
                 gap = self._bare.normals @ closer.u + self._bare.offset
                 state, standoff = closer, np.where(closer.active.touching, gap, 0.0)

@@ -118,7 +118,7 @@ def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Arr
     Both vanish exactly where the laws hold, and count penetration and tension as well.
     """
     length = max(float(np.max(np.abs(u), initial=0.0)), 1e-300)
-    force, bound = system.force_scale, system.slip_bound
+    force, bound = system.force_scale, system.bound(normal)
     gap = system.normals @ u + system.offset
     found = np.abs(np.minimum(gap / length, normal / force))
     if bound.size:

@@ -92,6 +92,8 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
     """
     if rigid_motions(problem).size > 0:
         raise NotCertifiableError("only contact holds the body")
+    if problem.has_coulomb:
+        raise NotCertifiableError("with Coulomb friction no energy is minimised")
     if problem.point_loads:
         raise NotCertifiableError("the energy under a point load has no lower bound")
     guess, skeleton = guess.by_mesh(), skeleton_of(problem, nodes)

@@ -28,6 +28,9 @@ class Factor(Protocol):
     def solve(self, right: Array) -> Array:
         """Solutions for a right side (m,), or for the columns of (m, k)."""
 
+    def solve_transposed(self, right: Array) -> Array:
+        """The same with the transposed matrix."""
+
     def trailing(self, k: int) -> Array | None:
         """Schur complement (k, k) of the last unknowns, if the matrix was factorised in its own order."""
 
@@ -41,6 +44,10 @@ class _LU:
     def solve(self, right: Array) -> Array:
         """See :class:`Factor`."""
         return np.asarray(self._factor.solve(right))
+
+    def solve_transposed(self, right: Array) -> Array:
+        """See :class:`Factor`."""
+        return np.asarray(self._factor.solve(right, "T"))
 
     def trailing(self, k: int) -> Array | None:
         """See :class:`Factor`."""
@@ -60,6 +67,10 @@ class _Cholesky:
     def solve(self, right: Array) -> Array:
         """See :class:`Factor`."""
         return np.asarray(self._factor(right))
+
+    def solve_transposed(self, right: Array) -> Array:
+        """See :class:`Factor`."""
+        return self.solve(right)
 
     def trailing(self, k: int) -> Array | None:
         """See :class:`Factor`."""
@@ -86,3 +97,8 @@ def factorised(K: sp.csc_array, *, ordered: bool = False) -> Factor:
     # pivots on the diagonal: anything else would give up the ordering, and with it the sparsity
     order = "NATURAL" if ordered else "MMD_AT_PLUS_A"
     return _LU(splu(K, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True}))
+
+
+def factorised_lu(K: sp.csc_array) -> Factor:
+    """Sparse factorisation of a matrix that is not symmetric."""
+    return _LU(splu(sp.csc_array(K), permc_spec="COLAMD"))

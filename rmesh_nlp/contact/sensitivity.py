@@ -16,13 +16,16 @@ def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Arr
 
     Solves ``K p = right`` over the displacements that the active set leaves free, p = 0 in the normal
     direction of touching and in the tangential direction of sticking nodes. There ``right - K p`` is the
-    reaction and the friction (contact nodes,), which are zero at the other nodes.
+    reaction and the friction (contact nodes,), which are zero at the other nodes. With Coulomb friction the
+    system is not symmetric: at sliding nodes p has the normal component ``s F`` times its tangential one.
     """
     rotated = system.rotated
     turned = rotated.turned(right)
     inside, factor = rotated.factor(active)
     p = np.zeros(turned.size)
-    p[inside] = factor.solve(turned[inside])
+    p[inside] = factor.solve_transposed(turned[inside])
+    if (coupling := rotated.coupling(active)) is not None:
+        p = p + coupling.T @ p
     left = turned - rotated.K @ p
     reaction = np.where(active.touching, left[rotated.normal], 0.0)
     return rotated.back(p), reaction, np.where(rotated.sticking(active), left[rotated.tangent], 0.0)
@@ -76,7 +79,7 @@ def weakly_active(system: ContactSystem, state: Equilibrium) -> NDArray[np.bool_
     weak = both_vanish(gap / length, state.normal_force / force)
     if system.slip_bound.size:
         slip = system.tangents @ state.u
-        reserve = system.slip_bound - np.abs(state.tangential_force)
+        reserve = system.bound(state.normal_force) - np.abs(state.tangential_force)
         acts = True if system.frictional is None else system.frictional
         weak |= acts & both_vanish(slip / length, reserve / force)
     return np.asarray(weak)

@@ -18,6 +18,7 @@ from rmesh_nlp.evaluation import Array, Symmetric
 from rmesh_nlp.fem.fields import ElementTerm, Field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.obstacle import NO_NORMAL
 
 
@@ -50,6 +51,18 @@ class Directions:
         row = np.broadcast_to(np.arange(index.shape[1]), index.shape)
         used = (np.abs(vectors) > NO_NORMAL) & (index >= 0)
         return sp.csr_array((vectors[used], (row[used], index[used])), shape=(index.shape[1], self.n_u))
+
+
+def coefficients(space: DisplacementSpace, nodes: Array) -> Array | None:
+    """(gaps,) Coulomb's coefficients at vertex positions (2, vertices); None where none is given."""
+    if not space.problem.has_coulomb:
+        return None
+    points, found = space.points(nodes), np.zeros(space.contact_nodes.size)
+    for part in space.contact_sets:
+        if part.obstacle.has_coulomb:
+            what = "Coulomb's coefficient"
+            found[part.rows] = on_points(part.obstacle.coulomb, points[:, part.nodes], what)
+    return found
 
 
 class ContactSolver:
@@ -123,6 +136,7 @@ class ContactSolver:
             frictional=self.frictional,
             rigid=self.discretisation.rigid_motions(nodes) if self.discretisation.floats else None,
             order=self._order,
+            coulomb=coefficients(self.discretisation.space, nodes),
         )
 
     def solve(self, nodes: Array, start: ActiveSet | None = None) -> Equilibrium:

@@ -2,7 +2,8 @@
 
     min 1/2 u^T K u - F^T u + sum_i b_i |t_i . u_i|   with   gap = N u + gamma >= 0,
 
-(5.1), (5.8), with Tresca bounds b_i = g omega_i >= 0.
+(5.1), (5.8), with Tresca bounds b_i = g omega_i >= 0. With Coulomb's coefficient F the bound is b_i + F_i
+lambda_i, lambda the contact force: no longer a program, but the conditions of one for each bound.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact.factorisation import Factor, factorised
+from rmesh_nlp.contact.factorisation import Factor, factorised, factorised_lu
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.fem.space import Index
@@ -46,6 +47,8 @@ class ContactSystem:
         Where friction may act if there is any; everywhere by default.
     rigid : (m, motions) array, optional
         Rigid motions that only contact prevents; none by default.
+    coulomb : (gaps,) array, optional
+        F; zero by default.
     order : (m,) int array, optional
         The unknowns in the order of their elimination; by default it is found for each factorisation.
     """
@@ -60,9 +63,16 @@ class ContactSystem:
     frictional: NDArray[np.bool_] | None = None
     rigid: Array | None = None
     order: Index | None = None
+    coulomb: Array | None = None
+
+    def bound(self, normal: Array) -> Array:
+        """(gaps,) the largest tangential force under contact forces (gaps,); empty without friction."""
+        if self.coulomb is None:
+            return self.slip_bound
+        return np.asarray(self.slip_bound + self.coulomb * np.maximum(normal, 0.0))
 
     def energy(self, u: Array) -> float:
-        """J(u), friction included."""
+        """J(u), friction of Tresca included."""
         friction = self.slip_bound @ np.abs(self.tangents @ u) if self.slip_bound.size else 0.0
         return float(0.5 * u @ (self.stiffness @ u) - self.load @ u + self.constant + friction)
 
@@ -80,10 +90,12 @@ class ContactSystem:
         if friction.size:
             F[rotated.tangent[rotated.slips]] += friction[rotated.slips]
         inside, factor = rotated.factor(active)
-        w[inside] = factor.solve((F - rotated.K @ w)[inside])
+        w[inside] = factor.solve(rotated.combined(active, F - rotated.K @ w)[inside])
         residual = rotated.K @ w - rotated.F
         normal_force = np.where(active.touching, residual[rotated.normal], 0.0)
         if friction.size:
+            if self.coulomb is not None:
+                friction = friction - active.sliding * self.coulomb * normal_force
             friction = np.where(rotated.sticking(active), residual[rotated.tangent], friction)
         u = rotated.back(w)
         return Equilibrium(u, self.energy(u), normal_force, friction, active, Status.CONVERGED, 1)
@@ -147,7 +159,7 @@ class RotatedSystem:
         self.slips = self.tangent >= 0  # False where the tangential displacement is given
         self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
         self.F = self.turned(system.load)
-        self._order = system.order
+        self._order, self._coulomb = system.order, system.coulomb
         self._factor: tuple[bytes, Index, Factor] | None = None
 
     def turned(self, force: Array) -> Array:
@@ -173,9 +185,31 @@ class RotatedSystem:
             free[self.tangent[self.sticking(active)]] = False
             inside = np.flatnonzero(free) if self._order is None else self._order[free[self._order]]
             self._factor = None  # its memory first
-            factor = factorised(self.K[:, inside][inside], ordered=self._order is not None)
+            pull = self.coupling(active)
+            if pull is None:
+                factor = factorised(self.K[:, inside][inside], ordered=self._order is not None)
+            else:
+                factor = factorised_lu((self.K + pull @ self.K)[:, inside][inside])
             self._factor = active.key(), inside, factor
         return self._factor[1:]
+
+    def coupling(self, active: ActiveSet) -> sp.csr_array | None:
+        """C, which adds the rows of the gaps of sliding nodes to those of their slips: ``s F`` times.
+
+        With ``r = K w - F`` the tangential force of such a node is ``r_t = -s (b + F r_n)``. None without
+        Coulomb friction.
+        """
+        if self._coulomb is None:
+            return None
+        slides = np.flatnonzero(active.touching & self.slips & (active.sliding != 0) & (self._coulomb > 0))
+        values = active.sliding[slides] * self._coulomb[slides]
+        place = self.tangent[slides], self.normal[slides]
+        return sp.csr_array((values, place), shape=self.K.shape)
+
+    def combined(self, active: ActiveSet, force: Array) -> Array:
+        """``force + C force``, see :meth:`coupling`."""
+        pull = self.coupling(active)
+        return force if pull is None else np.asarray(force + pull @ force)
 
 
 def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, Index, Index]:

@@ -6,7 +6,8 @@ lambda_i >= 0 on the gaps and, with friction, mu-_i, mu+_i >= 0 on ``s_i - u_t,i
 
     dJ/du_i - lambda_i n + (mu-_i - mu+_i) t = 0,      g omega_i - mu-_i - mu+_i = 0,
 
-J being the energy without friction: the constraints of ``mpcc``.
+J being the energy without friction: the constraints of ``mpcc``. With Coulomb's coefficient F the second one
+has ``F_i lambda_i`` in addition.
 """
 
 from __future__ import annotations
@@ -104,6 +105,8 @@ def friction_terms(space: DisplacementSpace) -> list[ElementTerm]:
     """Friction energy of positions and slip magnitudes (obstacles, nodes)."""
     terms = []
     for part, _ in _frictional(space):
+        if not part.obstacle.has_bound:
+            continue
         for number, edges in space.problem.edges_by_curve(str(part.obstacle.boundary)):
             slips = space.nodes_of(edges)
             if number < 0:
@@ -197,16 +200,43 @@ def contact_force_groups(
     return groups
 
 
+def coulomb_function(obstacle: Obstacle, shares: Array) -> ca.Function:
+    """``(X_i, lambda) -> (0, F(X) lambda)`` of one contact node."""
+    (X, x, y), pressure = _node(shares), ca.SX.sym("lambda")
+    return ca.Function("coulomb", [X, pressure], [0, at(obstacle.coulomb, x, y) * pressure])
+
+
+def coefficient_terms(space: DisplacementSpace) -> list[ElementTerm]:
+    """Coulomb's coefficients that vary, of positions: a row per gap with friction."""
+    terms = []
+    for part, numbers in _frictional(space):
+        if callable(part.obstacle.coulomb):
+            for which, vertices, shares in space.kinds(part.nodes):
+                X, x, y = _node(shares)
+                value = ca.Function("coefficient", [X], [0, at(part.obstacle.coulomb, x, y)])
+                terms.append(ElementTerm(value, (vertices,), numbers[None, which]))
+    return terms
+
+
 def bound_force_groups(
-    space: DisplacementSpace, first_row: int, friction: tuple[Field, Field]
+    space: DisplacementSpace,
+    first_row: int,
+    positions: Field,
+    normal_force: Field,
+    friction: tuple[Field, Field],
 ) -> list[ElementGroup]:
-    """Rows ``-mu- - mu+`` of the stationarity with respect to the slip magnitudes."""
+    """Rows ``F lambda - mu- - mu+`` of the stationarity with respect to the slip magnitudes."""
     minus, plus = ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
     function = ca.Function("bound_force", [minus, plus], [0, -minus - plus])
     groups = []
     for part, numbers in _frictional(space):
         local = tuple(field.component(part.number).at(part.nodes[None]) for field in friction)
         groups.append(ElementGroup(function, local, first_row + numbers[None]))
+        for which, vertices, shares in space.kinds(part.nodes) if part.obstacle.has_coulomb else ():
+            force = normal_force.component(part.number).at(part.nodes[None, which])
+            rows = first_row + numbers[None, which]
+            pressing = coulomb_function(part.obstacle, shares)
+            groups.append(ElementGroup(pressing, (positions.at(vertices), force), rows))
     return groups
 
 

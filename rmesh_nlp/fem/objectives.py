@@ -69,7 +69,7 @@ def _contact(on: Fields) -> list[ElementGroup]:
 
     T(u) is the exact traction (the outward normal derivative of a scalar problem).
     """
-    exact = _exact(on, "contact")
+    exact = _theorem(on, "contact")
     if len(on.problem.laws) > 1 or any(not isinstance(o.boundary, str) for o in on.problem.obstacles):
         raise ValueError("the objective 'contact' needs one law and contact on a boundary")
     return [_work(on, exact, obstacle) for obstacle in on.problem.obstacles]
@@ -82,7 +82,7 @@ def _friction(on: Fields) -> list[ElementGroup]:
     integrand is not negative; it vanishes where the discrete solution sticks and slides as the exact one.
     The first part is taken by the trapezoidal rule, as in the energy (5.9), the second accurately.
     """
-    exact = _exact(on, "friction")
+    exact = _theorem(on, "friction")
     if not on.problem.frictional:
         raise ValueError("the objective 'friction' needs a contact boundary with friction")
     if len(on.problem.laws) > 1:
@@ -122,6 +122,15 @@ def _exact(on: Fields, name: str) -> ExactSolution:
             f"the objective {name!r} needs an exact or reference solution, and {on.problem.name!r} has none"
         )
     return on.problem.exact
+
+
+def _theorem(on: Fields, name: str) -> ExactSolution:
+    if on.problem.has_coulomb:
+        raise ValueError(
+            f"the objective {name!r} is a term of Theorem 4.1 on a least energy, and with Coulomb friction "
+            "there is none"
+        )
+    return _exact(on, name)
 
 
 def _with_gradient(exact: ExactSolution) -> ca.Function:

@@ -185,7 +185,9 @@ class _Builder:
         obstacles, supports, curves = [], [], {}
         for key, contact in self.contacts.items():
             with self.at(key, contact):
-                obstacles.append(replace(_obstacle(contact, n), gap=contact.gap))
+                obstacles.append(
+                    replace(_obstacle(contact, n), gap=contact.gap, coulomb=contact.coulomb or 0.0)
+                )
         loads = [self.point_load(k, load, mesh, n) for k, load in enumerate(table.point_loads, 1)]
         for name, value in table.dirichlet.items():
             with self.at(f"dirichlet.{name}", value):
@@ -232,11 +234,15 @@ class _Builder:
                 return key, law
             source = "source" if law.law == "laplace" else "body_force"
             return f"{key}.{source}", getattr(law, source)
-        if part in ("obstacle", "friction"):
+        if part in ("obstacle", "friction", "coulomb"):
             key, contact = list(self.contacts.items())[int(name or 0)]
             if name is None:
-                return ("contact", contact) if part == "obstacle" else ("contact.friction", contact.friction)
-            given = contact.given(*(("friction",) if part == "friction" else FOUNDATIONS))
+                return (
+                    ("contact", contact)
+                    if part == "obstacle"
+                    else (f"contact.{part}", getattr(contact, part))
+                )
+            given = contact.given(*(FOUNDATIONS if part == "obstacle" else (part,)))
             place = [*given, "boundary"][0]
             return f"{key}.{place}", getattr(contact, place)
         value: Any = getattr(table, part, None)
@@ -333,7 +339,7 @@ class _Builder:
 
 def _obstacle(table: ContactTable, components: int) -> Obstacle:
     if table.interior is not None:
-        if table.friction is not None:
+        if table.given("friction", "coulomb"):
             raise ValueError("friction needs contact on a boundary")
         return Obstacle.interior(table.interior)
     boundary, friction = str(table.boundary), 0.0 if table.friction is None else table.friction

@@ -229,6 +229,7 @@ class ContactTable(Table):
     points: Points | None = None
     interior: Scalar | None = None
     friction: Scalar | None = None
+    coulomb: Scalar | None = None
     gap: Literal["node", "edge"] = "node"
 
     @model_validator(mode="after")

@@ -91,7 +91,9 @@ def fields_of(solution: Solution) -> Fields:
     for part in space.contact_sets:
         here = nodes[:, part.nodes]
         contact[part.nodes] = True
+        pressing = np.maximum(solution.pressure[part.nodes], 0.0)
         bound[part.nodes] = on_points(part.obstacle.friction, here)
+        bound[part.nodes] += on_points(part.obstacle.coulomb, here) * pressing
         if solution.problem.components == 2:
             foundation[:, part.nodes] = part.obstacle.feet(here)
     return Fields(

@@ -5,7 +5,7 @@ act: outer variables q in units of their move limits, displacements in units of 
 units of ``force``, so that all are of order one. Then
 
     min  F(X, u)
-    s.t. equilibrium (and, with friction, mu- + mu+ = g omega),   element areas,
+    s.t. equilibrium (and, with friction, mu- + mu+ = g omega + F lambda),   element areas,
          0 <= gap   _|_ lambda >= 0,
          0 <= s - u_t _|_ mu- >= 0,   0 <= s + u_t _|_ mu+ >= 0.
 """
@@ -81,8 +81,9 @@ class Bilevel:
         parts = [q, equilibrium.u / self.length, equilibrium.normal_force / self.force]
         if self.friction_rows.size:
             slip = np.abs(system.tangents @ equilibrium.u) / self.length
-            minus = (system.slip_bound - equilibrium.tangential_force) / (2 * self.force)
-            plus = (system.slip_bound + equilibrium.tangential_force) / (2 * self.force)
+            bound = system.bound(equilibrium.normal_force)
+            minus = (bound - equilibrium.tangential_force) / (2 * self.force)
+            plus = (bound + equilibrium.tangential_force) / (2 * self.force)
             parts += [part[self.friction_rows] for part in (slip, minus, plus)]
         return np.concatenate(parts)
 
@@ -121,7 +122,7 @@ def bilevel(
     )
     for weights in parts.friction:
         groups.append(gradient_group(weights.on(free.positions, slip), 1, n_u - (first + n_c), force))
-    groups += bound_force_groups(parts.space, n_u, friction)
+    groups += bound_force_groups(parts.space, n_u, free.positions, normal_force, friction)
     n_equations, area_bound = n_u + n_s, parts.validity.bound
     validity = parts.validity.upright_group
     groups.append(replace(validity, rows=validity.rows + n_equations))

@@ -28,6 +28,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array, Block
 from rmesh_nlp.fem.assembly import element_values
+from rmesh_nlp.fem.contact_terms import coefficient_terms
 from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
@@ -182,7 +183,8 @@ class ReducedObjective:
     With the active set held, ``dF/dq = F_q - R_q^T p - gamma_q^T r - sigma_q^T t``, where K p = F_u on
     the displacements that are free, R is the out-of-balance force, r and t are the adjoint reactions at
     touching and at sticking nodes (:func:`rmesh_nlp.contact.sensitivity.adjoint`), gamma the gaps and sigma
-    the slips at fixed displacement. That is the gradient wherever strict complementarity holds.
+    the slips at fixed displacement. That is the gradient wherever strict complementarity holds. Coulomb's
+    coefficients that vary add the change of their bounds.
     """
 
     def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
@@ -193,6 +195,11 @@ class ReducedObjective:
         outer = rel.discretisation.assemble(groups, rel.x, ca.MX(0, 1), 0)
         self._outer = outer.numeric("gradient")
         self._derivatives = SecondDerivatives(rel)
+        terms = [term.on(fields[0]) for term in coefficient_terms(rel.discretisation.space)]
+        self._coefficients = None
+        if terms:
+            rows = rel.discretisation.assemble(terms, rel.x, ca.MX(0, 1), rel.n_s).numeric("jacobian")
+            self._coefficients = rows, Block(rows.sums[1].numbered, slice(0, rel.n_s), slice(0, rel.n_q))
 
     def is_defined(self, q: Array) -> bool:
         """Whether a distortion in the objective is defined: no element is inverted."""
@@ -219,6 +226,10 @@ class ReducedObjective:
         if rel.n_s:
             total -= blocks.qs @ (state.active.sliding[rows] * (tangents @ p))
             total += blocks.slip.T @ (by_slip - friction[rows])
+        if self._coefficients is not None:
+            numeric, block = self._coefficients
+            force = state.active.sliding[rows] * (tangents @ p) * state.normal_force[rows]
+            total -= block(numeric(x, None)[1]).T @ force
         return replace(inner, value=float(value[0]), gradient=total, is_energy=False)
 
 

@@ -116,6 +116,8 @@ def metric_start(first: Solved, nodes: int, is_late: Callable[[], bool] = lambda
     ProblemError
         If the contact problem cannot be solved on a new mesh.
     """
+    if first.problem.has_coulomb:
+        raise BadInputError("the best mesh is that of least energy: with Coulomb friction none is minimised")
     here, ratio, best, off = first, float("nan"), None, sagitta(first.problem)
     done: list[Solved] = []
     for size in _sizes(first.problem.mesh.p.shape[1], nodes):

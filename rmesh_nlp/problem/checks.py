@@ -134,7 +134,7 @@ def _check_functions(problem: ProblemData) -> None:
             values = on_points(value, points if callable(value) else points[:, :1], what)
         except ValueError as error:
             raise ProblemError(part, str(error), name) from error
-        if part == "friction" and np.min(values) < 0:
+        if part in ("friction", "coulomb") and np.min(values) < 0:
             k = int(np.argmin(values))
             place = f"({points[0, k]:.6g}, {points[1, k]:.6g})"
             raise ProblemError(part, f"{what} must not be negative, got {values[k]:.6g} at {place}", name)
@@ -163,6 +163,7 @@ def _functions(problem: ProblemData) -> Iterator[tuple[str, Coefficient, Array, 
         gap = obstacle.offset if obstacle.level is None else obstacle.distance
         yield "obstacle", gap, points, "the obstacle", number
         yield "friction", obstacle.friction, points, "the friction bound", number
+        yield "coulomb", obstacle.coulomb, points, "Coulomb's coefficient", number
 
 
 def _components(what: str, values: tuple[Coefficient, ...]) -> list[tuple[str, Coefficient]]:

@@ -102,6 +102,11 @@ class ProblemData:
         zero = (0.0,) * self.components
         return tuple(Dirichlet(d, zero) if isinstance(d, str) else d for d in self.dirichlet)
 
+    @property
+    def has_coulomb(self) -> bool:
+        """Whether friction depends on the pressure anywhere: then no energy is minimised."""
+        return any(obstacle.has_coulomb for obstacle in self.obstacles)
+
     @cached_property
     def triangles(self) -> NDArray[np.int64]:
         """(3, elements) vertex numbers, each triangle counter-clockwise."""

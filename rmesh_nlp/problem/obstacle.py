@@ -57,6 +57,9 @@ class Obstacle:
     friction : float or function of position
         Tresca bound g >= 0 in units of stress; 0, the default, without friction. It acts along the tangent,
         the normal turned by -90 degrees.
+    coulomb : float or function of position
+        Coulomb's coefficient F >= 0, without unit: the bound is F times the contact pressure, in addition to
+        g. With it there is no energy that the displacement minimises.
     kinks : tuple of float
         Values of x_1 where the offset has a kink, found for a :class:`PiecewiseLinear` one.
         Contact nodes there do not move: the gap is imposed at nodes, and beside its node a kink
@@ -81,6 +84,7 @@ class Obstacle:
     level: PositionFunction | None = None
     fixed_in_space: bool = False
     gap: str = "node"
+    coulomb: Coefficient = 0.0
 
     def __post_init__(self) -> None:
         if isinstance(self.offset, PiecewiseLinear) and not self.kinks:
@@ -90,6 +94,8 @@ class Obstacle:
             raise ValueError(f"the contact normal {self.normal} has length {length}, not 1")
         if not callable(self.friction) and not self.friction >= 0:
             raise ValueError(f"the friction bound must not be negative, got {self.friction}")
+        if not callable(self.coulomb) and not 0 <= self.coulomb < np.inf:
+            raise ValueError(f"Coulomb's coefficient must not be negative, got {self.coulomb}")
         if self.frictional and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
             raise ValueError("friction needs a problem with two displacement components")
         if self.gap not in GAPS:
@@ -188,7 +194,9 @@ class Obstacle:
         normal = f"normal ({', '.join(figure(v) for v in self.normal)})"
         if self.level is not None:
             normal = "the normal of the curve at each undeformed node"
-        friction = f"friction bound {describe(self.friction)}" if self.frictional else "no friction"
+        bounds = [f"friction bound {describe(self.friction)}"] if self.has_bound else []
+        bounds += [f"Coulomb's coefficient {describe(self.coulomb)}"] if self.has_coulomb else []
+        friction = " and ".join(bounds) or "no friction"
         return f"{where}, {normal}, {friction}"
 
     def direction(self, x: Any, y: Any) -> Any:
@@ -235,8 +243,18 @@ class Obstacle:
 
     @property
     def frictional(self) -> bool:
-        """Whether there is a friction bound at all."""
+        """Whether friction may act."""
+        return self.has_bound or self.has_coulomb
+
+    @property
+    def has_bound(self) -> bool:
+        """Whether there is a bound of Tresca."""
         return callable(self.friction) or self.friction > 0
+
+    @property
+    def has_coulomb(self) -> bool:
+        """Whether there is a coefficient of Coulomb."""
+        return callable(self.coulomb) or self.coulomb > 0
 
     @property
     def tangent(self) -> tuple[float, ...]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.display import figure
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.meshes.mmg import MISSING, is_available
 from rmesh_nlp.models.attainable import LeastErrors
@@ -120,6 +121,10 @@ def advise(problem: ContactProblem) -> Advice:
 
     Move limits are not regarded; over curved foundations gaps hold along edges, as in ``auto``.
     """
+    if problem.has_coulomb:
+        raise BadInputError(
+            "advice is about the error of the energy: with Coulomb friction none is minimised"
+        )
     motion = replace(problem.motion, delta=None)
     given = replace(with_edge_gaps(problem), motion=motion, quadrature="auto")
     here = _Prospect.of(given)

@@ -12,6 +12,7 @@ from rmesh_nlp.assessment.assessor import Audit, equilibrium_residual, law_resid
 from rmesh_nlp.assessment.conclusion import Measured, conclusion
 from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
 from rmesh_nlp.contact.system import Equilibrium
+from rmesh_nlp.contact.uniqueness import contraction
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
@@ -246,7 +247,13 @@ def _warnings(ends: _Ends) -> tuple[str, ...]:
     found = [one for one in said if one.kind != "penetration"]
     displacement = ends.outer.contact.displacement.values(ends.found.u)
     found += penetration_warnings(ends.outer.discretisation.space, ends.nodes, displacement)
-    return tuple(one.message for one in found)
+    messages = [one.message for one in found]
+    if (ratio := contraction(ends.exact.system, ends.exact.equilibrium)) >= 1:
+        messages.append(
+            f"Coulomb friction is strong: a change of its bounds grows {ratio:.2g} times in a fixed-point "
+            "step, and it is not known whether this solution is the only one"
+        )
+    return tuple(messages)
 
 
 def _quantities(ends: _Ends) -> ContactQuantities | None:

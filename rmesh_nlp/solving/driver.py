@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.status import Status
@@ -97,6 +98,7 @@ def solve(
     asked = composed(formulation, {}) if isinstance(formulation, str) else formulation
     choice = _chosen(asked, problem, outer_objective, start is not None or seed is not None)
     chosen = choice.formulation
+    _check_energy(problem, outer_objective, chosen)
     chosen.accepts(choice.problem, outer_objective)
     if not chosen.relocates:
         start = seed = None
@@ -121,6 +123,16 @@ def solve_by_options(
 ) -> Solution:
     """:func:`solve` with options by name, see :func:`rmesh_nlp.solving.options.request`."""
     return solve(problem, **request(formulation, options), on_step=on_step, certify=certify)
+
+
+def _check_energy(problem: ContactProblem, objective: Objective, formulation: Formulation) -> None:
+    """Raise a BadInputError where an energy is to be minimised that there is not."""
+    energies = [term.name for _, term in objective.terms if term.name in ("energy", "certificate")]
+    if problem.has_coulomb and formulation.relocates and energies:
+        raise BadInputError(
+            "with Coulomb friction no energy is minimised, which the objective "
+            f"{objective.text!r} would need: state another one, such as 'mean(top, -uy)'"
+        )
 
 
 def _chosen(

@@ -1,0 +1,203 @@
+"""Coulomb friction: closed forms, all branches of a small problem, derivatives, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+import rmesh_nlp as rm
+from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
+from rmesh_nlp.contact.active_set import _by_bounds, first_set, solve
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.contact.uniqueness import contraction
+from rmesh_nlp.errors import BadInputError, ProblemError
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.models.reduced_model import ReducedEnergy, outer_function
+from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
+
+SAG = "mean(top, -uy)"
+
+
+def slab(coulomb=0.5, n=(12, 6), order: int = 1, **changes) -> ContactProblem:
+    """Example 6.3 with a coefficient of Coulomb in the place of its bound."""
+    problem = rm.EXAMPLES["6.3"](n=n)
+    obstacle = replace(problem.obstacle, friction=0.0, coulomb=coulomb)
+    return replace(problem, obstacle=obstacle, order=order, **changes)
+
+
+def is_solution(system: ContactSystem, state: Equilibrium) -> bool:
+    forces = state.u, state.normal_force, state.tangential_force
+    return equilibrium_residual(system, *forces) < 1e-9 and law_residual(system, *forces) < 1e-9
+
+
+class TestSolver:
+    @pytest.mark.parametrize("order", [1, 2])
+    def test_a_sliding_block_under_constant_stress(self, order: int) -> None:
+        """Pressure p and shear F p everywhere: displacements are linear, and the bottom slides by 0.02."""
+        mu, p, F = 50.0, 3.0, 0.4
+        top = rm.Dirichlet("top", (0.02 + F * p / mu, -p / (2 * mu)))
+        sides = rm.Traction("right", (0.0, F * p)), rm.Traction("left", (0.0, -F * p))
+        problem = ContactProblem(
+            rectangle(4, 3),
+            rm.PlaneStrain(0.0, mu),
+            top,
+            rm.Obstacle("bottom", coulomb=F),
+            order=order,
+            tractions=sides,
+        )
+        model = ContactSolver(problem)
+        found, space = model.given, model.discretisation.space
+        _, y = space.points(problem.mesh.p)
+        u = space.values(model.displacement.values(found.u))
+        np.testing.assert_allclose(u, [0.02 + F * p / mu * y, -p / (2 * mu) * y], atol=1e-13)
+        np.testing.assert_allclose(found.normal_force, p * space.weights(problem.mesh.p), rtol=1e-10)
+        np.testing.assert_allclose(found.tangential_force, -F * found.normal_force, rtol=1e-10)
+        assert np.all(found.active.sliding == 1)
+
+    @pytest.mark.parametrize("order", [1, 2])
+    @pytest.mark.parametrize("coulomb", [0.0, 0.1, 0.5, 1.0, 3.0, lambda x, y: 0.2 + 0.3 * x])
+    def test_laws_hold_whatever_the_coefficient(self, coulomb, order: int) -> None:
+        problem = slab(coulomb, order=order)
+        model = ContactSolver(problem)
+        system = model.system(problem.mesh.p)
+        assert model.given.status is Status.CONVERGED
+        assert is_solution(system, model.given)
+        assert model.given.iterations <= 12
+
+    def test_solution_is_the_only_one_of_all_branches(self) -> None:
+        """Four contact nodes that are open, stick, or slide either way: 256 branches."""
+        problem = slab(0.6, (4, 2), motion=rm.Motion(None))
+        model = ContactSolver(problem)
+        system = model.system(problem.mesh.p)
+        assert system.offset.size == 4
+        found = []
+        for states in product([(False, 1), (True, 0), (True, 1), (True, -1)], repeat=4):
+            touching, sliding = (np.array(part) for part in zip(*states, strict=True))
+            state = system.equilibrium(ActiveSet(touching, sliding.astype(np.int8)))
+            if is_solution(system, state):
+                found.append(state.u)
+        assert found
+        for u in found:
+            np.testing.assert_allclose(u, model.given.u, atol=1e-12)
+
+    @pytest.mark.parametrize("coulomb", [0.3, 1.0])
+    def test_bounds_that_follow_the_forces_lead_to_the_same_solution(self, coulomb: float) -> None:
+        problem = slab(coulomb)
+        system = ContactSolver(problem).system(problem.mesh.p)
+        newton = solve(system)
+        slow = _by_bounds(system, system.equilibrium(first_set(system)), 100)
+        assert slow.status is Status.CONVERGED
+        np.testing.assert_allclose(slow.u, newton.u, atol=1e-12)
+        # it is the solution for the bound of Tresca that is reached
+        bounded = replace(system, slip_bound=system.bound(newton.normal_force), coulomb=None)
+        np.testing.assert_allclose(solve(bounded).u, newton.u, atol=1e-12)
+
+    def test_bounds_of_tresca_and_of_coulomb_add_up(self) -> None:
+        problem = slab(0.3)
+        both = replace(problem, obstacle=replace(problem.obstacle, friction=4.0))
+        system = ContactSolver(both).system(both.mesh.p)
+        state = solve(system)
+        assert is_solution(system, state)
+        slides = state.active.touching & (state.active.sliding != 0)
+        assert np.any(slides)
+        omega = ContactSolver(both).discretisation.space.weights(both.mesh.p)
+        expected = (4.0 * omega + 0.3 * state.normal_force)[slides]
+        np.testing.assert_allclose(np.abs(state.tangential_force[slides]), expected, rtol=1e-10)
+
+    def test_contraction_is_that_of_the_fixed_point(self) -> None:
+        problem = slab(0.8)
+        system = ContactSolver(problem).system(problem.mesh.p)
+        state = solve(system)
+        bound = system.bound(state.normal_force)
+
+        def after(change: np.ndarray) -> np.ndarray:
+            bounded = replace(system, slip_bound=bound + change, coulomb=None)
+            return system.bound(bounded.equilibrium(state.active).normal_force)
+
+        small = 1e-3 * bound.max()
+        jacobian = [(after(small * unit) - bound) / small for unit in np.eye(bound.size)]
+        expected = np.max(np.abs(np.linalg.eigvals(np.stack(jacobian, axis=1))))
+        assert 0.1 < contraction(system, state) == pytest.approx(expected, rel=1e-6)
+        assert contraction(replace(system, coulomb=None), state) == 0.0
+
+
+class TestGradients:
+    @pytest.mark.parametrize("order", [1, 2])
+    @pytest.mark.parametrize("coulomb", [0.4, lambda x, y: 0.8 + 0.1 * x + 0.05 * y])
+    def test_by_the_adjoint_are_those_of_differences(self, coulomb, order: int) -> None:
+        energy = ReducedEnergy.of(ContactSolver(slab(coulomb, order=order)))
+        function = outer_function(energy, parse_objective(SAG))
+        rng, n = np.random.default_rng(3), energy.relocation.n_q
+        q, d = 0.2 * rng.uniform(-1, 1, n), rng.uniform(-1, 1, n)
+        here = function(q)
+        hessian = ObjectiveCurvature(energy, function.objective).at(here)
+        np.testing.assert_allclose(
+            hessian.gradient, here.gradient, rtol=1e-7, atol=1e-9 * np.abs(here.gradient).max()
+        )
+        step = 1e-4
+        above, below = function(q + step * d), function(q - step * d)
+        assert (above.value - below.value) / (2 * step) == pytest.approx(here.gradient @ d, rel=1e-5)
+        change = (above.gradient - below.gradient) / (2 * step)
+        np.testing.assert_allclose(hessian(d), change, atol=1e-5 * np.abs(change).max())
+
+
+class TestFormulations:
+    def test_nested_and_mpcc_lower_the_objective_and_are_measured_alike(self) -> None:
+        ends = {name: rm.solve(slab(0.5), name, objective=SAG) for name in ("nested", "mpcc")}
+        for solution in ends.values():
+            row = solution.record()
+            assert solution.success
+            assert row["objective_value"] < 0.75 * row["objective_initial"]
+            assert row["complementarity_residual"] < 1e-8
+            assert solution.stationarity_residual < 1e-5
+        assert ends["mpcc"].stationarity == "S"
+
+    def test_fixed_solves_the_contact_problem(self) -> None:
+        problem = slab(1.0)
+        solution = rm.solve(problem, "fixed")
+        assert solution.status is Status.CONVERGED
+        row, state = solution.record(), ContactSolver(problem).given
+        touching = state.active.touching
+        assert row["sticking_nodes"] == np.count_nonzero(state.active.sliding == 0) > 0
+        assert row["sliding_nodes"] == np.count_nonzero(state.active.sliding != 0)
+        assert 0 < np.count_nonzero(touching) < touching.size
+
+    @pytest.mark.parametrize("name", ["joint", "nested", "mpcc", "auto", "cascade"])
+    def test_there_is_no_energy_to_minimise(self, name: str) -> None:
+        with pytest.raises(BadInputError, match="with Coulomb friction"):
+            rm.solve(slab(), name)
+
+    def test_joint_says_why_it_refuses(self) -> None:
+        with pytest.raises(BadInputError, match=r"joint minimises an energy.*use mpcc or nested"):
+            rm.solve(slab(), "joint", objective=SAG)
+
+    def test_there_is_no_certificate(self) -> None:
+        remark = rm.solve(slab(), "fixed", certify=True).certificate_remark
+        assert remark is not None
+        assert "Coulomb" in remark
+
+    def test_a_strong_coefficient_is_warned_of(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("rmesh_nlp.solving.assess.contraction", lambda *_: 1.25)
+        assert "the only one" in " ".join(rm.solve(slab(), "fixed").record()["warnings"])
+
+
+class TestInput:
+    def test_negative_coefficients_are_refused(self) -> None:
+        with pytest.raises(ValueError, match=r"Coulomb's coefficient must not be negative, got -0\.1"):
+            rm.Obstacle("bottom", coulomb=-0.1)
+        with pytest.raises(ProblemError, match="Coulomb's coefficient must not be negative, got -"):
+            slab(lambda x, y: 0.5 - x)
+        with pytest.raises(ValueError, match="needs a problem with two displacement components"):
+            rm.Obstacle("bottom", normal=(1.0,), coulomb=0.1)
+
+    def test_words(self) -> None:
+        assert "Coulomb's coefficient 0.3" in rm.Obstacle("bottom", coulomb=0.3).in_words()
+        both = rm.Obstacle("bottom", friction=2.0, coulomb=0.3).in_words()
+        assert "friction bound 2 and Coulomb's coefficient 0.3" in both
