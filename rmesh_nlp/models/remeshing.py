@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import Equilibrium
+from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT
@@ -77,10 +77,27 @@ class Solved:
         return self.solver.problem
 
     @staticmethod
-    def of(problem: ContactProblem) -> Solved:
-        """Solve a problem on the mesh as given."""
+    def of(problem: ContactProblem, near: Solved | None = None) -> Solved:
+        """Solve a problem on the mesh as given, from the contact of a similar mesh if there is one."""
         solver = ContactSolver(problem)
+        start = near.active_near(solver) if near is not None and "given" not in vars(solver) else None
+        if start is not None:
+            state = solver.solve(np.asarray(problem.mesh.p), start)
+            if state.status is Status.CONVERGED:  # the same as from nothing, and shared by all
+                vars(solver)["given"] = state
         return Solved(solver, solver.given)
+
+    def active_near(self, other: ContactSolver) -> ActiveSet | None:
+        """The active set of the nearest contact nodes; None without contact."""
+        here, there = (
+            one.discretisation.space.points(np.asarray(one.problem.mesh.p))[:, one.contact_nodes].T
+            for one in (self.solver, other)
+        )
+        if not here.size or not there.size:
+            return None
+        nearest, active = cKDTree(here).query(there)[1], self.state.active
+        sliding = active.sliding[nearest] if active.sliding.size else active.sliding
+        return ActiveSet(active.touching[nearest], sliding)
 
     @cached_property
     def regions(self) -> tuple[Recovered, ...]:
@@ -124,7 +141,7 @@ def metric_start(first: Solved, nodes: int, is_late: Callable[[], bool] = lambda
         tolerance = EXACT if size == nodes else ROUGH
         try:
             problem, ratio = remeshed_problem(here.problem, here.regions, size, ratio, tolerance, off)
-            there = _solved(problem)
+            there = _solved(problem, here)
         except (BadInputError, ProblemError):
             if best is None:
                 raise
@@ -142,8 +159,8 @@ def metric_start(first: Solved, nodes: int, is_late: Callable[[], bool] = lambda
     return MetricStart(best, counts, tuple(one.state.energy for one in done))
 
 
-def _solved(problem: ContactProblem) -> Solved:
-    found = Solved.of(problem)
+def _solved(problem: ContactProblem, near: Solved) -> Solved:
+    found = Solved.of(problem, near)
     if found.state.status is not Status.CONVERGED:
         count = problem.mesh.p.shape[1]
         raise ProblemError("mesh", f"the contact problem was not solved on a new mesh of {count} nodes")

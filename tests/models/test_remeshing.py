@@ -10,6 +10,7 @@ import pytest
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError, ProblemError
+from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.interpolation_error import errors
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import least_angles
@@ -39,6 +40,7 @@ from rmesh_nlp.problem import (
     Traction,
 )
 from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.contact_problem import refined
 from support.contact_geometry import (
     block_between_two_foundations,
     block_in_a_corner,
@@ -319,6 +321,16 @@ class TestSolved:
         problem = signorini(4)
         assert Solved.of(problem).state.energy == ContactSolver(problem).solve(problem.mesh.p).energy
 
+    @pytest.mark.parametrize("order", [1, 2])
+    def test_contact_of_a_similar_mesh_saves_steps_and_changes_nothing(self, order: int) -> None:
+        problem = replace(EXAMPLES["6.3"](n=(12, 6), delta="none"), order=order)
+        fine = refined(problem)
+        cold, warm = Solved.of(fine), Solved.of(fine, Solved.of(problem))
+        assert warm.state.iterations < cold.state.iterations
+        assert warm.state.active.key() == cold.state.active.key()
+        assert warm.state.energy == pytest.approx(cold.state.energy, rel=1e-13)
+        assert warm.solver.given is warm.state
+
 
 class Calls:
     """Rounds whose energies are given."""
@@ -339,7 +351,7 @@ class Calls:
             raise self.left.pop(0)
         return replace(problem, name=f"round {len(self.sizes)}"), 2.0
 
-    def solve(self, problem: ContactProblem) -> Any:
+    def solve(self, problem: ContactProblem, _: Solved) -> Any:
         energy = self.left.pop(0)
         if isinstance(energy, Exception):
             raise energy
@@ -394,7 +406,7 @@ class TestRounds:
             metric_start(Solved.of(signorini(2)), 9)
 
     def test_a_contact_problem_without_a_solution_is_an_error(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        def unsolved(problem: ContactProblem) -> Solved:
+        def unsolved(problem: ContactProblem, _: Solved) -> Solved:
             solver = ContactSolver(problem)
             state = replace(solver.solve(problem.mesh.p), status=Status.ITERATION_LIMIT)
             return Solved(solver, state)
