@@ -87,7 +87,8 @@ def strain_energy(law: Law, curve: Curve, order: int = 1) -> ca.Function:
             scaled = rise @ ca.vertcat(
                 ca.horzcat(along[1], -along[0]), ca.horzcat(-across[1], across[0])
             )  # det * grad u
-            energy += weight_s * weight_r * energy_density(law, scaled) / det
+            upright = ca.if_else(det > 0, det, np.nan)  # solvers shorten steps to triangles that fold
+            energy += weight_s * weight_r * energy_density(law, scaled) / upright
     return ca.Function("arc_strain_energy", [arc.t, X, ca.vec(u)], [energy, arc.kind(0, 1)])
 
 
