@@ -1,8 +1,8 @@
 """The derivatives that a displacement lacks, by fits of polynomials of one degree more around each vertex.
 
 They are the second ones of linear displacements, the third ones of quadratic displacements. The polynomial
-of a vertex is that of least squares through the values at the nodes of the triangles around it and, for
-linear displacements, around its neighbours (Z. Zhang, A. Naga, A new finite element gradient recovery method,
+of a vertex is that of least squares through the values at the nodes of the triangles around it and around its
+neighbours (Z. Zhang, A. Naga, A new finite element gradient recovery method,
 SIAM J. Sci. Comput. 26 (2005) 1192-1213). Fits never reach across a jump of the material, where these
 derivatives have one too. Where they are unbounded, at corners and ends of contact, a fit has their size at
 the width of its patch.
@@ -24,10 +24,14 @@ from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem.laws import Law
 
-NEARNESS = 2.0
-"""Weights of nodes fall like ``exp(-NEARNESS r^2)``, with r in root mean squares of the patch. With weights
-like ``1 / (1 + r^2)`` fits smooth too much: errors on adapted meshes are estimated at 0.27 to 1 times the
-true ones in place of 0.8 to 1.06 (fifteen meshes of ``scripts/benchmark_mesh.py``)."""
+NEARNESS = {2: 2.0, 3: 10.0}
+"""By degree: weights of nodes fall like ``exp(-NEARNESS r^2)``, with r in root mean squares of the patch.
+
+With weights like ``1 / (1 + r^2)`` fits of degree 2 smooth too much: errors on adapted meshes are estimated
+at 0.27 to 1 times the true ones in place of 0.8 to 1.06 (fifteen meshes of ``scripts/benchmark_mesh.py``).
+With cubic polynomials through the nodes of the nearest triangles alone, errors of new meshes were estimated
+at up to 20 times the true ones; with these weights at 0.5 to 1.2 (Example 6.1, L-shape, Example 6.3,
+wedge)."""
 
 CONDITION = {2: 1e5, 3: 1e7}
 """Largest condition number of the normal equations of a fit of a degree; a patch with more is enlarged."""
@@ -111,9 +115,7 @@ class _Fits:
         around = sp.csr_array((np.ones(place[0].size), place), shape=(n, self._points.shape[1]))
         around.sum_duplicates()
         near = sp.csr_array(around[:, self._centres])
-        # a quadratic polynomial takes two rings of vertices, one ring has enough nodes for a cubic one
-        reach = near if self._degree == 2 else sp.eye_array(n).tocsr()
-        found, todo = np.zeros((self._values.shape[0], self._degree + 1, n)), np.arange(n)
+        found, todo, reach = np.zeros((self._values.shape[0], self._degree + 1, n)), np.arange(n), near
         for _ in range(RINGS - 1):
             patch, failed = sp.csr_array(reach @ around), []
             for first in range(0, todo.size, CHUNK):
@@ -148,7 +150,7 @@ class _Fits:
         c = np.sqrt(np.maximum(yy - b**2, 1e-300))
         x = dx / a[row]
         y = (dy - b[row] * x) / c[row]
-        near = np.exp(-NEARNESS * (x**2 + y**2))
+        near = np.exp(-NEARNESS[degree] * (x**2 + y**2))
         powers = [(total - j, j) for total in range(degree + 1) for j in range(total + 1)]
         terms = np.stack([x**i * y**j / (factorial(i) * factorial(j)) for i, j in powers])
         rise, unknowns = values[:, of] - values[:, nodes[row]], len(terms)

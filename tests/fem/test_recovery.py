@@ -188,7 +188,7 @@ class TestSmoothFunctions:
         unweighted = np.linalg.lstsq(terms, x**4, rcond=None)[0][3]
         moments = np.stack([x, y]) @ np.stack([x, y]).T / x.size
         weights = np.exp(
-            -NEARNESS * np.sum(np.stack([x, y]) * np.linalg.solve(moments, np.stack([x, y])), axis=0)
+            -NEARNESS[2] * np.sum(np.stack([x, y]) * np.linalg.solve(moments, np.stack([x, y])), axis=0)
         )
         root = np.sqrt(weights)
         weighted = np.linalg.lstsq(root[:, None] * terms, root * x**4, rcond=None)[0][3]
