@@ -10,10 +10,10 @@ here (``scripts/truth``): assembly, contact solver, friction integral, exact fou
 
 The truth is the continuous problem on the domain of the true curves (polygons where no curve is stated), with
 gaps and slips linear in the displacement and Tresca friction on the whole contact boundary. J is its energy.
-The true error of a mesh is the least J of all displacements that are linear on its triangles and admissible
-everywhere, minus J*, which is extrapolated from two locally refined meshes and known to a bar. Two witnesses
-stand beside: the energy norm of the difference to the reference solution, and J of the displacement that the
-package computed, which may penetrate. Faults are
+The true error of a mesh is the least J of all displacements that are linear on its triangles (quadratic with
+``--order 2``) and admissible everywhere, minus J*, which is extrapolated from two locally refined meshes and
+known to a bar. Two witnesses stand beside: the energy norm of the difference to the reference solution, and J
+of the displacement that the package computed, which may penetrate. Faults are
 
 a  a success whose true error is larger than that of the given mesh by more than 2 %, or whose own J is larger
    by as much than those of the displacements of the given mesh, the best and the computed ones;
@@ -188,10 +188,11 @@ def found_faults(row: Row) -> list[str]:
     return [fault for fault, bad in wrong.items() if bad]
 
 
-def check(kind: str, number: int, folder: Path) -> Row:
+def check(kind: str, number: int, folder: Path, order: int = 1) -> Row:
     """The row of one problem."""
     warnings.simplefilter("ignore")
     data = draws.KINDS[kind](folder)[number] if kind != "random" else draws.random(number)
+    data = replace(data, order=order)
     row: Row = {"kind": kind, "number": number, "name": data.name, "family": data.name.split(" ")[0]}
     try:
         return row | checked(data)
@@ -266,6 +267,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--count", type=int, help="number of solves: 60 random ones, all others")
     parser.add_argument("--first", type=int, default=0, help="seed or number of the first")
     parser.add_argument("--parts", type=Path, default=Path(), help="folder of problem files")
+    parser.add_argument("--order", type=int, choices=(1, 2), default=1, help="of the displacements")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--out", type=Path, help="folder for KIND.jsonl; what is in it is not solved again")
     parser.add_argument("--compare", type=Path, help="KIND.jsonl of another version")
@@ -279,8 +281,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if file:
         given.out.mkdir(parents=True, exist_ok=True)
     todo = sorted({*range(given.first, last)} - {row["number"] for row in rows})
+    tasks = [(given.kind, number, given.parts, given.order) for number in todo]
     with ProcessPoolExecutor(given.jobs) as pool:
-        for future in as_completed([pool.submit(check, given.kind, number, given.parts) for number in todo]):
+        for future in as_completed([pool.submit(check, *task) for task in tasks]):
             row = future.result()
             rows.append(row)
             if row["faults"] or given.kind != "random" or (row["well_posed"] and not row["success"]):

@@ -1,13 +1,15 @@
-"""Energies of continuous piecewise linear displacements on the domain of the true curves.
+"""Energies of continuous, piecewise linear or quadratic displacements on the domain of the true curves.
 
 An element beside a curve is its triangle with the segment between edge and curve added, or taken away where
-the curve bends into it; the displacement there is the linear function of the triangle. Segments of neighbours
-meet at nodes only, so that the displacement is continuous, and admissible for the continuous problem; strains
-stay constant on elements, affine displacements are exact, and areas are known in closed form.
+the curve bends into it; the displacement there is the polynomial of the triangle. Segments of neighbours
+meet at vertices only, so that the displacement is continuous, and admissible for the continuous problem;
+affine displacements are exact, and areas are known in closed form. Unknowns are values at nodes: the vertices
+and, of order 2, the middles of edges.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +19,9 @@ from skfem import MeshTri
 from skfem.quadrature import get_quadrature_line
 
 from truth.data import Data, values
+
+SIDES = ((0, 1), (1, 2), (0, 2))
+"""Local vertices of a triangle's edges, as scikit-fem numbers them."""
 
 
 def composite(parts: int, points: int) -> tuple[np.ndarray, np.ndarray]:
@@ -31,21 +36,19 @@ class Body:
     def __init__(self, data: Data, mesh: MeshTri) -> None:
         self.data, self.mesh, self.c = data, mesh, data.components
         self.p, self.t, self.ends = np.asarray(mesh.p), np.asarray(mesh.t), mesh.p[:, mesh.facets]
+        quadratic = data.order == 2
+        self.nodes = np.vstack([self.t, self.p.shape[1] + mesh.t2f]) if quadratic else self.t
+        self.places = np.hstack([self.p, self.ends.mean(axis=1)]) if quadratic else self.p
         one, two, three = (self.p[:, nodes] for nodes in self.t)
         J = np.stack([two - one, three - one], axis=1).transpose(2, 0, 1)
         self.slopes = np.array([[-1.0, 1, 0], [-1, 0, 1]]).T @ np.linalg.inv(J)  # (elements, 3, 2)
         self.polygon = np.abs(np.linalg.det(J)) / 2
         self.area = self.polygon.copy()
-        for name, (x, y, radius) in data.circles.items():
-            facets = self.facets(name)
-            beside, ends = mesh.f2t[0, facets], self.ends[..., facets]
-            middle = ends.mean(axis=1)
-            outward = np.sum(
-                (middle - [[x], [y]]) * (middle - self.p[:, self.t[:, beside]].mean(axis=1)), axis=0
-            )
+        for name, (_, _, radius) in data.circles.items():
+            ends = self.ends[..., self.facets(name)]
             half = np.arcsin(np.minimum(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=0) / (2 * radius), 1))
             segment = radius**2 * (half - np.sin(half) * np.cos(half))
-            np.add.at(self.area, beside, np.sign(outward) * segment)
+            np.add.at(self.area, mesh.f2t[0, self.facets(name)], self.outward(name) * segment)
         self.material = np.zeros(self.t.shape[1], dtype=int)
         for number, material in enumerate(data.materials):
             self.material[material.triangles(mesh)] = number
@@ -54,6 +57,18 @@ class Body:
     def facets(self, name: str) -> np.ndarray:
         """Edges (n,) of a named boundary."""
         return np.asarray(self.mesh.boundaries[name])
+
+    def outward(self, name: str) -> np.ndarray:
+        """1 for edges (n,) whose arc is beyond their triangle, -1 where it bends into it."""
+        (x, y, _), facets = self.data.circles[name], self.facets(name)
+        middle = self.ends[..., facets].mean(axis=1)
+        away = middle - self.p[:, self.t[:, self.mesh.f2t[0, facets]]].mean(axis=1)
+        return np.sign(np.sum((middle - [[x], [y]]) * away, axis=0))
+
+    @property
+    def size(self) -> int:
+        """Number of nodes."""
+        return self.places.shape[1]
 
     @property
     def cells(self) -> int:
@@ -64,11 +79,33 @@ class Body:
     @cached_property
     def stiffness(self) -> csr_matrix:
         """K (unknowns, unknowns)."""
-        c, C = self.c, self.tensor[self.material] * self.area[:, None, None, None, None]
-        local = np.einsum("eai,epiqj,ebj->eapbq", self.slopes, C, self.slopes, optimize=True)
-        dofs = (c * self.t.T[:, :, None] + np.arange(c)).reshape(-1, 3 * c)
-        rows, columns = np.repeat(dofs, 3 * c, axis=1).ravel(), np.tile(dofs, 3 * c).ravel()
-        return coo_matrix((local.ravel(), (rows, columns)), (c * self.p.shape[1],) * 2).tocsr()
+        c, total = self.c, csr_matrix((self.c * self.size,) * 2)
+        for elements, points, weights in self.pieces():
+            G, C = self.slopes_at(elements, points), self.tensor[self.material[elements]]
+            local = np.einsum("em,emai,epiqj,embj->eapbq", weights, G, C, G, optimize=True)
+            dofs = (c * self.nodes[:, elements].T[:, :, None] + np.arange(c)).reshape(elements.size, -1)
+            rows, columns = np.repeat(dofs, dofs.shape[1], axis=1), np.tile(dofs, dofs.shape[1])
+            total = total + coo_matrix((local.ravel(), (rows.ravel(), columns.ravel())), total.shape)
+        return total.tocsr()
+
+    def pieces(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Rules for squares of strains: elements (n,), points (2, n, m), weights (n, m)."""
+        every, corners = np.arange(self.t.shape[1]), self.p[:, self.t]
+        if self.data.order == 1:
+            yield every, corners.mean(axis=1)[:, :, None], self.area[:, None]
+            return
+        middles = np.stack([corners[:, [a, b]].mean(axis=1) for a, b in SIDES], axis=2)
+        yield every, middles, np.repeat(self.polygon[:, None] / 3, 3, axis=1)
+        (s, w), (r, v) = composite(1, 8), composite(1, 4)
+        for name, (x, y, radius) in self.data.circles.items():
+            one, two = self.ends[..., self.facets(name)].transpose(1, 0, 2)[..., None]
+            length, away = np.linalg.norm(two - one, axis=0), (one + two) / 2 - [[[x]], [[y]]]
+            high = np.sqrt(radius**2 - ((s - 0.5) * length) ** 2) - np.sqrt(radius**2 - length**2 / 4)
+            up = np.multiply.outer(high, r) * (away / np.linalg.norm(away, axis=0))[..., None]
+            points = (one * (1 - s) + two * s)[..., None] + up
+            weights = np.multiply.outer(self.outward(name)[:, None] * length * high * w, v)
+            n = length.size
+            yield self.mesh.f2t[0, self.facets(name)], points.reshape(2, n, -1), weights.reshape(n, -1)
 
     def hats(self, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Hat functions (3, n, m) of elements (n,), continued beyond them, at points (2, n, m)."""
@@ -76,13 +113,33 @@ class Body:
         hats = 1 / 3 + np.einsum("nai,inm->anm", self.slopes[elements], away)
         return np.where(np.abs(hats) < 1e-12, 0.0, hats)
 
+    def shapes(self, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Shape functions (nodes, n, m) of elements (n,), continued beyond them, at points (2, n, m)."""
+        hats = self.hats(elements, points)
+        if self.data.order == 1:
+            return hats
+        return np.stack([*(hats * (2 * hats - 1)), *(4 * hats[a] * hats[b] for a, b in SIDES)])
+
+    def slopes_at(self, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Their gradients (n, m, nodes, 2)."""
+        slope = np.repeat(self.slopes[elements][:, None], points.shape[2], axis=1)
+        if self.data.order == 1:
+            return slope
+        hats = self.hats(elements, points).transpose(1, 2, 0)[..., None]
+        at_edges = [
+            4 * (hats[..., [a], :] * slope[..., [b], :] + hats[..., [b], :] * slope[..., [a], :])
+            for a, b in SIDES
+        ]
+        return np.concatenate([(4 * hats - 1) * slope, *at_edges], axis=2)
+
     def at(self, elements: np.ndarray, points: np.ndarray) -> csr_matrix:
         """The matrix (n * m, nodes) from nodal values to those at points (2, n, m) of elements (n,)."""
         n, m = points.shape[1:]
-        nodes = np.broadcast_to(self.t[:, elements][:, :, None], (3, n, m)).ravel()
-        rows = np.broadcast_to(np.arange(n * m).reshape(n, m), (3, n, m)).ravel()
-        entries = self.hats(elements, points).ravel()
-        matrix = coo_matrix((entries, (rows, nodes)), (n * m, self.p.shape[1])).tocsr()
+        shape = len(self.nodes), n, m
+        nodes = np.broadcast_to(self.nodes[:, elements][:, :, None], shape).ravel()
+        rows = np.broadcast_to(np.arange(n * m).reshape(n, m), shape).ravel()
+        entries = self.shapes(elements, points).ravel()
+        matrix = coo_matrix((entries, (rows, nodes)), (n * m, self.size)).tocsr()
         matrix.eliminate_zeros()
         return matrix
 
@@ -116,14 +173,14 @@ class Body:
         X, W = np.stack([a.ravel(), (b * (1 - a)).ravel()]), (v * w * (1 - a)).ravel()  # collapsed square
         corners, every = self.p[:, self.t], np.arange(self.t.shape[1])
         points = corners[:, 0, :, None] + np.einsum("iae,aq->ieq", corners[:, 1:] - corners[:, :1], X)
-        hats, F = self.hats(every, points), np.zeros(self.c * self.p.shape[1])
+        shapes, F = self.shapes(every, points), np.zeros(self.c * self.size)
         for number, material in enumerate(self.data.materials):
             weights = 2 * W * (self.polygon * (self.material == number))[:, None]
             for component, text in enumerate(material.loads):
                 if text != 0:
                     assert not self.data.circles, "body forces are not integrated over segments"
-                    share = np.einsum("aem,em->ae", hats, values(text, points) * weights)
-                    np.add.at(F, self.c * self.t + component, share)
+                    share = np.einsum("aem,em->ae", shapes, values(text, points) * weights)
+                    np.add.at(F, self.c * self.nodes + component, share)
         t, w = composite(8, n)
         for name, tractions in self.data.tractions.items():
             points, length, trace = self.trace(name, t)
@@ -134,12 +191,12 @@ class Body:
     @cached_property
     def given(self) -> tuple[np.ndarray, np.ndarray]:
         """Which unknowns are held, and displacements (unknowns,) with their values."""
-        held, value = np.zeros((2, self.c * self.p.shape[1]))
+        held, value = np.zeros((2, self.c * self.size))
         for name, entries in self.data.held.items():
             assert name not in self.data.circles, (
                 "displacements given on a curve are not interpolated exactly"
             )
-            nodes = np.unique(self.mesh.facets[:, self.facets(name)])
+            nodes = self.nodes_on(name)
             for component, entry in enumerate(entries):
                 if entry is not None:
                     held[self.c * nodes + component], value[self.c * nodes + component] = 1, entry
@@ -148,12 +205,19 @@ class Body:
     def along(self, matrix: csr_matrix, directions: np.ndarray) -> csr_matrix:
         """Rows ``direction . u`` of unknowns, from a matrix of nodal values and directions (c, ...)."""
         parts = [matrix.multiply(part.reshape(-1, 1)).tocsc() for part in directions]
-        order = np.arange(self.c * self.p.shape[1]).reshape(self.c, -1).T.ravel()
+        order = np.arange(self.c * self.size).reshape(self.c, -1).T.ravel()
         return hstack(parts).tocsc()[:, order].tocsr()
 
-    def gradients(self, u: np.ndarray) -> np.ndarray:
-        """Displacement gradients (elements, c, 2)."""
-        return np.einsum("eai,eap->epi", self.slopes, u.reshape(-1, self.c)[self.t.T])
+    def nodes_on(self, name: str) -> np.ndarray:
+        """Nodes of a named boundary."""
+        facets = self.facets(name)
+        middles = self.p.shape[1] + facets if self.data.order == 2 else facets[:0]
+        return np.append(np.unique(self.mesh.facets[:, facets]), middles)
+
+    def gradients(self, u: np.ndarray, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Displacement gradients (n, m, c, 2) of elements (n,) at points (2, n, m)."""
+        nodal = u.reshape(-1, self.c)[self.nodes[:, elements]]
+        return np.einsum("emai,aep->empi", self.slopes_at(elements, points), nodal)
 
     def density(self, gradient: np.ndarray) -> np.ndarray:
         """``grad u : C : grad u`` (elements,) for gradients (elements, c, 2)."""

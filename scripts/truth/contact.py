@@ -106,17 +106,17 @@ def equilibrium(
     tolerance: float = 1e-9,
     start: Equilibrium | None = None,
 ) -> Equilibrium:
-    """The least energy with gaps at ``parts`` + 1 points of edges or triangles' sides.
+    """The least energy with gaps at the ends of ``parts`` (of order 2 twice as many) of edges or triangles.
 
     With ``check`` points where the gap is most negative among so many more are added, until none is. A
     ``start`` on another mesh saves steps.
     """
     held, u = body.given
     free, c, weight, u = ~held, body.c, nodal_weights(body), u.copy()
-    (A, d, low, high), slips = contact_rows(body, parts)
+    (A, d, low, high), slips = contact_rows(body, parts * body.data.order)
     begin, fine = None, gap_rows(body, check) if check else None
     if start is not None:
-        there = start.body.at(start.body.locate(body.p), body.p[:, :, None])
+        there = start.body.at(start.body.locate(body.places), body.places[:, :, None])
         coarse, stress = (there @ part.reshape(-1, c) for part in (start.u, start.stress))
         entries = np.maximum(np.asarray(np.abs(A).sum(axis=0)).reshape(-1, c), 1e-300)
         begin = coarse.ravel()[free], A @ (stress * weight[:, None] / entries).ravel()
@@ -163,8 +163,8 @@ def blocked(body: Body) -> bool:
 
 def nodal_weights(body: Body) -> np.ndarray:
     """Length of the contact boundary, or area, that belongs to each node."""
-    if body.data.foundation.kind == "interior":
-        return np.bincount(body.t.ravel(), np.tile(body.area / 3, 3), body.p.shape[1])
+    if body.data.foundation.kind == "interior":  # of order 2 the thirds belong to the middles of edges
+        return np.bincount(body.nodes[-3:].ravel(), np.tile(body.area / 3, 3), body.size)
     t, w = composite(1, 3)
     _, length, matrix = body.trace(body.data.foundation.boundary, t)
     return np.asarray(matrix.T @ (length * w).ravel())

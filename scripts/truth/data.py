@@ -116,7 +116,8 @@ class Data:
     """A problem, and how the package is to solve it.
 
     ``held`` and ``tractions`` map names of boundaries to one entry per component (None: free), ``circles``
-    to centre and radius of the curve that a boundary is on; its nodes slide along it.
+    to centre and radius of the curve that a boundary is on; its nodes slide along it. Displacements are of
+    ``order`` 1 or 2.
     """
 
     name: str
@@ -133,6 +134,7 @@ class Data:
     options: Mapping[str, Any] = field(default_factory=dict)
     certify: bool = False
     file: Path | None = None
+    order: int = 1
 
     @property
     def components(self) -> int:
@@ -142,7 +144,7 @@ class Data:
     def problem(self) -> rm.ContactProblem:
         """The package's problem."""
         if self.file is not None:
-            return rm.read_problem(self.file)
+            return replace(rm.read_problem(self.file), order=self.order)
         zones = {f"part {i}": one for i, one in enumerate(self.materials)}
         mesh = self.mesh.with_subdomains({name: one.triangles(self.mesh) for name, one in zones.items()})
         return rm.ContactProblem(
@@ -154,4 +156,5 @@ class Data:
             tuple(rm.Traction(k, tuple(map(coefficient, parts))) for k, parts in self.tractions.items()),
             quadrature=self.rule,
             name=self.name,
+            order=self.order,
         )
