@@ -101,7 +101,8 @@ def contradiction(record: Row) -> bool:
 
 def own(data: Data, solution: Any, true: Reference) -> Row:
     """J of the displacement that the package computed, its penetration, and its error in the energy norm."""
-    body, u = Body(data, solution.mesh), np.asarray(solution.displacement).T.ravel()
+    body = Body(data, solution.mesh)
+    u = body.from_arcs(np.asarray(solution.displacement).T.ravel())
     J = energy(body, accurate_loads(body), u)
     return {"J": J, "depth": penetration(body, u), "norm": distance(body, u, true.state)}
 

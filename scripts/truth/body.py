@@ -208,6 +208,22 @@ class Body:
         order = np.arange(self.c * self.size).reshape(self.c, -1).T.ravel()
         return hstack(parts).tocsc()[:, order].tocsr()
 
+    def from_arcs(self, u: np.ndarray) -> np.ndarray:
+        """Displacements by values at nodes, those of edges on curves at the middles of their arcs.
+
+        There an isoparametric element has its node. The polynomial that is continued beyond the triangle is to
+        have the same value.
+        """
+        u = np.array(u).reshape(-1, self.c)
+        for name in self.data.circles if self.data.order == 2 else ():
+            beside, own = self.mesh.f2t[0, self.facets(name)], self.p.shape[1] + self.facets(name)
+            middle = self.trace(name, np.array([0.5]))[0]
+            shapes, nodes = self.shapes(beside, middle)[..., 0], self.nodes[:, beside]
+            others = np.where(nodes == own, 0.0, shapes)
+            rest = u[own] - np.einsum("an,anc->nc", others, u[nodes])
+            u[own] = rest / np.sum(shapes - others, axis=0)[:, None]
+        return u.ravel()
+
     def nodes_on(self, name: str) -> np.ndarray:
         """Nodes of a named boundary."""
         facets = self.facets(name)
