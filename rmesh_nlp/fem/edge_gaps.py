@@ -20,13 +20,14 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.arcs import Arc, kind_of
-from rmesh_nlp.fem.bernstein import functions, size, to_coefficients
+from rmesh_nlp.fem.bernstein import SIDES, functions, size, to_coefficients
 from rmesh_nlp.fem.element import PointValues, point_values
 from rmesh_nlp.fem.fields import ElementTerm
 from rmesh_nlp.fem.space import DisplacementSpace, Index
@@ -42,6 +43,9 @@ INTERIOR_SAMPLES, INSIDE = 6, 4 / 3
 """Parts of an edge of an interior contact set, and the factor of its heights: inside a triangle a paraboloid
 rises above its interpolant by ``k h^2 / 6``, on an edge by ``k h^2 / 8``. What is narrower is left to the
 assessment."""
+
+TRIANGLE_SAMPLES = 4
+"""Parts of the sides of a triangle of order 2, inside of which heights are taken too."""
 
 POWER = 12
 """The p of the norm."""
@@ -103,13 +107,14 @@ def edge_gap_terms(space: DisplacementSpace, part: ContactSet) -> Iterator[Eleme
     free = np.zeros(space.n_nodes)
     free[part.nodes] = 1.0
     given = _given_along(space, part.obstacle)
-    for at_edge, sides, rows, patch in _patches(space, part):
+    inside = space.order == 2 and part.obstacle.boundary is Place.INTERIOR
+    for at_edge, cells, sides, rows, patch in _fans(space, part) if inside else _patches(space, part):
         number = max(sides)
         curve = problem.curves[number] if number >= 0 else None
         on_curve = tuple(curve is not None and side == number for side in sides)
-        beside = _Beside(part.obstacle, on_curve, curve, unit, tiny, space.order, at_edge)
+        beside = _Beside(part.obstacle, cells, on_curve, curve, unit, tiny, space.order, at_edge)
         function, at_points = beside.gap_function(problem.components)
-        along = np.vstack([space.nodes_of(patch[[0, i]]) for i in range(1, 1 + len(sides))])
+        along = np.vstack([space.nodes_of(patch[list(cell)]) for cell in cells])
         yield ElementTerm(
             function,
             (patch, part.nodes[None, rows]),
@@ -120,14 +125,25 @@ def edge_gap_terms(space: DisplacementSpace, part: ContactSet) -> Iterator[Eleme
         )
 
 
-def _patches(
-    space: DisplacementSpace, part: ContactSet
-) -> Iterator[tuple[bool, tuple[int, ...], Index, Index]]:
-    """Contact nodes with edges alike: ``(at_edge, sides, rows, vertices)``.
+class _Patch(NamedTuple):
+    """Contact nodes with edges or triangles alike.
 
-    ``at_edge`` tells whether they are at edges, ``sides`` the curve of each edge beside them, ``rows`` which
-    of the contact set they are. The vertices (1 + edges, n) are the node and the other ends of its edges, or
-    both ends of its own edge. A node between two curves counts one edge as an arc, the other as a chord.
+    ``at_edge`` tells whether they are at edges, ``rows`` which of the contact set they are. ``cells`` are the
+    edges or triangles, each by the numbers of its vertices in the patch, those that carry the node first, and
+    ``sides`` the curve that each is on. ``vertices`` is (vertices of the patch, nodes).
+    """
+
+    at_edge: bool
+    cells: tuple[tuple[int, ...], ...]
+    sides: tuple[int, ...]
+    rows: Index
+    vertices: Index
+
+
+def _patches(space: DisplacementSpace, part: ContactSet) -> Iterator[_Patch]:
+    """Contact nodes with the edges beside them, of nodes at edges their own.
+
+    A node between two curves counts one edge as an arc, the other as a chord.
     """
     problem = space.problem
     edges = Body(problem, problem.mesh.p).edges_of(part.obstacle)
@@ -148,7 +164,30 @@ def _patches(
                 groups[False, tuple(curve for curve, _ in beside)].append((row, patch))
     for (at_edge, sides), members in groups.items():
         rows, patches = zip(*members, strict=True)
-        yield at_edge, sides, np.array(rows), np.array(patches, dtype=np.int64).T
+        cells = tuple((0, i) for i in range(1, 1 + len(sides)))
+        yield _Patch(at_edge, cells, sides, np.array(rows), np.array(patches, dtype=np.int64).T)
+
+
+def _fans(space: DisplacementSpace, part: ContactSet) -> Iterator[_Patch]:
+    """Contact nodes with the triangles around them, all taken as straight.
+
+    At order 2 a foundation may rise above the interpolant inside of a triangle and on none of its edges.
+    """
+    others: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for triangle in space.problem.triangles.T.tolist():
+        for a, b, c in (triangle, triangle[1:] + triangle[:1], triangle[2:] + triangle[:2]):
+            others[a,] += [b, c]
+            others[min(a, b), max(a, b)].append(c)
+    groups: dict[tuple[bool, int], list[tuple[int, list[int]]]] = defaultdict(list)
+    for which, vertices, _ in space.kinds(part.nodes):
+        for row, ends in zip(which.tolist(), vertices.T.tolist(), strict=True):
+            found = others[tuple(sorted(ends))]
+            count = len(found) if len(ends) == 2 else len(found) // 2
+            groups[len(ends) == 2, count].append((row, [*ends, *found]))
+    for (at_edge, count), members in groups.items():
+        rows, patches = zip(*members, strict=True)
+        cells = tuple((0, 1, 2 + i) if at_edge else (0, 1 + 2 * i, 2 + 2 * i) for i in range(count))
+        yield _Patch(at_edge, cells, (-1,) * count, np.array(rows), np.array(patches, dtype=np.int64).T)
 
 
 def _given_along(space: DisplacementSpace, obstacle: Obstacle) -> Array:
@@ -160,13 +199,14 @@ def _given_along(space: DisplacementSpace, obstacle: Obstacle) -> Array:
 
 @dataclass(frozen=True)
 class _Beside:
-    """A contact node and the edges beside it: of an edge the one that it is on.
+    """A contact node and its cells, see :class:`_Patch`.
 
     ``on_curve`` tells of each edge whether it is an arc of ``curve``; lengths are in units of ``unit``, in
     which ``tiny`` is the least height.
     """
 
     obstacle: Obstacle
+    cells: tuple[tuple[int, ...], ...]
     on_curve: tuple[bool, ...]
     curve: Curve | None
     unit: float
@@ -177,38 +217,56 @@ class _Beside:
     def gap_function(self, components: int) -> tuple[ca.Function, PointValues]:
         """``([parameters,] patch, u_i, (free, given), distances) -> (0, gap)``.
 
-        ``free`` is 1 for a node of an edge that keeps off too, 0 for one that is held, whose displacement is
-        ``given``: edge by edge, in each those at its vertices and then the one at the edge.
+        ``free`` is 1 for a node of a cell that keeps off too, 0 for one that is held, whose displacement is
+        ``given``: cell by cell, in each those at its vertices and then those at its edges.
         """
         kind = ca.SX if self.curve is None else kind_of(self.curve)
-        n = len(self.on_curve)
-        nodes = size(self.order, 2)
-        X, t = kind.sym("X", 2, 1 + n), kind.sym("t", 1 + n)
+        n, corners = len(self.cells), len(self.cells[0])
+        vertices, nodes = 1 + max(max(cell) for cell in self.cells), size(self.order, corners)
+        X, t = kind.sym("X", 2, vertices), kind.sym("t", vertices)
         u, constants = kind.sym("u", components), kind.sym("constants", 2 * nodes * n)
         free, given = (ca.reshape(part, nodes, n) for part in ca.vertsplit(constants, nodes * n))
         interior = self.obstacle.boundary is Place.INTERIOR
-        samples = np.arange(1, parts := INTERIOR_SAMPLES if interior else SAMPLES) / parts
+        shares = _samples(corners, interior)
         points = ca.horzsplit(X)
-        for i, arc in enumerate(self.on_curve, 1):
-            edge = Arc(self.curve, ca.vertcat(t[0], t[i]), kind) if self.curve is not None and arc else None
-            straight = [(1 - s) * X[:, 0] + s * X[:, i] for s in samples]
-            points += straight if edge is None else [edge.point(s) for s in samples]
+        for cell, arc in zip(self.cells, self.on_curve, strict=True):
+            if self.curve is not None and arc:
+                edge = Arc(self.curve, ca.vertcat(*(t[i] for i in cell)), kind)
+                points += [edge.point(s) for s in shares[1]]
+            else:
+                points += [sum(share * X[:, i] for share, i in zip(at, cell, strict=True)) for at in shares.T]
         distance = kind.sym("distance", len(points))
+        middles = [
+            np.flatnonzero(np.isclose(shares[list(side)], 0.5).all(axis=0))[0] for side in SIDES[corners]
+        ]
         power, own = kind(self.tiny**POWER), distance[0]
-        for i in range(n):
-            along = distance[1 + n + i * samples.size : 1 + n + (i + 1) * samples.size]
-            ends = [distance[0], distance[1 + i], along[samples.size // 2]]
-            D = ca.DM(to_coefficients(self.order, 2)) @ ca.vertcat(*ends[:nodes])
+        for i, cell in enumerate(self.cells):
+            along = distance[vertices + i * shares.shape[1] : vertices + (i + 1) * shares.shape[1]]
+            at_nodes = [*(distance[k] for k in cell), *(along[k] for k in middles)]
+            D = ca.DM(to_coefficients(self.order, corners)) @ ca.vertcat(*at_nodes[:nodes])
             keeps = free[:, i] * D - (1 - free[:, i]) * given[:, i]
             if self.at_edge:
-                own = D[2]
-            for k, s in enumerate(samples):
-                share = ca.DM(functions(self.order, np.array([1 - s, s])))
+                own = D[corners]
+            for k, at in enumerate(shares.T):
+                share = ca.DM(functions(self.order, at))
                 height = ca.dot(share, keeps) - along[k]
-                power += ca.fmax(height / (self.unit * ca.dot(share, free[:, i])), 0) ** POWER
+                weight = ca.dot(share, free[:, i])
+                if corners == 3:  # where only nodes that are held have a share no other can keep off
+                    weight = ca.if_else(weight > 0, weight, np.inf)
+                power += ca.fmax(height / (self.unit * weight), 0) ** POWER
         off = self.unit * power ** (1 / POWER) * (INSIDE if interior else 1.0)
         x, y = ca.vertsplit((X[:, 0] + X[:, 1]) / 2 if self.at_edge else X[:, 0])
         gap = ca.dot(self.obstacle.direction(x, y), u) + own - off
         columns = [*([] if self.curve is None else [t]), ca.vec(X), u, constants]
         at_points = point_values(columns, ca.horzcat(*points), self.obstacle.distance)
         return ca.Function("edge_gap", [*columns, distance], [0, gap]), at_points
+
+
+def _samples(corners: int, interior: bool) -> Array:
+    """(corners, samples) barycentric coordinates on an edge or a triangle, the corners left out."""
+    if corners == 2:
+        s = np.arange(1, parts := INTERIOR_SAMPLES if interior else SAMPLES) / parts
+        return np.stack([1 - s, s])
+    whole = np.arange(TRIANGLE_SAMPLES + 1)
+    lattice = np.array([(i, j, TRIANGLE_SAMPLES - i - j) for i in whole for j in whole[: whole.size - i]]).T
+    return np.asarray(lattice[:, lattice.max(axis=0) < TRIANGLE_SAMPLES] / TRIANGLE_SAMPLES)

@@ -39,6 +39,7 @@ from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.models.second_derivatives import Curvature, Lifted, curvature_of
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
+from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.body import Body
 
 COLUMNS = 256
@@ -265,6 +266,9 @@ def _followed(space: DisplacementSpace) -> sp.csr_array:
             nodes = np.tile(part.nodes[which], len(vertices))
             found = found + _incidence(nodes, space.number[vertices].ravel(), n, n)
         if holds_along_edges(problem, part.obstacle):
+            for vertices in problem.triangles if part.obstacle.boundary is Place.INTERIOR else ():
+                beside = np.tile(space.number[vertices], len(space.elements))
+                found = found + _incidence(space.elements.ravel(), beside, n, n)
             one, two = space.number[Body(problem, problem.mesh.p).edges_of(part.obstacle).ends]
             found = found + _incidence(np.append(one, two), np.append(two, one), n, n)
     return found

@@ -48,7 +48,7 @@ QUICK = {
     ("curved foundation, stick and slip", "error-l2"),
 }
 """Each objective and each kind of contact; the other combinations are slow, and most of order 2."""
-WITHOUT_WORK = ("interior obstacle", "two materials", "graph")
+WITHOUT_WORK = ("interior obstacle", "bump", "two materials", "graph")
 """Where the objective ``contact`` is refused, or zero: quadratic displacements meet a parabola exactly."""
 COMBINATIONS = [
     pytest.param(*both, marks=() if both in QUICK else pytest.mark.slow)

@@ -13,7 +13,7 @@ from rmesh_nlp.models import reduced_nlp as module
 from rmesh_nlp.models.reduced_nlp import STIFF, ReducedNLP, dense, lifted, reduced_nlp, with_hessian
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.solving.outer import Outer
-from support.reduced import of_order_2
+from support.reduced import membrane_over_a_bump, of_order_2
 
 
 def bumpy(friction: float) -> ContactProblem:
@@ -31,6 +31,7 @@ ENERGIES = {
     "gaps along edges, friction": lambda: bumpy(0.3),
 }
 ENERGIES |= {f"{name}, order 2": of_order_2(make) for name, make in ENERGIES.items()}
+ENERGIES["bump, order 2"] = lambda: replace(membrane_over_a_bump(), motion=Motion(None), order=2)
 OBJECTIVES = {name: (make, "energy") for name, make in ENERGIES.items() if "edges" not in name}
 OBJECTIVES["6.1 and its error"] = (lambda: EXAMPLES["6.1"](4), "error-l2")
 OBJECTIVES["6.1 and its error, order 2"] = (lambda: replace(EXAMPLES["6.1"](3), order=2), "error-l2")

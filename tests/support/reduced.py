@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 
 from rmesh_nlp.contact.solver import ContactSolver
@@ -54,11 +55,19 @@ def tied_membrane() -> ContactProblem:
     )
 
 
+def membrane_over_a_bump() -> ContactProblem:
+    """Gaps hold inside of elements too."""
+    bump = Obstacle.interior(lambda x, y: 0.05 * ca.exp(-3 * ((x - 1) ** 2 + (y - 0.4) ** 2)) - 0.2)
+    problem = random_problem(2, kind="membrane")
+    return replace(problem, obstacle=replace(bump, gap="edge"), motion=Motion(0.05))
+
+
 OTHERS: dict[str, Callable[[], ContactProblem]] = {
     "gaps along edges": block_along_a_circle,
     "two foundations": block_between_two_foundations,
     "graph, no normal varies": punch_held_by_symmetry,
     "interior obstacle": lambda: random_problem(2, kind="membrane"),
+    "bump, gaps along edges": membrane_over_a_bump,
     "two materials": lambda: random_problem(8),
     "contact on an arc": disc_on_its_arc,
     "two obstacles at a node": block_in_a_corner,
