@@ -211,8 +211,8 @@ class Body:
     def from_arcs(self, u: np.ndarray) -> np.ndarray:
         """Displacements by values at nodes, those of edges on curves at the middles of their arcs.
 
-        There an isoparametric element has its node. The polynomial that is continued beyond the triangle is to
-        have the same value.
+        There an isoparametric element has its node, and the polynomial that is continued beyond its triangle
+        is to have the same value.
         """
         u = np.array(u).reshape(-1, self.c)
         for name in self.data.circles if self.data.order == 2 else ():
