@@ -150,7 +150,7 @@ class TestGradients:
 
 class TestFormulations:
     def test_nested_and_mpcc_lower_the_objective_and_are_measured_alike(self) -> None:
-        ends = {name: rm.solve(slab(0.5), name, objective=SAG) for name in ("nested", "mpcc")}
+        ends = {name: rm.solve(slab(0.5, (8, 4)), name, objective=SAG) for name in ("nested", "mpcc")}
         for solution in ends.values():
             row = solution.record()
             assert solution.success
